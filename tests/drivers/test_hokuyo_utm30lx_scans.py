@@ -109,7 +109,7 @@ STAMP = data_line(encode_number(77, 4))
         (STAMP + b"000111~\n", "wrong sum"),
         (STAMP + data_line(b"00011"), "whole number"),
         (STAMP + data_line(b"000111222"), "3 beams"),
-        (STAMP + data_line(b"000"), "1 beams"),
+        (STAMP + data_line(b"000"), "1 beam,"),
         (STAMP + data_line(b"000 11"), "six-bit"),
     ],
 )

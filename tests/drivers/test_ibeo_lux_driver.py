@@ -190,7 +190,7 @@ def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
             {"points": points((15, 15, 0, 0, 500, 100), (0, 3, 0, 0, 500, 100))},
             "of 2 points, none with a layer",
         ),
-        ({"points": points((0, 0, 0, 1601, 500, 100))}, "of 1 points, none .* an angle that can be"),
+        ({"points": points((0, 0, 0, 1601, 500, 100))}, "of 1 point, none .* an angle that can be"),
     ],
 )
 def test_scan_without_sense_is_dropped_and_twenty_one_are_a_protocol_error(spoilt, words):

@@ -120,7 +120,7 @@ def test_parameters_are_unsigned_on_the_wire_and_signed_in_sixteen_bits():
 )
 def test_too_short_is_a_protocol_error(read, shortest):
     read(bytes(shortest))
-    with pytest.raises(ProtocolError, match=f"of {shortest - 1} bytes"):
+    with pytest.raises(ProtocolError, match=f"of {shortest - 1} bytes?,"):
         read(bytes(shortest - 1))
 
 

@@ -57,7 +57,9 @@ def replay_of(bent: BentMap) -> Replay:
     summary = {"profile": "corridor", "keyframes": len(bent.graph), "loop_closures": 0, "map_tiles": 1}
     g2o = to_g2o(graph_of(bent.graph))
     lasers = ["front"] * len(outputs)
-    return Replay(outputs, lasers, way, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph)
+    return Replay(
+        outputs, lasers, {}, frozenset(), way, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph
+    )
 
 
 @pytest.fixture

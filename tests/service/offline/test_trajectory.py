@@ -73,7 +73,7 @@ def test_a_file_that_is_none_is_refused(tmp_path):
         read_tum(tmp_path / "nowhere")
     with pytest.raises(InputError, match="not a text file"):
         read_tum(tmp_path / "binary")
-    with pytest.raises(InputError, match="1 poses; a trajectory has at least 2"):
+    with pytest.raises(InputError, match="1 pose; a trajectory has at least 2"):
         read_tum(tmp_path / "one")
 
 

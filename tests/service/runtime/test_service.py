@@ -185,7 +185,9 @@ def test_a_mapper_that_fails_at_every_scan_brings_the_service_down_with_its_reco
     service.start()
     for k in range(MOST_DEATHS):
         arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
-        service.frame_sink(scan(k + 1, arrived_ns, [FATAL_RANGE_M, 2.0, 3.0]))
+        service.frame_sink(
+            scan(arrived_ns + k * 20_000_000, arrived_ns + k * 20_000_000, [FATAL_RANGE_M, 2.0, 3.0])
+        )
     assert told.wait(30.0)
     assert f"{MOST_DEATHS} times after item 0" in service.failure
     summary = service.stop()
@@ -240,9 +242,11 @@ def test_a_clean_stop_is_no_fault_however_long_it_takes(
     service.start()
     arrived_ns = time.monotonic_ns()
     link = service._report._links["front"]
-    link.state, link.frames, link.last_frame_ns = "streaming", 1, arrived_ns + 3600 * 10**9
-    service.frame_sink(scan(1, link.last_frame_ns, [2.0] * 60))
+    link.frames, link.last_frame_ns = 1, arrived_ns + 3600 * 10**9
+    service.frame_sink(scan(link.last_frame_ns, link.last_frame_ns, [2.0] * 60))
     tick_until(service, lambda: service._outputs.states.total() == 1)
+    tick_until(service, lambda: link.connects == 1)  # its thread has set the state by then
+    link.state = "streaming"
     service._outputs.last_ns = link.last_frame_ns
     later = SimpleNamespace(
         monotonic=time.monotonic,
@@ -430,7 +434,8 @@ def test_a_sink_that_is_broken_in_every_way_costs_neither_mapping_nor_another_si
     service.start()
     arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
     for k in range(20):
-        service.frame_sink(scan(k + 1, arrived_ns + k, [2.0] * 60))
+        at_ns = arrived_ns + k * 20_000_000
+        service.frame_sink(scan(at_ns, at_ns, [2.0] * 60))
     tick_until(service, lambda: service._outputs.states.total() == 20)
     service.tick()
     summary = service.stop()

@@ -148,8 +148,11 @@ def test_a_rate_below_the_configured_one_is_a_fault(on_tcp: OnTcp):
 
 def test_a_stream_that_dries_up_is_a_fault(serial_line: SerialLine):
     frames = [encode_frame(STREAM_IDS, dict.fromkeys(STREAM_IDS, 0))] * 8
-    line = serial_line(lambda baud: frames.pop() if frames and len(line.heard) > 10 else b"")
-    first, second, *_ = examine(create(line.path), Patience(measure_s=0.9, start_up_s=5.0))
+    lines: list[Any] = []  # empty while the line is made, on which its thread writes already
+    lines.append(
+        serial_line(lambda _: frames.pop() if frames and lines and len(lines[0].heard) > 10 else b"")
+    )
+    first, second, *_ = examine(create(lines[0].path), Patience(measure_s=0.9, start_up_s=5.0))
     assert (first.severity, second.severity) == ("ok", "fault")
     assert second.expected == "66.6667 frames/s as configured"
 
