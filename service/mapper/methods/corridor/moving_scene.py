@@ -34,6 +34,7 @@ WINDOW_NS, WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, 
 SCALE_SIGMA = 0.02  # of odometry, common to the window
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 MIN_CONFLICT_CHI2 = 16.3  # 99.9 % of three degrees of freedom
+MAX_TURN_CHI2 = 10.8  # 99.9 % of one: beyond, odometry and scans turn at different times
 RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
 OUTLIER_SHARE = 0.1  # of the returns, which lie on no such wall by chance
 BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measurement of it
@@ -66,6 +67,7 @@ class Conflict:
 
     pose: SE2
     covariance: Matrix
+    is_turned: bool  # the headings differ: people who walk along turn no scan, late stamps do
 
 
 class Reckoning:
@@ -112,10 +114,12 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
     way_m2 = end.variance_m2 - begin.variance_m2 + (SCALE_SIGMA * travel_m) ** 2 + MATCH_SIGMA_M**2
     way_m2 += turn_rad2 * travel_m**2 / 3.0  # the heading walks along the path
-    chi2 = (off.x_m**2 + off.y_m**2) / way_m2 + wrap_angle(off.theta_rad) ** 2 / turn_rad2
+    turn_chi2 = wrap_angle(off.theta_rad) ** 2 / turn_rad2
+    chi2 = (off.x_m**2 + off.y_m**2) / way_m2 + turn_chi2
     if chi2 <= MIN_CONFLICT_CHI2:
         return None
-    return Conflict(begin.matched @ reckoned, np.diag([way_m2, way_m2, turn_rad2]))
+    is_turned = turn_chi2 > MAX_TURN_CHI2
+    return Conflict(begin.matched @ reckoned, np.diag([way_m2, way_m2, turn_rad2]), is_turned)
 
 
 def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
@@ -160,14 +164,15 @@ class MovingScene:
             self._moves_until_ns = None
             return None
         static, _share = self._align_static(attempt, attempt.prior, submap)
-        if is_loose(sigmas_of(static.result.covariance)):
+        is_seen = static.result.used >= LEAST_CONFIRMING
+        if not is_seen or is_loose(sigmas_of(static.result.covariance)):
             self._moves_until_ns = None
             return None
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
         if conflict is None:
             return self._accepted(static, attempt)
         by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
-        if _evidence_nats(attempt, by_odometry, static) < MIN_ODOMETRY_NATS:
+        if conflict.is_turned or _evidence_nats(attempt, by_odometry, static) < MIN_ODOMETRY_NATS:
             self._moves_until_ns = None
             return None
         return self._begun(by_odometry, attempt)
@@ -180,7 +185,8 @@ class MovingScene:
             return aligned
         if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
             return aligned
-        if _moved_share(aligned) >= MIN_MOVING_SHARE:
+        is_turned = conflict is not None and conflict.is_turned
+        if not is_turned and _moved_share(aligned) >= MIN_MOVING_SHARE:
             prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
             static, share = self._align_static(attempt, prior, aligned.submap)
             if share >= MIN_STATIC_SHARE and _evidence_nats(attempt, static, aligned) >= MIN_ODOMETRY_NATS:
