@@ -90,8 +90,8 @@ class Systemd:
                 self.words.append(word)
                 self._changed.notify_all()
 
-    def wait_for(self, start: str, timeout_s: float = PATIENCE_S, after: int = 0) -> None:
-        """Until a word that begins with `start` came, `after` words or later."""
+    def wait_for(self, start: str | tuple[str, ...], timeout_s: float = PATIENCE_S, after: int = 0) -> None:
+        """Until a word that begins with `start`, or one of several, came, `after` words or later."""
         with self._changed:
             heard = self._changed.wait_for(
                 lambda: any(word.startswith(start) for word in self.words[after:]), timeout_s
