@@ -1,7 +1,7 @@
 """The pose graph as markers: lines that RViz, Foxglove and the operator's page draw alike."""
 
 from collections.abc import Iterator, Sequence
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ _LOOK = {  # width in m, colour; one pixel where 40 m fill 500 pixels
 }
 
 Lines = npt.NDArray[np.float32]
-Marker = ros.visualization_msgs__msg__Marker
+Marker: TypeAlias = ros.visualization_msgs__msg__Marker
 
 
 def encode_graph(picture: GraphPicture, log_ns: int) -> Message:

@@ -254,7 +254,7 @@ def decode_upside_down(payload: bytes) -> frozenset[str]:
 
 def decode_event(payload: bytes) -> str:
     """A std_msgs/String message. Raises InputError."""
-    return cast(ros.std_msgs__msg__String, wire.read(wire.STRING, payload)).data
+    return str(cast(ros.std_msgs__msg__String, wire.read(wire.STRING, payload)).data)
 
 
 def _pose_payload(output: MapperOutput, frame: str, pose: SE2, covariance: FloatArray) -> bytes:

@@ -137,7 +137,7 @@ def header_ros(stamp_ns: int, frame: str) -> ros.std_msgs__msg__Header:
 
 
 def stamp_ns_of(time: ros.builtin_interfaces__msg__Time) -> int:
-    return time.sec * 1_000_000_000 + time.nanosec
+    return int(time.sec * 1_000_000_000 + time.nanosec)
 
 
 def odometry_payload(
