@@ -31,6 +31,7 @@ from service.offline.session_file import refuse_to_overwrite, write_session
 from service.offline.writing import refuse_unwritable_file
 
 OdometryChoice = Literal["auto", "logged", "none"]
+Ranges = npt.NDArray[np.float32]  # m
 
 FLASER_RANGE_MAX_M = 50.0  # logs cap at 50 m or flag with 81.9 m; FLASER does not say which
 SICK_RANGE_MAX_M = 80.0  # SICK flags errors with 81.83 m and more, whatever the line gives as its maximum
@@ -93,12 +94,7 @@ def _listed(counts: Counter[str]) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scan:
-    stamp_ns: int
-    sensor: str
-    range_m: npt.NDArray[np.float32]
-    first_angle_rad: float
-    angle_step_rad: float
-    range_max_m: float
+    frame: LaserScan
     pose_laser: SE2
     pose_robot: SE2
 
@@ -137,18 +133,13 @@ def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "au
     log = _read(log_path, report)
     report.corrected = _why_corrected(log, log_path)
     samples = _odometry_of(log, odometry, report)
-    for sensor in sorted({scan.sensor for scan in log.scans}):
+    report.scans.update(scan.frame.sensor for scan in log.scans)
+    for sensor in sorted(report.scans):
         report.mountings[sensor] = _mounting(log, sensor, bool(report.corrected))
-    frames: list[Frame] = [*samples, *map(_scan_frame, log.scans)]  # at equal stamps odometry comes first
-    frames.sort(key=lambda frame: frame.stamp_ns)
-    report.scans.update(scan.sensor for scan in log.scans)
+    frames: list[Frame] = [*samples, *(scan.frame for scan in log.scans)]
+    frames.sort(key=lambda frame: frame.stamp_ns)  # at equal stamps odometry comes first
     report.odometry, report.out_of_order = len(samples), log.out_of_order
     report.duration_s = (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9
-    _write(frames, report)
-    return report
-
-
-def _write(frames: Sequence[Frame], report: ImportReport) -> None:
     about = {
         "source": report.source.name,
         "format": "carmen",
@@ -156,6 +147,7 @@ def _write(frames: Sequence[Frame], report: ImportReport) -> None:
         "odometry": report.odometry_source,
     }
     write_session(report.path, frames, report.mountings, about)
+    return report
 
 
 def _read(path: Path, report: ImportReport) -> _Log:
@@ -183,21 +175,21 @@ def _read(path: Path, report: ImportReport) -> _Log:
             f"{path} holds no line of {', '.join(LASERS)} that can be read; is it a CARMEN log? "
             f"It begins with {first_line!r}"
         )
-    distinct = len({scan.stamp_ns for scan in log.scans})
+    distinct = len({scan.frame.stamp_ns for scan in log.scans})
     if distinct <= len(log.scans) // 2:
         raise InputError(
             f"{path}: {len(log.scans)} scans carry {distinct} different times, so when they were taken is "
             "lost (some logs were written with six digits); look for another copy, such as its .gfs"
         )
-    if not any(_has_return(scan) for scan in log.scans):
+    if not any(_has_return(scan.frame) for scan in log.scans):
         raise InputError(
             f"{path}: not one beam of {counted(len(log.scans), 'scan')} came back between 0 and "
-            f"{log.scans[0].range_max_m:g} m; nothing can be mapped of it"
+            f"{log.scans[0].frame.range_max_m:g} m; nothing can be mapped of it"
         )
     return log
 
 
-def _has_return(scan: _Scan) -> bool:
+def _has_return(scan: LaserScan) -> bool:
     return bool(((scan.range_m > 0.0) & (scan.range_m < scan.range_max_m)).any())
 
 
@@ -236,23 +228,15 @@ def _take(log: _Log, fields: list[str], report: ImportReport) -> int:
             return 0
     log.scans.append(scan)
     log.scan_above = scan
-    return scan.stamp_ns
+    return scan.frame.stamp_ns
 
 
 def _flaser(fields: list[str]) -> _Scan:
     """FLASER n [ranges] laser_x y theta robot_x y theta ipc_timestamp host logger_timestamp"""
     count = int(fields[1])
-    first_rad, step_rad = _guessed_angles(count)
-    return _Scan(
-        stamp_ns=_ns(fields[8 + count]),
-        sensor=LASERS[fields[0]],
-        range_m=_ranges(fields[2 : 2 + count], count),
-        first_angle_rad=first_rad,
-        angle_step_rad=step_rad,
-        range_max_m=FLASER_RANGE_MAX_M,
-        pose_laser=_pose(fields[2 + count : 5 + count]),
-        pose_robot=_pose(fields[5 + count : 8 + count]),
-    )
+    ranges, poses = _ranges(fields[2 : 2 + count], count), fields[2 + count : 8 + count]
+    frame = _frame(LASERS[fields[0]], fields[8 + count], ranges, _guessed_angles(count), FLASER_RANGE_MAX_M)
+    return _Scan(frame, _pose(poses[:3]), _pose(poses[3:]))
 
 
 def _robotlaser(fields: list[str]) -> _Scan:
@@ -264,35 +248,46 @@ def _robotlaser(fields: list[str]) -> _Scan:
     if not abs(start_rad) <= 2.0 * math.pi or not 0.0 < abs(step_rad) * max(count - 1, 1) < 2.1 * math.pi:
         raise ValueError(f"{counted(count, 'beam')} from {start_rad} rad on, {step_rad} rad apart")
     after = 10 + count + int(fields[9 + count])
-    return _Scan(
-        stamp_ns=_ns(fields[after + 11]),
-        sensor=LASERS[fields[0]],
-        range_m=_ranges(fields[9 : 9 + count], count),
-        first_angle_rad=start_rad,
-        angle_step_rad=step_rad,
-        range_max_m=min(max_range_m, SICK_RANGE_MAX_M) if max_range_m > 0 else SICK_RANGE_MAX_M,
-        pose_laser=_pose(fields[after : after + 3]),
-        pose_robot=_pose(fields[after + 3 : after + 6]),
-    )
+    ranges = _ranges(fields[9 : 9 + count], count)
+    range_max_m = min(max_range_m, SICK_RANGE_MAX_M) if max_range_m > 0 else SICK_RANGE_MAX_M
+    frame = _frame(LASERS[fields[0]], fields[after + 11], ranges, (start_rad, step_rad), range_max_m)
+    return _Scan(frame, _pose(fields[after : after + 3]), _pose(fields[after + 3 : after + 6]))
 
 
 def _laser_reading(fields: list[str]) -> _Scan:
     """LASER_READING n [ranges] x y theta timestamp; the pose is that of the best particle."""
     count = int(fields[1])
-    first_rad, step_rad = _guessed_angles(count)
-    pose = _pose(fields[2 + count : 5 + count])
-    ranges = _ranges(fields[2 : 2 + count], count)
-    stamp_ns = _ns(fields[5 + count])
-    return _Scan(stamp_ns, "front", ranges, first_rad, step_rad, FLASER_RANGE_MAX_M, pose, pose)
+    pose, ranges = _pose(fields[2 + count : 5 + count]), _ranges(fields[2 : 2 + count], count)
+    frame = _frame("front", fields[5 + count], ranges, _guessed_angles(count), FLASER_RANGE_MAX_M)
+    return _Scan(frame, pose, pose)
 
 
 def _l_line(fields: list[str]) -> _Scan:
     """L robot_x y theta laser_x y theta [180 ranges] timestamp; centimetres and radians."""
     count = len(fields) - 8
-    first_rad, step_rad = _guessed_angles(count)
     ranges = _ranges(fields[7 : 7 + count], count) * np.float32(0.01)
-    robot, laser = _pose(fields[1:4], 0.01), _pose(fields[4:7], 0.01)
-    return _Scan(_ns(fields[-1]), "front", ranges, first_rad, step_rad, SICK_RANGE_MAX_M, laser, robot)
+    frame = _frame("front", fields[-1], ranges, _guessed_angles(count), SICK_RANGE_MAX_M)
+    return _Scan(frame, pose_laser=_pose(fields[4:7], 0.01), pose_robot=_pose(fields[1:4], 0.01))
+
+
+def _frame(
+    sensor: str, stamp: str, ranges: Ranges, angles_rad: tuple[float, float], range_max_m: float
+) -> LaserScan:
+    """A scan of these first angle and step. CARMEN logs no times of beams, so a sweep is one instant."""
+    stamp_ns = _ns(stamp)
+    return LaserScan(
+        sensor=sensor,
+        stamp_ns=stamp_ns,
+        arrived_ns=stamp_ns,
+        beam_interval_ns=0,
+        scan_period_ns=0,
+        first_angle_rad=angles_rad[0],
+        angle_step_rad=angles_rad[1],
+        range_min_m=0.0,
+        range_max_m=range_max_m,
+        range_m=ranges,
+        intensity=NO_INTENSITY,
+    )
 
 
 def _odom(fields: list[str], above: _Scan | None) -> _Odometry:
@@ -312,7 +307,7 @@ def _odom(fields: list[str], above: _Scan | None) -> _Odometry:
 def _restates(text: str, above: _Scan) -> bool:
     """Whether a stamp is none of its own: before that of the scan above."""
     stamp_s = Decimal(text)
-    return stamp_s.is_finite() and stamp_s < Decimal(above.stamp_ns).scaleb(-9)
+    return stamp_s.is_finite() and stamp_s < Decimal(above.frame.stamp_ns).scaleb(-9)
 
 
 def _o_line(fields: list[str]) -> _Odometry:
@@ -333,7 +328,7 @@ def _guessed_angles(count: int) -> tuple[float, float]:
     return math.radians(first_deg), math.radians(step_deg)
 
 
-def _ranges(texts: Sequence[str], count: int) -> npt.NDArray[np.float32]:
+def _ranges(texts: Sequence[str], count: int) -> Ranges:
     if len(texts) != count:
         raise ValueError(f"{counted(len(texts), 'range')} instead of {count}")
     with np.errstate(over="ignore"):  # what no float32 holds lies beyond every laser: no return
@@ -377,8 +372,8 @@ def _why_corrected(log: _Log, path: Path) -> str:
 
 def _is_rigid(scans: Sequence[_Scan]) -> bool:
     """Whether the laser keeps its place on the robot; where it does not, its pose was corrected."""
-    for sensor in {scan.sensor for scan in scans}:
-        relative = [s.pose_robot.inverse() @ s.pose_laser for s in scans if s.sensor == sensor]
+    for sensor in {scan.frame.sensor for scan in scans}:
+        relative = _laser_poses(scans, sensor)
         middle = _median(relative)
         off = [
             math.hypot(p.x_m - middle.x_m, p.y_m - middle.y_m) > RIGID_M
@@ -388,6 +383,11 @@ def _is_rigid(scans: Sequence[_Scan]) -> bool:
         if sum(off) > len(off) // 10:
             return False
     return True
+
+
+def _laser_poses(scans: Sequence[_Scan], sensor: str) -> list[SE2]:
+    """Of that laser on the robot, scan by scan."""
+    return [s.pose_robot.inverse() @ s.pose_laser for s in scans if s.frame.sensor == sensor]
 
 
 def _median(poses: Sequence[SE2]) -> SE2:
@@ -401,7 +401,7 @@ def _median(poses: Sequence[SE2]) -> SE2:
 
 def _mounting(log: _Log, sensor: str, corrected: bool) -> SE2:
     """By the poses of laser and robot where both are logged; else by PARAM; else at the robot's centre."""
-    relative = _median([s.pose_robot.inverse() @ s.pose_laser for s in log.scans if s.sensor == sensor])
+    relative = _median(_laser_poses(log.scans, sensor))
     if not corrected and relative.log() != (0.0, 0.0, 0.0):
         return SE2(round(relative.x_m, 4), round(relative.y_m, 4), round(relative.theta_rad, 6))
     prefix = f"robot_{sensor}laser"
@@ -418,7 +418,7 @@ def _mounting(log: _Log, sensor: str, corrected: bool) -> SE2:
 
 def _odometry_of(log: _Log, choice: OdometryChoice, report: ImportReport) -> list[OdometrySample]:
     timed = [sample for sample in log.odometry if sample.stamp_ns]
-    from_scans = [_Odometry(scan.stamp_ns, scan.pose_robot) for scan in log.scans]
+    from_scans = [_Odometry(scan.frame.stamp_ns, scan.pose_robot) for scan in log.scans]
     restated = len(timed) < len(log.odometry)
     if choice == "none":
         report.odometry_source = "left out as asked"
@@ -486,20 +486,3 @@ def _samples(logged: Sequence[_Odometry]) -> list[OdometrySample]:
         )
         last = sample
     return samples
-
-
-def _scan_frame(scan: _Scan) -> LaserScan:
-    """CARMEN logs no times of beams, so a sweep is one instant."""
-    return LaserScan(
-        sensor=scan.sensor,
-        stamp_ns=scan.stamp_ns,
-        arrived_ns=scan.stamp_ns,
-        beam_interval_ns=0,
-        scan_period_ns=0,
-        first_angle_rad=scan.first_angle_rad,
-        angle_step_rad=scan.angle_step_rad,
-        range_min_m=0.0,
-        range_max_m=scan.range_max_m,
-        range_m=scan.range_m,
-        intensity=NO_INTENSITY,
-    )
