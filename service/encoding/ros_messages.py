@@ -104,6 +104,7 @@ _DEFINITIONS = {
 }
 
 _FieldType = tuple[Nodetype, Any]
+Members = tuple[list[tuple[str, str, int]], list[tuple[str, _FieldType]]]
 
 
 def _type(text: str) -> _FieldType:
@@ -115,10 +116,10 @@ def _type(text: str) -> _FieldType:
     return Nodetype.BASE, (text, 0)
 
 
-def _members(definition: str) -> tuple[list[tuple[str, str, int]], list[tuple[str, _FieldType]]]:
-    """Constants (name, type, value) and fields (name, type)."""
+def members_of(definition: str) -> Members:
+    """Constants (name, type, value) and fields (name, type) of a definition as in the table."""
     constants, fields = [], []
-    for members in definition.split("; "):
+    for members in filter(None, definition.split("; ")):
         type_name, names = members.split(" ", 1)
         for name, is_constant, value in (member.partition("=") for member in names.split(", ")):
             if is_constant:
@@ -128,7 +129,7 @@ def _members(definition: str) -> tuple[list[tuple[str, str, int]], list[tuple[st
     return constants, fields
 
 
-FIELDDEFS = {name.replace("/", "/msg/"): _members(text) for name, text in _DEFINITIONS.items()}
+FIELDDEFS = {name.replace("/", "/msg/"): members_of(text) for name, text in _DEFINITIONS.items()}
 
 for _name, (_constants, _fields) in FIELDDEFS.items():
     _class_name = _name.replace("/", "__")

@@ -87,30 +87,31 @@ class LogClock:
 
 
 @lru_cache(maxsize=1)
-def _store() -> Typestore:
+def store() -> Typestore:
+    """The messages of the wire."""
     return Typestore(ros)
 
 
 def schema_text(type_name: str) -> str:
     """The definition of a message type with all it contains, as MCAP's `ros2msg` schema encoding wants it."""
-    return _store().generate_msgdef(type_name, ros_version=2)[0]
+    return store().generate_msgdef(type_name, ros_version=2)[0]
 
 
 def type_hash(type_name: str) -> str:
     """ROS 2 type hash (REP 2011), "RIHS01_..."."""
-    return _store().hash_rihs01(type_name)
+    return store().hash_rihs01(type_name)
 
 
 def to_message(channel: str, type_name: str, stamp_ns: int, log_ns: int, content: object) -> Message:
     """Encode a message object of rosbags' type store."""
-    payload = bytes(_store().serialize_cdr(content, type_name, little_endian=True))
+    payload = bytes(store().serialize_cdr(content, type_name, little_endian=True))
     return Message(channel, type_name, stamp_ns, log_ns, payload)
 
 
 def read(type_name: str, payload: bytes) -> object:
     """The message object of a payload. Raises InputError where the bytes are no such message."""
     try:
-        return _store().deserialize_cdr(payload, type_name)
+        return store().deserialize_cdr(payload, type_name)
     except SerdeError as error:
         raise InputError(
             f"{counted(len(payload), 'byte')} cannot be read as a {type_name}: {error}"
@@ -120,7 +121,7 @@ def read(type_name: str, payload: bytes) -> object:
 def from_ros1(type_name: str, payload: bytes) -> bytes:
     """A message as ROS 1 writes it, as CDR. Raises InputError where the bytes are no such message."""
     try:
-        return bytes(_store().ros1_to_cdr(payload, type_name))
+        return bytes(store().ros1_to_cdr(payload, type_name))
     except (SerdeError, AssertionError) as error:
         raise InputError(
             f"{counted(len(payload), 'byte')} cannot be read as a {type_name} of ROS 1: {error}"

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
+from drivers.rmw_zenoh import Attachment, make_gid
 from service.encoding import (
     CHANGES,
     TILES,
@@ -28,7 +29,6 @@ from service.encoding import (
 )
 from service.errors import StorageError
 from service.outputs import Grid, TileUpdate
-from service.publishing.attachment import Attachment, make_gid
 from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig

@@ -120,7 +120,7 @@ def test_the_mirror_forgets_a_former_run(programs, monkeypatch):
     monkeypatch.syspath_prepend(str(programs))
     from mirror import MapMirror
 
-    from service.publishing.attachment import Attachment
+    from drivers.rmw_zenoh import Attachment
 
     before, after = (
         Attachment(version, 0, bytes([run] * 16)).encode() for version, run in ((900, 1), (3, 2))
@@ -138,7 +138,7 @@ def test_a_sample_and_a_reply_may_overtake_each_other(programs, monkeypatch):
     monkeypatch.syspath_prepend(str(programs))
     from mirror import MapMirror
 
-    from service.publishing.attachment import Attachment
+    from drivers.rmw_zenoh import Attachment
 
     mirror = MapMirror()
     for version in (5, 4, 6, 5):

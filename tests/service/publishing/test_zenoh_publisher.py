@@ -9,9 +9,9 @@ import pytest
 import zenoh
 import zenoh.ext
 
+from drivers.rmw_zenoh import Attachment
 from service.encoding import Message, decode_diagnostics, decode_grid, encode_tile
 from service.errors import StorageError
-from service.publishing.attachment import Attachment
 from service.publishing.config import PublishingConfig
 from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import TIMEOUT_S, Inbox
