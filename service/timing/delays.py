@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-MOST_AHEAD_NS = 100_000_000  # of the log: two computers that keep each other's time
+MOST_AHEAD_NS = 50_000_000  # of the log: two computers that keep each other's time
 MOST_LATENCY_NS = 1_000_000_000  # from a measurement to its log time
 MOST_CHANGE_NS = 250_000_000  # of the delay, from the first half of the messages to the second
 LEAST_SHARE = 0.6  # of the messages, whose delays agree

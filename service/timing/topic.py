@@ -32,6 +32,8 @@ CERTAIN, MOST_ODD = 5, 0.4  # messages, and the share of them that single odd st
 MOST_DROPPED = 0.05  # of a topic's messages; more is a warning
 PACE_MESSAGES = 20  # at the beginning and at the end, by whose fastest delays a drift is known
 MOST_DRIFT_NS = 200_000_000
+EVEN_STEPS, EVEN = 10, 0.2  # log times from message to message, and by which share of them they differ
+MOST_USUAL_DELAY_NS = 250_000_000  # of the fastest messages, to the log
 SAME_TURN = 0.1
 LEAST_LAG_S, LAG_SIGMAS = 0.045, 5.0  # by the rates of turn; less the motion model finds by itself
 
@@ -75,6 +77,7 @@ class Topic:
         self._newest_log_ns = 0  # of the newest that was judged
         self._strange: list[tuple[int, int, int]] = []  # the same of those in a row that were not
         self._sets: list[int] = []  # by how much its clock was set
+        self._log_steps_ns: deque[int] = deque(maxlen=EVEN_STEPS)  # log time from message to message
         self._first_delays: list[int] = []
         self._last_delays: deque[int] = deque(maxlen=PACE_MESSAGES)
 
@@ -140,8 +143,10 @@ class Topic:
         """
         if not has_waited:
             self._note(frame)
+        log_ns = frame.arrived_ns - (log_offset_ns or 0)
+        self._log_steps_ns.append(log_ns - self._newest_log_ns)
         used = self._with_times(frame, log_offset_ns)
-        self._newest_log_ns = frame.arrived_ns - (log_offset_ns or 0)
+        self._newest_log_ns = log_ns
         if isinstance(used, str):
             self.dropped[used] += 1
         return used
@@ -185,6 +190,11 @@ class Topic:
             lines.append(
                 f"its stamps run {pace} than the log, by {seconds(abs(drift_ns))} since the beginning; they "
                 "are used. Is its clock right, or is its link too slow?"
+            )
+        if (delay_ns := self._least_delay_ns) is not None and delay_ns > MOST_USUAL_DELAY_NS:
+            lines.append(
+                f"its messages come at least {seconds(delay_ns)} after their stamps by the log; the stamps "
+                "are used as they are. Is its clock behind, or its link slow?"
             )
         count = self.dropped.total()
         if self.messages >= least_messages and count > MOST_DROPPED * self.messages:
@@ -260,6 +270,8 @@ class Topic:
             if len(self._strange) < NEW_CLOCK:
                 return False
             delay_ns = self._take_clock(delay_ns, log_offset_ns)
+        elif log_offset_ns is not None and self._was_set(delay_ns):
+            delay_ns = self._go_on(delay_ns)
         self._strange.clear()
         self._delay_ns = delay_ns
         self._fastest_ns = min(delay_ns, self._fastest_ns + FASTEST_FADES_NS)
@@ -281,16 +293,34 @@ class Topic:
             return 0
         if is_late:
             return delay_ns
+        return self._go_on(delay_ns)
+
+    def _go_on(self, delay_ns: int) -> int:
+        """Its stamps go on as before, though the delay is another now. The delay from there on."""
         change_ns = delay_ns - self._delay_ns
         self.shift_ns += change_ns
         self._sets.append(change_ns)
         return self._delay_ns
+
+    def _was_set(self, delay_ns: int) -> bool:
+        """Whether its clock was set before this message: one that is late would have come unevenly."""
+        if self._stamp_ns is None or abs(delay_ns - self._delay_ns) <= MOST_AHEAD_NS:
+            return False
+        shortest_ns, longest_ns = min(self._log_steps_ns), max(self._log_steps_ns)
+        return len(self._log_steps_ns) == EVEN_STEPS and longest_ns - shortest_ns <= EVEN * longest_ns
 
     @property
     def _drift_ns(self) -> int | None:
         if len(self._first_delays) < PACE_MESSAGES or self.messages < 2 * PACE_MESSAGES:
             return None
         return min(self._last_delays) - min(self._first_delays)
+
+    @property
+    def _least_delay_ns(self) -> int | None:
+        """Of scans, after the sweep; None: its stamps are corrected, or it has too few messages."""
+        if self.shift_ns or self._drift_ns is None:
+            return None
+        return min(*self._first_delays, *self._last_delays) - self.sweep_ns
 
     def _with_sweep(self, scan: LaserScan, step_ns: int | None) -> LaserScan:
         first = self._scan = self._scan or scan

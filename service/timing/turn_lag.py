@@ -107,7 +107,9 @@ def best_lag(
     if best in (0, none, len(lags_s) - 1) or correlation[best] < LEAST_CORRELATION:
         return None
     left, top, right = correlation[best - 1 : best + 2]
-    shift = 0.5 * (left - right) / (left - 2.0 * top + right)
+    if (curvature := left - 2.0 * top + right) == 0.0:
+        return None
+    shift = 0.5 * (left - right) / curvature
     lag_s = float(lags_s[best] + shift * (lags_s[1] - lags_s[0]))
     left_over = max(1.0 - correlation[best] ** 2, 0.0)
     if left_over > MOST_UNEXPLAINED * (1.0 - max(correlation[none], 0.0) ** 2):

@@ -26,7 +26,7 @@ def scan(
     at_ns = round(k * period_s * S) + 3 * MS
     beam_ns = round(turn_s * 1e9 * step_deg / 360.0)
     return LaserScan(
-        "front", at_ns, at_ns + round(period_s * S), beam_ns, round(told_s * 1e9), -2.0,
+        "front", at_ns, at_ns + 100 * MS, beam_ns, round(told_s * 1e9), -2.0,
         math.radians(step_deg), 0.05, 30.0, np.ones(beams, np.float32), NO_INTENSITY,
     )  # fmt: skip
 

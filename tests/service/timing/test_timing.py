@@ -94,14 +94,47 @@ def test_a_recording_that_was_logged_years_later_is_left_as_it_is():
     assert run.warnings == []
 
 
-def test_ordinary_latency_is_not_taken_out():
+@pytest.mark.parametrize(
+    ("latency_ms", "warnings"),
+    [
+        (200, []),
+        (
+            300,
+            [
+                "/base/odom: its messages come at least 0.302 s after their stamps by the log; the stamps "
+                "are used as they are. Is its clock behind, or its link slow?"
+            ],
+        ),
+    ],
+)
+def test_stamps_are_used_as_they_are_whatever_latency_below_a_second(latency_ms: int, warnings: list[str]):
     frames = [
-        replace(f, arrived_ns=f.arrived_ns + 300 * MS) if isinstance(f, OdometrySample) else f
+        replace(f, arrived_ns=f.arrived_ns + latency_ms * MS) if isinstance(f, OdometrySample) else f
         for f in drive()
     ]
     run = Run(by_log_time(*frames))
     assert [frame.stamp_ns for frame in run.of(OdometrySample)] == [sample(k).stamp_ns for k in range(120)]
+    assert run.warnings == warnings
+
+
+def test_a_clock_set_back_by_little_is_seen_where_messages_come_evenly():
+    frames = [replace(f, stamp_ns=f.stamp_ns - 108 * MS) if is_of_middle(f) else f for f in drive()]
+    run = Run(frames)
+    assert [frame.stamp_ns for frame in run.of(LaserScan)] == [scan(k).stamp_ns for k in range(60)]
+    assert [w.split(";")[0] for w in run.warnings] == [
+        "/front/scan: its clock was set 2 times, first by -0.108 s, by 0.000 s in all"
+    ]
+
+
+def test_scans_that_come_late_keep_their_stamps():
+    frames = [replace(f, arrived_ns=f.arrived_ns + 90 * MS) if is_of_middle(f) else f for f in drive()]
+    run = Run(by_log_time(*frames))
+    assert [frame.stamp_ns for frame in run.of(LaserScan)] == [scan(k).stamp_ns for k in range(60)]
     assert run.warnings == []
+
+
+def is_of_middle(frame: Frame) -> bool:
+    return isinstance(frame, LaserScan) and scan(20).stamp_ns <= frame.stamp_ns < scan(40).stamp_ns
 
 
 def test_log_times_that_stand_still_say_nothing():
