@@ -13,6 +13,7 @@ from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip, ate_m
 from tests.accuracy.sensors import WRONG
 from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels, drives, run
+from tests.soaked import in_soak
 
 SECONDS = 32.0
 
@@ -50,6 +51,7 @@ def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
     return run(mapping_config(), replace(drive, frames=frames))
 
 
+@pytest.mark.soak  # the whole ring; its first corner below
 def test_odometry_that_stands_still_is_left_out_once_a_turn_has_shown_it() -> None:
     """A dead encoder: the first turn on the spot says so, and the corridors are mapped without odometry."""
     trip = Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=10.0), None, Wheels())
@@ -64,7 +66,7 @@ def test_odometry_that_stands_still_is_left_out_once_a_turn_has_shown_it() -> No
     ("place", "fault", "seconds", "seed"),
     [
         ("office", "dead", 20.0, 11),
-        ("library", "dead after 20 s", 30.0, 11),
+        in_soak("library", "dead after 20 s", 30.0, 11),
         ("ring", "dead after 20 s", 40.0, 1),
     ],
 )
@@ -89,7 +91,7 @@ def diagnostics(done: Run) -> set[str]:
     [
         (ImuSample, None, set()),
         (ImuSample, upside_down, {"the IMU's turns"}),
-        (ImuSample, in_degrees, {"the IMU's turns"}),
+        in_soak(ImuSample, in_degrees, {"the IMU's turns"}),
         (ImuSample, silent, {"the IMU's turns"}),
         (OdometrySample, backwards, {"odometry"}),
         (OdometrySample, frozen, {"odometry"}),

@@ -8,10 +8,11 @@ from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip, ate_m
 from tests.simulated import LMS100_50HZ, Wheels, run
+from tests.soaked import in_soak
 
 
 # By the twist alone 1.53 and 0.10 m.
-@pytest.mark.parametrize(("rate_hz", "seed"), [(2.0, 23), (5.0, 21)])
+@pytest.mark.parametrize(("rate_hz", "seed"), [(2.0, 23), in_soak(5.0, 21)])
 def test_the_corners_of_a_ring_are_mapped(rate_hz: float, seed: int):
     trip = Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=rate_hz), None, Wheels())
     (made,) = trip.drives([seed])

@@ -40,7 +40,7 @@ def second() -> Drive:
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """For who is lost all along: what becomes of it does not depend on how many places are looked at."""
-    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 12)
+    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 4)
 
 
 def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
@@ -180,7 +180,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second, contin
 
 def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
     _, begin = first
-    elsewhere = through("library", 2.0, 1, laser=COARSE)
+    elsewhere = through("library", 1.0, 1, laser=COARSE)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason
@@ -189,7 +189,7 @@ def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
 @pytest.mark.usefixtures("few_candidates")
 def test_who_stands_where_no_map_is_keeps_no_more_the_longer_it_stands(first):
     _, begin = first
-    elsewhere = through("library", 40.0, 1, stand_s=50.0, laser=COARSE)
+    elsewhere = through("library", 30.0, 1, stand_s=50.0, laser=COARSE)
     mapper = new_mapper(begin)
     assert {output.state for output in outputs_of(mapper, elsewhere.frames)} == {"lost"}
     keyframes = mapper.graph._jobs._worker._back_end._keyframes

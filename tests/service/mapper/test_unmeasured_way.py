@@ -8,9 +8,11 @@ import pytest
 from service.mapper.background import BackEnd, ElsewhereWorker, InlineWorker
 from service.mapper.place_in_map import FOUND_ONCE
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
+from simulators.worlds import WORLDS
 from tests.carried import carried_back, carried_on, silent
-from tests.service.mapper.offices import through
-from tests.simulated import FORWARD, Drive
+from tests.service.mapper.offices import LASER, through
+from tests.simulated import FORWARD, Drive, Wheels, drives
+from tests.soaked import in_soak
 
 PAUSE_NS = 5_000_000_000
 S = 1_000_000_000
@@ -60,7 +62,7 @@ def states_after(
     )
 
 
-@pytest.mark.parametrize(("world", "at_s"), [("office", 10), ("library", 22)])
+@pytest.mark.parametrize(("world", "at_s"), [("office", 10), in_soak("library", 22)])
 def test_who_drove_on_is_found_where_odometry_leads_on_ground_that_is_known_in_part(world, at_s):
     made = silent(through(world, at_s + 6.5, 2), at_s * S, PAUSE_NS)
     states, off_m, since_s, reasons = states_after(made, at_s * S)
@@ -71,7 +73,7 @@ def test_who_drove_on_is_found_where_odometry_leads_on_ground_that_is_known_in_p
     assert off_m[found:].max() < 0.05
 
 
-@pytest.mark.parametrize(("world", "at_s"), [("office", 10), ("library", 22)])
+@pytest.mark.parametrize(("world", "at_s"), [("office", 10), in_soak("library", 22)])
 def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(world, at_s):
     made = carried_on(through(world, at_s + 5.8, 2), at_s * S, PAUSE_NS)
     states, off_m, _, reasons = states_after(made, at_s * S)
@@ -81,7 +83,7 @@ def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(w
 
 
 def test_who_was_carried_back_is_told_where_it_is_and_ok_once_that_is_confirmed():
-    made, again = through("office", 22.0, 2), through("office", 22.0, 3)
+    made, again = drives(WORLDS["office"](), LASER, 22.0, [2, 3], Wheels())
     carried = carried_back(made, again, 22 * S, PAUSE_NS, 14 * S, 6 * S)
     states, off_m, since_s, reasons = states_after(carried, 22 * S)
     assert states[0] == "lost"
@@ -93,19 +95,22 @@ def test_who_was_carried_back_is_told_where_it_is_and_ok_once_that_is_confirmed(
     assert off_m[found:].max() < 0.05
 
 
-def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once():
-    made = silent(through("library", 27.8, 2), 22 * S, PAUSE_NS)
+@pytest.fixture(scope="module")
+def driven_on() -> Drive:
+    return silent(through("library", 27.8, 2), 22 * S, PAUSE_NS)
+
+
+def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once(driven_on: Drive):
     states, off_m, since_s, _ = states_after(
-        made, 22 * S, mapping_config({"components": {"graph": "no_graph"}})
+        driven_on, 22 * S, mapping_config({"components": {"graph": "no_graph"}})
     )
     assert "lost" not in states
     assert since_s[0] < 0.2
     assert off_m.max() < 0.05
 
 
-def test_a_graph_whose_worker_dies_while_a_place_is_looked_for_leaves_no_vehicle_lost():
-    made = silent(through("library", 27.8, 2), 22 * S, PAUSE_NS)
-    states, off_m, _, _ = states_after(made, 22 * S, dies_at_ns=24 * S)
+def test_a_graph_whose_worker_dies_while_a_place_is_looked_for_leaves_no_vehicle_lost(driven_on: Drive):
+    states, off_m, _, _ = states_after(driven_on, 22 * S, dies_at_ns=24 * S)
     assert states[:1] == ["lost"]  # the first scan goes out, and no answer comes
     assert "lost" not in states[3:]
     assert off_m[3:].max() < 0.05

@@ -26,6 +26,7 @@ from service.offline.replay import (
 from service.offline.trajectory import read_tum
 from service.recording.mcap_recorder import McapRecorder
 from tests.service.recording.sessions import write_file
+from tests.soaked import in_soak
 
 T0_NS = 1_700_000_000_000_000_000
 BEAMS = 271
@@ -70,8 +71,7 @@ def odometry_at(k: int, x_m: float, start_ns: int = T0_NS) -> OdometrySample:
 RecordDrive = Callable[..., Path]
 
 
-@pytest.fixture
-def record_drive(tmp_path: Path) -> RecordDrive:
+def recorder_in(folder: Path) -> RecordDrive:
     """Records half a metre a second through the room; the laser is at the base's origin."""
 
     def record(
@@ -88,7 +88,7 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         mounted: str = "front",
     ) -> Path:
         metadata = {"config": {"yaml": config}} if config is not None else {}
-        recorder = McapRecorder(tmp_path / "in", name, keep_free_bytes=0, metadata=metadata)
+        recorder = McapRecorder(folder / "in", name, keep_free_bytes=0, metadata=metadata)
         recorder.start()
         recorder.put(encode_tf_static({mounted: SE2()}, start_ns, start_ns))
         for k, request in requests.items():
@@ -113,6 +113,11 @@ def record_drive(tmp_path: Path) -> RecordDrive:
         return session
 
     return record
+
+
+@pytest.fixture
+def record_drive(tmp_path: Path) -> RecordDrive:
+    return recorder_in(tmp_path)
 
 
 TWO_LASERS = CONFIG.replace("}}}", "}}, rear: {type: hokuyo_utm30lx, host: b, mounting: {x_m: %s}}}") % (0, 0)
@@ -268,7 +273,7 @@ def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog
     assert "/base/odom: the covariance of 1 of 40 messages is none" in caplog.text
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["1", in_soak("2")])
 def test_why_scans_were_lost_is_told_at_the_end(
     jobs: str, record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):

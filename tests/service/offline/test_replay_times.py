@@ -1,6 +1,7 @@
 """Recordings whose stamps or time fields are wrong, replayed; and that live maps them the same way."""
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from service.cli import main
 from service.encoding import LogClock, encode_frame, encode_pose
 from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper, mapping_config
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay import Replay, ReplayOptions, replay
 from service.offline.score import score
 from service.offline.session_file import write_session
 from service.offline.trajectory import write_tum
@@ -23,6 +24,11 @@ from tests.shared_data import SHARED
 CASES = SHARED / "cases"
 with_cases = pytest.mark.skipif(not CASES.exists(), reason=f"{CASES} is not there; set CORRIDOR_SHARED")
 WORSE_M = 1.3e-3  # the error of good_small.mcap against the truth
+
+
+@cache
+def good_replay() -> Replay:
+    return replay([CASES / "good_small.mcap"], ReplayOptions())
 
 
 @with_cases
@@ -40,7 +46,7 @@ WORSE_M = 1.3e-3  # the error of good_small.mcap against the truth
     ],
 )
 def test_wrong_times_are_mended_and_said(name: str, dropped: int, warning: str):
-    good = replay([CASES / "good_small.mcap"], ReplayOptions())
+    good = good_replay()
     assert good.summary["warnings"] == []
     done = replay([CASES / f"{name}.mcap"], ReplayOptions())
     assert (done.summary["scans"], done.summary["scans_dropped"]) == (89 - dropped, dropped)

@@ -16,7 +16,7 @@ from service.offline.report import REPORT_FILE, write_report
 from service.offline.report.charts import clock
 from service.offline.report.map_figure import _coarser
 from service.offline.report.markup import Markup, tag
-from tests.service.offline.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
+from tests.service.offline.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
 
 NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 
@@ -51,12 +51,17 @@ def page_of(folder: Path) -> Page:
     return Page((folder / REPORT_FILE).read_text(encoding="utf-8"))
 
 
-@pytest.fixture
-def result(record_drive: RecordDrive, tmp_path: Path) -> Path:  # noqa: F811
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of 40 scans, six of them without a return."""
-    done = replay([record_drive(covered=range(20, 26))], ReplayOptions())
-    write_replay(done, tmp_path / "out")
-    return tmp_path / "out"
+    folder = tmp_path_factory.mktemp("result")
+    write_replay(replay([recorder_in(folder)(covered=range(20, 26))], ReplayOptions()), folder / "out")
+    return folder / "out"
+
+
+@pytest.fixture
+def result(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "out"))
 
 
 def change_summary(result: Path, **values: object) -> None:

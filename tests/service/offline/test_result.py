@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -62,10 +63,16 @@ def replay_of(bent: BentMap) -> Replay:
     )
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory, bent: BentMap) -> Path:
+    folder = tmp_path_factory.mktemp("result")
+    write_replay(replay_of(bent), folder)
+    return folder
+
+
 @pytest.fixture
-def result(tmp_path: Path, bent: BentMap) -> Path:
-    write_replay(replay_of(bent), tmp_path / "result")
-    return tmp_path / "result"
+def result(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "result"))
 
 
 def edit(result: Path, *arguments: object) -> None:

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,19 @@ from service.offline.result_session import RESULT_SESSION
 from service.offline.states_file import read_states
 from service.offline.trajectory import read_tum
 from service.recording.mcap_reader import Recording
-from tests.service.offline.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
+from tests.service.offline.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
 
 SCANS, COVERED = 40, range(20, 26)
 
 
-@pytest.fixture
-def out(record_drive: RecordDrive, tmp_path: Path) -> Path:  # noqa: F811
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The last optimisation moved all poses by half a metre, let us say."""
-    done = replay([record_drive(scans=SCANS, covered=COVERED)], ReplayOptions())
+    folder = tmp_path_factory.mktemp("result")
+    done = replay([recorder_in(folder)(scans=SCANS, covered=COVERED)], ReplayOptions())
     done.poses_map_base = [SE2(0.5, 0.0, 0.0) @ pose for pose in done.poses_map_base]
-    write_replay(done, tmp_path / "out", ["mcap"])
-    return tmp_path / "out"
+    write_replay(done, folder / "out", ["mcap"])
+    return folder / "out"
 
 
 def payloads(out: Path, topic: str) -> list[bytes]:
@@ -85,9 +87,14 @@ def test_a_map_that_is_too_large_for_a_message_is_left_out_and_said(
     assert "session.mcap has no /map: " in caplog.text
 
 
-def test_a_replay_without_a_session_leaves_none_of_an_earlier_one(out: Path, record_drive: RecordDrive):  # noqa: F811
-    write_replay(replay([record_drive("w")], ReplayOptions()), out)
-    assert not (out / RESULT_SESSION).exists()
+def test_a_replay_without_a_session_leaves_none_of_an_earlier_one(
+    out: Path,
+    tmp_path: Path,
+    record_drive: RecordDrive,  # noqa: F811
+):
+    again = Path(shutil.copytree(out, tmp_path / "out"))
+    write_replay(replay([record_drive("w")], ReplayOptions()), again)
+    assert not (again / RESULT_SESSION).exists()
 
 
 def test_the_same_recording_gives_the_same_bytes(tmp_path: Path, record_drive: RecordDrive):  # noqa: F811

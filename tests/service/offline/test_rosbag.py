@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from service.errors import InputError, StorageError, UsageError
 from service.offline.carmen import import_carmen
 from service.offline.rosbag import import_rosbag
 from service.recording.mcap_source import open_session
+from tests.soaked import in_soak
 
 T0_NS = 1_700_000_000_000_000_000
 SCANS = 5
@@ -323,9 +325,12 @@ REAL = [
     ("people_static", "leg_stationary.bag", 1265, 0),
     ("pioneer_lgfloor", "soc_lgfloor2.bag", 1640, 1640),
 ]
+REAL_IDS = [row[0] for row in REAL]
 
 
-@pytest.mark.parametrize(("name", "bag", "scans", "samples"), REAL, ids=[row[0] for row in REAL])
+@pytest.mark.parametrize(
+    ("name", "bag", "scans", "samples"), [REAL[0], *starmap(in_soak, REAL[1:])], ids=REAL_IDS
+)
 def test_real_bags_give_what_another_converter_made_of_them(
     shared: Path, tmp_path, name, bag, scans, samples
 ):

@@ -13,6 +13,7 @@ from service.offline.replay import ReplayOptions, replay
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import judge
 from tests.accuracy.scenes import mapped
+from tests.soaked import in_soak
 
 STEP_M, STEP_NS = 0.04, 40_000_000
 
@@ -74,7 +75,9 @@ def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     assert verdict.worst_m < 0.05
 
 
-@pytest.mark.parametrize(("name", "end_m"), [("escort5_s41_0_16s", 13.2), ("ramp_laser_s41_12_22s", 11.9)])
+@pytest.mark.parametrize(
+    ("name", "end_m"), [in_soak("escort5_s41_0_16s", 13.2), ("ramp_laser_s41_12_22s", 11.9)]
+)
 def test_given_recordings_of_a_scene_that_moves_end_where_the_vehicle_did(
     shared: Path, name: str, end_m: float
 ) -> None:

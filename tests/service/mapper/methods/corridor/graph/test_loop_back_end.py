@@ -172,7 +172,7 @@ def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
     assert stored is not None
     back_end = LoopBackEnd(LoopsConfig(keep_passes=2), None, stored, is_localizing=True)
-    frames, _ = key_frames(3.8, seed=1)
+    frames, _ = key_frames(2.2, seed=1)
     session = [replace(frame, piece=0) for frame in frames]
     results = [back_end.work(Batch(session[k : k + BATCH])) for k in range(0, len(session), BATCH)]
     keyframes = back_end._keyframes
@@ -186,7 +186,7 @@ def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Of what fits nowhere; of the way before it keeps the poses."""
-    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 12)  # it takes as long as it is looked for
+    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 4)  # it takes as long as it is looked for
     most = 2 * BATCH
     monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", most)
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved

@@ -63,7 +63,7 @@ def test_a_spot_that_a_person_names_does_instead_of_a_search(first, second):
 
 
 def test_maps_of_two_buildings_are_not_merged(first):
-    _, elsewhere = mapped(through("library", 6.0, 1))
+    _, elsewhere = mapped(through("library", 3.0, 1))
     with pytest.raises(MergeError, match="overlap too little"):
         merge_graphs(first[1], elsewhere, None)
 
