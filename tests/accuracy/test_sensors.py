@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip, ok_and_wrong
 from tests.accuracy.sensors import LMS100_10HZ, WRONG
@@ -10,6 +12,7 @@ from tests.simulated import Imu
 SEED = 12
 
 
+@pytest.mark.soak  # the first corner of it: tests/service/mapper/test_inconsistent_sensors.py
 def test_odometry_backwards_is_not_held_to_in_a_corridor() -> None:
     """At each scan it puts the vehicle 24 cm off, and all of the scan lies on the map there, too."""
     trip = Trip(WORLDS["ring"], LMS100_10HZ, imu=Imu(), change=WRONG["backwards"])

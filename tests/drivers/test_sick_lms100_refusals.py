@@ -29,21 +29,22 @@ DENIED = "refused 2 times: error A: write access denied: not logged in, or read-
 
 
 @pytest.mark.parametrize(
-    ("setup", "reason"),
+    ("dialect", "setup", "reason"),
     [
         (
+            Dialect.ASCII,
             Lms100Setup(refused=RANGE, firmware="V1.23"),
             f"configured field of view -90 to 90 deg not taken: LMPoutputRange {DENIED}",
         ),
         (
+            Dialect.BINARY,
             Lms100Setup(kept=RANGE),
             "configured field of view -90 to 90 deg not taken: after LMPoutputRange was accepted it has "
             "-135 to 135 deg",
         ),
     ],
 )
-@pytest.mark.parametrize("dialect", Dialect)
-def test_field_of_view_that_it_does_not_take_is_cut_by_the_driver(setup, reason, dialect):
+def test_field_of_view_that_it_does_not_take_is_cut_by_the_driver(dialect, setup, reason):
     t = talk(replace(setup, dialect=dialect), **HALF).run(1.5)
     assert len(t.frames) > 20
     assert {len(frame.range_m) for frame in t.frames} == {361}

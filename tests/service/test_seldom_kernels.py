@@ -17,7 +17,7 @@ from service.seldom_kernels import LAST, Compiled, SeldomKernels
 from tests.service.test_kernel_warm_up import compile_something
 
 WITHIN_S = 600.0  # the process that compiles takes only what processor time nobody else wants
-SELDOM = ("search_branch_and_bound", "build_pyramid", "write_tiles")
+SELDOM = ("build_pyramid", "write_tiles")
 COLD = (*SELDOM, "block_sum", "match_scan")  # one that only kernels call, and one of every scan
 
 

@@ -20,7 +20,7 @@ def test_drive_starts_at_the_origin_and_goes_on_for_ever(world: World):
 
 
 def test_vehicle_never_touches_a_wall(world: World):
-    place = world.drive.poses(np.arange(0.0, world.drive.duration_s, 0.25))[:, :2]
+    place = world.drive.poses(np.arange(0.0, world.drive.duration_s, 0.5))[:, :2]
     begin, way = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
     for here in place:
         share = np.clip(((here - begin) * way).sum(axis=1) / (way**2).sum(axis=1), 0.0, 1.0)

@@ -109,7 +109,7 @@ def damages(draw: Callable[[Any], Any]) -> tuple[str, Damage]:
 @example(("odom", swapped(2, 15_000_000)))
 @example(("scan", fields(1 / 3, 1.0)))
 @given(damages())
-@settings(max_examples=examples(12), suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(5), suppress_health_check=[HealthCheck.too_slow])
 def test_damaged_times_are_mended_or_the_topic_is_named(damage: tuple[str, Damage]):
     kind, change = damage
     run = mapped(damaged(kind, change))

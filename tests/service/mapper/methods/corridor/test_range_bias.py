@@ -48,7 +48,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
 def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_the_map() -> None:
     """30 mm in an office, of which the first metres are drawn with walls that much too far away."""
     laser = replace(LMS100_50HZ, rate_hz=12.5, model=replace(LMS100_50HZ.model, bias_m=0.03))
-    (made,) = drives(WORLDS["office"](), laser, 40.0, [1], Wheels(), Imu())
+    (made,) = drives(WORLDS["office"](), laser, 28.0, [1], Wheels(), Imu())
     done = run(mapping_config(), made)
     curve_m = done.mapper._components.matcher.bias_m("front")
     np.testing.assert_allclose(curve_m[(RANGE_M >= 1.0) & (RANGE_M <= 4.0)], 0.03, atol=0.005)
@@ -56,7 +56,8 @@ def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_th
 
 
 def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
-    done = run(mapping_config(), honest)
+    few = [frame for frame in honest.frames if frame.arrived_ns < 25 * 10**9]
+    done = run(mapping_config(), replace(honest, frames=few))
     assert done.position_rmse_m < 0.02
     curve_m = done.mapper._components.matcher.bias_m("front")
     assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008

@@ -20,6 +20,7 @@ from tests.service.mapper.drives import (
     round_the_room,
     standing,
 )
+from tests.soaked import in_soak
 
 IMU_NS = 5_000_000
 
@@ -61,7 +62,7 @@ def room_drive():
     return drive(ROOM, round_the_room, 4.0)
 
 
-@pytest.mark.parametrize("source", ["imu", "wheels", "nothing"])
+@pytest.mark.parametrize("source", ["imu", in_soak("wheels"), "nothing"])
 def test_a_drive_round_a_room_is_followed_to_centimetres(room_drive, source):  # B14 B33
     frames = {
         "imu": with_imu(room_drive.frames, round_the_room, 4.0),
@@ -132,7 +133,7 @@ def test_along_a_bare_corridor_wheels_and_imu_say_how_far_it_was_and_the_state_s
     assert "does not fix the position along the direction" in outputs[-1].reason
 
 
-@pytest.mark.parametrize("source", ["imu", "wheels", "nothing"])
+@pytest.mark.parametrize("source", ["imu", in_soak("wheels"), "nothing"])
 def test_along_a_bare_corridor_the_state_is_not_ok_and_the_covariance_covers_the_error(source):
     """Without a second witness of the motion the dots of the walls may still hold the pose back."""
     long = drive(CORRIDOR, down_the_corridor, 6.0)
