@@ -128,7 +128,7 @@ def mapped_lasers(config: ReplayConfig) -> tuple[str, ...]:
     return tuple(name for name in laser_names(config.sensors) if config.sensors[name].map)
 
 
-_KEYS = ("vehicle", "sensors", "mapping", "replay", *(kind.section for kind in SINKS))
+_KEYS = ("vehicle", "sensors", "mapping", "replay", *dict.fromkeys(kind.section for kind in SINKS))
 
 
 def load_config(path: Path) -> ServiceConfig:

@@ -19,13 +19,13 @@ TRIGGER = "std_srvs/srv/Trigger"
 LOAD_MAP = "nav2_msgs/srv/LoadMap"
 SAVE_MAP = "nav2_msgs/srv/SaveMap"
 
-# By service: request and response, written as in ros_messages.py
+SUCCESS, MAP_DOES_NOT_EXIST, UNDEFINED_FAILURE = 0, 1, 255  # results of LOAD_MAP
+
+# By service: the fields of request and response, written as in ros_messages.py
 _DEFINITIONS = {
     TRIGGER: ("", "bool success; string message"),
     LOAD_MAP: (
         "string map_url",
-        "uint8 RESULT_SUCCESS=0, RESULT_MAP_DOES_NOT_EXIST=1, RESULT_INVALID_MAP_DATA=2, "
-        "RESULT_INVALID_MAP_METADATA=3, RESULT_UNDEFINED_FAILURE=255; "
         "nav_msgs/OccupancyGrid map; uint8 result",
     ),
     SAVE_MAP: (

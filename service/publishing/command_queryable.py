@@ -1,19 +1,17 @@
 """cmd/<verb> on Zenoh: one queryable, a thread for each command that is being answered."""
 
 import logging
-import threading
-import time
 from collections.abc import Callable
+from functools import partial
 
 import zenoh
 
 from service.publishing.commands import Answer, refusal
 from service.publishing.keys import vehicle_key
+from service.publishing.query_workers import QueryWorkers
 
 log = logging.getLogger(__name__)
 
-MOST_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
-CLOSE_TIMEOUT_S = 10.0
 MOST_LOGGED_BYTES = 300  # of a request and of its answer
 
 
@@ -23,22 +21,13 @@ class CommandQueryable:
     def __init__(self, session: zenoh.Session, vehicle: str, answer: Callable[[str, bytes], Answer]) -> None:
         self._answer = answer
         self._root = vehicle_key(vehicle, "cmd/")
-        self._lock = threading.Lock()
-        self._threads: dict[threading.Thread, str] = {}  # each with the verb that it answers
+        self._workers = QueryWorkers("zenoh")
         self._queryable = session.declare_queryable(self._root + "*", self._take, complete=True)
 
     def close(self) -> None:
         """Take no more, and let those be answered that were taken; what is not in time is said in the log."""
         self._queryable.undeclare()  # type: ignore[no-untyped-call]
-        with self._lock:
-            threads = dict(self._threads)
-        until_s = time.monotonic() + CLOSE_TIMEOUT_S
-        for thread, verb in threads.items():
-            thread.join(max(until_s - time.monotonic(), 0.0))
-            if thread.is_alive():
-                log.error(
-                    "command %r is not done after %.0f s; who asked hears no answer", verb, CLOSE_TIMEOUT_S
-                )
+        self._workers.close()
 
     def _take(self, query: zenoh.Query) -> None:
         """Zenoh's thread: hand the query on."""
@@ -49,19 +38,7 @@ class CommandQueryable:
                 if "/cmd/" in key:
                     _refuse(query, f"a command has one key, {self._root}<verb>, without wildcards")
             return
-        thread = threading.Thread(target=self._reply, args=(key, query), name="zenoh-command", daemon=True)
-        refused = ""
-        with self._lock:
-            if len(self._threads) >= MOST_AT_ONCE:
-                refused = f"{MOST_AT_ONCE} commands are being worked on; ask again in a moment"
-            else:
-                self._threads[thread] = key.removeprefix(self._root)
-                try:
-                    thread.start()  # to leave the others it needs the lock
-                except RuntimeError as error:  # the system gives no more threads
-                    del self._threads[thread]
-                    refused = f"no thread for it: {error}; ask again in a moment"
-        if refused:
+        if refused := self._workers.start(key.removeprefix(self._root), partial(self._reply, key, query)):
             with query:
                 _refuse(query, refused)
 
@@ -81,9 +58,6 @@ class CommandQueryable:
                     query.reply_err(answer.body, encoding=zenoh.Encoding.APPLICATION_JSON)
         except zenoh.ZError as error:
             log.error("%s was answered, but the reply was not delivered: %s", key, error)
-        finally:
-            with self._lock:
-                del self._threads[threading.current_thread()]
 
     def _words(self, verb: str, payload: bytes) -> Answer:
         try:

@@ -1,10 +1,11 @@
 """Settings of the Zenoh publisher."""
 
 import re
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from drivers.rmw_zenoh import Distro
 from drivers.wires import is_host
 
 _EXAMPLE = 'write an endpoint as "tcp/127.0.0.1:7447" (tcp, udp, ws) or "unixsock-stream//path"'
@@ -23,6 +24,32 @@ def _check_endpoint(endpoint: str) -> str:
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 
 
+_ROS_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+
+
+def _check_namespace(namespace: str) -> str:
+    """As ROS 2 has it, with a leading slash; "" for none."""
+    name = namespace.strip("/")
+    if name and (not re.fullmatch(rf"{_ROS_NAME}(/{_ROS_NAME})*", name) or "__" in name):
+        raise ValueError(
+            'a namespace is letters, digits and single _ between slashes, no digit first, as in "site/veh1"'
+        )
+    return name and f"/{name}"
+
+
+class Ros2Config(BaseModel):
+    """Topics and services for ROS 2 nodes that run rmw_zenoh_cpp; no ROS here."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    enabled: bool = False
+    domain: int = Field(default=0, ge=0, le=232)  # ROS_DOMAIN_ID of the nodes
+    distro: Distro = "jazzy"  # of the nodes: Humble's keys hold no type hashes
+    namespace: Annotated[str, AfterValidator(_check_namespace)] = ""  # before every name
+    # The nodes' router: this service at publishing.listen, or one that publishing.connect names.
+    router: Literal["own", "connect"] = "own"
+
+
 class PublishingConfig(BaseModel):
     """The Zenoh session: it is a router, so subscribers connect to it and need no other."""
 
@@ -32,3 +59,13 @@ class PublishingConfig(BaseModel):
     connect: tuple[Endpoint, ...] = ()  # further routers, a site's say; tried for ever, never waited for
     # On, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages.
     shared_memory: bool = False
+    ros2: Ros2Config = Ros2Config()
+
+    @model_validator(mode="after")
+    def _refuse_no_router(self) -> "PublishingConfig":
+        if self.ros2.enabled and self.ros2.router == "connect" and not self.connect:
+            raise ValueError(
+                "ros2.router is connect, and connect names no router; "
+                'write connect: ["tcp/127.0.0.1:7447"] and another port in listen, or router: own'
+            )
+        return self

@@ -11,7 +11,6 @@ import zenoh
 from service.encoding import MAP_FRAME, decode_initial_pose
 from service.errors import InputError
 from service.publishing.commands import Answer
-from service.publishing.keys import vehicle_key
 
 log = logging.getLogger(__name__)
 
@@ -22,20 +21,22 @@ CLOSE_TIMEOUT_S = 10.0
 class InitialPoseSubscriber:
     """Open when constructed. `answer` takes verb and payload; it may wait, in bounded time.
 
-    Of poses that come faster than they are answered the newest counts.
+    Of poses that come faster than they are answered the newest counts. owner: the sink whose thread this is.
     """
 
-    def __init__(self, session: zenoh.Session, vehicle: str, answer: Callable[[str, bytes], Answer]) -> None:
+    def __init__(
+        self, session: zenoh.Session, key: str, answer: Callable[[str, bytes], Answer], owner: str = "zenoh"
+    ) -> None:
         self._answer = answer
         self._changed = threading.Condition()  # of the two below
         self._waiting: bytes | None = None
         self._closed = False
         self.refused = ""  # why the newest one was not taken, "" if it was
-        self._thread = threading.Thread(target=self._run, name="zenoh-initialpose", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"{owner}-initialpose", daemon=True)
         self._thread.start()
         # Called where Zenoh reads: its thread of callbacks can still hold a pose when close() ends it.
         taken = zenoh.handlers.Callback(self._take, indirect=False)
-        self._subscriber = session.declare_subscriber(vehicle_key(vehicle, CHANNEL), taken)
+        self._subscriber = session.declare_subscriber(key, taken)
 
     def close(self) -> None:
         """Take no more, and let what was taken be answered; what is not in time is said in the log."""

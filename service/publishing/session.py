@@ -15,8 +15,9 @@ _LISTENING = "0A"  # state in /proc/net/tcp
 
 
 def open_session(config: PublishingConfig) -> zenoh.Session:
-    """A router that speaks only where the config says: no multicast, no gossip.
+    """A router that speaks only where the config says: no multicast, and no gossip but for ROS 2.
 
+    Nodes of ROS 2 are peers; a router without gossip would let none of them find another.
     Routers to connect to are tried in the background for ever. Raises StorageError where it cannot listen.
     """
     settings = zenoh.Config()
@@ -26,8 +27,9 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         "connect/endpoints": config.connect,
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
+        "scouting/gossip/enabled": config.ros2.enabled,
         "scouting/delay": 0,  # nothing is scouted, so there is nothing to wait for
         "timestamping/enabled": True,
         "transport/shared_memory/enabled": config.shared_memory,

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import zenoh
 import zenoh.ext
@@ -23,19 +23,21 @@ from service.encoding import (
     Message,
     Status,
     encode_diagnostics,
-    encode_grid,
     encode_tile,
     tile_channel,
 )
 from service.errors import StorageError
-from service.outputs import Grid, TileUpdate
+from service.outputs import TileUpdate
 from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
+from service.publishing.initial_pose import CHANNEL as INITIAL_POSE
 from service.publishing.initial_pose import InitialPoseSubscriber
 from service.publishing.keys import alive_key, vehicle_key
+from service.publishing.listeners import Listeners
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
-from service.publishing.session import listened_at, open_session
+from service.publishing.session import listened_at
+from service.publishing.shared import GridSource, SharedZenoh
 
 log = logging.getLogger(__name__)
 
@@ -52,15 +54,14 @@ ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
 _FRESH = frozenset(("scan", "imu", "odom", "pose", "tf", "fix"))
 
 
-class MapSource(Protocol):
+class MapSource(GridSource, Protocol):
     """The tile store as the publisher reads it."""
 
     def since(self, version: int) -> list[TileUpdate]: ...
-    def grid(self) -> Grid | None: ...
 
 
 class ZenohPublisher:
-    """One Zenoh session and all that is published on it; open when constructed, gone after close().
+    """All that is published on the Zenoh session; open when constructed, gone after close().
 
     on_latency takes nanoseconds from a message's origin_ns to the moment after its put.
     Raises StorageError where it cannot listen.
@@ -73,6 +74,7 @@ class ZenohPublisher:
         map_source: MapSource,
         on_latency: Callable[[int], None] | None = None,
         picture_period_s: float = PICTURE_PERIOD_S,
+        shared: SharedZenoh | None = None,
     ) -> None:
         self._vehicle = vehicle
         self._map = map_source
@@ -92,13 +94,20 @@ class ZenohPublisher:
         self._commands: CommandQueryable | None = None
         self._initial_pose: InitialPoseSubscriber | None = None
         self._closed = False
-        self._session = open_session(config)
+        self._shared = SharedZenoh() if shared is None else shared
+        self._map_picture = self._shared.map_picture(map_source)
+        self._session = self._shared.open(config)
         try:
             self.endpoints = listened_at(self._session, config)
             self._queryables = self._declare_queryables()
-            self._listeners = {channel: self._watch(channel) for channel in PICTURES}
+            self._listeners = {
+                channel: Listeners(
+                    self._session, vehicle_key(vehicle, channel), partial(self._bulk.ask_for, channel)
+                )
+                for channel in PICTURES
+            }
         except BaseException:
-            self._session.close()  # type: ignore[no-untyped-call]
+            self._shared.close()
             raise
         self._threads = [
             threading.Thread(target=self._send_stream, name="zenoh-stream", daemon=True),
@@ -131,6 +140,7 @@ class ZenohPublisher:
         The source first: who subscribes and then asks must not fall between the two.
         """
         self._map_stamp_ns, self._map_log_ns = stamp_ns, log_ns
+        self._map_picture.changed(stamp_ns, log_ns)
         self._bulk.put_tiles(tiles)
         self._bulk.ask_for(*PICTURES)
 
@@ -153,7 +163,9 @@ class ZenohPublisher:
         `answer` takes verb and payload and may wait, in bounded time.
         """
         self._commands = CommandQueryable(self._session, self._vehicle, answer)
-        self._initial_pose = InitialPoseSubscriber(self._session, self._vehicle, answer)
+        self._initial_pose = InitialPoseSubscriber(
+            self._session, vehicle_key(self._vehicle, INITIAL_POSE), answer
+        )
 
     @property
     def pose_refused(self) -> str:
@@ -196,7 +208,7 @@ class ZenohPublisher:
                 self._initial_pose.close()
             for queryable in self._queryables:
                 queryable.undeclare()  # type: ignore[no-untyped-call]
-            self._session.close()  # type: ignore[no-untyped-call]
+            self._shared.close()
         except zenoh.ZError as error:
             log.error("Zenoh does not close: %s", error)
 
@@ -246,18 +258,12 @@ class ZenohPublisher:
         self._count(TILES)
 
     def _send_picture(self, channel: str) -> None:
-        watcher, _ = self._listeners[channel]
-        if _has_listeners(watcher) and (picture := self._make_picture(channel)) is not None:
+        if self._listeners[channel].are_there and (picture := self._make_picture(channel)) is not None:
             self._send(*picture)
 
     def _make_picture(self, channel: str) -> tuple[Message, int] | None:
         """The whole map, or its index, with its version; None while there is no map."""
-        if channel == "map/meta":
-            return self._make_meta()
-        grid = self._map.grid()
-        return (
-            None if grid is None else (encode_grid(grid, self._map_stamp_ns, self._map_log_ns), grid.version)
-        )
+        return self._make_meta() if channel == "map/meta" else self._map_picture.message()
 
     def _make_meta(self) -> tuple[Message, int] | None:
         tiles = self._map.since(0)
@@ -296,16 +302,6 @@ class ZenohPublisher:
             priority=zenoh.Priority.DATA_HIGH if fresh else zenoh.Priority.DATA,
             express=fresh,
         )
-
-    def _watch(self, channel: str) -> tuple[zenoh.Publisher, zenoh.MatchingListener[None]]:
-        """Know who listens: an advanced publisher cannot tell, a plain one on the same key can."""
-        watcher = self._session.declare_publisher(vehicle_key(self._vehicle, channel))
-
-        def changed(status: zenoh.MatchingStatus) -> None:
-            if status.matching:
-                self._bulk.ask_for(channel)
-
-        return watcher, watcher.declare_matching_listener(zenoh.handlers.Callback(changed, indirect=False))
 
     def _declare_queryables(self) -> list[zenoh.Queryable[None]]:
         answers: dict[str, Callable[[zenoh.Query], None]] = {f"{TILES}/**": self._answer_tiles}
@@ -372,11 +368,6 @@ class ZenohPublisher:
             log.log(logging.ERROR if first else logging.DEBUG, "zenoh %s: %s", channel, error)
             return False
         return True
-
-
-def _has_listeners(publisher: zenoh.Publisher) -> bool:
-    status: Any = publisher.matching_status  # its stub says bool; it is an object, and always true
-    return bool(status.matching)
 
 
 def _encoding(message_type: str) -> zenoh.Encoding:

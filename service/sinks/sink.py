@@ -6,7 +6,7 @@ network, into a file, to a page. `registry.py` lists the kinds of sinks, `fan_ou
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer
+from service.publishing.shared import SharedZenoh
 from service.recording.mcap_recorder import SessionHeard
 
 
@@ -41,6 +42,7 @@ class SinkContext:
     is_paused: Callable[[], bool]  # whether a command has paused the mapping
     present_profile: Callable[[], str]  # that maps now
     pose_sent: Callable[[int], None]  # takes ns from the last byte of a scan to its pose on the network
+    zenoh: SharedZenoh = field(default_factory=SharedZenoh)  # of the sinks that speak it
 
 
 class Sink(Protocol):

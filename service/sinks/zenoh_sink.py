@@ -27,7 +27,9 @@ class ZenohSink(Sink):
 
     def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
         self._context = context
-        self._publisher = ZenohPublisher(config, context.vehicle, context.tiles, context.pose_sent)
+        self._publisher = ZenohPublisher(
+            config, context.vehicle, context.tiles, context.pose_sent, shared=context.zenoh
+        )
 
     def start(self) -> None:
         self._publisher.answer_commands(self._context.command)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from service.publishing import command_queryable
+from service.publishing import command_queryable, query_workers
 from service.publishing.commands import Answer, refusal
 from service.publishing.zenoh_publisher import ZenohPublisher
 
@@ -110,7 +110,7 @@ def test_a_fault_in_a_command_is_an_answer_and_no_end(served: ZenohPublisher, cl
 def test_a_slow_command_holds_up_no_other_and_a_flood_is_turned_away(
     served: ZenohPublisher, client: zenoh.Session, asked: Asked, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(command_queryable, "MOST_AT_ONCE", 2)
+    monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 2)
     asked.go.clear()
     answers: list[list[tuple[bool, str, str]]] = []
     asking = [threading.Thread(target=lambda: answers.append(ask(client, "cmd/mark"))) for _ in range(2)]
@@ -158,7 +158,7 @@ def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
         begin(self)
 
     begin = threading.Thread.start
-    monkeypatch.setattr(command_queryable, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 1)
     with monkeypatch.context() as exhausted:
         exhausted.setattr(threading.Thread, "start", start)
         ((good, _, text),) = ask(client, "cmd/mark")
@@ -174,7 +174,7 @@ def test_commands_that_are_not_done_when_the_session_closes_are_in_the_log(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ):
-    monkeypatch.setattr(command_queryable, "CLOSE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(query_workers, "CLOSE_TIMEOUT_S", 0.05)
     publisher.answer_commands(asked)
     asked.go.clear()
     asking = [threading.Thread(target=ask, args=(client, f"cmd/{verb}")) for verb in ("mark", "pause")]

@@ -1,0 +1,27 @@
+"""Knows whether somebody subscribes to a key, so that what is expensive is made only then."""
+
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+
+class Listeners:
+    """Of one key. An advanced publisher cannot tell; this plain one on the same key, which never puts, can.
+
+    appeared   called in Zenoh's thread when there is a subscriber and was none
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, appeared: Callable[[], None]) -> None:
+        def changed(status: zenoh.MatchingStatus) -> None:
+            if status.matching:
+                appeared()
+
+        self._publisher = session.declare_publisher(key)
+        taken = zenoh.handlers.Callback(changed, indirect=False)
+        self._listener = self._publisher.declare_matching_listener(taken)
+
+    @property
+    def are_there(self) -> bool:
+        status: Any = self._publisher.matching_status  # its stub says bool; it is an object, and always true
+        return bool(status.matching)

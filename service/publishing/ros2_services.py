@@ -1,0 +1,171 @@
+"""Services of ROS 2 as commands: Trigger for pause, resume, save and reset, nav2's LoadMap and SaveMap."""
+
+import json
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import zenoh
+
+from service.encoding import OCCUPANCY_GRID, Message, encode_grid, read
+from service.encoding.ros_services import (
+    LOAD_MAP,
+    MAP_DOES_NOT_EXIST,
+    SAVE_MAP,
+    SUCCESS,
+    TRIGGER,
+    UNDEFINED_FAILURE,
+    encode_response,
+    read_request,
+)
+from service.errors import InputError
+from service.outputs import Grid
+from service.publishing.commands import Answer
+from service.publishing.query_workers import QueryWorkers
+from service.publishing.ros2_node import Ros2Node, reply
+
+log = logging.getLogger(__name__)
+
+TRIGGERS = {"pause": "pause", "resume": "resume", "save": "save_map", "reset": "reset_map"}  # service -> verb
+Command = Callable[[str, bytes], Answer]
+
+
+@dataclass(frozen=True, slots=True)
+class _Service:
+    type: str
+    respond: Callable[[bytes], bytes]  # request -> response. Raises InputError
+    refuse: Callable[[str], bytes]  # why it is not done -> response
+
+
+class Ros2Services:
+    """Open when constructed, below the node's name; `command` takes verb and JSON, and may wait."""
+
+    def __init__(
+        self,
+        node: Ros2Node,
+        command: Command,
+        present_map: Callable[[], Message | None],
+        map_folder: Path | None,
+    ) -> None:
+        self._node = node
+        self._command = command
+        self._present_map = present_map
+        self._map_folder = map_folder
+        self._workers = QueryWorkers("ros2")
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+        for name, verb in TRIGGERS.items():
+            self._offer(name, _Service(TRIGGER, partial(self._trigger, verb), _not_triggered))
+        self._offer("load_map", _Service(LOAD_MAP, self._load_map, _not_loaded))
+        self._offer("save_map", _Service(SAVE_MAP, self._save_map, _not_saved))
+
+    def counts(self) -> Counter[str]:
+        """Requests answered, by service, and "refused"."""
+        with self._lock:
+            return Counter(self._counts)
+
+    def close(self) -> None:
+        """Take no more, and let those be answered that were taken."""
+        self._node.take_no_more_requests()
+        self._workers.close()
+
+    def _offer(self, name: str, service: _Service) -> None:
+        self._node.service(name, service.type, partial(self._take, name, service))
+
+    def _take(self, name: str, service: _Service, query: zenoh.Query) -> None:
+        """Zenoh's thread: hand the query on."""
+        if refused := self._workers.start(name, partial(self._answer, name, service, query)):
+            self._reply(name, query, self._refusal(name, service, refused))
+
+    def _answer(self, name: str, service: _Service, query: zenoh.Query) -> None:
+        try:
+            response = service.respond(query.payload.to_bytes() if query.payload is not None else b"")
+        except InputError as error:
+            response = self._refusal(name, service, str(error))
+        except Exception as error:  # whatever a stranger sends must not bring the service down
+            log.exception("ros2 service %s failed", name)
+            response = self._refusal(name, service, f"{error!r}; the service's log says more")
+        self._reply(name, query, response)
+
+    def _reply(self, name: str, query: zenoh.Query, response: bytes) -> None:
+        with query:  # without it the asker would wait until its timeout
+            try:
+                reply(query, response)
+            except (ValueError, zenoh.ZError) as error:
+                self._count("refused")
+                log.warning("ros2 service %s: no answer is delivered: %s", name, error)
+                query.reply_err(str(error).encode())
+            else:
+                self._count(name)
+
+    def _refusal(self, name: str, service: _Service, why: str) -> bytes:
+        self._count("refused")
+        log.warning("ros2 service %s: %s", name, why)
+        return service.refuse(why)
+
+    def _count(self, what: str) -> None:
+        with self._lock:
+            self._counts[what] += 1
+
+    def _trigger(self, verb: str, request: bytes) -> bytes:
+        """The request is empty; its one byte stands there because a structure needs a member."""
+        answer = self._command(verb, b"")
+        return encode_response(TRIGGER, success=answer.ok, message=_words(answer))
+
+    def _load_map(self, payload: bytes) -> bytes:
+        name = _map_named(read_request(LOAD_MAP, payload).map_url)
+        answer = self._command("load_map", json.dumps({"map": name}).encode())
+        if answer.ok:
+            present = self._present_map() or _empty_map()
+            return encode_response(LOAD_MAP, map=read(OCCUPANCY_GRID, present.payload), result=SUCCESS)
+        log.warning("ros2 service load_map: %s", _words(answer))
+        is_there = self._map_folder is not None and (self._map_folder / name).exists()
+        return _not_loaded(result=UNDEFINED_FAILURE if is_there else MAP_DOES_NOT_EXIST)
+
+    def _save_map(self, payload: bytes) -> bytes:
+        request = read_request(SAVE_MAP, payload)
+        if request.image_format not in ("", "pgm") or request.map_mode not in ("", "trinary"):
+            raise InputError(
+                f"a map of format {request.image_format!r} and mode {request.map_mode!r}; maps are stored as "
+                "'pgm' and 'trinary', and corridor export makes other formats of them"
+            )
+        name = _map_named(request.map_url)
+        answer = self._command("save_map", json.dumps({"name": name} if name else {}).encode())
+        if not answer.ok:
+            log.warning("ros2 service save_map: %s", _words(answer))
+        return encode_response(SAVE_MAP, result=answer.ok)
+
+
+def _words(answer: Answer) -> str:
+    """What is said of a command that failed, or its whole answer as JSON."""
+    return answer.body.decode() if answer.ok else str(json.loads(answer.body)["error"])
+
+
+def _not_triggered(why: str) -> bytes:
+    return encode_response(TRIGGER, success=False, message=why)
+
+
+def _not_saved(why: str) -> bytes:
+    return encode_response(SAVE_MAP, result=False)
+
+
+def _not_loaded(why: str = "", result: int = UNDEFINED_FAILURE) -> bytes:
+    """nav2's response has no text; the log says why."""
+    return encode_response(LOAD_MAP, map=read(OCCUPANCY_GRID, _empty_map().payload), result=result)
+
+
+def _empty_map() -> Message:
+    return encode_grid(Grid(0, 1.0, 0.0, 0.0, np.empty((0, 0), np.int8)), 0, 0)
+
+
+def _map_named(url: str) -> str:
+    """A stored map as the commands name it: below map.directory, or a whole path. Raises InputError."""
+    scheme, separator, rest = url.rpartition("://")
+    if separator and scheme != "file":
+        raise InputError(f"map_url {url!r}: expected a name below map.directory, or file:///path/of/the/map")
+    return str(Path(rest).parent) if Path(rest).name == "map.yaml" else rest

@@ -1,0 +1,169 @@
+"""Publishes messages and the map to ROS 2 nodes that run rmw_zenoh_cpp. Mapping and drivers never wait.
+
+What is sent are the bytes that go to subscribers of the native keys and into recordings, on other keys.
+"""
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import zenoh
+
+from drivers.rmw_zenoh import Qos
+from service.encoding import DIAGNOSTICS, OCCUPANCY_GRID, ODOMETRY, TF, Message
+from service.encoding.wire import INITIAL_POSE
+from service.publishing import initial_pose
+from service.publishing.config import PublishingConfig
+from service.publishing.initial_pose import InitialPoseSubscriber
+from service.publishing.listeners import Listeners
+from service.publishing.ros2_node import Ros2Node, Ros2Publisher
+from service.publishing.ros2_services import Command, Ros2Services
+from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
+from service.publishing.shared import GridSource, SharedZenoh
+
+log = logging.getLogger(__name__)
+
+STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
+MAP_PERIOD_S = 1.0
+CLOSE_TIMEOUT_S = 5.0
+MAP = "map"
+
+# In the graph from the start, each with its type; the topics of a sensor are there from its first message on.
+TOPICS = {
+    "pose": ODOMETRY,
+    "odom": ODOMETRY,
+    "tf": TF,
+    "tf_static": TF,
+    MAP: OCCUPANCY_GRID,
+    "diagnostics": DIAGNOSTICS,
+}
+LATCHED = Qos(depth=1, is_transient_local=True)
+QOS = {MAP: LATCHED, "tf_static": LATCHED, "tf": Qos(depth=100)}  # of others: the default
+
+
+class Ros2Topics:
+    """All topics, the subscription to initial poses, and the services; open when constructed.
+
+    Raises StorageError where Zenoh cannot listen.
+    """
+
+    def __init__(
+        self,
+        config: PublishingConfig,
+        shared: SharedZenoh,
+        map_source: GridSource,
+        map_period_s: float = MAP_PERIOD_S,
+    ) -> None:
+        self._shared = shared
+        self._map = shared.map_picture(map_source)
+        self._lock = threading.Lock()  # of the counters
+        self._sent: Counter[str] = Counter()
+        self._failed: Counter[str] = Counter()
+        self._stream = StreamQueue(STREAM_CAPACITY)
+        self._bulk = BulkQueue(map_period_s, map_period_s)
+        self._initial_pose: InitialPoseSubscriber | None = None
+        self._services: Ros2Services | None = None
+        self._closed = False
+        self._session = shared.open(config)
+        try:
+            self._node = Ros2Node(self._session, config.ros2)
+            self._publishers = {channel: self._declare(channel, kind) for channel, kind in TOPICS.items()}
+            map_key = self._publishers[MAP].key
+            self._map_listeners = Listeners(self._session, map_key, partial(self._bulk.ask_for, MAP))
+        except BaseException:
+            shared.close()
+            raise
+        self._threads = [
+            threading.Thread(target=self._send_stream, name="ros2-stream", daemon=True),
+            threading.Thread(target=self._send_maps, name="ros2-map", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def put(self, message: Message) -> None:
+        """Hand a message over: sent 10 ms later at most. A full queue drops its oldest, counted."""
+        self._stream.put(Sending(message, None))
+
+    def map_changed(self, stamp_ns: int, log_ns: int) -> None:
+        """Send the whole map soon, if somebody subscribes; Unix time of the newest scan in it."""
+        self._map.changed(stamp_ns, log_ns)
+        self._bulk.ask_for(MAP)
+
+    def answer(self, command: Command, map_folder: Path | None) -> None:
+        """Take poses on initialpose, and answer services, from now on. `command` may wait a bounded time."""
+        key = self._node.subscription_key(initial_pose.CHANNEL, INITIAL_POSE)
+        self._initial_pose = InitialPoseSubscriber(self._session, key, command, owner="ros2")
+        self._services = Ros2Services(self._node, command, self._present_map, map_folder)
+
+    @property
+    def pose_refused(self) -> str:
+        """Why the newest pose on initialpose was not taken, "" if it was."""
+        return self._initial_pose.refused if self._initial_pose is not None else ""
+
+    def counts(self) -> dict[str, Counter[str]]:
+        """Messages sent, dropped and failed, by channel; requests answered, by service."""
+        with self._lock:
+            sent, failed = Counter(self._sent), Counter(self._failed)
+        answered = Counter[str]() if self._services is None else self._services.counts()
+        return {"sent": sent, "dropped": self._stream.dropped(), "failed": failed, "answered": answered}
+
+    def close(self) -> None:
+        """Send what waits, then leave the graph. A second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stream.close()
+        self._bulk.close()
+        for thread in self._threads:
+            thread.join(CLOSE_TIMEOUT_S)
+            if thread.is_alive():
+                log.error("%s is still sending after %.0f s", thread.name, CLOSE_TIMEOUT_S)
+        try:
+            if self._services is not None:
+                self._services.close()
+            if self._initial_pose is not None:
+                self._initial_pose.close()
+            self._node.close()
+            self._shared.close()
+        except zenoh.ZError as error:
+            log.error("ros2 does not close: %s", error)
+
+    def _send_stream(self) -> None:
+        while batch := self._stream.take():
+            for sending in batch:
+                message = sending.message
+                self._try(message.channel, partial(self._send, message))
+
+    def _send_maps(self) -> None:
+        while self._bulk.take() is not None:
+            if self._map_listeners.are_there and (message := self._present_map()) is not None:
+                self._try(MAP, partial(self._send, message))
+
+    def _present_map(self) -> Message | None:
+        picture = self._map.message()
+        return None if picture is None else picture[0]
+
+    def _send(self, message: Message) -> None:
+        channel = message.channel
+        publisher = self._publishers.get(channel)
+        if publisher is None:
+            publisher = self._publishers[channel] = self._declare(channel, message.type)
+        publisher.put(message.payload, message.log_ns)
+        with self._lock:
+            self._sent[channel] += 1
+
+    def _declare(self, channel: str, message_type: str) -> Ros2Publisher:
+        return self._node.publisher(channel, message_type, QOS.get(channel, Qos()))
+
+    def _try(self, channel: str, action: Callable[[], None]) -> None:
+        """Do it; a fault is counted and must not end the thread: the next message may well go through."""
+        try:
+            action()
+        except (zenoh.ZError, ValueError) as error:
+            with self._lock:
+                self._failed[channel] += 1
+                is_first = self._failed[channel] == 1
+            log.log(logging.ERROR if is_first else logging.DEBUG, "ros2 %s: %s", channel, error)

@@ -1,0 +1,76 @@
+"""What the sinks that speak Zenoh share in one service: the session, and the whole map as one message."""
+
+import threading
+from typing import Protocol
+
+import zenoh
+
+from service.encoding import Message, encode_grid
+from service.outputs import Grid
+from service.publishing.config import PublishingConfig
+from service.publishing.session import open_session
+
+
+class GridSource(Protocol):
+    """Where the whole map comes from."""
+
+    def grid(self) -> Grid | None: ...
+
+
+class MapPicture:
+    """The whole map as a message, encoded once however many sinks send it. Thread-safe."""
+
+    def __init__(self, source: GridSource) -> None:
+        self._source = source
+        self._lock = threading.Lock()
+        self._times_ns = (0, 0)
+        self._made: tuple[tuple[int, int, int], Message] | None = None
+
+    def changed(self, stamp_ns: int, log_ns: int) -> None:
+        """Note the times of the newest scan in the map; Unix time."""
+        self._times_ns = (stamp_ns, log_ns)
+
+    def message(self) -> tuple[Message, int] | None:
+        """On channel "map", with its version; None while there is no map."""
+        with self._lock:
+            grid = self._source.grid()
+            if grid is None:
+                return None
+            made_of = (grid.version, *self._times_ns)
+            if self._made is None or self._made[0] != made_of:
+                self._made = made_of, encode_grid(grid, *self._times_ns)
+            return self._made[1], grid.version
+
+
+class SharedZenoh:
+    """One Zenoh session a service: opened by the first sink that asks, closed by the last. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()  # of all below
+        self._session: zenoh.Session | None = None
+        self._users = 0
+        self._picture: MapPicture | None = None
+
+    def open(self, config: PublishingConfig) -> zenoh.Session:
+        """Raises StorageError where it cannot listen."""
+        with self._lock:
+            if self._session is None:
+                self._session = open_session(config)
+            self._users += 1
+            return self._session
+
+    def close(self) -> None:
+        """Call it once for each `open`. Raises ZError where Zenoh does not close."""
+        with self._lock:
+            self._users -= 1
+            if self._users or self._session is None:
+                return
+            session, self._session = self._session, None
+        session.close()  # type: ignore[no-untyped-call]
+
+    def map_picture(self, source: GridSource) -> MapPicture:
+        """The same for all; `source` is that of the first."""
+        with self._lock:
+            if self._picture is None:
+                self._picture = MapPicture(source)
+            return self._picture

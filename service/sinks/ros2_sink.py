@@ -1,0 +1,58 @@
+"""Topics and services for ROS 2 nodes on rmw_zenoh, as a sink."""
+
+from collections.abc import Sequence
+
+from service.encoding import OK, WARNING, Message, Status
+from service.outputs import TileUpdate
+from service.publishing.config import PublishingConfig
+from service.publishing.ros2_topics import MAP, TOPICS, Ros2Topics
+from service.sinks.sink import Sink, SinkContext
+
+OF_SENSORS = frozenset({"scan", "imu", "odom", "fix"})  # last part of "<sensor>/scan"
+
+
+def open_sink(config: PublishingConfig, context: SinkContext) -> "Ros2Sink | None":
+    """Raises StorageError where Zenoh cannot listen."""
+    return Ros2Sink(config, context) if config.ros2.enabled else None
+
+
+class Ros2Sink(Sink):
+    """Sends from the moment it is constructed; answers from `start` on."""
+
+    name = "ros2"
+
+    def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
+        self._context = context
+        self._place = f"domain {config.ros2.domain}, {config.ros2.namespace or '/'}"
+        self._topics = Ros2Topics(config, context.zenoh, context.tiles)
+
+    def start(self) -> None:
+        self._topics.answer(self._context.command, self._context.folders.get("map"))
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        sensor, _, last = message.channel.rpartition("/")
+        if (last in OF_SENSORS) if sensor else (last in TOPICS and last != MAP):
+            self._topics.put(message)
+
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        self._topics.map_changed(stamp_ns, log_ns)
+
+    def health(self) -> Status:
+        counters = self._topics.counts()
+        values = {
+            f"{name}.{channel}": str(count)
+            for name, counter in counters.items()
+            for channel, count in sorted(counter.items())
+        }
+        if refused := self._topics.pose_refused:
+            values["initialpose_refused"] = refused
+        dropped, failed = counters["dropped"].total(), counters["failed"].total()
+        if dropped or failed:
+            return Status(self.name, WARNING, f"{dropped} dropped, {failed} failed", values)
+        return Status(self.name, OK, "ok", values)
+
+    def place(self) -> str:
+        return self._place
+
+    def close(self) -> None:
+        self._topics.close()

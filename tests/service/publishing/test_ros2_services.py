@@ -1,0 +1,202 @@
+"""Services and initial poses of ROS 2 over loopback, asked as a client of rmw_zenoh asks."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from drivers.rmw_zenoh import Attachment
+from service.encoding import ros_services
+from service.geometry.se2 import SE2
+from service.mapstore.tiles import TileStore
+from service.outputs import TileUpdate
+from service.publishing import query_workers
+from service.publishing.commands import refusal
+from service.publishing.config import PublishingConfig
+from service.publishing.ros2_topics import Ros2Topics
+from service.publishing.session import listened_at
+from service.publishing.shared import SharedZenoh
+from tests.service.publishing.test_command_queryable import Asked
+from tests.service.publishing.test_initial_pose import payload_of
+
+CONFIG = PublishingConfig(listen=("tcp/127.0.0.1:0",), ros2={"enabled": True, "namespace": "veh1"})
+GID = bytes(range(16))
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+for name, definition in {
+    "x/msg/TriggerResponse": "bool success\nstring message",
+    "x/msg/LoadMapRequest": "string map_url",
+    "x/msg/LoadMapResponse": "nav_msgs/OccupancyGrid map\nuint8 result",
+    "x/msg/SaveMapRequest": (
+        "string map_topic\nstring map_url\nstring image_format\nstring map_mode\n"
+        "float32 free_thresh\nfloat32 occupied_thresh"
+    ),
+    "x/msg/SaveMapResponse": "bool result",
+}.items():
+    JAZZY.register(get_types_from_msg(definition, name))
+
+
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+@pytest.fixture
+def maps(tmp_path: Path) -> Path:
+    (tmp_path / "office").mkdir()
+    return tmp_path
+
+
+@pytest.fixture
+def topics(asked: Asked, store: TileStore, maps: Path) -> Iterator[Ros2Topics]:
+    shared = SharedZenoh()
+    opened = Ros2Topics(CONFIG, shared, store)
+    opened.answer(asked, maps)
+    yield opened
+    asked.go.set()
+    opened.close()
+
+
+@pytest.fixture
+def session(topics: Ros2Topics, open_client: Callable[[str], zenoh.Session]) -> zenoh.Session:
+    return open_client(listened_at(topics._session, CONFIG)[0])
+
+
+def ask(
+    session: zenoh.Session, name: str, service: str, request: bytes, attachment: bytes | None = None
+) -> list[zenoh.Reply]:
+    dds = service.replace("/srv/", "::srv::dds_::") + "_"
+    key = f"0/veh1/corridor/{name}/{dds}/{ros_services.service_hash(service)}"
+    beside = Attachment(41, 5, GID).encode() if attachment is None else attachment
+    return list(session.get(key, payload=request, attachment=beside, timeout=20.0))
+
+
+def answer(session: zenoh.Session, name: str, service: str, **request: Any) -> Any:
+    """The response, as rosbags reads it."""
+    short = service.rpartition("/")[2]
+    payload = b"\x00\x01\x00\x00\x00"
+    if request:
+        kind = f"x/msg/{short}Request"
+        payload = bytes(JAZZY.serialize_cdr(JAZZY.types[kind](**request), kind))
+    (reply,) = ask(session, name, service, payload)
+    return JAZZY.deserialize_cdr(reply.ok.payload.to_bytes(), f"x/msg/{short}Response")
+
+
+def save(session: zenoh.Session, map_url: str = "", image_format: str = "pgm", map_mode: str = "") -> bool:
+    request = {"map_topic": "/map", "map_url": map_url, "image_format": image_format, "map_mode": map_mode}
+    return answer(
+        session, "save_map", ros_services.SAVE_MAP, **request, free_thresh=0.25, occupied_thresh=0.65
+    ).result
+
+
+@pytest.mark.parametrize(
+    ("name", "verb"),
+    [("pause", "pause"), ("resume", "resume"), ("save", "save_map"), ("reset", "reset_map")],
+)
+def test_a_trigger_is_a_command(session, asked, name, verb):
+    response = answer(session, name, ros_services.TRIGGER)
+    assert (response.success, response.message) == (True, '{"ok": true}')
+    assert asked.heard == [(verb, b"")]
+
+
+def test_a_command_that_fails_is_a_trigger_without_success(session, asked, monkeypatch):
+    monkeypatch.setattr(type(asked), "__call__", lambda self, verb, payload: refusal("the disk is full"))
+    response = answer(session, "save", ros_services.TRIGGER)
+    assert (response.success, response.message) == (False, "the disk is full")
+
+
+def test_the_response_names_the_request_it_answers(session):
+    (reply,) = ask(session, "pause", ros_services.TRIGGER, b"\x00\x01\x00\x00\x00")
+    attachment = Attachment.decode(reply.ok.attachment.to_bytes())
+    assert (attachment.sequence, attachment.gid) == (41, GID)
+    assert attachment.source_ns > 1_700_000_000_000_000_000
+
+
+@pytest.mark.parametrize("attachment", [b"", bytes(77)])
+def test_a_request_without_its_attachment_gets_an_error(session, topics, attachment):
+    (reply,) = ask(session, "pause", ros_services.TRIGGER, b"\x00\x01\x00\x00\x00", attachment)
+    assert "expected 33" in reply.err.payload.to_string()
+    assert topics.counts()["answered"]["refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("office", "office"),
+        ("file:///srv/maps/office", "/srv/maps/office"),
+        ("file:///srv/maps/office/map.yaml", "/srv/maps/office"),
+    ],
+)
+def test_load_map_loads_by_name_or_file(session, asked, store, url, name):
+    store.update([TileUpdate(0, 0, 0, 3, 0.05, np.full((64, 64), 3, np.int8))])
+    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
+    assert asked.heard == [("load_map", json.dumps({"map": name}).encode())]
+    assert (response.result, response.map.info.width, response.map.data.max()) == (0, 64, 3)
+
+
+def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
+    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url="office")
+    assert (response.result, response.map.info.width) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("url", "result"), [("nowhere", 1), ("office", 255), ("package://nav2/maps/office.yaml", 255)]
+)
+def test_load_map_says_whether_the_map_is_missing_or_wrong(session, asked, monkeypatch, caplog, url, result):
+    monkeypatch.setattr(type(asked), "__call__", lambda self, verb, payload: refusal("not so"))
+    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
+    assert response.result == result
+    assert caplog.records
+
+
+def test_save_map_saves_under_the_name(session, asked):
+    assert save(session, "office")
+    assert save(session)
+    assert asked.heard == [("save_map", b'{"name": "office"}'), ("save_map", b"{}")]
+
+
+@pytest.mark.parametrize("other", [{"image_format": "png"}, {"map_mode": "raw"}])
+def test_save_map_refuses_what_it_does_not_write(session, asked, caplog, other):
+    assert not save(session, "office", **other)
+    assert asked.heard == []
+    assert "corridor export makes other formats" in caplog.text
+
+
+@pytest.mark.parametrize("request_bytes", [b"", b"\x00\x01\x00\x00", b"\xff" * 40])
+def test_garbage_is_refused_and_the_service_goes_on(session, asked, topics, request_bytes):
+    (reply,) = ask(session, "load_map", ros_services.LOAD_MAP, request_bytes)
+    response = JAZZY.deserialize_cdr(reply.ok.payload.to_bytes(), "x/msg/LoadMapResponse")
+    assert response.result == 255
+    assert asked.heard == []
+    assert answer(session, "pause", ros_services.TRIGGER).success
+    assert topics.counts()["answered"]["refused"] == 1
+
+
+def test_too_many_requests_at_once_are_refused_with_the_reason(session, asked, monkeypatch):
+    monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 0)
+    response = answer(session, "pause", ros_services.TRIGGER)
+    assert not response.success
+    assert "ask again in a moment" in response.message
+
+
+def test_a_pose_on_initialpose_becomes_set_pose(session, topics, asked):
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    key = f"0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/{JAZZY.hash_rihs01(kind)}"
+    session.put(key, payload_of(SE2(1.25, -2.5, 3.0)))
+    assert asked.entered.acquire(timeout=20.0)
+    verb, payload = asked.heard[0]
+    assert verb == "set_pose"
+    assert json.loads(payload) == pytest.approx({"x_m": 1.25, "y_m": -2.5, "theta_rad": 3.0}, abs=1e-9)
+
+
+def test_a_pose_that_is_refused_is_kept_for_health(session, topics, asked):
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    key = f"0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/{JAZZY.hash_rihs01(kind)}"
+    session.put(key, payload_of(SE2(1.0, 2.0, 3.0), "odom"))
+    list(session.get("behind/what/went/before"))
+    topics.close()
+    assert topics.pose_refused == "initialpose: a pose in the frame 'odom'; expected 'map'"

@@ -1,0 +1,112 @@
+"""The sink as the service opens it: what goes out, what is in health, and that nothing is encoded twice."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from rosbags.typesys.store import Typestore
+
+from service.encoding import (
+    OK,
+    STRING,
+    WARNING,
+    Message,
+    Status,
+    encode_diagnostics,
+    encode_event,
+    encode_frame,
+    encode_pose,
+    encode_tf,
+)
+from service.encoding.graph import encode_graph
+from service.mapstore.tiles import TileStore
+from service.outputs import GraphPicture
+from service.publishing.config import PublishingConfig
+from service.recording.mcap_reader import Recording
+from service.sinks.fan_out import Sinks
+from service.sinks.registry import SINKS
+from service.sinks.ros2_sink import Ros2Sink, open_sink
+from tests.service.publishing.conftest import Inbox, client_config
+from tests.service.publishing.test_ros2_topics import OUTPUT, SCAN
+from tests.service.sinks.contexts import sink_context
+from tests.service.sinks.test_zenoh_sink import put_until_heard
+
+LOG_NS = 1_700_000_000_000_000_000
+LISTEN = ("tcp/127.0.0.1:0",)
+CONFIG = PublishingConfig(listen=LISTEN, ros2={"enabled": True, "domain": 3, "namespace": "veh1"})
+
+
+@pytest.fixture
+def sink() -> Iterator[Ros2Sink]:
+    opened = open_sink(CONFIG, sink_context(tiles=TileStore()))
+    assert opened is not None
+    opened.start()
+    yield opened
+    opened.close()
+
+
+def test_it_is_off_unless_it_is_switched_on():
+    assert open_sink(PublishingConfig(listen=LISTEN), sink_context()) is None
+
+
+def test_the_topics_of_the_contract_go_out_and_nothing_else(sink: Ros2Sink):
+    line = np.zeros((2, 2), np.float32)
+    for message in (
+        encode_frame(SCAN),
+        encode_pose(OUTPUT, LOG_NS),
+        encode_tf(OUTPUT, LOG_NS),
+        encode_diagnostics("diagnostics", [], LOG_NS, LOG_NS),
+        encode_event("{}", LOG_NS, LOG_NS),
+        encode_graph(GraphPicture(1, [line], line[None], line[None]), LOG_NS),
+        Message("front/raw", STRING, 1, 1, b""),
+        Message("map", STRING, 1, 1, b""),
+        Message("front/notes", STRING, 1, 1, b""),
+    ):
+        sink.put(message)
+    sink.close()
+    assert sink._topics.counts()["sent"] == {"front/scan": 1, "pose": 1, "tf": 1, "diagnostics": 1}
+
+
+def test_its_row_holds_what_was_sent_and_warns_of_what_was_not(sink: Ros2Sink):
+    assert (sink.health().level, sink.place()) == (OK, "domain 3, /veh1")
+    sink.close()
+    sink.put(encode_pose(OUTPUT, LOG_NS))  # nobody sends it any more
+    row = sink.health()
+    assert (row.name, row.level, row.message) == ("ros2", WARNING, "1 dropped, 0 failed")
+    assert row.values["dropped.pose"] == "1"
+
+
+def test_zenoh_ros_and_recording_have_the_same_bytes_encoded_once(tmp_path: Path, monkeypatch):
+    scan, health = (
+        encode_frame(SCAN, LOG_NS),
+        encode_diagnostics("diagnostics", [Status("x", 0, "", {})], 1, LOG_NS),
+    )
+    messages = [scan, encode_pose(OUTPUT, LOG_NS), encode_tf(OUTPUT, LOG_NS), health]
+    sections = {
+        "publishing": CONFIG,
+        "recording": next(k for k in SINKS if k.section == "recording").load_model()(
+            directory=tmp_path, keep_free_gb=0.0
+        ),
+    }
+    sinks, context = Sinks(), sink_context(tiles=TileStore())
+    sinks.open([kind for kind in SINKS if kind.section in sections], sections, context)
+    sinks.start()
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a message was encoded again")
+
+    monkeypatch.setattr(Typestore, "serialize_cdr", refuse)
+    native, ros = Inbox(), Inbox()
+    with zenoh.open(client_config(sinks.places()["zenoh"])) as client:
+        client.declare_subscriber("corridor/v1/veh1/**", native)
+        client.declare_subscriber("3/veh1/**", ros)
+        put_until_heard(lambda: [sinks.put(message) for message in messages], native, 4)
+        ros.wait_for(4)
+        assert sinks.close() == []
+    payloads = {message.payload for message in messages}
+    assert {sample.payload.to_bytes() for sample in native.samples} == payloads
+    assert {sample.payload.to_bytes() for sample in ros.samples} == payloads
+    (session,) = sinks.written()["recording"]
+    assert {message.payload for message in Recording([session]).messages()} == payloads
