@@ -7,6 +7,7 @@ from typing import Generic
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.fusion.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
+from service.mapper.checks.sensor_checks import SensorChecks, Verdict
 from service.mapper.components import (
     Components,
     FinishedGraph,
@@ -21,21 +22,16 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import CARRIED_S, drift_of, judge_blank, sigmas_of, too_few
+from service.mapper.judgement import CARRIED_S, drift_of
+from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
-from service.mapper.mounting_check import MountingCheck
-from service.mapper.odometry_mounting import OdometryMounting
-from service.mapper.place_in_map import PlaceInMap
 from service.mapper.saved_graph import KeptGraph, SavedGraph
-from service.mapper.scan_check import OdometryWait, ScanCheck
-from service.mapper.stamp_check import StampChecks
-from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, Reason, State, TileUpdate
+from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 
 MOST_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
 POINT_ARRAYS = ("xy_base", "xy_raw", "beam_time_s", "beam")  # of Points
-WELL_NS = 500_000_000  # so long a scan that lay on the map vouches for the place
 
 
 class NoStopwatch:
@@ -64,24 +60,19 @@ class Mapper(Generic[ReadableMap]):
         self._changes_told_ns = 0
         self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
         self._components = components
-        self._place = PlaceInMap(placed)
+        self._localisation = Localisation(placed)
         self._is_localizing = is_localizing
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None
-        self._lasers: dict[str, LaserWatch] = {}
+        self._scan_ns: dict[str, int] = {}  # stamp of the newest one, by laser
         self._sample_ns: dict[type[Frame], int] = {}  # stamp of the last one that was taken, by kind
-        self._odometry_wait = OdometryWait()
-        self._odometry_mounting = OdometryMounting()
-        self._stamps = StampChecks()
-        self._travelled_m = 0.0  # as predicted, from scan to scan
-        # of the newest scan that was mapped, and its reason
-        self._state: tuple[State, Reason] = ("ok", NO_REASON)
-        self._placed_ns: int | None = None  # moment of the newest scan with returns; None: that was lost
+        self._state = Verdict("ok", NO_REASON)  # of the newest scan that was mapped
         self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
+        self._checks = SensorChecks(self.counters)
 
     def process(self, frame: Frame) -> MapperOutput | None:
         """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
@@ -96,21 +87,16 @@ class Mapper(Generic[ReadableMap]):
         if not isinstance(frame, LaserScan):
             self._take_sample(frame)
             return None
-        laser = self._lasers.get(frame.sensor)
-        if laser is None:
-            laser = self._lasers[frame.sensor] = LaserWatch()
-            if len(self._lasers) > 1:
-                laser.mounting.begin()
-        at_ns = self._moment_of(frame, laser)
+        self._checks.begin_laser(frame.sensor)
+        at_ns = self._moment_of(frame)
         if at_ns is None:
             self.counters["scans_dropped_late"] += 1
             return None
-        if self._odometry_wait.waits(at_ns, self._last_ns):
-            self.counters["scans_before_odometry"] += 1
+        if self._checks.waits_for_odometry(at_ns, self._last_ns):
             return None
-        laser.stamp_ns, self._last_ns = frame.stamp_ns, at_ns
+        self._scan_ns[frame.sensor], self._last_ns = frame.stamp_ns, at_ns
         self.counters["scans"] += 1
-        return self._process_scan(frame, at_ns, laser)
+        return self._process_scan(frame, at_ns)
 
     def _take_sample(self, sample: ImuSample | OdometrySample) -> None:
         kind = type(sample)
@@ -120,8 +106,7 @@ class Mapper(Generic[ReadableMap]):
             return
         self._sample_ns[kind] = sample.stamp_ns
         if isinstance(sample, OdometrySample):
-            self._odometry_wait.add(sample.stamp_ns)
-            self._odometry_mounting.add_odometry(sample)
+            self._checks.add_odometry(sample)
 
     def skip(self, scan: LaserScan) -> None:
         """Let a scan pass unmapped: the base is where wheels and gyro say it is, or stands without them.
@@ -135,9 +120,9 @@ class Mapper(Generic[ReadableMap]):
         self._predict(at_ns)
         self._components.motion_model.correct(None)
 
-    def _moment_of(self, scan: LaserScan, laser: "LaserWatch") -> int | None:
+    def _moment_of(self, scan: LaserScan) -> int | None:
         """To which moment its points are brought, ns; None: it is too old."""
-        if laser.stamp_ns is not None and scan.stamp_ns <= laser.stamp_ns:
+        if scan.stamp_ns <= self._scan_ns.get(scan.sensor, scan.stamp_ns - 1):
             return None
         at_ns = self._components.deskew.moment_of(scan)
         if self._last_ns is None or at_ns > self._last_ns:
@@ -164,8 +149,8 @@ class Mapper(Generic[ReadableMap]):
 
     @property
     def pose_refused(self) -> tuple[float, float, float] | None:
-        """As PlaceInMap.pose_refused."""
-        return self._place.pose_refused
+        """As Localisation.pose_refused."""
+        return self._localisation.pose_refused
 
     @property
     def graph(self) -> Graph:
@@ -193,7 +178,7 @@ class Mapper(Generic[ReadableMap]):
         self.counters.update(update.counts)
         if update.geo is not None:
             self.geo_reference = update.geo
-        self._place.take(update)
+        self._localisation.take(update)
         if update.saved is not None:
             self.saved = update.saved
         if update.picture is not None:
@@ -201,7 +186,7 @@ class Mapper(Generic[ReadableMap]):
         if update.joined is not None:
             self._components.local_map.join(update.joined)
         if self._components.graph.fault:
-            self._place.graph_ended()
+            self._localisation.graph_ended()
             if isinstance(self._components.local_map, HasPieces):
                 self._components.local_map.attach()
         if update.rendered_map is not None:
@@ -213,38 +198,35 @@ class Mapper(Generic[ReadableMap]):
             self.counters["samples_dropped_waiting"] += predicted.samples_dropped
         return predicted
 
-    def _process_scan(self, scan: LaserScan, at_ns: int, laser: "LaserWatch") -> MapperOutput:
+    def _process_scan(self, scan: LaserScan, at_ns: int) -> MapperOutput:
         s, watch = self._components, self._stopwatch
         watch.start()
         if self._newest is None and scan.stamp_ns < at_ns:
             s.motion_model.begin_at(scan.stamp_ns)
         predicted = self._predict(at_ns)  # where we should be, and how fast
-        self._travelled_m += predicted.travel_m
-        moved_m, laser.travelled_m = self._travelled_m - laser.travelled_m, self._travelled_m
-        if laser.check.is_repeated(scan, moved_m):
-            return self._passed_over(scan, at_ns)
+        if refused := self._checks.refuse(scan, at_ns, predicted.travel_m):
+            return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
-        is_doubted = not laser.mounting.is_right or self._stamps.fault_of(scan.sensor)
-        if laser.mounting.fault or (is_doubted and self._well_besides(scan.sensor, at_ns)):
-            return self._compared(scan, at_ns, laser, points, predicted)
+        looked_for = self._checks.where_to_compare(scan.sensor, at_ns, predicted)
+        if looked_for is not None:
+            return self._compared(points, at_ns, looked_for)
         if predicted.pause_s > CARRIED_S and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
         watch.lap("match")
-        few = too_few(match.points)
-        if match.state == "lost":
-            self._odometry_mounting.interrupt()
-            self._stamps.interrupt()
-        if match.state == "lost" and (well := self._well_besides(scan.sensor, at_ns)):
-            return self._contradicted(scan, at_ns, match, well, few)
-        if not few:  # else it says nothing of the place, for or against
-            laser.well_ns = at_ns if match.state != "lost" else None
-        if match.state == "ok":
-            self._stamps.add(scan.sensor, at_ns, match.motion.pose_odom_base.theta_rad)
-        if match.state == "ok" and (fault := self._motion_fault(match, at_ns)):
-            match = replace(match, state="degraded", reason=fault)
+        checked = self._checks.judge(match, at_ns, s.motion_model.fault)
+        if isinstance(checked, Verdict):
+            return self._output(scan, at_ns, match.motion, checked, match.inlier_ratio)
+        match = self._insert(checked, at_ns, predicted)
+        watch.lap("insert")
+        self._state = Verdict(match.state, match.reason)
+        return self._output(scan, at_ns, match.motion, self._state, match.inlier_ratio)
+
+    def _insert(self, match: Match, at_ns: int, predicted: Prediction) -> Match:
+        """Put a match into local map, graph and shown map; its state is that of its place in the map."""
+        s = self._components
         change = s.local_map.insert(match.points, match)
         still = _still(match)
         self.counters["keyframes"] += change.is_keyframe
@@ -254,34 +236,14 @@ class Mapper(Generic[ReadableMap]):
         pose_map_odom = s.graph.add(
             MappedScan(at_ns, still, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
         )
-        is_drawn = match.state != "lost" and self._place.is_found and not self._is_localizing
-        match = self._place.judged(match, change, pose_map_odom)
-        if few:
-            match = self._blank(match, few, at_ns, predicted)
-        else:
-            self._placed_ns = at_ns if match.state != "lost" else None
+        is_drawn = match.state != "lost" and self._localisation.is_found and not self._is_localizing
+        match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)
         if is_drawn:  # nothing is where nobody knows the place
             s.free_space.insert(still, pose_map_odom @ match.motion.pose_odom_base)
-        if match.state == "ok" and self._place.is_proven and self._changes is not None:
+        if match.state == "ok" and self._localisation.is_proven and self._changes is not None:
             self._changes.add(still, pose_map_odom @ match.motion.pose_odom_base, at_ns)
             self._tell_changes(self._changes, at_ns)
-        watch.lap("insert")
-        self._state = match.state, match.reason
-        return self._output(scan, at_ns, match.motion, match.state, match.reason, match.inlier_ratio)
-
-    def _blank(self, match: Match, few: Reason, at_ns: int, predicted: Prediction) -> Match:
-        """A scan with too few returns, by any matcher lost, with the state that the prediction deserves."""
-        self.counters[f"scans_blind_{match.points.scan.sensor}"] += 1
-        if self._placed_ns is None:
-            return match
-        sigmas = sigmas_of(predicted.local_covariance)
-        state, reason = judge_blank(few, sigmas, (at_ns - self._placed_ns) * 1e-9)
-        return replace(match, state=state, reason=reason)
-
-    def _motion_fault(self, match: Match, at_ns: int) -> Reason:
-        """What contradicts a scan that lay on the map: by odometry, the mounting; or a source of motion."""
-        self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
-        return self._odometry_mounting.fault or self._components.motion_model.fault
+        return match
 
     def _tell_changes(self, changes: ChangeWatch, at_ns: int) -> None:
         if at_ns - self._changes_told_ns < CHANGES_TOLD_NS:
@@ -292,65 +254,15 @@ class Mapper(Generic[ReadableMap]):
         self.counters["changed_cells_new"] = int(is_new.sum())
         self.counters["changed_cells_gone"] = int((~is_new).sum())
 
-    def _compared(
-        self, scan: LaserScan, at_ns: int, laser: "LaserWatch", points: Points, predicted: Prediction
-    ) -> MapperOutput:
-        """A scan of a laser with mounting or stamps in doubt: aligned with the map, with no say in it."""
-        self.counters[f"scans_compared_{scan.sensor}"] += 1
-        looked_for = laser.mounting.where_to_look(predicted, self._stamps.late_s(scan.sensor))
+    def _compared(self, points: Points, at_ns: int, looked_for: Prediction) -> MapperOutput:
+        """A scan of a laser in doubt: aligned with the map, with no say in it."""
         match = self._components.matcher.match(points, looked_for, self._components.local_map)
-        if match.measured is not None and match.state != "lost":
-            self._stamps.add(scan.sensor, at_ns, match.measured.pose_odom_base.theta_rad)
-            laser.mounting.add(looked_for, match.measured)
-        elif match.is_contradicted:
-            laser.mounting.miss()
         motion = self._components.motion_model.correct(None)
-        state, reason = self._state
-        if fault := self._stamps.fault_of(scan.sensor) or laser.mounting.fault:
-            is_alone = not self._well_besides(scan.sensor, at_ns)
-            if is_alone or state == "ok":
-                state, reason = "lost" if is_alone else "degraded", fault.reworded(f"{scan.sensor} {fault}")
-        return self._output(scan, at_ns, motion, state, reason, match.inlier_ratio)
-
-    def _well_besides(self, sensor: str, at_ns: int) -> str:
-        """Another laser whose scans lay on the map just now; "" where there is none."""
-        well = [
-            name
-            for name, laser in self._lasers.items()
-            if name != sensor and laser.well_ns is not None and at_ns - laser.well_ns <= WELL_NS
-        ]
-        return min(well, default="")
-
-    def _contradicted(self, scan: LaserScan, at_ns: int, match: Match, well: str, few: str) -> MapperOutput:
-        """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place.
-
-        One of hardly a return contradicts nothing: its laser is covered, or nothing is in its range.
-        """
-        if few:
-            self.counters[f"scans_blind_{scan.sensor}"] += 1
-            reason = Reason("laser_covered", f"{few} It is not mapped; {well} confirms the map")
-            return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)
-        self.counters[f"scans_contradicting_{scan.sensor}"] += 1
-        reason = Reason(
-            "laser_contradicts",
-            f"{scan.sensor} contradicts the map that {well} confirms ({match.reason}); its scan is not "
-            "mapped. Is its mounting as configured, is its window clean?",
-        )
-        return self._output(scan, at_ns, match.motion, "degraded", reason, match.inlier_ratio)
-
-    def _passed_over(self, scan: LaserScan, at_ns: int) -> MapperOutput:
-        """A scan that equals the one before: the pose follows the prediction, and nothing is mapped."""
-        self.counters["scans_repeated"] += 1
-        motion = self._components.motion_model.correct(None)
-        reason = Reason(
-            "laser_repeats",
-            f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?",
-        )
-        state: State = "degraded" if self._well_besides(scan.sensor, at_ns) else "lost"
-        return self._output(scan, at_ns, motion, state, reason, 0.0)
+        state = self._checks.compare(match, at_ns, looked_for, self._state)
+        return self._output(points.scan, at_ns, motion, state, match.inlier_ratio)
 
     def _output(
-        self, scan: LaserScan, at_ns: int, motion: Motion, state: State, reason: Reason, share: float
+        self, scan: LaserScan, at_ns: int, motion: Motion, state: Verdict, share: float
     ) -> MapperOutput:
         """Where the base was when the scan began; right after the output before, where it began sooner.
 
@@ -361,33 +273,22 @@ class Mapper(Generic[ReadableMap]):
             stamp_ns = max(stamp_ns, self._newest.stamp_ns + 1)
         if stamp_ns != at_ns:
             motion = self._components.motion_model.moved((stamp_ns - at_ns) * 1e-9)
-        covariance = self._place.covariance_of(motion)
-        if state == "ok" and (drift := drift_of(covariance)):
-            state, reason = "degraded", drift
+        covariance = self._localisation.covariance_of(motion)
+        if state.state == "ok" and (drift := drift_of(covariance)):
+            state = Verdict("degraded", drift)
         self._newest = MapperOutput(
             stamp_ns=stamp_ns,
             pose_odom_base=motion.pose_odom_base,
-            pose_map_odom=self._place.pose_map_odom,
+            pose_map_odom=self._localisation.pose_map_odom,
             twist_base=motion.twist_base,
             covariance=covariance,
-            state=state,
-            reason=reason,
+            state=state.state,
+            reason=state.reason,
             inlier_ratio=share,
             geo_reference=self.geo_reference,
             odom_covariance=motion.covariance,
         )
         return self._newest
-
-
-class LaserWatch:
-    """What is remembered of one laser."""
-
-    def __init__(self) -> None:
-        self.check = ScanCheck()
-        self.mounting = MountingCheck()
-        self.stamp_ns: int | None = None  # of its newest scan
-        self.well_ns: int | None = None  # moment of its newest scan, if that lay on the map
-        self.travelled_m = 0.0  # of the mapper, up to that scan
 
 
 def _still(match: Match) -> Points:

@@ -14,8 +14,8 @@ from service.geometry.se2 import SE2
 from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews, PossiblePlace
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
+from service.mapper.localisation import FOUND_ONCE
 from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
-from service.mapper.place_in_map import FOUND_ONCE
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
@@ -102,7 +102,7 @@ def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> It
     for frame in here.frames:
         mapper.process(frame)
     assert mapper.changed_tiles()
-    assert mapper._odometry_mounting._last is not None
+    assert mapper._checks._odometry_mounting._last is not None
     last_ns = max(frame.stamp_ns for frame in here.frames)
     scans = [frame for frame in there.frames if isinstance(frame, LaserScan)]
     for k, frame in enumerate(scans):
@@ -124,7 +124,7 @@ def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
     states = [first.state, *(output.state for output in outputs)]
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
-    assert mapper._odometry_mounting._last is None  # no step from there to here tells a mounting
+    assert mapper._checks._odometry_mounting._last is None  # no step from there to here tells a mounting
     local_map = mapper._components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5

@@ -12,11 +12,11 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import ERASED, WALL
 from service.mapper.components import FinishedGraph, GraphRequestError, WallToRender
+from service.mapper.localisation import UNPROVEN
 from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.methods.corridor.graph import known_map
 from service.mapper.methods.corridor.graph.editing import with_area_erased, with_wall
 from service.mapper.pipeline import Mapper
-from service.mapper.place_in_map import UNPROVEN
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
 from service.outputs import MapperOutput, TileUpdate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.mapper.background import BackEnd, ElsewhereWorker, InlineWorker
-from service.mapper.place_in_map import FOUND_ONCE
+from service.mapper.localisation import FOUND_ONCE
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from simulators.worlds import WORLDS
 from tests.carried import carried_back, carried_on, silent

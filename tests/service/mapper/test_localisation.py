@@ -15,11 +15,13 @@ from service.mapper.components import (
     PossiblePlace,
 )
 from service.mapper.known_pose import KnownPose
-from service.mapper.place_in_map import FOUND_ONCE, NOT_PLACED, UNPROVEN, PlaceInMap
+from service.mapper.localisation import FOUND_ONCE, NOT_PLACED, UNPROVEN, Localisation
 from service.outputs import State
 
 SCAN = LaserScan("front", 1, 1, 0, 1, 0.0, 0.1, 0.1, 20.0, np.zeros(0, np.float32), NO_INTENSITY)
-POINTS = Points(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int32), SE2(), SCAN)
+POINTS = Points(np.zeros((9, 2)), np.zeros((9, 2)), np.zeros(9), np.zeros(9, np.int32), SE2(), SCAN)
+BLANK = Points(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int32), SE2(), SCAN)
+PRIOR = np.diag([0.01, 0.01, 0.001])
 MOTION = Motion(SE2(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.diag([0.04, 0.04, 0.01]))
 MEASURED = Measurement(MOTION.pose_odom_base, MOTION.covariance, np.eye(3), 1.0)
 OF_GRAPH, OF_FIND = SE2(0.1, 0.2, 0.0), SE2(5.0, 0.0, 0.5)
@@ -33,11 +35,15 @@ def judged(
     reason: str = "",
     piece: int = 2,
     measured: Measurement | None = MEASURED,
-) -> tuple[PlaceInMap, State, str]:
-    place = PlaceInMap("proven")
+) -> tuple[Localisation, State, str]:
+    place = Localisation("proven")
     place.take(GraphUpdate({}, place=news))
     match = place.judged(
-        Match(MOTION, POINTS, 0.9, state, reason, measured=measured), MapChange(piece=piece), OF_GRAPH
+        Match(MOTION, POINTS, 0.9, state, reason, measured=measured),
+        MapChange(piece=piece),
+        OF_GRAPH,
+        1,
+        PRIOR,
     )
     return place, match.state, match.reason
 
@@ -88,7 +94,20 @@ def test_what_the_graph_has_said_holds_until_it_says_else_or_ends():
     place, *_ = judged(FOUND, "lost")
     lost = Match(MOTION, POINTS, 0.9, "lost", "why", measured=MEASURED)
     place.take(GraphUpdate({"loop_closures": 1}))
-    assert place.judged(lost, MapChange(piece=2), OF_GRAPH).state == "degraded"
+    assert place.judged(lost, MapChange(piece=2), OF_GRAPH, 1, PRIOR).state == "degraded"
     place.graph_ended()
-    assert place.judged(lost, MapChange(piece=2), OF_GRAPH).state == "lost"
+    assert place.judged(lost, MapChange(piece=2), OF_GRAPH, 1, PRIOR).state == "lost"
     assert place.pose_map_odom == OF_GRAPH
+
+
+@pytest.mark.parametrize(("blank_s", "state"), [(1.0, "degraded"), (3.0, "lost")])
+def test_a_blank_scan_is_degraded_while_the_place_was_known_just_now(blank_s: float, state: State):
+    place = Localisation("proven")
+    place.judged(Match(MOTION, POINTS, 0.9, "ok"), MapChange(), OF_GRAPH, 0, PRIOR)
+    blank = Match(MOTION, BLANK, 0.0, "lost")
+    assert place.judged(blank, MapChange(), OF_GRAPH, round(blank_s * 1e9), PRIOR).state == state
+
+
+def test_a_blank_scan_before_any_other_is_lost():
+    blank = Match(MOTION, BLANK, 0.0, "lost")
+    assert Localisation("proven").judged(blank, MapChange(), OF_GRAPH, 0, PRIOR).state == "lost"

@@ -7,7 +7,7 @@ import pytest
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.mounting_check import BATCH_SCANS, MountingCheck
+from service.mapper.checks.mounting_check import BATCH_SCANS, MountingCheck
 
 SIGMA = np.diag([0.004, 0.004, math.radians(0.2)])
 TURNED = SE2(0.0, 0.0, math.pi / 2.0)

@@ -1,4 +1,4 @@
-"""Where odom lies in the map, and what that makes of a match: the newest that the graph has said."""
+"""Where odom lies in the map by the newest of the graph, and how well that lets a scan know its place."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,6 +6,7 @@ from dataclasses import replace
 from service.fusion.motion import Matrix, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews, PossiblePlace
+from service.mapper.judgement import judge_blank, sigmas_of, too_few
 from service.mapper.known_pose import KnownPose
 from service.outputs import Reason
 
@@ -18,7 +19,7 @@ FOUND_ONCE = Reason(
 NOT_PLACED = Reason("not_placed", "not localised in the stored map yet; drive on, or set the pose")
 
 
-class PlaceInMap:
+class Localisation:
     """Takes what the graph says; says of each scan that was matched whether its place in the map is known."""
 
     def __init__(self, placed: Placed) -> None:
@@ -27,6 +28,7 @@ class PlaceInMap:
         self._news = PlaceNews(placed)
         self._known: KnownPose | None = None  # a key frame that the graph has corrected
         self._known_here: KnownPose | None = None  # what the newest scan's place rests on
+        self._placed_ns: int | None = None  # moment of the newest scan with returns; None: that was lost
 
     @property
     def is_found(self) -> bool:
@@ -54,12 +56,25 @@ class PlaceInMap:
         """No graph looks for a piece any more."""
         self._news = PlaceNews(self._news.placed)
 
-    def judged(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
+    def judged(self, match: Match, change: MapChange, pose_map_odom: SE2, at_ns: int, prior: Matrix) -> Match:
         """The match with the state that its place in the map allows.
 
         change          what the local map made of it: the number of the piece that it lies in
         pose_map_odom   of the graph
+        at_ns           moment of the scan
+        prior           (3, 3) covariance of the prediction, base axes
         """
+        match = self._on_map(match, change, pose_map_odom)
+        if few := too_few(match.points):  # it measures nothing, and contradicts nothing
+            if self._placed_ns is None:
+                return match
+            blank_s = (at_ns - self._placed_ns) * 1e-9
+            state, reason = judge_blank(few, sigmas_of(prior), blank_s)
+            return replace(match, state=state, reason=reason)
+        self._placed_ns = at_ns if match.state != "lost" else None
+        return match
+
+    def _on_map(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
         self.pose_map_odom, self._known_here = pose_map_odom, self._known
         once = self._news.found_once
         if (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import wrap_angle
-from service.mapper.stamp_check import JUDGED_EACH, StampCheck, StampChecks, lag_of
+from service.mapper.checks.stamp_check import JUDGED_EACH, StampCheck, StampChecks, lag_of
 
 OTHER_NS, NS = 40_000_000, 66_000_000  # periods
 

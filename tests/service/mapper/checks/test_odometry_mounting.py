@@ -10,7 +10,7 @@ import pytest
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.odometry_mounting import (
+from service.mapper.checks.odometry_mounting import (
     JUDGED_EACH,
     STEPS,
     OdometryMounting,

@@ -1,0 +1,157 @@
+"""What the mapper asks of its sensors before and after a match: does this scan take part, and why not?"""
+
+from collections import Counter
+from dataclasses import replace
+from typing import NamedTuple
+
+from drivers.frames import LaserScan, OdometrySample
+from service.fusion.motion import Prediction
+from service.mapper.checks.mounting_check import MountingCheck
+from service.mapper.checks.odometry_mounting import OdometryMounting
+from service.mapper.checks.scan_check import OdometryWait, ScanCheck
+from service.mapper.checks.stamp_check import StampChecks
+from service.mapper.components import Match
+from service.mapper.judgement import too_few
+from service.outputs import Reason, State
+
+CONFIRMED_NS = 500_000_000  # for which a scan that lay on the map confirms the place
+
+
+class Verdict(NamedTuple):
+    """State of the pose at a scan, and why."""
+
+    state: State
+    reason: Reason
+
+
+class _Laser:
+    def __init__(self) -> None:
+        self.repeats = ScanCheck()
+        self.mounting = MountingCheck()
+        self.confirmed_ns: int | None = None  # moment of its newest scan with returns; None: that was lost
+        self.travel_m = 0.0  # of the vehicle, up to its newest scan
+
+
+class SensorChecks:
+    """All checks of lasers and odometry against each other. Calls come in the order of scans.
+
+    counters    where scans that do not take part are counted, by laser
+    """
+
+    def __init__(self, counters: Counter[str]) -> None:
+        self._counters = counters
+        self._lasers: dict[str, _Laser] = {}
+        self._odometry_wait = OdometryWait()
+        self._odometry_mounting = OdometryMounting()
+        self._stamps = StampChecks()
+        self._travel_m = 0.0  # as predicted, from scan to scan
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        self._odometry_wait.add(sample.stamp_ns)
+        self._odometry_mounting.add_odometry(sample)
+
+    def begin_laser(self, sensor: str) -> None:
+        """A laser's first scan: beside others it is compared with their map before it takes part."""
+        if sensor in self._lasers:
+            return
+        self._lasers[sensor] = _Laser()
+        if len(self._lasers) > 1:
+            self._lasers[sensor].mounting.begin()
+
+    def waits_for_odometry(self, at_ns: int, last_ns: int | None) -> bool:
+        """As OdometryWait.waits; counted."""
+        waits = self._odometry_wait.waits(at_ns, last_ns)
+        self._counters["scans_before_odometry"] += waits
+        return waits
+
+    def refuse(self, scan: LaserScan, at_ns: int, travel_m: float) -> Verdict | None:
+        """Why a scan is not to be matched; None: it is. travel_m: m since the scan before, as predicted."""
+        laser = self._lasers[scan.sensor]
+        self._travel_m += travel_m
+        moved_m, laser.travel_m = self._travel_m - laser.travel_m, self._travel_m
+        if not laser.repeats.is_repeated(scan, moved_m):
+            return None
+        self._counters["scans_repeated"] += 1
+        reason = Reason(
+            "laser_repeats",
+            f"{scan.sensor}: identical scans although the vehicle moves; has the laser stopped measuring?",
+        )
+        return Verdict("degraded" if self._confirmed_by_another(scan.sensor, at_ns) else "lost", reason)
+
+    def where_to_compare(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:
+        """Where to look for a scan of a laser whose mounting or stamps are in doubt, which has no say in pose
+        and map; None: it takes part.
+        """
+        mounting = self._lasers[sensor].mounting
+        is_doubted = not mounting.is_right or self._stamps.fault_of(sensor)
+        if not mounting.fault and not (is_doubted and self._confirmed_by_another(sensor, at_ns)):
+            return None
+        self._counters[f"scans_compared_{sensor}"] += 1
+        return mounting.where_to_look(predicted, self._stamps.late_s(sensor))
+
+    def compare(self, match: Match, at_ns: int, looked_for: Prediction, usual: Verdict) -> Verdict:
+        """Of a scan that was matched from `where_to_compare`. usual: of the newest scan that was mapped."""
+        sensor = match.points.scan.sensor
+        mounting = self._lasers[sensor].mounting
+        if match.measured is not None and match.state != "lost":
+            self._stamps.add(sensor, at_ns, match.measured.pose_odom_base.theta_rad)
+            mounting.add(looked_for, match.measured)
+        elif match.is_contradicted:
+            mounting.miss()
+        fault = self._stamps.fault_of(sensor) or mounting.fault
+        is_alone = not self._confirmed_by_another(sensor, at_ns)
+        if not fault or not (is_alone or usual.state == "ok"):
+            return usual
+        return Verdict("lost" if is_alone else "degraded", fault.reworded(f"{sensor} {fault}"))
+
+    def judge(self, match: Match, at_ns: int, motion_fault: Reason) -> Match | Verdict:
+        """The match with the state that the sensors allow; or why it is not mapped.
+
+        motion_fault    of a source of motion, by the motion model
+        """
+        sensor = match.points.scan.sensor
+        few = too_few(match.points)
+        if few:
+            self._counters[f"scans_blind_{sensor}"] += 1
+        if match.state == "lost":
+            self._odometry_mounting.interrupt()
+            self._stamps.interrupt()
+            if other := self._confirmed_by_another(sensor, at_ns):
+                return self._contradicted(match, other, few)
+        if not few:  # else it says nothing of the place, for or against
+            self._lasers[sensor].confirmed_ns = at_ns if match.state != "lost" else None
+        if match.state != "ok":
+            return match
+        heading_rad = match.motion.pose_odom_base.theta_rad
+        self._stamps.add(sensor, at_ns, heading_rad)
+        self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
+        fault = self._odometry_mounting.fault or motion_fault
+        return replace(match, state="degraded", reason=fault) if fault else match
+
+    def _contradicted(self, match: Match, other: str, few: Reason) -> Verdict:
+        """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place.
+
+        One of hardly a return contradicts nothing: its laser is covered, or nothing is in its range.
+        """
+        sensor = match.points.scan.sensor
+        if few:
+            words = f"{few} It is not mapped; {other} confirms the map"
+            return Verdict("degraded", Reason("laser_covered", words))
+        self._counters[f"scans_contradicting_{sensor}"] += 1
+        reason = Reason(
+            "laser_contradicts",
+            f"{sensor} contradicts the map that {other} confirms ({match.reason}); its scan is not "
+            "mapped. Is its mounting as configured, is its window clean?",
+        )
+        return Verdict("degraded", reason)
+
+    def _confirmed_by_another(self, sensor: str, at_ns: int) -> str:
+        """Another laser whose scans lay on the map just now; "" where there is none."""
+        confirming = [
+            name
+            for name, laser in self._lasers.items()
+            if name != sensor
+            and laser.confirmed_ns is not None
+            and at_ns - laser.confirmed_ns <= CONFIRMED_NS
+        ]
+        return min(confirming, default="")
