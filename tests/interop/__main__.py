@@ -33,12 +33,14 @@ class Check:
 
 
 def _checks() -> list[Check]:
-    from tests.interop import create, hokuyo, recording, trajectory
+    from tests.interop import create, hokuyo, recording, ros2, trajectory
 
     clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
     readers = Venv("readers", ("mcap-ros2-support",))
     viewer = Venv("rerun", ("rerun-sdk",))
     scorer = Venv("evo", ("evo",))
+    node = Venv("ros2-sdk", ("zenoh-ros2-sdk==0.1.8",))
+    names = Venv("ros2-names", ("pamoja-ros2==0.2.0",))
     return [
         Check("hokuyolx", "fake UTM-30LX-EW, TCP", clients, hokuyo.run_hokuyolx),
         Check("pycreate2", "fake Create 2, terminal", clients, create.run_pycreate2),
@@ -46,6 +48,9 @@ def _checks() -> list[Check]:
         Check("mcap-ros2-support", "a recorded session", readers, recording.run_mcap_ros2),
         Check("rerun-sdk", "a recorded session", viewer, recording.run_rerun),
         Check("evo", "corridor score", scorer, trajectory.run_evo),
+        Check("zenoh-ros2-sdk", "corridor run, ros2 on", node, ros2.run_sdk),
+        Check("zenoh-ros2-sdk", "the same, other router", node, ros2.run_sdk_by_router),
+        Check("pamoja-ros2", "keys of ros2", names, ros2.run_pamoja),
     ]
 
 

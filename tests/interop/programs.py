@@ -58,7 +58,7 @@ def _install(command: list[str]) -> None:
             text=True,
             timeout=INSTALL_TIMEOUT_S,
             check=False,
-            env=_environment(),
+            env=environment(),
         )
     except subprocess.TimeoutExpired as error:
         raise UnavailableError(f"pip did not end within {INSTALL_TIMEOUT_S:g} s") from error
@@ -77,7 +77,7 @@ def run(command: list[str], home: Path | None = None, timeout_s: float = CLIENT_
             text=True,
             timeout=timeout_s,
             check=False,
-            env=_environment(home),
+            env=environment(home),
         )
     except subprocess.TimeoutExpired as error:
         raise InteropError(f"{Path(command[0]).name} did not end within {timeout_s:g} s") from error
@@ -96,8 +96,8 @@ def run_client(venv: Venv, script: str, facts: dict[str, Any], folder: Path) -> 
     return seen
 
 
-def _environment(home: Path | None = None) -> dict[str, str]:
-    """Ours without what would lead a program to our packages; some write settings into HOME."""
+def environment(home: Path | None = None) -> dict[str, str]:
+    """Of a program: ours without what would lead a program to our packages; some write settings into HOME."""
     environment = {
         key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))
     }

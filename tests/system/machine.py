@@ -108,7 +108,7 @@ class Systemd:
 class LiveService:
     """`corridor run` in a process of its own, with a fake systemd beside it."""
 
-    def __init__(self, folder: Path, sensors: dict[str, Any], raw: bool = False) -> None:
+    def __init__(self, folder: Path, sensors: dict[str, Any], raw: bool = False, **publishing: Any) -> None:
         self.systemd = Systemd(folder)
         self.sessions, self.maps = folder / "sessions", folder / "maps"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -118,7 +118,7 @@ class LiveService:
         settings = {
             "vehicle": VEHICLE,
             "sensors": sensors,
-            "publishing": {"listen": [self.endpoint]},
+            "publishing": {"listen": [self.endpoint], **publishing},
             "recording": {"directory": str(self.sessions), "keep_free_gb": 0.1, "raw": raw},
             "map": {"directory": str(self.maps)},
             "web": {"listen": "127.0.0.1:0", "token_file": str(folder / "web.token")},
@@ -135,13 +135,14 @@ class LiveService:
             "NOTIFY_SOCKET": self.systemd.address,
             "WATCHDOG_USEC": str(round(watchdog_s * 1e6)),
         }
+        before = len(self.systemd.words)
         command = [sys.executable, "-c", "import sys; from service.cli import main; sys.exit(main())"]
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
                 [*command, "run", str(self.config)], env=environment, stdout=log, stderr=log
             )
         try:
-            self.systemd.wait_for("READY=1", START_TIMEOUT_S)
+            self.systemd.wait_for("READY=1", START_TIMEOUT_S, before)
         except AssertionError as error:
             raise AssertionError(f"{error}; its log:\n{self.log}") from None
 
@@ -160,10 +161,14 @@ class LiveService:
         assert self._process is not None
         return self._process.wait(STOP_TIMEOUT_S)
 
-    def close(self) -> None:
+    def close_process(self) -> None:
+        """Kill it where it runs; it can start again."""
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait(STOP_TIMEOUT_S)
+
+    def close(self) -> None:
+        self.close_process()
         self.systemd.close()
 
 

@@ -1,0 +1,189 @@
+"""Programs that know rmw_zenoh's layout without ROS, against the service with publishing.ros2."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from drivers.rmw_zenoh import Topic, dds_type
+from service.encoding import DIAGNOSTICS, LASER_SCAN, OCCUPANCY_GRID, ODOMETRY, TF, type_hash
+from service.encoding.ros_services import LOAD_MAP, SAVE_MAP, TRIGGER, service_hash
+from tests.interop.programs import CLIENT_TIMEOUT_S, CLIENTS, InteropError, Venv, environment, run_client
+from tests.system.machine import FakeVehicle, LiveService, free_port
+
+DOMAIN = 7
+BACK_S = 2.0  # after a restart
+RELIABLE = ["RELIABLE", "VOLATILE", 10]
+LATCHED = ["RELIABLE", "TRANSIENT_LOCAL", 1]
+TOPICS: dict[str, list[Any]] = {
+    "/front/scan": [LASER_SCAN, RELIABLE],
+    "/base/odom": [ODOMETRY, RELIABLE],
+    "/pose": [ODOMETRY, RELIABLE],
+    "/odom": [ODOMETRY, RELIABLE],
+    "/tf": [TF, ["RELIABLE", "VOLATILE", 100]],
+    "/tf_static": [TF, LATCHED],
+    "/map": [OCCUPANCY_GRID, LATCHED],
+    "/diagnostics": [DIAGNOSTICS, RELIABLE],
+}
+SERVICES = {
+    **{f"/corridor/{name}": TRIGGER for name in ("pause", "resume", "save", "reset")},
+    "/corridor/load_map": LOAD_MAP,
+    "/corridor/save_map": SAVE_MAP,
+}
+
+
+def run_sdk(venv: Venv, folder: Path) -> str:
+    """It lists, subscribes and calls, and goes on when the service, which is its router, is restarted."""
+    with _machine(folder / "own", enabled=True) as service:
+        port = int(service.endpoint.rpartition(":")[2])
+
+        def restart() -> None:
+            service.close_process()
+            service.start()
+
+        seen = _run_client(venv, {"port": port, "calls": True}, folder / "own", restart)
+    return (
+        f"{len(TOPICS)} topics and {len(SERVICES)} services with types, hashes and QoS, "
+        f"{seen['messages']} messages decoded, late joiner's /map of {seen['known']} known cells after "
+        f"{seen['late_s']:.1f} s, commands, pose; service restarted: back {seen['back_s']:.1f} s after ready"
+    )
+
+
+def run_sdk_by_router(venv: Venv, folder: Path) -> str:
+    """The router of both is another process, which is restarted."""
+    port = free_port()
+    router = _Router(port)
+    router.start()
+    try:
+        connect = [f"tcp/127.0.0.1:{port}"]
+        with _machine(folder / "router", connect, enabled=True, router="connect"):
+            seen = _run_client(venv, {"port": port, "calls": False}, folder / "router", router.restart)
+    finally:
+        router.stop()
+    return f"{len(TOPICS)} topics; router restarted: back {seen['back_s']:.1f} s after it listens"
+
+
+@contextmanager
+def _machine(folder: Path, connect: Sequence[str] = (), **ros2: Any) -> Iterator[LiveService]:
+    """Fake devices and a service that maps."""
+    folder.mkdir()
+    vehicle = FakeVehicle(folder)
+    vehicle.start()
+    service = LiveService(folder, vehicle.sensors(), connect=list(connect), ros2={"domain": DOMAIN, **ros2})
+    try:
+        service.start()
+        yield service
+    finally:
+        service.close()
+        vehicle.stop()
+
+
+class _Router:
+    """A router of Zenoh in a process of its own, as rmw_zenohd is."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """It listens when this returns."""
+        program = (
+            "import json, sys, zenoh\nconfig = zenoh.Config()\n"
+            "for key, value in json.loads(sys.argv[1]).items(): config.insert_json5(key, json.dumps(value))\n"
+            "with zenoh.open(config):\n    print('listens', flush=True)\n    sys.stdin.read()\n"
+        )
+        settings = {
+            "mode": "router",
+            "listen/endpoints": [f"tcp/127.0.0.1:{self._port}"],
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": True,
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", program, json.dumps(settings)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        if self._process.stdout.readline() != "listens\n":
+            raise InteropError("the router does not start")
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+    def restart(self) -> None:
+        self.stop()
+        self.start()
+
+
+def _run_client(
+    venv: Venv, facts: dict[str, Any], folder: Path, restart: Callable[[], None]
+) -> dict[str, Any]:
+    """What the client saw; it goes on through one restart. Raises InteropError."""
+    told = folder / "facts.json"
+    told.write_text(json.dumps({"domain": DOMAIN, "topics": TOPICS, "services": SERVICES, **facts}))
+    process = subprocess.Popen(
+        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_client.py"), str(told)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment(folder),
+    )
+    assert process.stdout is not None
+    assert process.stdin is not None
+    guard = threading.Timer(2 * CLIENT_TIMEOUT_S, process.kill)
+    guard.start()
+    lines: list[str] = []
+    again_s = 0.0
+    try:
+        for line in process.stdout:
+            lines.append(line)
+            if line == "restart\n":
+                restart()
+                again_s = time.time()
+                process.stdin.write("\n")
+                process.stdin.flush()
+        if process.wait() != 0:
+            raise InteropError(f"it ended with {process.returncode}:\n{''.join(lines)[-1500:]}")
+    finally:
+        guard.cancel()
+        process.kill()
+        process.communicate()
+    seen: dict[str, Any] = json.loads(lines[-1])
+    late = {topic: at_s - again_s for topic, at_s in seen.pop("back_at_s").items()}
+    seen["back_s"] = max(0.0, *late.values())
+    if seen["back_s"] > BACK_S:
+        raise InteropError(f"seconds until topics were back: {late}")
+    return seen
+
+
+def run_pamoja(venv: Venv, folder: Path) -> str:
+    names = [
+        *((name, kind, type_hash(kind)) for name, (kind, _) in TOPICS.items()),
+        *((name, kind, service_hash(kind)) for name, kind in SERVICES.items()),
+    ]
+    facts = {
+        "domain": DOMAIN,
+        "names": [
+            {
+                "name": name,
+                "type": kind,
+                "hash": type_hash_text,
+                "dds_type": dds_type(kind),
+                "key": Topic(name, kind, type_hash_text).key(DOMAIN),
+                "mangled": name.replace("/", "%"),
+            }
+            for name, kind, type_hash_text in names
+        ],
+    }
+    seen = run_client(venv, "pamoja_ros2_client.py", facts, folder)
+    return f"{seen['names']} topics and services: names, types, hashes and keys as rmw_zenoh has them"
