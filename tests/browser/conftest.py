@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
@@ -65,6 +66,10 @@ class Page:
     def wait_for_answers(self) -> None:
         """Until every command of the page is answered."""
         self.wait_for("return corridor.connection.waiting.size === 0")
+
+    def pointer(self) -> ActionChains:
+        """Moves at once; selenium's own quarter of a second sends and draws a dozen places on the way."""
+        return ActionChains(self.driver, duration=0)
 
     def choose(self, area: str) -> None:
         self.element(f"tab-{area}").click()

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.action_chains import ActionChains
 
 from tests.browser.test_edit import choose_place, click_map, offset_of, opened, view  # noqa: F401 - fixtures
 from tests.service.offline.bent_maps import ROUND
@@ -69,7 +68,7 @@ def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(page
     page.element("pick-pairs").click()
     page.look_at(*corner, 150.0)
     dx, dy = offset_of(page, *beside)
-    ActionChains(page.driver).move_to_element_with_offset(page.element("map"), dx, dy).perform()
+    page.pointer().move_to_element_with_offset(page.element("map"), dx, dy).perform()
     assert page.run("return corridor.edit.tool.aimed.isCorner")
     click_map(page, *beside)
     picked = page.run("return corridor.edit.tool.found.a")

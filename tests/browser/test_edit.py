@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 from selenium.common.exceptions import TimeoutException
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
@@ -60,12 +59,12 @@ def offset_of(page, x_m, y_m):
 
 def click_map(page, x_m, y_m):
     dx, dy = offset_of(page, x_m, y_m)
-    ActionChains(page.driver).move_to_element_with_offset(page.element("map"), dx, dy).click().perform()
+    page.pointer().move_to_element_with_offset(page.element("map"), dx, dy).click().perform()
 
 
 def drag_map(page, from_m, to_m):
     canvas = page.element("map")
-    actions = ActionChains(page.driver).move_to_element_with_offset(canvas, *offset_of(page, *from_m))
+    actions = page.pointer().move_to_element_with_offset(canvas, *offset_of(page, *from_m))
     actions.click_and_hold().move_to_element_with_offset(canvas, *offset_of(page, *to_m)).release().perform()
 
 
@@ -400,7 +399,7 @@ def test_every_control_can_be_reached_with_the_keyboard(page, view):
     page.run("document.getElementById('tab-edit').focus()")
     reached = []
     for _ in range(24):
-        ActionChains(page.driver).send_keys(Keys.TAB).perform()
+        page.pointer().send_keys(Keys.TAB).perform()
         reached.append(page.driver.switch_to.active_element.get_attribute("id"))
     wanted = {"place-a", "place-a-pick", "optimise", "draw-rectangle", "draw-area", "draw-wall", "erase-free"}
     assert wanted | {"cut-from", "cut-from-pick", "cut-to", "cut-bridge", "edit-who"} <= set(reached)

@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from service.encoding import decode_pose, encode_graph, encode_grid, encode_pose
@@ -164,7 +163,7 @@ def test_keys_move_zoom_and_turn_the_map(page, live):
 def test_the_mouse_drags_the_map_and_the_wheel_zooms_about_the_pointer(page, live):
     page.look_at(0.0, 0.0, 40.0)
     canvas = page.element("map")
-    ActionChains(page.driver).drag_and_drop_by_offset(canvas, -80, 40).perform()
+    page.pointer().drag_and_drop_by_offset(canvas, -80, 40).perform()
     assert page.run("const c = corridor.view.camera; return [c.x_m, c.y_m]") == pytest.approx([2.0, 1.0])
     box = canvas.rect
     under = page.run("return corridor.view.camera.toMap(100, 300)")
@@ -183,7 +182,7 @@ def test_a_distance_is_measured_by_two_clicks(page, live):
     page.element("measure").click()
     canvas = page.element("map")
     for dx, dy in ((0, 0), (120, 160)):
-        ActionChains(page.driver).move_to_element_with_offset(canvas, dx, dy).click().perform()
+        page.pointer().move_to_element_with_offset(canvas, dx, dy).click().perform()
     page.wait_for_text("hint", "5.00 m")
     assert "x 3.00 m, y -4.00 m" in page.text("hint")
     canvas.send_keys(Keys.ESCAPE)

@@ -4,7 +4,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from service.encoding import Status, encode_diagnostics, encode_graph
@@ -235,7 +234,7 @@ def test_the_pose_is_set_by_dragging(page, live, dispatcher):
     page.look_at(1.0, 2.0, 40.0)
     page.element("do-set_pose").click()
     canvas = page.element("map")
-    ActionChains(page.driver).drag_and_drop_by_offset(canvas, 0, -60).perform()
+    page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
     page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "done.")
@@ -274,7 +273,7 @@ def test_everything_can_be_reached_with_the_keyboard(page, live):
     page.run("document.activeElement.blur(); window.scrollTo(0, 0)")
     reached = []
     for _ in range(30):
-        ActionChains(page.driver).send_keys(Keys.TAB).perform()
+        page.pointer().send_keys(Keys.TAB).perform()
         reached.append(page.driver.switch_to.active_element.get_attribute("id"))
     assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
 

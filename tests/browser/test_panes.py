@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from tests.browser.conftest import DESKTOP, PHONE
@@ -48,7 +47,7 @@ def look_in_pane(page, x_m, y_m):
 
 
 def click_middle(page, name):
-    ActionChains(page.driver).move_to_element(page.element(name)).click().perform()
+    page.pointer().move_to_element(page.element(name)).click().perform()
 
 
 def pick(page, of_a, of_b, order="ab"):

@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from service.offline.recording_view import RecordingView
@@ -193,7 +192,7 @@ def test_a_running_service_has_no_past(page, live):
 def test_the_slider_is_dragged_with_the_mouse(past):
     slider = past.element("past-position")
     quarter = round(slider.size["width"] / 4)
-    actions = ActionChains(past.driver).move_to_element_with_offset(slider, quarter, 0).click_and_hold()
+    actions = past.pointer().move_to_element_with_offset(slider, quarter, 0).click_and_hold()
     actions.move_to_element_with_offset(slider, -quarter, 0).release().perform()
     past.wait_for("return Math.abs(corridor.report().moment.position_s - 5) < 0.7")
 
