@@ -15,6 +15,7 @@ from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
 from service.mapper.profiles import mapping_config, with_profile
+from service.offline import replay as replay_module
 from service.offline.replay import (
     ReplayOptions,
     group_sessions,
@@ -405,6 +406,20 @@ def test_a_recorded_config_that_cannot_be_read_asks_for_one(record_drive: Record
 def test_an_unknown_profile_is_a_config_error(record_drive: RecordDrive):
     with pytest.raises(ConfigError, match="--profile: fast is no profile"):
         replay([record_drive()], ReplayOptions(profile="fast"))
+
+
+def test_the_kernels_of_a_config_are_loaded_once_a_process(
+    record_drive: RecordDrive, monkeypatch: pytest.MonkeyPatch
+):
+    """Also where each of many recordings is a short one."""
+    session, loaded = record_drive(scans=5), []
+    monkeypatch.setattr(replay_module, "_warm", set())
+    monkeypatch.setattr(
+        replay_module, "warm_up_kernels", lambda mapping, progress: loaded.append(mapping.profile)
+    )
+    for profile in (None, None, "imle", None):
+        replay([session], ReplayOptions(profile=profile))
+    assert loaded == ["corridor", "imle"]
 
 
 def test_a_recording_without_a_usable_scan_is_bad_input(record_drive: RecordDrive):
