@@ -62,8 +62,8 @@ NAMED = (
     Group("machines", MACHINES, niceness=0),
     Group("browser", BROWSER, niceness=5),
     Group("pages", PAGES, niceness=5),
-    Group("parts", PARTS, niceness=10),
-    Group("mapping", MAPPING, niceness=10),
+    Group("parts", PARTS, niceness=9),
+    Group("mapping", MAPPING, niceness=8),
     Group("offline", OFFLINE, niceness=10),
 )
 REST = tuple(f"--ignore={path}" for group in NAMED for path in group.paths)

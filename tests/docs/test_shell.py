@@ -130,7 +130,7 @@ def test_stored_maps_are_worked_on_as_the_manual_says(tmp_path, monkeypatch, cap
 
 def record_office(folder: Path, seed: int) -> None:
     """A recording as a demo leaves it, but of one laser."""
-    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=12.5), 15.0, seed, Wheels())
+    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=25.0), 15.0, seed, Wheels())
     messages = [encode_frame(frame, T0_NS) for frame in driven.frames]
     folder.mkdir()
     write_file(folder / "veh1.mcap", [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS), *messages])
