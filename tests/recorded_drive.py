@@ -14,6 +14,8 @@ from service.encoding import LogClock, encode_frame, encode_tf_static
 from service.geometry.se2 import SE2
 from service.recording.mcap_recorder import McapRecorder
 
+DAY_S = 86_400.0  # no drive lasts so long: one file each
+
 
 def frames_of(path: Path, scans: int = -1) -> list[Frame]:
     """So many scans (-1: all), and odometry, by stamp; of equal stamps odometry first, as on a vehicle."""
@@ -61,7 +63,7 @@ def record(frames: Sequence[Frame], mountings: Mapping[str, SE2], folder: Path, 
 
     begin_ns   UTC of the moment 0 of the frames
     """
-    recorder = McapRecorder(folder, "veh1", keep_free_bytes=0)
+    recorder = McapRecorder(folder, "veh1", rotate_s=DAY_S, keep_free_bytes=0)
     recorder.start()
     recorder.put(encode_tf_static(mountings, begin_ns, begin_ns))
     clock = LogClock()
