@@ -98,6 +98,8 @@ def best_lag(
     turned   (K,) rad    between two scans
     told     (L, K) rad  the same by the source, at each of L lags, evenly apart, with 0 in the middle
     """
+    if len(turned) == 0 or np.ptp(turned) == 0.0:
+        return None  # one jump of the heading may be half of all that was turned
     x = turned - turned.mean()
     y = told - told.mean(axis=1, keepdims=True)
     power = np.maximum((y * y).sum(axis=1), 1e-12)

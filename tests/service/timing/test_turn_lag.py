@@ -56,3 +56,13 @@ def test_scans_that_lie_nowhere_are_left_out():
     ]
     (lag,) = [one for one in found if one is not None and one.scans > 50]
     assert lag.lag_s == pytest.approx(0.3, abs=3e-3)
+
+
+@pytest.mark.parametrize("turned_at", [0, FIRST_JUDGED // 2, FIRST_JUDGED - 2])
+def test_a_heading_that_jumps_once_shows_no_offset(turned_at: int):
+    """All of what was turned lies between two scans: one of the halves that are compared has none."""
+    turns = TurnLag()
+    for k in range(1000):
+        turns.add_sample(k * 20 * MS, heading_rad(k * 20 * MS))
+    found = [turns.add_scan(2 * S + k * 100 * MS, float(k > turned_at)) for k in range(FIRST_JUDGED)]
+    assert set(found) == {None}
