@@ -5,13 +5,11 @@ from collections.abc import Mapping
 from drivers.lazy_registry import LazyRegistry
 from drivers.sensor_kind import SensorKind
 
-SENSOR_KINDS: Mapping[str, SensorKind] = LazyRegistry(
-    SensorKind,
-    {
-        "sick_lms100": "drivers.sick_lms100.kind",
-        "hokuyo_utm30lx": "drivers.hokuyo_utm30lx.kind",
-        "irobot_create": "drivers.irobot_create.kind",
-        "ibeo_lux": "drivers.ibeo_lux.kind",
-        "xsens_mtig": "drivers.xsens_mtig.kind",
-    },
-)
+DRIVERS = {
+    "sick_lms100": "drivers.sick_lms100.kind",
+    "hokuyo_utm30lx": "drivers.hokuyo_utm30lx.kind",
+    "irobot_create": "drivers.irobot_create.kind",
+    "ibeo_lux": "drivers.ibeo_lux.kind",
+    "xsens_mtig": "drivers.xsens_mtig.kind",
+}
+SENSOR_KINDS: Mapping[str, SensorKind] = LazyRegistry(SensorKind, DRIVERS)

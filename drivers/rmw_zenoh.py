@@ -5,6 +5,7 @@ Humble). A ROS process that receives a sample without a well-formed attachment a
 """
 
 import hashlib
+import re
 import struct
 from dataclasses import dataclass
 from typing import Literal
@@ -104,6 +105,19 @@ class Node:
             f"{ADMIN_SPACE}/{self.domain}/{self.session_id}/{self.number}/{number}/{kind}/%/"
             f"{_mangled(self.namespace)}/{self.name}"
         )
+
+
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+
+
+def absolute_name(text: str) -> str:
+    """A topic or namespace with a leading slash and none behind; "" for the root. Raises ValueError."""
+    name = text.strip("/")
+    if name and (not re.fullmatch(rf"{_NAME}(/{_NAME})*", name) or "__" in name):
+        raise ValueError(
+            'ROS 2 names are letters, digits and single _ between slashes, no digit first, as in "site/veh1"'
+        )
+    return name and f"/{name}"
 
 
 def dds_type(ros_type: str) -> str:

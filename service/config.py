@@ -18,7 +18,6 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from drivers.antenna import antenna_of
-from drivers.registry import SENSOR_KINDS
 from drivers.wires import one_spelling
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
 from service.errors import ConfigError
@@ -26,7 +25,10 @@ from service.geometry.se2 import SE2
 from service.located_yaml import MAX_FILE_BYTES, Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
+from service.publishing.config import PublishingConfig, Ros2Config
+from service.publishing.ros2_names import own_topics
 from service.recording.choice import Choice
+from service.sensor_kinds import SENSOR_KINDS
 from service.sinks.registry import SINKS
 from service.suggestion import suggest
 
@@ -199,6 +201,8 @@ class _Reader:
             kind.section: self._model(kind.load_model(), _section(root, kind.section), (kind.section,))
             for kind in SINKS
         }
+        if isinstance(sinks["publishing"], PublishingConfig):
+            self._refuse_own_topics(sensors, sinks["publishing"].ros2)
         mapping = self._mapping(root)
         if isinstance(mapping, MappingConfig):
             self._refuse_nowhere_to_begin(mapping, _section(root, "map"))
@@ -316,6 +320,20 @@ class _Reader:
                         f"{where} is taken by {owner}; two sensors cannot share a wire",
                     )
 
+    def _refuse_own_topics(self, sensors: Mapping[str, BaseModel], ros2: Ros2Config) -> None:
+        """What goes out must not come in again."""
+        for name, sensor in sensors.items():
+            topic = getattr(sensor, "topic", None)
+            if (
+                ros2.enabled
+                and ros2.domain == getattr(sensor, "domain", None)
+                and topic in own_topics(ros2.namespace, sensors)
+            ):
+                self._fault(
+                    ("sensors", name, "topic"),
+                    f"{topic} is published by corridor itself; give publishing.ros2 a namespace",
+                )
+
     def _refuse_nowhere_to_begin(self, mapping: MappingConfig, section: object) -> None:
         is_given = isinstance(section, dict) and section.get("load") is not None
         if mapping.mode == "localization" and not is_given:
@@ -395,8 +413,9 @@ def _with_a_wire(settings: object) -> object:
     kind = settings.get("type")
     if not isinstance(kind, str) or kind not in SENSOR_KINDS:
         return settings
-    key = "host" if "host" in SENSOR_KINDS[kind].config.model_fields else "device"
-    return {**settings, key: "recorded"}
+    fields = SENSOR_KINDS[kind].config.model_fields
+    key = next((key for key in ("host", "device") if key in fields), None)
+    return settings if key is None else {**settings, key: "recorded"}
 
 
 def _kinds_meant(settings: Mapping[str, Any]) -> list[str]:

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
 from simulators.truth import Ride
 from simulators.wire import PtyWire, TcpWire
+
+if TYPE_CHECKING:  # it brings Zenoh, which no other device needs
+    from simulators.zenoh_wire import ZenohWire
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,4 +22,4 @@ class DeviceKind:
     """
 
     options: type[BaseModel]
-    build: Callable[[str, Any, Ride, int], TcpWire | PtyWire]
+    build: Callable[[str, Any, Ride, int], "TcpWire | PtyWire | ZenohWire"]

@@ -13,5 +13,8 @@ DEVICE_KINDS: Mapping[str, DeviceKind] = LazyRegistry(
         "irobot_create": "simulators.kinds.irobot_create",
         "ibeo_lux": "simulators.kinds.ibeo_lux",
         "xsens_mtig": "simulators.kinds.xsens_mtig",
+        "ros2_scan": "simulators.kinds.ros2_scan",
+        "ros2_odom": "simulators.kinds.ros2_odom",
+        "ros2_imu": "simulators.kinds.ros2_imu",
     },
 )

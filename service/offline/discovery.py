@@ -15,13 +15,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.registry import SENSOR_KINDS
 from drivers.transport import SerialTransport
 from drivers.wires import is_host
 from service.errors import UsageError
 from service.offline.doctor.devices import told_identity
 from service.offline.doctor.probe import listen, probe
 from service.offline.doctor.protocol_identification import describe, recognise_sensor
+from service.sensor_kinds import SENSOR_KINDS
 
 ASK_S = 8.0  # for the first answer of one type of device; a LUX may be silent for seconds
 LISTEN_S = 0.6

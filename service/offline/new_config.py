@@ -8,12 +8,12 @@ from typing import Any
 
 import yaml
 
-from drivers.registry import SENSOR_KINDS
 from service.config import parse_config
 from service.errors import CorridorError, StorageError, UsageError
 from service.offline.discovery import ASK_S, Found, Wire, discover
 from service.offline.writing import refuse_unwritable_file
 from service.resources import CONFIG
+from service.sensor_kinds import SENSOR_KINDS
 
 NAMES = {
     "sick_lms100": "lms",

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from drivers.registry import SENSOR_KINDS
 from service.config import ServiceConfig, load_config, parse_config, tf_static
 from service.encoding import LogClock, Message, decode_raw, encode_frame
 from service.errors import InputError, StorageError
 from service.recording.mcap_file import McapFile
 from service.recording.mcap_reader import Recording
 from service.recording.raw_wire import WireReplay, raw_topics, utc_offset_ns
+from service.sensor_kinds import SENSOR_KINDS
 from service.version import VERSION
 
 log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from drivers.rmw_zenoh import Distro
+from drivers.rmw_zenoh import Distro, absolute_name
 from drivers.wires import is_host
 
 _EXAMPLE = 'write an endpoint as "tcp/127.0.0.1:7447" (tcp, udp, ws) or "unixsock-stream//path"'
@@ -24,19 +24,6 @@ def _check_endpoint(endpoint: str) -> str:
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 
 
-_ROS_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
-
-
-def _check_namespace(namespace: str) -> str:
-    """As ROS 2 has it, with a leading slash; "" for none."""
-    name = namespace.strip("/")
-    if name and (not re.fullmatch(rf"{_ROS_NAME}(/{_ROS_NAME})*", name) or "__" in name):
-        raise ValueError(
-            'a namespace is letters, digits and single _ between slashes, no digit first, as in "site/veh1"'
-        )
-    return name and f"/{name}"
-
-
 class Ros2Config(BaseModel):
     """Topics and services for ROS 2 nodes that run rmw_zenoh_cpp; no ROS here."""
 
@@ -45,7 +32,7 @@ class Ros2Config(BaseModel):
     enabled: bool = False
     domain: int = Field(default=0, ge=0, le=232)  # ROS_DOMAIN_ID of the nodes
     distro: Distro = "jazzy"  # of the nodes: Humble's keys hold no type hashes
-    namespace: Annotated[str, AfterValidator(_check_namespace)] = ""  # before every name
+    namespace: Annotated[str, AfterValidator(absolute_name)] = ""  # before every name
     # The nodes' router: this service at publishing.listen, or one that publishing.connect names.
     router: Literal["own", "connect"] = "own"
 

@@ -13,12 +13,13 @@ from pathlib import Path
 import zenoh
 
 from drivers.rmw_zenoh import Qos
-from service.encoding import DIAGNOSTICS, OCCUPANCY_GRID, ODOMETRY, TF, Message
+from service.encoding import Message
 from service.encoding.wire import INITIAL_POSE
 from service.publishing import initial_pose
 from service.publishing.config import PublishingConfig
 from service.publishing.initial_pose import InitialPoseSubscriber
 from service.publishing.listeners import Listeners
+from service.publishing.ros2_names import MAP, TOPICS
 from service.publishing.ros2_node import Ros2Node, Ros2Publisher
 from service.publishing.ros2_services import Command, Ros2Services
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
@@ -29,17 +30,7 @@ log = logging.getLogger(__name__)
 STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
 MAP_PERIOD_S = 1.0
 CLOSE_TIMEOUT_S = 5.0
-MAP = "map"
 
-# In the graph from the start, each with its type; the topics of a sensor are there from its first message on.
-TOPICS = {
-    "pose": ODOMETRY,
-    "odom": ODOMETRY,
-    "tf": TF,
-    "tf_static": TF,
-    MAP: OCCUPANCY_GRID,
-    "diagnostics": DIAGNOSTICS,
-}
 LATCHED = Qos(depth=1, is_transient_local=True)
 QOS = {MAP: LATCHED, "tf_static": LATCHED, "tf": Qos(depth=100)}  # of others: the default
 

@@ -7,9 +7,9 @@ from typing import Any
 
 from drivers.frames import Frame
 from drivers.link import LinkHealth, RawChunk, run_link
-from drivers.registry import SENSOR_KINDS
 from service.encoding import Message, encode_raw
 from service.runtime.workers import Workers
+from service.sensor_kinds import SENSOR_KINDS
 
 STOP_S = 5.0  # a connect to a silent host takes 3 s
 

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from service.encoding import OK, WARNING, Message, Status
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
-from service.publishing.ros2_topics import MAP, TOPICS, Ros2Topics
+from service.publishing.ros2_names import MAP, OF_SENSORS, TOPICS
+from service.publishing.ros2_topics import Ros2Topics
 from service.sinks.sink import Sink, SinkContext
-
-OF_SENSORS = frozenset({"scan", "imu", "odom", "fix"})  # last part of "<sensor>/scan"
 
 
 def open_sink(config: PublishingConfig, context: SinkContext) -> "Ros2Sink | None":

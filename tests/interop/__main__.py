@@ -33,7 +33,7 @@ class Check:
 
 
 def _checks() -> list[Check]:
-    from tests.interop import create, hokuyo, recording, ros2, trajectory
+    from tests.interop import create, hokuyo, recording, ros2, ros2_laser, trajectory
 
     clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
     readers = Venv("readers", ("mcap-ros2-support",))
@@ -50,6 +50,7 @@ def _checks() -> list[Check]:
         Check("evo", "corridor score", scorer, trajectory.run_evo),
         Check("zenoh-ros2-sdk", "corridor run, ros2 on", node, ros2.run_sdk),
         Check("zenoh-ros2-sdk", "the same, other router", node, ros2.run_sdk_by_router),
+        Check("zenoh-ros2-sdk", "its laser, ros2_scan", node, ros2_laser.run_sdk_laser),
         Check("pamoja-ros2", "keys of ros2", names, ros2.run_pamoja),
     ]
 

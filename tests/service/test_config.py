@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.registry import SENSOR_KINDS
 from drivers.sick_lms100.config import Lms100Config
 from service.config import (
     laser_names,
@@ -20,6 +19,7 @@ from service.config import (
 )
 from service.encoding import decode_transforms
 from service.errors import ConfigError
+from service.sensor_kinds import SENSOR_KINDS
 
 ROOT = Path(__file__).parents[2]
 GOOD = """\

@@ -3,11 +3,12 @@ import sys
 
 import pytest
 
-from drivers.registry import SENSOR_KINDS
+from service.sensor_kinds import SENSOR_KINDS
 from simulators.registry import DEVICE_KINDS
 from simulators.truth import Ride
 from simulators.wire import PtyWire, TcpWire
 from simulators.worlds import build_world
+from simulators.zenoh_wire import ZenohWire
 
 
 def test_each_type_of_sensor_has_a_fake_device():
@@ -18,7 +19,7 @@ def test_each_type_of_sensor_has_a_fake_device():
 def test_a_device_comes_to_its_wire_with_its_defaults(name: str):
     kind = DEVICE_KINDS[name]
     wire = kind.build("x", kind.options(), Ride(build_world("ring"), 0), 1)
-    assert isinstance(wire, TcpWire | PtyWire)
+    assert isinstance(wire, TcpWire | PtyWire | ZenohWire)
     assert wire.failure is None
 
 

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivers.registry import SENSOR_KINDS
 from drivers.sensor_kind import SensorKind
 from drivers.transport import SerialTransport, Transport
 from service.offline.config_here import shared_devices
@@ -20,6 +19,7 @@ from service.offline.doctor.network import call_failed, errno_of, look_at_route,
 from service.offline.doctor.probe import Probe, listen, probe
 from service.offline.doctor.protocol_identification import recognise_sensor
 from service.offline.doctor.serial_ports import busy_finding, look_at_port
+from service.sensor_kinds import SENSOR_KINDS
 
 OTHER_SETTINGS_S = 4.0
 LISTEN_S = 0.6  # a stream of 10 messages a second shows itself in it

@@ -5,7 +5,7 @@ from collections import Counter
 from math import log2
 
 from drivers.counted import counted
-from drivers.registry import SENSOR_KINDS
+from service.sensor_kinds import SENSOR_KINDS
 
 SHOWN_BYTES = 16
 SHOWN_CHARS = 48

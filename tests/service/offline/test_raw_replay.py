@@ -9,7 +9,6 @@ import pytest
 
 from drivers.frames import LaserScan
 from drivers.link import RawChunk
-from drivers.registry import SENSOR_KINDS
 from service.cli import main
 from service.config import parse_config
 from service.encoding import LogClock, encode_event, encode_frame, encode_pose, encode_raw
@@ -20,6 +19,7 @@ from service.offline.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import open_session
+from service.sensor_kinds import SENSOR_KINDS
 from simulators.device import FakeDevice
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from drivers.registry import SENSOR_KINDS
+from service.sensor_kinds import SENSOR_KINDS
 from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
 from simulators.ibeo_lux import FakeIbeoLux
 from simulators.sick_lms100 import FakeLms100

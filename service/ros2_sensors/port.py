@@ -1,0 +1,87 @@
+"""The wire to a ROS 2 node: a subscription on Zenoh, visible in the graph as one."""
+
+import json
+import threading
+from collections import deque
+from typing import Self
+
+import zenoh
+
+from drivers.errors import TransportError
+from drivers.rmw_zenoh import Node, Qos, Topic
+from service.encoding import type_hash
+from service.ros2_sensors.config import Ros2SensorConfig
+from service.ros2_sensors.session import pack
+
+CONNECT_TIMEOUT_MS = 3_000
+MOST_WAITING = 1000  # messages; 5 s of an IMU
+
+
+class Subscription:
+    """A transport that only reads. Raises TransportError where the router is not there, or messages are lost.
+
+    It does not notice that the router goes: silence does.
+    """
+
+    def __init__(self, config: Ros2SensorConfig, message_type: str) -> None:
+        self._where = f"{config.topic} at {config.router}"
+        self._changed = threading.Condition()
+        self._waiting: deque[bytes] = deque()
+        self._lost = 0
+        settings = zenoh.Config()
+        for key, value in {
+            "mode": "client",
+            "connect/endpoints": [config.router],
+            "connect/timeout_ms": CONNECT_TIMEOUT_MS,
+            "scouting/multicast/enabled": False,
+            "transport/shared_memory/enabled": False,
+        }.items():
+            settings.insert_json5(key, json.dumps(value))
+        try:
+            self._session = zenoh.open(settings)
+        except zenoh.ZError as error:
+            raise TransportError(
+                f"cannot connect to the router {config.router}: nothing answers there; start corridor or "
+                "rmw_zenohd on that machine"
+            ) from error
+        node = Node(config.domain, str(self._session.zid()), f"corridor_{config.name}")
+        topic = Topic(config.topic, message_type, type_hash(message_type))
+        any_hash = Topic(config.topic, message_type, "*")  # Humble's publishers have none
+        taken = zenoh.handlers.Callback(self._take, indirect=False)
+        self._declared = [
+            self._session.declare_subscriber(any_hash.key(config.domain), taken),
+            *(
+                self._session.liveliness().declare_token(key)
+                for key in (node.token(), node.endpoint_token(1, "MS", topic, Qos()))
+            ),
+        ]
+
+    def read(self, timeout_s: float) -> bytes:
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting, timeout_s)
+            messages, self._waiting = self._waiting, deque()
+            lost, self._lost = self._lost, 0
+        if lost:
+            raise TransportError(f"{self._where}: {lost} messages lost, they were not read in time")
+        return b"".join(map(pack, messages))
+
+    def write(self, data: bytes) -> None:
+        raise TransportError(f"{self._where}: a subscription takes no {len(data)} bytes")
+
+    def close(self) -> None:
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Zenoh's thread: keep it until it is read."""
+        with self._changed:
+            if len(self._waiting) >= MOST_WAITING:
+                self._waiting.popleft()
+                self._lost += 1
+            self._waiting.append(sample.payload.to_bytes())
+            self._changed.notify()

@@ -1,0 +1,116 @@
+"""Puts a fake ROS 2 node on Zenoh: a router of its own on a TCP port, and one topic."""
+
+import json
+import logging
+import threading
+import time
+from collections import Counter
+from types import TracebackType
+
+import zenoh
+
+from drivers.rmw_zenoh import Attachment, Node, Qos, Topic, make_gid
+from service.encoding import type_hash
+from simulators.device import FakeDevice
+
+log = logging.getLogger(__name__)
+
+STOP_TIMEOUT_S = 5.0
+
+
+class ZenohWire:
+    """Served while it is entered: entering opens the router, a thread publishes. Port 0: any free one.
+
+    Raises OSError where the port is taken.
+    """
+
+    def __init__(
+        self, device: FakeDevice, topic: str, message_type: str, domain: int, host: str, port: int
+    ) -> None:
+        self.device = device  # may be replaced by one that wraps it until the wire is entered
+        self.counters: Counter[str] = Counter()
+        self.failure: BaseException | None = None  # what the device raised; it ends the wire
+        self._topic = Topic(topic, message_type, type_hash(message_type))
+        self._domain = domain
+        self._address = (host, port)
+        self._stop = threading.Event()
+        self._session: zenoh.Session | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def endpoint(self) -> tuple[str, int]:
+        return self._address
+
+    def __enter__(self) -> tuple[str, int]:
+        self.restore()
+        return self._address
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.cut()
+        failure, self.failure = self.failure, None
+        if failure is not None and error is None:
+            raise failure
+
+    def restore(self) -> None:
+        """Open and publish, after a cut at the same port."""
+        settings = zenoh.Config()
+        for key, value in {
+            "mode": "router",
+            "listen/endpoints": [f"tcp/{self._address[0]}:{self._address[1]}"],
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": True,
+            "adminspace/enabled": True,  # tells which port was free
+            "transport/shared_memory/enabled": False,
+        }.items():
+            settings.insert_json5(key, json.dumps(value))
+        try:
+            self._session = zenoh.open(settings)
+        except zenoh.ZError as error:
+            raise OSError(f"no router at {self._address[0]}:{self._address[1]}: {error}") from error
+        reply = next(iter(self._session.get(f"@/{self._session.zid()}/router", timeout=2.0)))
+        assert reply.ok is not None
+        locator: str = json.loads(reply.ok.payload.to_string())["locators"][0]
+        self._address = (self._address[0], int(locator.rpartition(":")[2]))
+        self._stop.clear()
+        self._thread = threading.Thread(
+            target=self._run, args=(self._session,), name=f"node {self._topic.name}", daemon=True
+        )
+        self._thread.start()
+
+    def cut(self) -> None:
+        """The router and the node are gone."""
+        if self._thread is None or self._session is None:
+            return
+        self._stop.set()
+        self._thread.join(STOP_TIMEOUT_S)
+        self._session.close()  # type: ignore[no-untyped-call]
+        self._thread = self._session = None
+
+    def _run(self, session: zenoh.Session) -> None:
+        try:
+            self._publish(session)
+        except BaseException as error:  # kept for __exit__: a thread has nobody to raise to
+            log.exception("%s: fake node failed", self._topic.name)
+            self.failure = error
+
+    def _publish(self, session: zenoh.Session) -> None:
+        key, node = self._topic.key(self._domain), Node(self._domain, str(session.zid()), "fake_node")
+        gid = make_gid(str(session.zid()), key)
+        publisher = session.declare_publisher(key)
+        tokens = [
+            session.liveliness().declare_token(token)
+            for token in (node.token(), node.endpoint_token(1, "MP", self._topic, Qos()))
+        ]
+        self.device.connected(time.monotonic_ns())
+        while tokens:
+            due_ns = self.device.next_due_ns(time.monotonic_ns())
+            wait_s = None if due_ns is None else max(0.0, (due_ns - time.monotonic_ns()) * 1e-9)
+            if self._stop.wait(wait_s):
+                break
+            if payload := self.device.due(time.monotonic_ns()):
+                self.counters["messages"] += 1
+                attachment = Attachment(self.counters["messages"], time.time_ns(), gid)
+                publisher.put(payload, attachment=attachment.encode())
+        self.device.disconnected(time.monotonic_ns())

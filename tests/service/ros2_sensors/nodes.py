@@ -1,0 +1,57 @@
+"""A pretended node with a laser, and a session that listens to it, in virtual time."""
+
+import numpy as np
+
+from drivers.frames import NO_INTENSITY, Frame, LaserScan
+from service.encoding import LASER_SCAN
+from service.ros2_sensors.config import Ros2ScanConfig
+from service.ros2_sensors.session import Ros2Session, pack
+from simulators.ros2_node import FakeNode, NodeSetup
+
+PERIOD_NS, BEAM_NS, BEAMS = 40_000_000, 50_000, 541
+START_NS = 5_000_000_000_000
+SETUP = NodeSetup(PERIOD_NS, BEAM_NS * (BEAMS - 1), clock_drift_ppm=40.0)
+
+
+def scan(at_ns: int, **changes: object) -> LaserScan:
+    """Each beam sees the time."""
+    range_m = np.full(BEAMS, 1.0 + (at_ns - START_NS) / 1e11, np.float32)
+    fields: dict[str, object] = {
+        "sensor": "laser",
+        "stamp_ns": at_ns,
+        "arrived_ns": at_ns,
+        "beam_interval_ns": BEAM_NS,
+        "scan_period_ns": PERIOD_NS,
+        "first_angle_rad": -2.0,
+        "angle_step_rad": 0.0075,
+        "range_min_m": 0.05,
+        "range_max_m": 20.0,
+        "range_m": range_m,
+        "intensity": NO_INTENSITY,
+    }
+    return LaserScan(**(fields | changes))
+
+
+def config(**changes: object) -> Ros2ScanConfig:
+    return Ros2ScanConfig(**{"name": "laser", "topic": "/scan", **changes})
+
+
+def session(**changes: object) -> Ros2Session:
+    return Ros2Session(config(**changes), LASER_SCAN, "scans")
+
+
+def node(setup: NodeSetup = SETUP) -> FakeNode:
+    made = FakeNode(scan, setup)
+    made.connected(START_NS)
+    return made
+
+
+def hear(listening: Ros2Session, speaking: FakeNode, count: int, delay_ns: int = 2_000_000) -> list[Frame]:
+    """Frames of so many messages, each so long on its way."""
+    frames: list[Frame] = []
+    for _ in range(count):
+        due_ns = speaking.next_due_ns(0)
+        assert due_ns is not None
+        frames += listening.receive_data(pack(speaking.due(due_ns)), due_ns + delay_ns)
+        listening.tick(due_ns + delay_ns)
+    return frames

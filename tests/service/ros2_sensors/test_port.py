@@ -1,0 +1,138 @@
+"""Over loopback: a pretended node on a router, the link of all drivers, and the subscription."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+import zenoh
+
+from drivers.errors import TransportError
+from drivers.frames import Frame
+from drivers.link import LinkHealth, run_link
+from drivers.rmw_zenoh import NO_TYPE_HASH, Topic
+from service.encoding import LASER_SCAN, encode_frame
+from service.ros2_sensors import port as port_module
+from service.ros2_sensors.port import Subscription
+from service.ros2_sensors.session import Ros2Session, pack
+from simulators.ros2_node import FakeNode, NodeSetup
+from simulators.zenoh_wire import ZenohWire
+from tests.service.publishing.conftest import client_config
+from tests.service.ros2_sensors.nodes import config, scan
+from tests.system.machine import free_port
+
+SETUP = NodeSetup(20_000_000)
+TIMEOUT_S = 30.0
+
+
+class Heard:
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self.frames: list[Frame] = []
+
+    def __call__(self, frame: Frame) -> None:
+        with self._changed:
+            self.frames.append(frame)
+            self._changed.notify_all()
+
+    def wait(self, more: int) -> None:
+        with self._changed:
+            wanted = len(self.frames) + more
+            assert self._changed.wait_for(lambda: len(self.frames) >= wanted, TIMEOUT_S)
+
+
+@pytest.fixture
+def wire() -> Iterator[ZenohWire]:
+    served = ZenohWire(FakeNode(scan, SETUP), "/scan", LASER_SCAN, 0, "127.0.0.1", 0)
+    with served:
+        yield served
+
+
+def router_of(wire: ZenohWire) -> str:
+    return f"tcp/{wire.endpoint[0]}:{wire.endpoint[1]}"
+
+
+@contextmanager
+def link(settings: object, heard: Heard) -> Iterator[LinkHealth]:
+    health, stop = LinkHealth("laser"), threading.Event()
+    open_port: Callable[[], Subscription] = lambda: Subscription(settings, LASER_SCAN)  # noqa: E731
+    new_session = lambda: Ros2Session(settings, LASER_SCAN, "scans")  # noqa: E731
+    thread = threading.Thread(target=run_link, args=(health, open_port, new_session, heard, stop))
+    thread.start()
+    try:
+        yield health
+    finally:
+        stop.set()
+        thread.join(TIMEOUT_S)
+
+
+def test_the_scans_of_a_node_arrive(wire: ZenohWire):
+    heard = Heard()
+    with link(config(router=router_of(wire)), heard) as health:
+        heard.wait(5)
+        assert (health.state, health.status) == ("streaming", "streaming")
+        assert health.identity == {"frame": "laser"}
+    stamps_ns = [frame.stamp_ns for frame in heard.frames]
+    assert stamps_ns == sorted(stamps_ns)
+    assert wire.counters["messages"] >= 5
+
+
+def test_it_goes_on_when_the_router_was_restarted(wire: ZenohWire):
+    heard = Heard()
+    with link(config(router=router_of(wire), silence_timeout_s=0.5), heard) as health:
+        heard.wait(2)
+        wire.cut()
+        wire.restore()
+        heard.wait(20)  # more than can have been on the way
+        assert health.state == "streaming"
+
+
+def test_the_subscription_is_in_the_graph(wire: ZenohWire):
+    with (
+        Subscription(config(router=router_of(wire)), LASER_SCAN),
+        zenoh.open(client_config(router_of(wire))) as session,
+    ):
+        replies = list(session.liveliness().get("@ros2_lv/0/**"))
+        shown = {str(reply.ok.key_expr).split("/", 3)[3] for reply in replies if reply.ok is not None}
+    scan_topic = "%scan/sensor_msgs::msg::dds_::LaserScan_/RIHS01_"
+    assert "0/0/NN/%/%/corridor_laser" in shown
+    assert any(token.startswith(f"0/1/MS/%/%/corridor_laser/{scan_topic}") for token in shown)
+
+
+def test_a_publisher_without_a_type_hash_is_heard(wire: ZenohWire):
+    key = Topic("/other", LASER_SCAN, NO_TYPE_HASH).key(0)
+    payload = encode_frame(scan(1)).payload
+    with (
+        Subscription(config(router=router_of(wire), topic="/other"), LASER_SCAN) as heard,
+        zenoh.open(client_config(router_of(wire))) as session,
+    ):
+        publisher = session.declare_publisher(key)
+        with publisher.declare_matching_listener() as matching:
+            if not publisher.matching_status.matching:
+                assert matching.recv().matching
+        publisher.put(payload)
+        assert heard.read(TIMEOUT_S) == pack(payload)
+
+
+def test_no_router_is_a_transport_error():
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with pytest.raises(TransportError, match=f"cannot connect to the router {endpoint}: nothing answers"):
+        Subscription(config(router=endpoint), LASER_SCAN)
+
+
+def test_messages_that_are_not_read_in_time_are_no_silent_loss(wire: ZenohWire, monkeypatch):
+    monkeypatch.setattr(port_module, "MOST_WAITING", 2)
+    with Subscription(config(router=router_of(wire)), LASER_SCAN) as subscription:
+        with subscription._changed:
+            assert subscription._changed.wait_for(lambda: subscription._lost >= 3, TIMEOUT_S)
+        with pytest.raises(TransportError, match=r"/scan at tcp/.*: \d+ messages lost"):
+            subscription.read(1.0)
+        assert subscription.read(TIMEOUT_S)
+
+
+def test_it_takes_nothing(wire: ZenohWire):
+    with (
+        Subscription(config(router=router_of(wire)), LASER_SCAN) as subscription,
+        pytest.raises(TransportError, match="a subscription takes no 3 bytes"),
+    ):
+        subscription.write(b"abc")

@@ -1,0 +1,138 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from drivers.errors import ProtocolError, TransportError
+from service.encoding import encode_frame
+from service.ros2_sensors.session import LARGEST_MESSAGE, MALFORMED_LIMIT, Ros2Session, pack
+from tests.service.ros2_sensors.nodes import (
+    BEAMS,
+    PERIOD_NS,
+    SETUP,
+    START_NS,
+    hear,
+    node,
+    scan,
+    session,
+)
+
+
+def test_a_message_becomes_a_frame_with_all_that_is_in_it():
+    listening, speaking = session(), node()
+    (frame,) = hear(listening, speaking, 1)
+    expected = scan(START_NS)
+    assert np.array_equal(frame.range_m, expected.range_m)
+    assert (frame.sensor, frame.beam_interval_ns) == ("laser", 50_000)
+    assert frame.first_angle_rad == pytest.approx(expected.first_angle_rad)
+    assert listening.identity == {"frame": "laser"}
+    assert listening.status == "streaming"
+
+
+def test_stamps_are_moments_of_the_hosts_clock_less_the_latency():
+    """The node's clock is 50 years ahead and drifts; a message is 2 ms on its way at least."""
+    frames = hear(session(latency_ms=2.0), node(), 200)
+    true_ns = START_NS + PERIOD_NS * np.arange(200)
+    error_ns = np.array([frame.stamp_ns for frame in frames]) - true_ns
+    assert np.abs(error_ns[50:]).max() < 20_000
+
+
+def test_a_message_that_was_held_up_keeps_its_stamp():
+    listening, speaking = session(latency_ms=2.0), node()
+    hear(listening, speaking, 100)
+    (late,) = hear(listening, speaking, 1, delay_ns=30_000_000)
+    assert abs(late.stamp_ns - (START_NS + 100 * PERIOD_NS)) < 100_000
+
+
+@pytest.mark.parametrize("size", [1, 3, 700, 100_000])
+def test_bytes_may_be_cut_anywhere(size):
+    whole, pieces, speaking = session(), session(), node()
+    for number in range(3):
+        content = pack(speaking.due(speaking.next_due_ns(0)))
+        at_ns = START_NS + (number + 1) * PERIOD_NS
+        (expected,) = whole.receive_data(content, at_ns)
+        found = []
+        for begin in range(0, len(content), size):
+            found += pieces.receive_data(content[begin : begin + size], at_ns)
+        assert [frame.stamp_ns for frame in found] == [expected.stamp_ns]
+        assert np.array_equal(found[0].range_m, expected.range_m)
+
+
+def test_garbage_is_counted_and_ends_the_connection_when_nothing_else_comes():
+    listening = session()
+    for _ in range(MALFORMED_LIMIT):
+        assert listening.receive_data(pack(b"garbage"), START_NS) == []
+    with pytest.raises(ProtocolError, match=r"11 malformed scans in a row: /scan: 7 bytes cannot be read"):
+        listening.receive_data(pack(b"garbage"), START_NS)
+    assert listening.counters["scans_malformed"] == 11
+
+
+def test_a_message_of_another_type_is_malformed():
+    from service.encoding import encode_event
+
+    listening = session()
+    assert listening.receive_data(pack(encode_event("hello", 1, 1).payload), START_NS) == []
+    assert listening.counters["scans_malformed"] == 1
+
+
+def test_a_length_that_cannot_be_is_refused():
+    with pytest.raises(ProtocolError, match="a message of 4294967295 bytes; at most"):
+        session().receive_data(b"\xff\xff\xff\xff", START_NS)
+    assert LARGEST_MESSAGE < 2**32
+
+
+def test_a_scan_that_no_mapper_can_use_is_counted():
+    listening = session()
+    useless = encode_frame(dataclasses.replace(scan(START_NS), angle_step_rad=0.0)).payload
+    assert listening.receive_data(pack(useless), START_NS) == []
+    assert listening.counters["scans_unusable"] == 1
+
+
+def test_stamps_that_stand_still_are_dropped_and_the_silence_says_so():
+    listening = session(silence_timeout_s=0.5)
+    payload = encode_frame(scan(START_NS)).payload
+    assert len(listening.receive_data(pack(payload), START_NS)) == 1
+    with pytest.raises(TransportError, match="all stamped no later than the one before"):
+        _listen_for_a_minute(listening, pack(payload))
+    assert listening.counters["scans_out_of_order"] > 5
+
+
+def test_silence_ends_the_connection_with_what_to_look_at():
+    listening = session(domain=3)
+    with pytest.raises(TransportError) as raised:
+        _listen_for_a_minute(listening)
+    assert str(raised.value) == (
+        "no sensor_msgs/msg/LaserScan on /scan for 5 s; does a node publish it with rmw_zenoh_cpp, on "
+        "domain 3, at the router tcp/127.0.0.1:7447?"
+    )
+
+
+def _listen_for_a_minute(listening: Ros2Session, data: bytes = b"") -> None:
+    """To the same bytes each time, of which no frame comes."""
+    for number in range(1, 60 * 25):
+        assert listening.receive_data(data, START_NS + number * PERIOD_NS) == []
+        listening.tick(START_NS + number * PERIOD_NS)
+
+
+@pytest.mark.parametrize("seconds", [3600.0, -3600.0])
+def test_a_clock_that_is_set_is_learnt_anew(seconds):
+    listening, speaking = session(latency_ms=2.0), node()
+    hear(listening, speaking, 50)
+    speaking.jump_clock(seconds)
+    frames = hear(listening, speaking, 150)
+    assert abs(frames[-1].stamp_ns - (START_NS + 199 * PERIOD_NS)) < 100_000
+    assert listening.counters["clock_resets"] == 1
+
+
+def test_the_same_bytes_at_the_same_times_make_the_same_frames():
+    first, second = hear(session(), node(), 50), hear(session(), node(), 50)
+    assert [frame.stamp_ns for frame in first] == [frame.stamp_ns for frame in second]
+
+
+def test_the_node_sends_a_scan_after_its_last_ray_and_leaves_out_what_it_comes_too_late_for():
+    speaking = node()
+    assert speaking.next_due_ns(0) == START_NS + (BEAMS - 1) * 50_000
+    speaking.due(START_NS + 100 * PERIOD_NS)
+    assert speaking.counters["turns_skipped"] > 90
+    assert speaking.next_due_ns(0) > START_NS + 100 * PERIOD_NS
+    assert SETUP.lasts_ns < PERIOD_NS
