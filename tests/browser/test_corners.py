@@ -1,9 +1,9 @@
 """The corner that is meant by a click near it; what is no corner is none."""
 
 import math
+from itertools import product
 
 import numpy as np
-import pytest
 
 from tests.browser.test_edit import choose_place, click_map, offset_of, opened, view  # noqa: F401 - fixtures
 from tests.service.offline.bent_maps import ROUND
@@ -34,29 +34,31 @@ def corner_of(page, points, about=AT):
     )
 
 
-@pytest.mark.parametrize("angle_rad", [math.pi / 2, math.radians(50), math.radians(140), -math.radians(75)])
-@pytest.mark.parametrize("turn_rad", [0.0, 1.0])
-def test_two_walls_meet_where_no_point_lies(page, live, angle_rad, turn_rad):
-    points = np.concatenate((wall(turn_rad), wall(turn_rad + angle_rad), [FAR_AWAY]))
-    corner = corner_of(page, points, AT + 0.3 * np.array([math.cos(turn_rad), math.sin(turn_rad)]))
-    assert np.hypot(*(np.array(corner) - AT)) < 0.02 / abs(math.sin(angle_rad))
+def test_two_walls_meet_where_no_point_lies(page, live):
+    off_m = {}
+    for turn_rad, angle_deg in product((0.0, 1.0), (90, 50, 140, -75)):
+        angle_rad = math.radians(angle_deg)
+        points = np.concatenate((wall(turn_rad), wall(turn_rad + angle_rad), [FAR_AWAY]))
+        corner = corner_of(page, points, AT + 0.3 * np.array([math.cos(turn_rad), math.sin(turn_rad)]))
+        assert corner is not None, (turn_rad, angle_deg)
+        off_m[turn_rad, angle_deg] = np.hypot(*(np.array(corner) - AT)) * abs(math.sin(angle_rad))
+    assert {case: off for case, off in off_m.items() if off >= 0.02} == {}
 
 
-@pytest.mark.parametrize(
-    "points",
-    [
-        np.concatenate((wall(0.0), wall(math.pi))),
-        np.concatenate((wall(0.0), wall(math.pi - math.radians(20)))),
-        np.concatenate((wall(0.0), wall(math.pi / 2, from_m=0.3))),
-        wall(0.0),
-        wall(0.0)[:3],
-        ring(0.25, 0.0, math.pi),
-        np.random.default_rng(3).uniform(-0.4, 0.4, (40, 2)) + AT,
-    ],
-    ids=["straight", "hardly bent", "walls apart", "one wall", "three points", "a column", "a bush"],
-)
-def test_what_is_no_corner_is_none(page, live, points):
-    assert corner_of(page, points) is None
+NO_CORNERS = {
+    "straight": np.concatenate((wall(0.0), wall(math.pi))),
+    "hardly bent": np.concatenate((wall(0.0), wall(math.pi - math.radians(20)))),
+    "walls apart": np.concatenate((wall(0.0), wall(math.pi / 2, from_m=0.3))),
+    "one wall": wall(0.0),
+    "three points": wall(0.0)[:3],
+    "a column": ring(0.25, 0.0, math.pi),
+    "a bush": np.random.default_rng(3).uniform(-0.4, 0.4, (40, 2)) + AT,
+}
+
+
+def test_what_is_no_corner_is_none(page, live):
+    found = {name: corner_of(page, points) for name, points in NO_CORNERS.items()}
+    assert found == dict.fromkeys(NO_CORNERS)
 
 
 def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(page, view, bent):  # noqa: F811

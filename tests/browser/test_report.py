@@ -9,14 +9,14 @@ from service.offline.report import REPORT_FILE, write_report
 from service.offline.result import open_result
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.test_page import serious_faults
-from tests.service.offline.test_replay import record_drive  # noqa: F401 - a fixture
+from tests.service.offline.test_replay import recorder_in
 
 
-@pytest.fixture
-def out(record_drive, tmp_path):  # noqa: F811
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
     """A result of 40 scans, six of them without a return, and its page."""
-    folder = tmp_path / "out"
-    write_replay(replay([record_drive(covered=range(20, 26))], ReplayOptions()), folder)
+    recordings, folder = (tmp_path_factory.mktemp(name) for name in ("recordings", "out"))
+    write_replay(replay([recorder_in(recordings)(covered=range(20, 26))], ReplayOptions()), folder)
     write_report(folder, folder / REPORT_FILE)
     return folder
 
