@@ -1,4 +1,5 @@
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -43,17 +44,16 @@ def test_every_cell_has_the_value_that_the_store_has(page, scene, live):
     assert shown == cells.ravel().tolist()
 
 
-@pytest.mark.parametrize("turn_rad", [0.0, 0.7])
-@pytest.mark.parametrize("pixels_per_m", [4000.0, 100.0, 12.0, 1.5])
-def test_a_wall_is_seen_at_every_zoom_and_turn(page, scene, live, pixels_per_m, turn_rad):
+def test_a_wall_is_seen_at_every_zoom_and_turn(page, scene, live):
     hide_all_but_the_map(page)
-    page.run("corridor.view.camera.rotation_rad = arguments[0]", turn_rad)
     wall_x_m = scene.half_x_m - CELL_M / 2
-    page.look_at(wall_x_m, 0.5 * CELL_M, pixels_per_m)
-    around = [page.pixel(wall_x_m + dx / pixels_per_m, 0.5 * CELL_M) for dx in (-1, 0, 1)]
-    darkest = min(sum(pixel) for pixel in around)
-    assert darkest < sum(WALL) + 20
-    page.run("corridor.view.camera.rotation_rad = 0")
+    darkest = {}
+    for turn_rad, pixels_per_m in product((0.0, 0.7), (4000.0, 100.0, 12.0, 1.5)):
+        page.run("corridor.view.camera.rotation_rad = arguments[0]", turn_rad)
+        page.look_at(wall_x_m, 0.5 * CELL_M, pixels_per_m)
+        around = [page.pixel(wall_x_m + dx / pixels_per_m, 0.5 * CELL_M) for dx in (-1, 0, 1)]
+        darkest[turn_rad, pixels_per_m] = min(sum(pixel) for pixel in around)
+    assert {case: shade for case, shade in darkest.items() if shade >= sum(WALL) + 20} == {}
 
 
 def test_pose_and_its_words_agree_with_the_message(page, scene, live):
