@@ -44,7 +44,7 @@ def output() -> MapperOutput:
 
 def by_rosbags(message: Message) -> bytes:
     """Its content as the type store reads it, and writes it again."""
-    store = wire._store()
+    store = wire.store()
     return bytes(store.serialize_cdr(store.deserialize_cdr(message.payload, message.type), message.type))
 
 
@@ -79,7 +79,7 @@ def test_a_sample_is_read_as_by_the_type_store(
 @pytest.mark.parametrize("make", [imu, odometry])
 def test_what_is_laid_out_otherwise_is_left_to_the_type_store(make: Callable[[str], Frame]):
     message = encode_frame(make("base"), 0, STAMP_NS)
-    store = wire._store()
+    store = wire.store()
     content = store.deserialize_cdr(message.payload, message.type)
     big_endian = bytes(store.serialize_cdr(content, message.type, little_endian=False))
     assert quick.read_imu(big_endian) is None

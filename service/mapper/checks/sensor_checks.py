@@ -60,9 +60,10 @@ class SensorChecks:
 
     def waits_for_odometry(self, at_ns: int, last_ns: int | None) -> bool:
         """As OdometryWait.waits; counted."""
-        waits = self._odometry_wait.waits(at_ns, last_ns)
-        self._counters["scans_before_odometry"] += waits
-        return waits
+        if not self._odometry_wait.waits(at_ns, last_ns):
+            return False
+        self._counters["scans_before_odometry"] += 1
+        return True
 
     def refuse(self, scan: LaserScan, at_ns: int, travel_m: float) -> Verdict | None:
         """Why a scan is not to be matched; None: it is. travel_m: m since the scan before, as predicted."""
