@@ -31,7 +31,7 @@ REMAP = "tests/service/offline/test_map_remap.py"
 BROWSER = ("tests/browser",)
 PAGES = (  # against clocks, and mostly waiting, as those of the browser
     DOCTOR,
-    *(f"tests/service/{folder}" for folder in ("publishing", "sinks", "web")),
+    *(f"tests/service/{folder}" for folder in ("publishing", "ros2_sensors", "sinks", "web")),
 )
 PARTS = (  # each on its own: drivers, fake devices, kernels
     *("tests/chaos", "tests/drivers", "tests/simulators"),
