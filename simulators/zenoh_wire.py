@@ -10,6 +10,7 @@ from types import TracebackType
 import zenoh
 
 from drivers.rmw_zenoh import Attachment, Node, Qos, Topic, make_gid
+from drivers.zenoh_config import zenoh_config
 from service.encoding import type_hash
 from simulators.device import FakeDevice
 
@@ -55,18 +56,15 @@ class ZenohWire:
 
     def restore(self) -> None:
         """Open and publish, after a cut at the same port."""
-        settings = zenoh.Config()
-        for key, value in {
+        settings = {
             "mode": "router",
             "listen/endpoints": [f"tcp/{self._address[0]}:{self._address[1]}"],
-            "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": True,
             "adminspace/enabled": True,  # tells which port was free
             "transport/shared_memory/enabled": False,
-        }.items():
-            settings.insert_json5(key, json.dumps(value))
+        }
         try:
-            self._session = zenoh.open(settings)
+            self._session = zenoh.open(zenoh_config(settings))
         except zenoh.ZError as error:
             raise OSError(f"no router at {self._address[0]}:{self._address[1]}: {error}") from error
         reply = next(iter(self._session.get(f"@/{self._session.zid()}/router", timeout=2.0)))

@@ -4,9 +4,7 @@ What is sent are the bytes that go to subscribers of the native keys and into re
 """
 
 import logging
-import threading
 from collections import Counter
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -23,13 +21,13 @@ from service.publishing.ros2_names import MAP, TOPICS
 from service.publishing.ros2_node import Ros2Node, Ros2Publisher
 from service.publishing.ros2_services import Command, Ros2Services
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
+from service.publishing.senders import Senders
 from service.publishing.shared import GridSource, SharedZenoh
 
 log = logging.getLogger(__name__)
 
 STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
 MAP_PERIOD_S = 1.0
-CLOSE_TIMEOUT_S = 5.0
 
 LATCHED = Qos(depth=1, is_transient_local=True)
 QOS = {MAP: LATCHED, "tf_static": LATCHED, "tf": Qos(depth=100)}  # of others: the default
@@ -50,9 +48,7 @@ class Ros2Topics:
     ) -> None:
         self._shared = shared
         self._map = shared.map_picture(map_source)
-        self._lock = threading.Lock()  # of the counters
-        self._sent: Counter[str] = Counter()
-        self._failed: Counter[str] = Counter()
+        self._senders = Senders("ros2")
         self._stream = StreamQueue(STREAM_CAPACITY)
         self._bulk = BulkQueue(map_period_s, map_period_s)
         self._initial_pose: InitialPoseSubscriber | None = None
@@ -67,12 +63,7 @@ class Ros2Topics:
         except BaseException:
             shared.close()
             raise
-        self._threads = [
-            threading.Thread(target=self._send_stream, name="ros2-stream", daemon=True),
-            threading.Thread(target=self._send_maps, name="ros2-map", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._senders.start({"stream": self._send_stream, "map": self._send_maps})
 
     def put(self, message: Message) -> None:
         """Hand a message over: sent 10 ms later at most. A full queue drops its oldest, counted."""
@@ -96,10 +87,12 @@ class Ros2Topics:
 
     def counts(self) -> dict[str, Counter[str]]:
         """Messages sent, dropped and failed, by channel; requests answered, by service."""
-        with self._lock:
-            sent, failed = Counter(self._sent), Counter(self._failed)
-        answered = Counter[str]() if self._services is None else self._services.counts()
-        return {"sent": sent, "dropped": self._stream.dropped(), "failed": failed, "answered": answered}
+        return {
+            "sent": self._senders.sent(),
+            "dropped": self._stream.dropped(),
+            "failed": self._senders.failed(),
+            "answered": Counter() if self._services is None else self._services.counts(),
+        }
 
     def close(self) -> None:
         """Send what waits, then leave the graph. A second call does nothing."""
@@ -108,10 +101,7 @@ class Ros2Topics:
         self._closed = True
         self._stream.close()
         self._bulk.close()
-        for thread in self._threads:
-            thread.join(CLOSE_TIMEOUT_S)
-            if thread.is_alive():
-                log.error("%s is still sending after %.0f s", thread.name, CLOSE_TIMEOUT_S)
+        self._senders.join()
         try:
             if self._services is not None:
                 self._services.close()
@@ -126,12 +116,12 @@ class Ros2Topics:
         while batch := self._stream.take():
             for sending in batch:
                 message = sending.message
-                self._try(message.channel, partial(self._send, message))
+                self._senders.attempt(message.channel, partial(self._send, message))
 
     def _send_maps(self) -> None:
         while self._bulk.take() is not None:
             if self._map_listeners.are_there and (message := self._present_map()) is not None:
-                self._try(MAP, partial(self._send, message))
+                self._senders.attempt(MAP, partial(self._send, message))
 
     def _present_map(self) -> Message | None:
         picture = self._map.message()
@@ -143,18 +133,7 @@ class Ros2Topics:
         if publisher is None:
             publisher = self._publishers[channel] = self._declare(channel, message.type)
         publisher.put(message.payload, message.log_ns)
-        with self._lock:
-            self._sent[channel] += 1
+        self._senders.count(channel)
 
     def _declare(self, channel: str, message_type: str) -> Ros2Publisher:
         return self._node.publisher(channel, message_type, QOS.get(channel, Qos()))
-
-    def _try(self, channel: str, action: Callable[[], None]) -> None:
-        """Do it; a fault is counted and must not end the thread: the next message may well go through."""
-        try:
-            action()
-        except (zenoh.ZError, ValueError) as error:
-            with self._lock:
-                self._failed[channel] += 1
-                is_first = self._failed[channel] == 1
-            log.log(logging.ERROR if is_first else logging.DEBUG, "ros2 %s: %s", channel, error)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import zenoh
 
+from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 
@@ -20,15 +21,13 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
     Nodes of ROS 2 are peers; a router without gossip would let none of them find another.
     Routers to connect to are tried in the background for ever. Raises StorageError where it cannot listen.
     """
-    settings = zenoh.Config()
-    for key, value in {
+    settings = {
         "mode": "router",
         "listen/endpoints": config.listen,
         "connect/endpoints": config.connect,
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": config.ros2.enabled,
         "scouting/delay": 0,  # nothing is scouted, so there is nothing to wait for
         "timestamping/enabled": True,
@@ -37,10 +36,9 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         "transport/link/tx/queue/size/data_high": QUEUE_SIZE,
         "transport/link/tx/queue/size/data": QUEUE_SIZE,
         "transport/link/tx/queue/size/data_low": QUEUE_SIZE,
-    }.items():
-        settings.insert_json5(key, json.dumps(value))
+    }
     try:
-        return zenoh.open(settings)
+        return zenoh.open(zenoh_config(settings))
     except zenoh.ZError as error:
         text = re.sub(r" at /\S+?:\d+\.?", "", str(error))  # where in Zenoh's own source
         raise StorageError(_explain(text, config)) from error

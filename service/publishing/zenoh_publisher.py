@@ -26,7 +26,6 @@ from service.encoding import (
     encode_tile,
     tile_channel,
 )
-from service.errors import StorageError
 from service.outputs import TileUpdate
 from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer
@@ -36,6 +35,7 @@ from service.publishing.initial_pose import InitialPoseSubscriber
 from service.publishing.keys import alive_key, vehicle_key
 from service.publishing.listeners import Listeners
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
+from service.publishing.senders import Senders
 from service.publishing.session import listened_at
 from service.publishing.shared import GridSource, SharedZenoh
 
@@ -44,7 +44,6 @@ log = logging.getLogger(__name__)
 STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
 TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not each step on the way
 PICTURE_PERIOD_S = 1.0
-CLOSE_TIMEOUT_S = 5.0
 
 POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would cost them its wake-up
 STATES = ("tf_static", "health", "graph", CHANGES)  # newest counts; cached for late joiners
@@ -80,10 +79,9 @@ class ZenohPublisher:
         self._map = map_source
         self._on_latency = on_latency
         self._map_stamp_ns = self._map_log_ns = 0
-        self._lock = threading.Lock()  # of the counters
+        self._senders = Senders("zenoh")
         self._token_lock = threading.Lock()
-        self._sent: Counter[str] = Counter()
-        self._failed: Counter[str] = Counter()
+        self._sequences: Counter[str] = Counter()  # of the newest message, by channel
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._gids: dict[str, bytes] = {}
         self._last: dict[str, tuple[Message, int]] = {}  # with its sequence number
@@ -109,12 +107,7 @@ class ZenohPublisher:
         except BaseException:
             self._shared.close()
             raise
-        self._threads = [
-            threading.Thread(target=self._send_stream, name="zenoh-stream", daemon=True),
-            threading.Thread(target=self._send_bulk, name="zenoh-bulk", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._senders.start({"stream": self._send_stream, "bulk": self._send_bulk})
 
     def __enter__(self) -> "ZenohPublisher":
         return self
@@ -174,8 +167,7 @@ class ZenohPublisher:
 
     def sent(self) -> Counter[str]:
         """Puts so far, by channel; tiles under map/tile."""
-        with self._lock:
-            return Counter(self._sent)
+        return self._senders.sent()
 
     def dropped(self) -> Counter[str]:
         """Messages that had to go before they were sent, by channel."""
@@ -183,8 +175,7 @@ class ZenohPublisher:
 
     def failed(self) -> Counter[str]:
         """Puts and answers that raised, by channel; the first of each is in the log."""
-        with self._lock:
-            return Counter(self._failed)
+        return self._senders.failed()
 
     def close(self) -> None:
         """Send what waits, then take everything down. A second call does nothing."""
@@ -193,12 +184,7 @@ class ZenohPublisher:
         self._closed = True
         self._stream.close()
         self._bulk.close()
-        for thread in self._threads:
-            thread.join(CLOSE_TIMEOUT_S)
-            if thread.is_alive():
-                log.error(
-                    "%s is still sending after %.0f s; closing Zenoh under it", thread.name, CLOSE_TIMEOUT_S
-                )
+        self._senders.join()
         for component in list(self._tokens):
             self.set_alive(component, False)
         try:
@@ -218,20 +204,20 @@ class ZenohPublisher:
                 self._send_now(sending)
 
     def _send_now(self, sending: Sending) -> None:
-        self._try(sending.message.channel, partial(self._send, sending.message))
+        self._senders.attempt(sending.message.channel, partial(self._send, sending.message))
         if sending.origin_ns is not None and self._on_latency is not None:
             self._on_latency(time.monotonic_ns() - sending.origin_ns)
 
     def _send_bulk(self) -> None:
         while (bulk := self._bulk.take()) is not None:
             for message in bulk.messages:
-                self._try(message.channel, partial(self._send, message))
+                self._senders.attempt(message.channel, partial(self._send, message))
             for component, alive in self._alive.items():
-                self._try("alive", partial(self.set_alive, component, alive))
+                self._senders.attempt("alive", partial(self.set_alive, component, alive))
             for tile in bulk.tiles:
-                self._try(TILES, partial(self._send_tile, tile))
+                self._senders.attempt(TILES, partial(self._send_tile, tile))
             for channel in bulk.pictures:
-                self._try(channel, partial(self._send_picture, channel))
+                self._senders.attempt(channel, partial(self._send_picture, channel))
 
     def _send(self, message: Message, sequence: int | None = None) -> None:
         channel = message.channel
@@ -239,9 +225,9 @@ class ZenohPublisher:
         if publisher is None:
             publisher = self._publishers[channel] = self._declare(channel, message.type)
         if sequence is None:
-            sequence = self._sent[channel] + 1
+            sequence = self._sequences[channel] = self._sequences[channel] + 1
         publisher.put(message.payload, attachment=self._attachment(channel, sequence, message.log_ns))
-        self._count(channel)
+        self._senders.count(channel)
         if channel in ANSWERED:
             self._last[channel] = (message, sequence)
 
@@ -255,7 +241,7 @@ class ZenohPublisher:
             priority=zenoh.Priority.DATA_LOW,
             attachment=self._attachment(TILES, tile.version, message.log_ns),
         )
-        self._count(TILES)
+        self._senders.count(TILES)
 
     def _send_picture(self, channel: str) -> None:
         if self._listeners[channel].are_there and (picture := self._make_picture(channel)) is not None:
@@ -316,7 +302,7 @@ class ZenohPublisher:
 
     def _answer(self, channel: str, answer: Callable[[zenoh.Query], None], query: zenoh.Query) -> None:
         with query:  # without it the asker would wait until its timeout
-            if not self._try(channel, partial(answer, query)):
+            if not self._senders.attempt(channel, partial(answer, query)):
                 query.reply_err(f"{channel} cannot be answered now; the service's log says why".encode())
 
     def _answer_tiles(self, query: zenoh.Query) -> None:
@@ -352,22 +338,6 @@ class ZenohPublisher:
         if gid is None:
             gid = self._gids[channel] = make_gid(str(self._session.zid()), channel)
         return gid
-
-    def _count(self, channel: str) -> None:
-        with self._lock:
-            self._sent[channel] += 1
-
-    def _try(self, channel: str, action: Callable[[], None]) -> bool:
-        """Do it; a fault is counted and must not end the thread: the next message may well go through."""
-        try:
-            action()
-        except (zenoh.ZError, StorageError, ValueError) as error:
-            with self._lock:
-                self._failed[channel] += 1
-                first = self._failed[channel] == 1
-            log.log(logging.ERROR if first else logging.DEBUG, "zenoh %s: %s", channel, error)
-            return False
-        return True
 
 
 def _encoding(message_type: str) -> zenoh.Encoding:

@@ -1,6 +1,5 @@
 """The wire to a ROS 2 node: a subscription on Zenoh, visible in the graph as one."""
 
-import json
 import threading
 from collections import deque
 from typing import Self
@@ -9,6 +8,7 @@ import zenoh
 
 from drivers.errors import TransportError
 from drivers.rmw_zenoh import Node, Qos, Topic
+from drivers.zenoh_config import zenoh_config
 from service.encoding import type_hash
 from service.ros2_sensors.config import Ros2SensorConfig
 from service.ros2_sensors.session import pack
@@ -28,17 +28,14 @@ class Subscription:
         self._changed = threading.Condition()
         self._waiting: deque[bytes] = deque()
         self._lost = 0
-        settings = zenoh.Config()
-        for key, value in {
+        settings = {
             "mode": "client",
             "connect/endpoints": [config.router],
             "connect/timeout_ms": CONNECT_TIMEOUT_MS,
-            "scouting/multicast/enabled": False,
             "transport/shared_memory/enabled": False,
-        }.items():
-            settings.insert_json5(key, json.dumps(value))
+        }
         try:
-            self._session = zenoh.open(settings)
+            self._session = zenoh.open(zenoh_config(settings))
         except zenoh.ZError as error:
             raise TransportError(
                 f"cannot connect to the router {config.router}: nothing answers there; start corridor or "

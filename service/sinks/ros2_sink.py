@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-from service.encoding import OK, WARNING, Message, Status
+from service.encoding import Message, Status
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
 from service.publishing.ros2_names import MAP, OF_SENSORS, TOPICS
 from service.publishing.ros2_topics import Ros2Topics
+from service.sinks.counted_row import counted_row
 from service.sinks.sink import Sink, SinkContext
 
 
@@ -37,18 +38,8 @@ class Ros2Sink(Sink):
         self._topics.map_changed(stamp_ns, log_ns)
 
     def health(self) -> Status:
-        counters = self._topics.counts()
-        values = {
-            f"{name}.{channel}": str(count)
-            for name, counter in counters.items()
-            for channel, count in sorted(counter.items())
-        }
-        if refused := self._topics.pose_refused:
-            values["initialpose_refused"] = refused
-        dropped, failed = counters["dropped"].total(), counters["failed"].total()
-        if dropped or failed:
-            return Status(self.name, WARNING, f"{dropped} dropped, {failed} failed", values)
-        return Status(self.name, OK, "ok", values)
+        refused = self._topics.pose_refused
+        return counted_row(self.name, self._topics.counts(), {"initialpose_refused": refused})
 
     def place(self) -> str:
         return self._place

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.encoding import OK, WARNING, Message, Status, decode_diagnostics
+from service.encoding import Message, Status, decode_diagnostics
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
+from service.sinks.counted_row import counted_row
 from service.sinks.sink import Sink, SinkContext
 
 KEYS = {"diagnostics": "health"}  # channels that have another name on Zenoh
@@ -58,18 +59,9 @@ class ZenohSink(Sink):
             "dropped": self._publisher.dropped(),
             "failed": self._publisher.failed(),
         }
-        values = {
-            f"{name}.{channel}": str(count)
-            for name, counter in counters.items()
-            for channel, count in sorted(counter.items())
-        }
-        if refused := self._publisher.pose_refused:
-            values["initialpose_refused"] = refused
-        values["endpoints"] = " ".join(self._publisher.endpoints)
-        dropped, failed = counters["dropped"].total(), counters["failed"].total()
-        if dropped or failed:
-            return Status(self.name, WARNING, f"{dropped} dropped, {failed} failed", values)
-        return Status(self.name, OK, "ok", values)
+        endpoints = " ".join(self._publisher.endpoints)
+        more = {"initialpose_refused": self._publisher.pose_refused, "endpoints": endpoints}
+        return counted_row(self.name, counters, more)
 
     def place(self) -> str:
         return ", ".join(self._publisher.endpoints)
