@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from types import ModuleType
 from typing import Any
 
 from numba.core import event
@@ -225,6 +226,18 @@ def _listening(at_first: Callable[[], None], compiled: Callable[[str], None]) ->
         yield
 
 
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Have a process that begins here not import the main module: a script that maps as it is imported would
+    do so once more in there.
+    """
+    main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
 class _Pieces:
     """Pieces of work that threads claim, in order."""
 
@@ -285,7 +298,7 @@ class _Helper:
         ours, theirs = context.Pipe()
         what = (self._section, self._back_end_elsewhere)
         self._process = context.Process(target=_help, args=(theirs, what), daemon=True)
-        with children_do_not_hear():
+        with children_do_not_hear(), _without_main():
             self._process.start()
         theirs.close()
         self._thread = threading.Thread(

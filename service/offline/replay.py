@@ -34,7 +34,7 @@ from service.recording.opening import is_recording, name_of, recordings_in
 
 log = logging.getLogger(__name__)
 
-REMAKING = "decoding"  # a phase, before those of a ReplayRun
+REMAKING, COMPILING = "decoding", "compiling kernels"  # phases, before those of a ReplayRun
 DEFAULT_OUT = Path("out")
 _SESSION_FILE = re.compile(r"(.+_\d{8}T\d{6}Z)_\d{4}\.mcap")
 
@@ -142,7 +142,7 @@ def _replay(paths: Sequence[Path], options: ReplayOptions, progress: Progress, w
     for warning in session.warnings:
         log.warning("%s", warning)
     setup = set_up(session, options)
-    compiling = KernelProgress(lambda k: progress(k.share, "compiling kernels"))
+    compiling = KernelProgress(lambda k: progress(k.share, COMPILING))
     begin = None if options.map is None else begin_in(options.map, setup.mapping, setup.map_version)
     log.info("mapping the scans of %s", ", ".join(setup.lasers))
     warm_up_encoding()

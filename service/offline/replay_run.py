@@ -31,6 +31,7 @@ from service.mapper.mapping_session import (
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import BeginIn, MappingConfig, build_mapper
 from service.mapper.saved_graph import SavedGraph
+from service.mapper.timed import note_mapped
 from service.mapstore.begin_in import begin_in
 from service.mapstore.patch_files import PatchFiles
 from service.offline.pace import Watch
@@ -50,8 +51,7 @@ log = logging.getLogger(__name__)
 
 Progress = Callable[[float | None, str], None]  # share of a phase, None where nobody knows it; the phase
 MAPPING, CLOSING = "mapping", "closing loops"  # phases
-# Why scans with good times were not mapped, in words for Timing.count_unmapped.
-TOO_OLD, UNMAPPED = "too old to be mapped when live", "that the mapper could not use"
+TOO_OLD = "too old to be mapped when live"  # scans with good times, in words for Timing.count_unmapped
 
 
 class ReplayRun:
@@ -171,12 +171,9 @@ class ReplayRun:
         output = self._mapper.process(frame)
         if not isinstance(frame, LaserScan):
             return
+        note_mapped(self._timing, self._mapper, frame, output)
         if output is None:
-            if self._mapper.maps(frame):
-                self._timing.count_unmapped(frame, UNMAPPED)
             return
-        heading_rad = output.pose_odom_base.theta_rad if output.state != "lost" else math.nan
-        self._timing.mapped(frame, output.stamp_ns, heading_rad)
         self._scan_cpu_ns.append(time.thread_time_ns() - before_cpu_ns)
         self._scan_ns.append(time.perf_counter_ns() - before_ns)
         self._states[output.state] += 1

@@ -15,6 +15,7 @@ from service.mapper.components import GraphRequestError
 from service.mapper.map_changes import NOTHING_CHANGED, MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
+from service.mapper.timed import note_mapped
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput
 from service.runtime.mapper_messages import (
     Answer,
@@ -51,8 +52,6 @@ STATUS_INTERVAL_NS = 200_000_000
 STANDING_INTERVAL_NS = 2_000_000_000
 STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
 MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
-
-UNMAPPED = "that the mapper could not use"  # scans with good times, in words for Timing.count_unmapped
 
 log = logging.getLogger(__name__)
 
@@ -276,13 +275,9 @@ class MappingLoop:
     def _map_frame(self, frame: Frame, item: FrameItem) -> None:
         before_ns = time.thread_time_ns()
         output = self._map(frame, item)
+        note_mapped(self._timing, self.mapper, frame, output)
         if output is None:
-            if isinstance(frame, LaserScan) and self.mapper.maps(frame):
-                self._timing.count_unmapped(frame, UNMAPPED)
             return
-        assert isinstance(frame, LaserScan)
-        heading_rad = output.pose_odom_base.theta_rad if output.state != "lost" else math.nan
-        self._timing.mapped(frame, output.stamp_ns, heading_rad)
         self._map_stamp_ns = output.stamp_ns
         messages = (encode_pose(output, 0), encode_odom(output, 0), encode_tf(output, 0))
         cpu_ns = time.thread_time_ns() - before_ns

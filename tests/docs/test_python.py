@@ -22,7 +22,10 @@ from tests.service.publishing.conftest import client, open_client, open_publishe
 
 __all__ = ["client", "open_client", "open_publisher", "publisher", "store"]  # fixtures
 
+RECIPES = ("own_laser", "live_plot", "batch", "map_elsewhere")
 ELSEWHERE = {  # pages whose programs have a test of their own
+    "docs/api.md": "tests/docs/test_api.py",
+    **{f"docs/recipes/{name}.md": "tests/docs/test_api.py" for name in RECIPES},
     "docs/commands.md": "tests/service/publishing/test_commands_doc.py",
     "docs/subscribing.md": "tests/service/publishing/test_subscribing_doc.py",
 }
@@ -40,7 +43,8 @@ def test_no_program_is_without_a_test():
         assert Path(page).name in (ROOT / test).read_text()
 
 
-def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client):
+def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(ROOT / "service" / "python"))
     output = MapperOutput(1, SE2(1.0, 2.0, 0.5), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", NO_REASON, 1.0)
     payload = encode_pose(output, 1).payload
     here = program_of("README.md").replace("tcp/127.0.0.1:7447", publisher.endpoints[0])
@@ -53,7 +57,7 @@ def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client)
                 matching.recv()
             for _ in range(3):
                 poses.put(payload)
-                assert reader.stdout.readline() == f"{len(payload)} bytes of nav_msgs/Odometry\n"
+                assert reader.stdout.readline() == "x 1.00 m, y 2.00 m, heading 28.6 deg\n"
             assert reader.poll() is None
         finally:
             reader.kill()

@@ -142,6 +142,25 @@ def test_what_cannot_be_read_from_an_empty_cache_is_raised(monkeypatch: pytest.M
         warm_up()
 
 
+UNGUARDED = """
+from multiprocessing import get_context
+from service.kernel_warm_up import _without_main
+
+print("mapped", flush=True)
+process = get_context("spawn").Process(target=print, args=("helped",))
+with _without_main():
+    process.start()
+process.join()
+"""
+
+
+def test_the_helper_does_not_run_a_script_once_more(tmp_path: Path):
+    (tmp_path / "script.py").write_text(UNGUARDED)
+    command = [sys.executable, str(tmp_path / "script.py")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (ended.stdout, ended.stderr) == ("mapped\nhelped\n", "")
+
+
 def test_what_is_compiled_here_and_by_the_helper_is_told(monkeypatch: pytest.MonkeyPatch):
     told: list[str] = []
     monkeypatch.setattr(kernel_warm_up, "KERNEL_PACKAGE", "")

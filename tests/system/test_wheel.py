@@ -1,7 +1,9 @@
 """The wheel alone, in a venv outside the tree: what a vehicle needs may not lie in the repository only."""
 
 import json
+import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -10,6 +12,8 @@ import pytest
 from service.version import VERSION
 from tests.demo_run import DemoRun
 from tests.system.installed import PACKAGES, ROOT, TIMEOUT_S, run
+
+PROGRAM = Path(__file__).with_name("typed_program.py")  # of a user
 
 
 def test_the_wheel_holds_every_file_of_the_packages(wheel: Path):
@@ -25,7 +29,9 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel: Path):
         pytest.skip("no git, or no repository: which files belong to the packages is not known")
     links = {f"service/resources/{name}" for name in ("config", "systemd")}
     expected = {
-        f"service/resources/{name}" if name.startswith(("config/", "systemd/")) else name
+        f"service/resources/{name}"
+        if name.startswith(("config/", "systemd/"))
+        else name.removeprefix("service/python/")
         for name in tracked.stdout.splitlines()
         if name not in links and (ROOT / name).exists()
     }
@@ -37,8 +43,16 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel: Path):
 
 def test_it_runs_from_anywhere(corridor: Path, tmp_path: Path):
     assert run([str(corridor), "--version"], tmp_path) == f"corridor {VERSION}\n"
-    where = "import service, drivers, simulators; print(service.__file__)"
-    assert str(corridor.parents[1]) in run([str(corridor.with_name("python")), "-c", where], tmp_path)
+    where = "import corridor, service, drivers, simulators; print(corridor.__file__, service.__file__)"
+    places = run([str(corridor.with_name("python")), "-c", where], tmp_path).split()
+    assert [str(corridor.parents[1]) in place for place in places] == [True, True]
+
+
+@pytest.mark.timeout(TIMEOUT_S)
+def test_a_program_is_checked_by_mypy_against_the_installed_types(corridor: Path, tmp_path: Path):
+    shutil.copy(PROGRAM, tmp_path)
+    mypy = [sys.executable, "-m", "mypy", "--strict", "--python-executable"]
+    assert "Success" in run([*mypy, str(corridor.with_name("python")), PROGRAM.name], tmp_path)
 
 
 @pytest.mark.timeout(TIMEOUT_S)

@@ -1,0 +1,59 @@
+"""What a program gives as a config or a mounting, and the kernels that a config needs."""
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from service.api.recordings import AnyPath
+from service.config import ReplayConfig, load_replay_config, parse_replay_config
+from service.encoding import warm_up as warm_up_encoding
+from service.errors import UsageError
+from service.geometry.se2 import SE2
+from service.kernel_cache import ensure_cache_dir
+from service.kernel_warm_up import KernelProgress
+from service.kernel_warm_up import warm_up as warm_up_kernels
+from service.mapper.profiles import MappingConfig
+
+log = logging.getLogger(__name__)
+
+
+def config_of(config: AnyPath | Mapping[str, Any]) -> ReplayConfig:
+    """Of a YAML file, or of what would stand in one. Raises ConfigError with every fault."""
+    if isinstance(config, Mapping):
+        return parse_replay_config(yaml.safe_dump(dict(config), sort_keys=False), "config")
+    return load_replay_config(Path(config))
+
+
+def mountings_of(mountings: Mapping[str, npt.ArrayLike]) -> dict[str, SE2]:
+    """pose_base_sensor of (x m, y m, yaw rad). Raises UsageError."""
+    poses = {}
+    for name, mounting in mountings.items():
+        place = np.asarray(mounting, np.float64)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise UsageError(f"mounting of {name}: {place.tolist()}; expected (x m, y m, yaw rad)")
+        poses[name] = SE2(*place.tolist())
+    return poses
+
+
+def load_kernels(mapping: MappingConfig) -> None:
+    """Load the kernels that a config needs; where they are compiled first, the log says so."""
+    ensure_cache_dir()
+    warm_up_encoding()
+    warm_up_kernels(mapping, progress=KernelProgress(CompilingTold()))
+
+
+class CompilingTold:
+    """Called whenever something of the kernels is compiled; says so once, for that takes a minute."""
+
+    def __init__(self) -> None:
+        self._is_told = False
+
+    def __call__(self, progress: KernelProgress | None = None) -> None:
+        if not self._is_told:
+            self._is_told = True
+            log.warning("compiling the kernels for this processor, once: half a minute to three minutes")

@@ -1,0 +1,111 @@
+"""A recording through the mapper, and what came out of it."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+from service.api.configs import CompilingTold
+from service.api.mapper import trajectory_of
+from service.api.poses import Pose, pose_of
+from service.api.recordings import AnyPath, Topics, choice_of, one_drive
+from service.kernel_cache import ensure_cache_dir
+from service.mapstore.tiles import TileStore
+from service.offline.replay import COMPILING
+from service.offline.replay import replay as replay_recording
+from service.offline.replay_result import Replay, write_replay
+from service.offline.replay_setup import ReplayOptions, refuse_contradictions
+from service.offline.trajectory import Trajectory
+from service.outputs import Grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class Result:
+    """What came out of a replay.
+
+    summary            figures and warnings, as summary.json of `corridor replay` has them
+    trajectory         the base in the map at every scan, corrected by all that was known in the end
+    trajectory_live    each pose as it would have been published, so by the past alone
+    lasers             whose scan each pose answers
+    """
+
+    def __init__(self, done: Replay) -> None:
+        self._done = done
+        self.summary: Mapping[str, Any] = done.summary
+        self.trajectory: Trajectory = trajectory_of(done.outputs, done.poses_map_base)
+        self.trajectory_live: Trajectory = trajectory_of(
+            done.outputs, [output.pose_map_base for output in done.outputs]
+        )
+        self.lasers: Sequence[str] = done.lasers
+
+    @cached_property
+    def poses(self) -> Sequence[Pose]:
+        """Those of trajectory_live, with covariance and state."""
+        return [pose_of(output) for output in self._done.outputs]
+
+    @cached_property
+    def map(self) -> Grid:
+        """The map at the end. Raises StorageError beyond 410 m square at 5 cm."""
+        store = TileStore()
+        store.update(self._done.tiles)
+        grid = store.grid()
+        assert grid is not None
+        return grid
+
+    def save(self, folder: AnyPath) -> None:
+        """Write the files of `corridor replay --out`: trajectories, states, summary, map.yaml and map.pgm for
+        nav2, and the stored map in map/. Raises StorageError.
+        """
+        write_replay(self._done, Path(folder))
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw map and trajectory in metres, into these axes or new ones; which are given back.
+
+        Raises CorridorError where matplotlib is not installed.
+        """
+        from service.api.plotting import plot
+
+        return plot(self.map, self.trajectory, [output.state for output in self._done.outputs], axes)
+
+
+def replay(
+    path: AnyPath | Sequence[AnyPath],
+    *,
+    config: AnyPath | None = None,
+    profile: str | None = None,
+    map: AnyPath | None = None,
+    version: int | None = None,
+    localize: bool = False,
+    from_raw: bool = False,
+    **topics: Unpack[Topics],
+) -> Result:
+    """Map a recording as `corridor replay` does: same input, same output, bit for bit.
+
+    path       as of read
+    config     a YAML file whose sensors and mapping replace those of the recording
+    profile    map with this profile
+    map        folder of a stored map to begin in; version: of it, None: the newest
+    localize   only localise in it: it stays as it is
+    from_raw   map what the drivers make of the recorded bytes
+
+    Raises InputError, ConfigError, UsageError for settings that do not go together, and StorageError.
+    """
+    options = ReplayOptions(
+        config=None if config is None else Path(config),
+        profile=profile,
+        map=None if map is None else Path(map),
+        version=version,
+        localize=localize,
+        choice=choice_of(topics),
+        from_raw=from_raw,
+    )
+    refuse_contradictions(options)
+    told = CompilingTold()
+    ensure_cache_dir()
+    return Result(
+        replay_recording(
+            one_drive(path), options, lambda share, phase: told() if phase == COMPILING else None
+        )
+    )

@@ -1,0 +1,174 @@
+"""The blocks of docs/api.md and of docs/recipes are run in the order of the page, on a small drive."""
+
+import csv
+import re
+import shutil
+import sys
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import corridor
+from drivers.frames import LaserScan, OdometrySample
+from service.api import subscription
+from service.cli import main
+from service.encoding import encode_frame, encode_pose
+from service.geometry.se2 import SE2
+from service.outputs import NO_REASON, MapperOutput
+from tests.docs.blocks import ROOT, written_in
+from tests.docs.test_shell import commands_of
+from tests.service.api.rooms import driven, recorded
+from tests.service.mapstore.tile_makers import tile
+from tests.service.publishing.conftest import open_publisher, publisher, store
+
+__all__ = ["open_publisher", "publisher", "store"]  # fixtures
+ENDPOINT = "tcp/127.0.0.1:7447"
+FOR_ROS = "ros2"  # which nobody has here
+
+
+def run(page: str, replace: tuple[str, str] = ("", "")) -> dict[str, object]:
+    """All of its blocks in one namespace, which is given back."""
+    names: dict[str, object] = {}
+    for block in written_in("python"):
+        if block.page == page:
+            exec(compile(block.text.replace(*replace), str(block), "exec"), names)
+    return names
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """With session.mcap; the working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    recorded(tmp_path)
+    return tmp_path
+
+
+class Ending(corridor.Subscription):
+    """Ends when it has given MOST poses and as many scans, as far as they are subscribed to."""
+
+    MOST = 30
+
+    def __next__(self):
+        given = self.__dict__.setdefault("given", dict.fromkeys(self._keys.keys() - {"tile"}, 0))
+        if min(given.values()) >= self.MOST:
+            raise StopIteration
+        update = super().__next__()
+        if not isinstance(update, corridor.TileUpdate):
+            given["pose" if isinstance(update, corridor.Pose) else "scan"] += 1
+        return update
+
+
+@pytest.fixture
+def served(publisher, store, monkeypatch) -> Iterator[str]:
+    """The endpoint of a service that publishes; a subscription to it ends after some messages."""
+    store.update([tile(0, 0, 1)])
+    monkeypatch.setattr(subscription, "Subscription", Ending)
+    over = threading.Event()
+
+    def serve() -> None:
+        stamp_ns = 0
+        while not over.wait(0.01):
+            stamp_ns += 1
+            output = MapperOutput(
+                *(stamp_ns, SE2(1.0, 2.0, 0.5), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", NO_REASON, 1.0)
+            )
+            publisher.put(encode_pose(output, stamp_ns))
+            publisher.put(encode_frame(corridor.scan([1.0, 2.0], 0.0, 0.1, stamp_ns, sensor="front")))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield publisher.endpoints[0]
+    over.set()
+    thread.join()
+
+
+def test_the_examples_of_the_api_run(folder, served, capsys):
+    pytest.importorskip("matplotlib", reason="pip install matplotlib")
+    names = run("docs/api.md", (ENDPOINT, served))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "50 scans, 0 loop closures"
+    assert (folder / "map.png").stat().st_size > 0
+    assert (folder / "result" / "map.yaml").exists()
+    assert isinstance(names["stored"], corridor.Map)
+    assert {"pose 1.0 2.0 0.5", "scan front 2 beams", "tile 0 0 version 1"} <= set(lines)
+
+
+def test_each_public_name_stands_in_the_table_once():
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    table = page.partition("## Names\n")[2]
+    names = [
+        name
+        for cell in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", cell)
+    ]
+    assert sorted(names) == sorted(corridor.__all__)
+    undocumented = [name for name in names if not (getattr(corridor, name).__doc__ or "").strip()]
+    assert not undocumented
+
+
+def test_a_laser_from_a_csv_is_mapped(folder, capsys):
+    scans = [frame for frame in driven().frames if isinstance(frame, LaserScan)]
+    wheels = [frame for frame in driven().frames if isinstance(frame, OdometrySample)]
+    rows = [(scan.stamp_ns / 1e9, *scan.range_m) for scan in scans]
+    np.savetxt(folder / "scans.csv", rows, delimiter=",")
+    np.savetxt(
+        folder / "odometry.csv",
+        [(w.stamp_ns / 1e9, w.x_m, w.y_m, w.theta_rad) for w in wheels],
+        delimiter=",",
+    )
+    run("docs/recipes/own_laser.md", ("PERIOD_NS = 100_000_000", "PERIOD_NS = 20_000_000"))
+    assert capsys.readouterr().out == "50 scans mapped;\n"
+    path = np.loadtxt(folder / "trajectory.csv", delimiter=",")
+    true = driven().truth[scans[-1].stamp_ns]
+    np.testing.assert_allclose(path[-1, 1:], (true.x_m, true.y_m, true.theta_rad), atol=0.02)
+    assert corridor.Map.load(folder / "map").version == 1
+
+
+def test_the_live_plot_shows_poses_as_they_come(folder, served, monkeypatch):
+    pytest.importorskip("matplotlib", reason="pip install matplotlib")
+    monkeypatch.setattr(sys, "argv", ["live_plot.py", served])
+    names = run("docs/recipes/live_plot.md")
+    line = names["line"]
+    assert set(zip(*line.get_data(), strict=True)) == {(1.0, 2.0)}  # type: ignore[attr-defined]
+    (block,) = [block for block in written_in("python") if block.page == "docs/recipes/live_plot.md"]
+    assert len([line for line in block.text.splitlines() if line.strip()]) <= 20
+
+
+def test_a_folder_becomes_a_table_with_a_line_for_each_recording(folder):
+    (folder / "drives").mkdir()
+    shutil.move(folder / "session.mcap", folder / "drives" / "a.mcap")
+    (folder / "drives" / "b.mcap").write_bytes(b"nothing")
+    run("docs/recipes/batch.md")
+    with open(folder / "drives.csv", newline="") as file:
+        good, bad = csv.DictReader(file)
+    assert (good["recording"], good["scans"], good["fault"]) == ("a.mcap", "50", "")
+    assert float(good["length_m"]) == pytest.approx(1.9, abs=0.4)
+    assert bad["scans"] == ""
+    assert "b.mcap" in bad["fault"]
+    assert (folder / "results" / "a" / "summary.json").exists()
+
+
+def test_the_map_goes_to_nav2_and_to_a_gis(folder, capsys):
+    pytest.importorskip("tifffile", reason="pip install tifffile")
+    pytest.importorskip("ezdxf", reason="pip install ezdxf")
+    page = "docs/recipes/map_elsewhere.md"
+    names = run(page)
+    result = names["result"]
+    assert isinstance(result, corridor.Result)
+    exported = 0
+    for block in (block for block in written_in("sh") if block.page == page):
+        for command, *arguments in commands_of(block.text):
+            if command != FOR_ROS:
+                assert main(arguments) == 0, capsys.readouterr().err
+                exported += 1
+            else:
+                assert (folder / arguments[-1].removeprefix("map:=")).exists()
+    assert exported == 4
+    assert {"site.png", "site.pgw", "site.tif", "site.dxf", "trajectory.csv"} <= {
+        path.name for path in folder.iterdir()
+    }
+    walls = np.loadtxt(folder / "walls.csv", delimiter=",")
+    assert len(walls) == (result.map.cells > 65).sum()

@@ -1,0 +1,66 @@
+import logging
+
+import numpy as np
+import pytest
+
+import corridor
+from tests.service.api.rooms import MOUNTINGS, driven, recorded
+from tests.service.offline.test_rosbag import drive as ros_drive
+from tests.service.offline.test_rosbag import noetic, write_ros1
+from tests.service.recording.sessions import T0_NS
+
+
+def test_frames_come_as_they_were_recorded_and_as_often_as_they_are_read(recording):
+    opened = corridor.read(recording)
+    assert opened.lasers == ("front",)
+    assert opened.mountings.keys() == {"front"}
+    np.testing.assert_allclose(opened.mountings["front"], MOUNTINGS["front"], atol=1e-9)
+    for _ in range(2):
+        frames = list(opened)
+        assert len(frames) == len(driven().frames)
+        for frame, then in zip(frames, driven().frames, strict=True):
+            assert (type(frame), frame.sensor, frame.stamp_ns - T0_NS) == (
+                *(type(then), then.sensor, then.stamp_ns),
+            )
+
+
+def test_a_ros_1_bag_and_a_folder_are_read_too(tmp_path, recording):
+    write_ros1(tmp_path / "drive.bag", ros_drive(noetic()))
+    assert any(isinstance(frame, corridor.LaserScan) for frame in corridor.read(tmp_path / "drive.bag"))
+    assert len(list(corridor.read(str(recording.parent)))) == len(driven().frames)
+
+
+def test_two_drives_are_not_one_recording(tmp_path):
+    recorded(tmp_path, "a.mcap")
+    recorded(tmp_path, "b.mcap")
+    with pytest.raises(corridor.InputError, match=r"one drive, not of 2 \(.*a\.mcap, .*b\.mcap\)"):
+        corridor.read(tmp_path)
+
+
+def test_topics_are_chosen_by_name_and_a_wrong_one_is_refused(recording):
+    assert corridor.read(recording, scan_topics=["/front/scan"]).lasers == ("front",)
+    with pytest.raises(corridor.UsageError, match="no such topic"):
+        corridor.read(recording, scan_topics=["/rear/scan"])
+    with pytest.raises(corridor.UsageError, match="odom_topic"):
+        corridor.read(recording, odom_topic="")
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path):
+    (tmp_path / "x.mcap").write_bytes(b"nothing")
+    with pytest.raises(corridor.InputError, match=r"x\.mcap"):
+        corridor.read(tmp_path / "x.mcap")
+    with pytest.raises(corridor.InputError, match="no such file"):
+        corridor.read(tmp_path / "y.mcap")
+
+
+def test_messages_that_cannot_be_used_are_in_the_log(recording, caplog, monkeypatch):
+    opened = corridor.read(recording)
+    decode = type(opened.session).decode
+    first = iter([None])
+    monkeypatch.setattr(
+        type(opened.session), "decode", lambda self, *given: next(first, decode(self, *given))
+    )
+    with caplog.at_level(logging.WARNING):
+        assert len(list(opened)) == len(driven().frames) - 1
+    assert "1 of" in caplog.text
+    assert "cannot be used" in caplog.text
