@@ -15,8 +15,7 @@ from service.encoding import warm_up as warm_up_encoding
 from service.errors import UsageError
 from service.geometry.se2 import SE2
 from service.kernel_cache import ensure_cache_dir
-from service.kernel_warm_up import KernelProgress
-from service.kernel_warm_up import warm_up as warm_up_kernels
+from service.kernel_warm_up import KernelProgress, warm_up_once
 from service.mapper.profiles import MappingConfig
 
 log = logging.getLogger(__name__)
@@ -44,7 +43,7 @@ def load_kernels(mapping: MappingConfig) -> None:
     """Load the kernels that a config needs; where they are compiled first, the log says so."""
     ensure_cache_dir()
     warm_up_encoding()
-    warm_up_kernels(mapping, progress=KernelProgress(CompilingTold()))
+    warm_up_once(mapping, KernelProgress(CompilingTold()))
 
 
 class CompilingTold:

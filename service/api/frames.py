@@ -158,8 +158,11 @@ def _numbers(values: npt.ArrayLike, count: int, name: str, sensor: str) -> tuple
 
 
 def _as_on_the_wire(frame: AnyFrame, expected: str) -> AnyFrame:
-    if not 0 <= frame.stamp_ns < END_OF_TIME_NS:
-        raise InputError(f"{frame.sensor}: stamp_ns is {frame.stamp_ns}; expected 0 to {END_OF_TIME_NS}")
+    is_whole = isinstance(frame.stamp_ns, int | np.integer)
+    if not is_whole or not 0 <= frame.stamp_ns < END_OF_TIME_NS:
+        raise InputError(
+            f"{frame.sensor}: stamp_ns is {frame.stamp_ns!r}; expected whole ns from 0 to {END_OF_TIME_NS}"
+        )
     message = encode_frame(frame)
     decoded = decode_frame(message.type, message.payload, frame.sensor, message.log_ns)
     if not isinstance(decoded, type(frame)):

@@ -107,15 +107,12 @@ class Mapper:
         None for other frames, for a scan that waits for a second of doubtful stamps to be judged, for one of
         a laser that is not mapped, and for one that is dropped, which `counters` count.
 
-        Raises InputError for a scan of an unknown laser, UsageError when the mapping has been finished.
+        Raises InputError for a scan of an unknown laser, UsageError for what is no frame, and when the
+        mapping has been finished.
         """
         if self._finished is not None:
             raise UsageError("the mapping is finished; map on in a Mapper that begins in the saved map")
-        if isinstance(frame, LaserScan) and frame.sensor not in self._sensors:
-            raise InputError(
-                f"a scan of {frame.sensor!r}, where the mapper knows {', '.join(sorted(self._sensors))}; "
-                "give its mounting by mountings, or in the config"
-            )
+        self._refuse_unknown(frame)
         newest = None
         for timed, _ in self._timing.take(frame):
             newest = self._map(timed) or newest
@@ -165,6 +162,17 @@ class Mapper:
             raise InputError(f"{folder}: nothing was mapped ({self.counters})")
         return number
 
+    def _refuse_unknown(self, frame: Frame) -> None:
+        if not isinstance(frame, Frame):
+            raise UsageError(
+                f"a {type(frame).__name__} is no frame; corridor.scan, odometry, imu and fix make one"
+            )
+        if isinstance(frame, LaserScan) and frame.sensor not in self._sensors:
+            raise InputError(
+                f"a scan of {frame.sensor!r}, where the mapper knows {', '.join(sorted(self._sensors))}; "
+                "give its mounting by mountings, or in the config"
+            )
+
     def _map(self, frame: Frame) -> MapperOutput | None:
         output = self._session.process(frame)
         note_mapped(self._timing, self._session, frame, output)
@@ -178,6 +186,7 @@ def locate(scan: LaserScan, mapper: Mapper) -> Pose | None:
 
     With the scan the map is searched; the same scan again, a period later, has the place that was found.
     """
+    mapper._refuse_unknown(scan)
     session = mapper._session
     later_ns = max(scan.scan_period_ns, 20_000_000)
     session.process(scan)

@@ -15,9 +15,7 @@ from typing import Any
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError
 from service.interruption import children_do_not_hear
-from service.kernel_warm_up import KernelProgress
-from service.kernel_warm_up import warm_up as warm_up_kernels
-from service.mapper.profiles import MappingConfig
+from service.kernel_warm_up import KernelProgress, warm_up_once
 from service.mapstore.begin_in import begin_in
 from service.offline.pace import Unwatched, Watch
 from service.offline.raw_replay import FROM_RAW, remake_frames
@@ -146,19 +144,9 @@ def _replay(paths: Sequence[Path], options: ReplayOptions, progress: Progress, w
     begin = None if options.map is None else begin_in(options.map, setup.mapping, setup.map_version)
     log.info("mapping the scans of %s", ", ".join(setup.lasers))
     warm_up_encoding()
-    compile_kernels = partial(_warm_up_once, compiling)
+    compile_kernels = partial(warm_up_once, progress=compiling)
     compile_kernels(setup.mapping)
     return ReplayRun(session, setup, begin, options.profile is None, compile_kernels, progress, watch).run()
-
-
-_warm: set[str] = set()  # configs whose kernels this process has loaded
-
-
-def _warm_up_once(progress: KernelProgress, mapping: MappingConfig) -> None:
-    """A third of a second from the cache: longer than a short recording takes to be mapped."""
-    if (config := mapping.model_dump_json()) not in _warm:
-        warm_up_kernels(mapping, progress=progress)
-        _warm.add(config)
 
 
 def _replay_from_raw(

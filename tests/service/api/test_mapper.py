@@ -90,6 +90,11 @@ def test_a_scan_of_an_unknown_laser_is_refused_and_one_of_an_unmapped_laser_coun
         mapper.process(replace(ROOM_SCAN, sensor="left"))
 
 
+def test_what_is_no_frame_is_refused():
+    with pytest.raises(corridor.UsageError, match=r"a ndarray is no frame; corridor\.scan"):
+        corridor.Mapper().process(ROOM_SCAN.range_m)
+
+
 def test_a_late_scan_is_dropped_and_counted():
     mapper = corridor.Mapper(mountings=MOUNTINGS)
     assert mapper.process(ROOM_SCAN) is not None

@@ -27,6 +27,12 @@ def test_a_scan_that_fits_nowhere_has_no_pose(stored):
     assert corridor.Map.load(stored).localize(elsewhere) is None
 
 
+def test_a_scan_of_a_laser_without_mounting_is_refused(stored):
+    scan = next(frame for frame in driven().frames if isinstance(frame, corridor.LaserScan))
+    with pytest.raises(corridor.InputError, match="'front', where the mapper knows rear"):
+        corridor.Map.load(stored).localize(scan, mountings={"rear": (0.0, 0.0, 3.1)})
+
+
 def test_a_folder_without_a_map_is_refused(tmp_path, stored):
     with pytest.raises(corridor.InputError, match="no stored map"):
         corridor.Map.load(tmp_path)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
+from service import kernel_warm_up
 from service.cli import main
 from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
 from service.mapper.profiles import mapping_config, with_profile
-from service.offline import replay as replay_module
 from service.offline.replay import (
     ReplayOptions,
     group_sessions,
@@ -413,10 +413,8 @@ def test_the_kernels_of_a_config_are_loaded_once_a_process(
 ):
     """Also where each of many recordings is a short one."""
     session, loaded = record_drive(scans=5), []
-    monkeypatch.setattr(replay_module, "_warm", set())
-    monkeypatch.setattr(
-        replay_module, "warm_up_kernels", lambda mapping, progress: loaded.append(mapping.profile)
-    )
+    monkeypatch.setattr(kernel_warm_up, "_loaded", set())
+    monkeypatch.setattr(kernel_warm_up, "warm_up", lambda mapping, progress: loaded.append(mapping.profile))
     for profile in (None, None, "imle", None):
         replay([session], ReplayOptions(profile=profile))
     assert loaded == ["corridor", "imle"]
