@@ -1,6 +1,8 @@
 """Pretended ROS 2 nodes with a laser, wheels or an inertial unit: the options all share, and their wire."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from drivers.rmw_zenoh import absolute_name
 from simulators.device import FakeDevice
@@ -15,10 +17,9 @@ class NodeOptions(BaseModel):
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # of its router; 0: any free
     domain: int = Field(default=0, ge=0, le=232)
-    topic: str = ""  # "": as each type says
+    topic: Annotated[str, AfterValidator(absolute_name)] = ""  # "": as each type says
     clock_drift_ppm: float = 40.0
 
 
 def serve(device: FakeDevice, options: NodeOptions, topic: str, message_type: str) -> ZenohWire:
-    name = absolute_name(options.topic or topic)
-    return ZenohWire(device, name, message_type, options.domain, options.host, options.port)
+    return ZenohWire(device, options.topic or topic, message_type, options.domain, options.host, options.port)
