@@ -43,7 +43,7 @@ class Attachment:
 
 
 def make_gid(session_id: str, name: str) -> bytes:
-    """Stable within a run: the session's id is drawn anew at each start."""
+    """Stable within a run: each start draws another session id."""
     return hashlib.blake2b(f"{session_id}/{name}".encode(), digest_size=GID_BYTES).digest()
 
 

@@ -89,7 +89,7 @@ class ZenohWire:
     def _run(self, session: zenoh.Session) -> None:
         try:
             self._publish(session)
-        except BaseException as error:  # kept for __exit__: a thread has nobody to raise to
+        except BaseException as error:  # __exit__ raises it
             log.exception("%s: fake node failed", self._topic.name)
             self.failure = error
 

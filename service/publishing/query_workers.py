@@ -42,7 +42,7 @@ class QueryWorkers:
         return ""
 
     def close(self) -> None:
-        """Let those be answered that were taken; what is not in time is said in the log."""
+        """Wait for the answers that are being made; the log names those that are not in time."""
         with self._lock:
             threads = dict(self._threads)
         until_s = time.monotonic() + CLOSE_TIMEOUT_S

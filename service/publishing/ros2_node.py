@@ -66,7 +66,7 @@ class Ros2Node:
         return topic.key(self._config.domain)
 
     def service(self, name: str, service_type: str, take: Callable[[zenoh.Query], None]) -> None:
-        """name: below the node, "pause". `take` is called in Zenoh's thread; answer by `reply`."""
+        """name: below the node, "pause". `take` is called in Zenoh's thread; `reply` answers."""
         topic = self._topic(f"{NODE_NAME}/{name}", service_type, service_hash(service_type))
         key = topic.key(self._config.domain)
         self._queryables.append(self._session.declare_queryable(key, take, complete=True))
@@ -91,10 +91,14 @@ class Ros2Node:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
 
-def reply(query: zenoh.Query, payload: bytes) -> None:
-    """Answer a request, with what tells the client which one. Raises ValueError where that is not in it."""
+def request_of(query: zenoh.Query) -> Attachment:
+    """What tells the client which of its requests is answered. Raises ValueError where it is not there."""
     if query.attachment is None:
         raise ValueError("a request without an attachment; expected 33 bytes with sequence, time and gid")
-    request = Attachment.decode(query.attachment.to_bytes())
+    return Attachment.decode(query.attachment.to_bytes())
+
+
+def reply(query: zenoh.Query, request: Attachment, payload: bytes) -> None:
+    """Raises ZError."""
     response = Attachment(request.sequence, time.time_ns(), request.gid)
     query.reply(query.key_expr, payload, attachment=response.encode())

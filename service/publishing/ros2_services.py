@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import zenoh
 
+from drivers.rmw_zenoh import Attachment
 from service.encoding import OCCUPANCY_GRID, Message, encode_grid, read
 from service.encoding.ros_services import (
     LOAD_MAP,
@@ -27,7 +28,7 @@ from service.errors import InputError
 from service.outputs import Grid
 from service.publishing.commands import Answer
 from service.publishing.query_workers import QueryWorkers
-from service.publishing.ros2_node import Ros2Node, reply
+from service.publishing.ros2_node import Ros2Node, reply, request_of
 
 log = logging.getLogger(__name__)
 
@@ -79,10 +80,18 @@ class Ros2Services:
 
     def _take(self, name: str, service: _Service, query: zenoh.Query) -> None:
         """Zenoh's thread: hand the query on."""
-        if refused := self._workers.start(name, partial(self._answer, name, service, query)):
-            self._reply(name, query, self._refusal(name, service, refused))
+        try:
+            request = request_of(query)
+        except ValueError as error:  # its client could not take a response
+            self._count("refused")
+            log.warning("ros2 service %s: %s", name, error)
+            with query:
+                query.reply_err(str(error).encode())
+            return
+        if refused := self._workers.start(name, partial(self._answer, name, service, query, request)):
+            self._reply(name, query, request, self._refusal(name, service, refused))
 
-    def _answer(self, name: str, service: _Service, query: zenoh.Query) -> None:
+    def _answer(self, name: str, service: _Service, query: zenoh.Query, request: Attachment) -> None:
         try:
             response = service.respond(query.payload.to_bytes() if query.payload is not None else b"")
         except InputError as error:
@@ -90,16 +99,14 @@ class Ros2Services:
         except Exception as error:  # whatever a stranger sends must not bring the service down
             log.exception("ros2 service %s failed", name)
             response = self._refusal(name, service, f"{error!r}; the service's log says more")
-        self._reply(name, query, response)
+        self._reply(name, query, request, response)
 
-    def _reply(self, name: str, query: zenoh.Query, response: bytes) -> None:
+    def _reply(self, name: str, query: zenoh.Query, request: Attachment, response: bytes) -> None:
         with query:  # without it the asker would wait until its timeout
             try:
-                reply(query, response)
-            except (ValueError, zenoh.ZError) as error:
-                self._count("refused")
-                log.warning("ros2 service %s: no answer is delivered: %s", name, error)
-                query.reply_err(str(error).encode())
+                reply(query, request, response)
+            except zenoh.ZError as error:
+                log.error("ros2 service %s was answered, but the reply was not delivered: %s", name, error)
             else:
                 self._count(name)
 
@@ -142,7 +149,7 @@ class Ros2Services:
 
 
 def _words(answer: Answer) -> str:
-    """What is said of a command that failed, or its whole answer as JSON."""
+    """The error of a command that failed, or its whole answer as JSON."""
     return answer.body.decode() if answer.ok else str(json.loads(answer.body)["error"])
 
 

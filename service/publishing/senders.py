@@ -32,7 +32,7 @@ class Senders:
             thread.start()
 
     def join(self) -> None:
-        """Wait until they have ended; what is not in time is said in the log, and left behind."""
+        """Wait until they have ended; the log names those that are not in time, and they are left behind."""
         for thread in self._threads:
             thread.join(CLOSE_TIMEOUT_S)
             if thread.is_alive():

@@ -25,8 +25,8 @@ class Ros2SensorConfig(BaseModel):
     topic: Annotated[str, AfterValidator(_check_topic)]
     router: Endpoint = "tcp/127.0.0.1:7447"  # this service, or rmw_zenohd
     domain: int = Field(default=0, ge=0, le=232)  # ROS_DOMAIN_ID of the node
-    latency_ms: LatencyMs = 0.0  # shortest way from the measurement to here, from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a message the link is made anew
+    latency_ms: LatencyMs = 0.0  # shortest delay from measurement to arrival, from calibration
+    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a message: subscribe again
 
 
 class Ros2ScanConfig(Ros2SensorConfig):

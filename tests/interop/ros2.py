@@ -128,10 +128,10 @@ def _run_client(
     venv: Venv, facts: dict[str, Any], folder: Path, restart: Callable[[], None]
 ) -> dict[str, Any]:
     """What the client saw; it goes on through one restart. Raises InteropError."""
-    told = folder / "facts.json"
-    told.write_text(json.dumps({"domain": DOMAIN, "topics": TOPICS, "services": SERVICES, **facts}))
+    facts_file = folder / "facts.json"
+    facts_file.write_text(json.dumps({"domain": DOMAIN, "topics": TOPICS, "services": SERVICES, **facts}))
     process = subprocess.Popen(
-        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_client.py"), str(told)],
+        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_client.py"), str(facts_file)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -62,13 +62,13 @@ def run_sdk_laser(venv: Venv, folder: Path) -> str:
 @contextmanager
 def _relay(venv: Venv, folder: Path, endpoint: str) -> Iterator[None]:
     """The foreign node."""
-    told = folder / "facts.json"
+    facts_file = folder / "facts.json"
     port = int(endpoint.rpartition(":")[2])
-    told.write_text(
+    facts_file.write_text(
         json.dumps({"port": port, "domain": DOMAIN, "from": "/front/scan", "to": "/relayed/scan"})
     )
     process = subprocess.Popen(
-        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_relay.py"), str(told)],
+        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_relay.py"), str(facts_file)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -26,4 +26,4 @@ def relay(scan: object) -> None:
 
 subscriber = ROS2Subscriber(topic=WANTED["from"], callback=relay, **COMMON)
 print("relays", flush=True)
-sys.stdin.read()  # until it is told to end
+sys.stdin.read()  # until it is ended

@@ -117,9 +117,10 @@ def test_the_response_names_the_request_it_answers(session):
 
 
 @pytest.mark.parametrize("attachment", [b"", bytes(77)])
-def test_a_request_without_its_attachment_gets_an_error(session, topics, attachment):
+def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session, topics, asked, attachment):
     (reply,) = ask(session, "pause", ros_services.TRIGGER, b"\x00\x01\x00\x00\x00", attachment)
     assert "expected 33" in reply.err.payload.to_string()
+    assert asked.heard == []
     assert topics.counts()["answered"]["refused"] == 1
 
 

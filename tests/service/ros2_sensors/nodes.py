@@ -47,7 +47,7 @@ def node(setup: NodeSetup = SETUP) -> FakeNode:
 
 
 def hear(listening: Ros2Session, speaking: FakeNode, count: int, delay_ns: int = 2_000_000) -> list[Frame]:
-    """Frames of so many messages, each so long on its way."""
+    """Frames of so many messages, each with this delay."""
     frames: list[Frame] = []
     for _ in range(count):
         due_ns = speaking.next_due_ns(0)

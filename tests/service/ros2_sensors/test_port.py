@@ -83,7 +83,7 @@ def test_it_goes_on_when_the_router_was_restarted(wire: ZenohWire):
         heard.wait(2)
         wire.cut()
         wire.restore()
-        heard.wait(20)  # more than can have been on the way
+        heard.wait(20)  # more than can have been under way
         assert health.state == "streaming"
 
 

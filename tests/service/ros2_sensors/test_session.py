@@ -30,7 +30,7 @@ def test_a_message_becomes_a_frame_with_all_that_is_in_it():
 
 
 def test_stamps_are_moments_of_the_hosts_clock_less_the_latency():
-    """The node's clock is 50 years ahead and drifts; a message is 2 ms on its way at least."""
+    """The node's clock is 50 years ahead and drifts; a message takes 2 ms at least."""
     frames = hear(session(latency_ms=2.0), node(), 200)
     true_ns = START_NS + PERIOD_NS * np.arange(200)
     error_ns = np.array([frame.stamp_ns for frame in frames]) - true_ns

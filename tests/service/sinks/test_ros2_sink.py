@@ -72,7 +72,7 @@ def test_the_topics_of_the_contract_go_out_and_nothing_else(sink: Ros2Sink):
 def test_its_row_holds_what_was_sent_and_warns_of_what_was_not(sink: Ros2Sink):
     assert (sink.health().level, sink.place()) == (OK, "domain 3, /veh1")
     sink.close()
-    sink.put(encode_pose(OUTPUT, LOG_NS))  # nobody sends it any more
+    sink.put(encode_pose(OUTPUT, LOG_NS))  # its threads have ended
     row = sink.health()
     assert (row.name, row.level, row.message) == ("ros2", WARNING, "1 dropped, 0 failed")
     assert row.values["dropped.pose"] == "1"
