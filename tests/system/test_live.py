@@ -7,16 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 from rosbags.highlevel import AnyReader
 
+from drivers.rmw_zenoh import Attachment
+from drivers.zenoh_config import zenoh_config
 from service.cli import main
 from service.demo import interpolate
 from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
+from service.encoding.ros_services import TRIGGER, service_hash
 from service.mapstore.files import load_map
 from service.offline.export import export
 from service.offline.replay import ReplayOptions, replay, write_replay
 from service.recording.mcap_reader import Recording
-from tests.system.machine import FakeVehicle, LiveService, Subscriber
+from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscriber
 
 Subscribe = Callable[[str], Subscriber]
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -38,7 +42,7 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     subscriber.wait_for("pose", max(0, first + SCANS - subscriber.count("pose")))  # one for each scan
     statuses = {s.name: s for s in decode_diagnostics(heard["health"][-1][1])}
     assert statuses["sensor/front"].values["state"] == statuses["sensor/base"].values["state"] == "streaming"
-    assert {"mapping", "map", "recording", "zenoh", "clock"} <= statuses.keys()
+    assert {"mapping", "map", "recording", "zenoh", "ros2", "clock"} <= statuses.keys()
     live_service.systemd.wait_for("WATCHDOG=1")
     states = "ok", "overloaded"  # as it stays for 10 s after a scan that a busy machine passed over
     live_service.systemd.wait_for(tuple(f"STATUS=mapping {state}, 2/2 sensors, " for state in states))
@@ -47,6 +51,7 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     fetched = late.get("map/tile/**?since=0")
     assert len(fetched) > 5
     assert "map" in late.get("map")
+    _check_ros2(live_service.endpoint, subscriber)
 
     assert "numpy" in live_service.libraries
     assert "llvmlite" not in live_service.libraries  # only the mapper's process calls kernels
@@ -64,6 +69,21 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     (session,) = live_service.sessions.iterdir()
     assert session.suffix == ".mcap"
     _check_recording(session, fake_vehicle.truth)
+
+
+def _check_ros2(endpoint: str, subscriber: Subscriber) -> None:
+    """A node has the bytes of the native keys, and its requests reach the commands."""
+    settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 20_000}
+    with zenoh.open(zenoh_config(settings)) as node:
+        poses = node.declare_subscriber(
+            "0/pose/nav_msgs::msg::dds_::Odometry_/*", zenoh.handlers.RingChannel(1)
+        )
+        payload = poses.recv().payload.to_bytes()
+        subscriber.wait_until(lambda: payload in (heard for _, heard in subscriber.heard["pose"]))
+        key = f"0/corridor/save/std_srvs::srv::dds_::Trigger_/{service_hash(TRIGGER)}"
+        beside = Attachment(1, 1, bytes(16)).encode()
+        (reply,) = node.get(key, payload=b"\x00\x01\x00\x00\x00", attachment=beside, timeout=PATIENCE_S)
+        assert reply.ok.payload.to_bytes()[4] == 1  # success
 
 
 def _check_recording(session: Path, truth: Path) -> None:
