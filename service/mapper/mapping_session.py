@@ -13,7 +13,7 @@ from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import GraphPicture, Grid, MapperOutput, TileUpdate
 
-APPLY_AFTER_SCANS = 25  # half a second at 50 Hz: what a loop takes live on a busy machine
+APPLY_AFTER_NS = 500_000_000  # of the drive: what a loop takes live on a busy machine
 
 SessionAction = Literal["pause", "resume", "reset_map"]
 
@@ -112,21 +112,21 @@ class MappingSession:
     the way driven meanwhile. A reset puts a fresh mapper in the place of the old: map and `pose_map_base`
     begin anew, while `pose_odom_base` goes on where it was, because odom never jumps.
 
-    apply_after   a result of the graph's back end is applied when so many scans were mapped since its job
-                  went out, and is waited for then: the same in every replay. None: the caller says when, by
-                  apply_result; live that is when it is ready, and in a replay of that where the recording
-                  says so.
+    apply_after_ns   a result of the graph's back end is applied with the first scan that was measured so
+                     long after that with which its job went out, and is waited for then: the same in every
+                     replay. None: the caller says when, by apply_result; live that is when it is ready, and
+                     in a replay of that where the recording says so.
     """
 
     def __init__(
         self,
         new_mapper: Callable[[], FrameMapper],
         lasers: Collection[str],
-        apply_after: int | None = APPLY_AFTER_SCANS,
+        apply_after_ns: int | None = APPLY_AFTER_NS,
     ) -> None:
         self.lasers = frozenset(lasers)
-        self._apply_after = apply_after
-        self._ages: deque[int] = deque()  # scans mapped when each piece of work went out
+        self._apply_after_ns = apply_after_ns
+        self._sent_ns: deque[int] = deque()  # stamp of the scan with which each piece of work went out
         self._new_mapper = new_mapper
         self._mapper = new_mapper()
         self._last_odom: tuple[int, SE2] | None = None  # stamp and pose of the newest output
@@ -151,8 +151,8 @@ class MappingSession:
         output = self._mapper.process(frame)
         if output is None:
             return None
-        if self._apply_after is not None:
-            self._apply_old(self._apply_after)
+        if self._apply_after_ns is not None:
+            self._apply_old(output.stamp_ns - self._apply_after_ns, output.stamp_ns)
         output = self._in_one_odom(output)
         self._last_odom = (output.stamp_ns, output.pose_odom_base)
         return output
@@ -170,7 +170,7 @@ class MappingSession:
         """Whether that changed anything: a pause in a pause does not."""
         if action == "reset_map":
             self._mapper.graph.close()
-            self._ages.clear()
+            self._sent_ns.clear()
             self._mapper = self._new_mapper()
             self._mapper.counters = self.counters
             self._began = self._last_odom
@@ -252,13 +252,12 @@ class MappingSession:
         """Nothing more is wanted of the graph's back end."""
         self._mapper.graph.close()
 
-    def _apply_old(self, after: int) -> None:
-        scans = self.counters["scans"]
-        while self._ages and scans - self._ages[0] >= after:
-            self._ages.popleft()
+    def _apply_old(self, sent_until_ns: int, stamp_ns: int) -> None:
+        while self._sent_ns and self._sent_ns[0] <= sent_until_ns:
+            self._sent_ns.popleft()
             self._mapper.apply_result()
-        out = self._mapper.graph.waiting - len(self._ages)
-        self._ages.extend([scans] * max(out, 0))
+        out = self._mapper.graph.waiting - len(self._sent_ns)
+        self._sent_ns.extend([stamp_ns] * max(out, 0))
 
     def _in_one_odom(self, output: MapperOutput) -> MapperOutput:
         if self._began is None:

@@ -19,7 +19,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import GraphRequestError
 from service.mapper.corrections import corrected
 from service.mapper.mapping_session import (
-    APPLY_AFTER_SCANS,
+    APPLY_AFTER_NS,
     ApplyResult,
     GraphRequest,
     LeftOut,
@@ -83,7 +83,7 @@ class ReplayRun:
         self._switches = ProfileSwitches(setup.mapping, is_profile_followed)
         self._times = ComponentTimes()
         self._mapper = MappingSession(
-            self._new_mapper, setup.lasers, apply_after=None if setup.is_as_live else APPLY_AFTER_SCANS
+            self._new_mapper, setup.lasers, apply_after_ns=None if setup.is_as_live else APPLY_AFTER_NS
         )
         self._timing = Timing(setup.lasers, self._mapper.counters, session.topics_of)
         self._left_out: dict[str, LeftOut] = {}  # by sensor: what live happened to its next frame

@@ -110,7 +110,7 @@ class MapperProcess:
             self._can_copy = True  # until its parts say otherwise
 
         self._loop = MappingLoop(
-            MappingSession(new_mapper, setup.lasers, apply_after=None),
+            MappingSession(new_mapper, setup.lasers, apply_after_ns=None),
             self._send,
             setup.upside_down,
             prepare_map=prepare_map,

@@ -217,17 +217,20 @@ def test_a_pause_before_the_first_scan_does_not_fix_where_the_map_begins():
     assert all(b.pose_map_base.x_m > a.pose_map_base.x_m for a, b in pairwise(after))
 
 
-def test_work_comes_in_a_fixed_number_of_scans_after_it_went_out(made: list[FakeMapper]):
-    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after=3)
+@pytest.mark.parametrize(("period_ns", "applied_at"), [(10, [5, 7]), (15, [4, 6]), (100, [3, 5])])
+def test_work_comes_in_a_fixed_time_after_it_went_out(
+    period_ns: int, applied_at: list[int], made: list[FakeMapper]
+):
+    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after_ns=30)
     graph = made[0].graph
     for k in range(1, 10):
         graph.waiting += k in (2, 4)
-        mapper.process(scan(k))
-    assert graph.applied_at == [5, 7]
+        mapper.process(scan(k * period_ns))
+    assert graph.applied_at == applied_at
 
 
-def test_work_comes_in_when_told_where_no_number_is_given(made: list[FakeMapper]):
-    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after=None)
+def test_work_comes_in_when_told_where_no_time_is_given(made: list[FakeMapper]):
+    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after_ns=None)
     made[0].graph.waiting = 1
     for k in range(1, 100):
         mapper.process(scan(k))
@@ -237,7 +240,7 @@ def test_work_comes_in_when_told_where_no_number_is_given(made: list[FakeMapper]
 
 
 def test_a_reset_ends_the_old_graph_and_what_it_had_out(made: list[FakeMapper]):
-    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after=3)
+    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after_ns=3)
     made[0].graph.waiting = 1
     mapper.process(scan(1))
     mapper.carry_out("reset_map")

@@ -113,7 +113,7 @@ class Run:
             lambda: log_clock.next_ns(OFFSET_NS + 10**9),
             lambda: self.link.now_ns,
         )
-        session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], apply_after=None)
+        session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], apply_after_ns=None)
         self.link = InlineLink(session, self.outputs)
         self.intake = Intake(self.link, HostTime(OFFSET_NS), self._put)  # type: ignore[arg-type]
 
