@@ -88,6 +88,18 @@ def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
     return False
 
 
+@inner_kernel
+def placed(xy_base, pose):
+    """(N, 2) float64 m, points of the base frame in that of the grid; pose (3,): of the base."""
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    xy = np.empty((xy_base.shape[0], 2))
+    for i in range(xy_base.shape[0]):
+        xy[i, 0] = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
+        xy[i, 1] = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
+    return xy
+
+
 @kernel
 def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks, mark):
     """Count the cells in which a key frame has end points; points where it was free until now get weight 0.
@@ -108,11 +120,12 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks,
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
+    xy = placed(xy_base, pose)
     tile_row = tile_column = -(2**62)
     slot = np.int64(NO_TILE)
     for i in range(xy_base.shape[0]):
-        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
-        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
+        column = math.floor(xy[i, 0] * cells_per_m)
+        row = math.floor(xy[i, 1] * cells_per_m)
         if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
             tile_row = row >> TILE_BITS
             tile_column = column >> TILE_BITS
@@ -156,13 +169,11 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
     first_column = grid.tiles.origin[1]
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
-    x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
-    y = pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]
+    xy = placed(xy_base, pose)
+    x, y = placed(sensor_xy_m.reshape(1, 2), pose)[0]
     for i in range(number % settings.beam_step, xy_base.shape[0], settings.beam_step):
-        dx = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1] - x
-        dy = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1] - y
+        dx = xy[i, 0] - x
+        dy = xy[i, 1] - y
         range_m = math.hypot(dx, dy)
         if range_m <= settings.behind_m:
             continue
@@ -204,12 +215,28 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
 
 
 @inner_kernel
+def slot_of(slots, first_row, first_column, row, column):
+    """Slot of a cell's tile, NO_TILE where there is none; slots, first_row, first_column as in TileIndex."""
+    return slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+
+
+@inner_kernel
 def score_at(slots, first_row, first_column, score, row, column):
-    """Score of a cell, 0 where no tile is; slots, first_row and first_column as in TileIndex."""
-    slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+    """Score of a cell, 0 where no tile is; slots as in slot_of."""
+    slot = slot_of(slots, first_row, first_column, row, column)
     if slot == NO_TILE:
         return np.int64(0)
     return np.int64(score[slot, row & TILE_MASK, column & TILE_MASK])
+
+
+@inner_kernel
+def most_around(slots, first_row, first_column, score, row, column):
+    """Largest score of the 3 x 3 cells around."""
+    most = score_at(slots, first_row, first_column, score, row, column)
+    for r in range(row - 1, row + 2):
+        for q in range(column - 1, column + 2):
+            most = max(most, score_at(slots, first_row, first_column, score, r, q))
+    return most
 
 
 @kernel
@@ -234,8 +261,7 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
+    xy = placed(xy_base, pose)
     count = xy_base.shape[0]
     stood = np.zeros(count, np.int64)
     longest = 1
@@ -244,16 +270,14 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
     for i in range(count):
         if normals[i, 2] == 0.0:
             continue
-        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
-        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
+        column = math.floor(xy[i, 0] * cells_per_m)
+        row = math.floor(xy[i, 1] * cells_per_m)
         if row != last_row or column != last_column:
             last_row = row
             last_column = column
             most = score_at(slots, first_row, first_column, score, row, column)
             if most == 0:
-                for r in range(row - 1, row + 2):
-                    for q in range(column - 1, column + 2):
-                        most = max(most, score_at(slots, first_row, first_column, score, r, q))
+                most = most_around(slots, first_row, first_column, score, row, column)
         stood[i] = max(most, np.int64(0))
         longest = max(longest, stood[i])
     before = after = 0.0
@@ -271,8 +295,8 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
 
 @inner_kernel
 def stood_before(slots, first_row, first_column, sightings, row, column, side, latest):
-    """Whether a surfel of a cell stands since a mark of the path, or longer; slots as in score_at."""
-    slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+    """Whether a surfel of a cell stands since a mark of the path, or longer; slots as in slot_of."""
+    slot = slot_of(slots, first_row, first_column, row, column)
     if slot == NO_TILE:
         return False
     r = row & TILE_MASK
@@ -308,7 +332,7 @@ def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
     )
     for _ in range(steps):
         if stood_before(slots, first_row, first_column, sightings, row, column, 0, latest):
-            slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+            slot = slot_of(slots, first_row, first_column, row, column)
             u = x - (column + 0.5) * cell_m
             v = y - (row + 0.5) * cell_m
             if looks_through(
@@ -343,24 +367,18 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
-    x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
-    y = pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]
+    xy = placed(xy_base, pose)
+    x, y = placed(sensor_xy_m.reshape(1, 2), pose)[0]
     in_free = 0
     behind = 0
     for i in range(xy_base.shape[0]):
         if normals[i, 2] == 0.0:
             continue
-        dx = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1] - x
-        dy = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1] - y
+        dx = xy[i, 0] - x
+        dy = xy[i, 1] - y
         column = math.floor((x + dx) * cells_per_m)
         row = math.floor((y + dy) * cells_per_m)
-        stands = False
-        for r in range(row - 1, row + 2):
-            for q in range(column - 1, column + 2):
-                stands = stands or score_at(slots, first_row, first_column, score, r, q) > 0
-        if stands:
+        if most_around(slots, first_row, first_column, score, row, column) > 0:
             continue
         if score_at(slots, first_row, first_column, score, row, column) < 0:
             in_free += 1
@@ -388,16 +406,15 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
+    xy = placed(xy_base, pose)
     found = np.empty((xy_base.shape[0], 6))
     find_surfels(xy_base, normals, pose, grid, least_cosine, found)
     for i in range(xy_base.shape[0]):
         residual_m[i] = math.nan
         if normals[i, 2] == 0.0 or found[i, 4] == 0.0:
             continue
-        x = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]
-        y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
-        row = math.floor(y * cells_per_m)
-        column = math.floor(x * cells_per_m)
+        row = math.floor(xy[i, 1] * cells_per_m)
+        column = math.floor(xy[i, 0] * cells_per_m)
         nx = np.float32(c * normals[i, 0] - s * normals[i, 1])
         ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
         # What came into the cell of a wall lately, or beside it, is not the wall.
@@ -405,7 +422,7 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
         stood = False
         for r in range(row - reach, row + reach + 1):
             for q in range(column - reach, column + reach + 1):
-                slot = slot_at(slots, (r >> TILE_BITS) - first_row, (q >> TILE_BITS) - first_column)
+                slot = slot_of(slots, first_row, first_column, r, q)
                 if slot == NO_TILE or stood:
                     continue
                 v = r & TILE_MASK
@@ -416,7 +433,7 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
                 if cosine >= least_cosine:
                     stood = stood_before(slots, first_row, first_column, sightings, r, q, side, latest)
         if stood:
-            residual_m[i] = found[i, 2] * (x - found[i, 0]) + found[i, 3] * (y - found[i, 1])
+            residual_m[i] = found[i, 2] * (xy[i, 0] - found[i, 0]) + found[i, 3] * (xy[i, 1] - found[i, 1])
 
 
 @kernel
@@ -434,13 +451,12 @@ def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
+    xy = placed(xy_base, pose)
     for i in range(xy_base.shape[0]):
         is_moved[i] = False
-        row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) * cells_per_m)
-        column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) * cells_per_m)
-        slot = slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
+        row = math.floor(xy[i, 1] * cells_per_m)
+        column = math.floor(xy[i, 0] * cells_per_m)
+        slot = slot_of(slots, first_row, first_column, row, column)
         if slot == NO_TILE:
             continue
         score = sightings.score[slot, row & TILE_MASK, column & TILE_MASK]
@@ -461,13 +477,11 @@ def count_through(xy_base, sensor_xy_m, pose, grid, sightings, latest, behind_m)
     latest        int              mark
     behind_m      float            as in looks_through
     """
-    c = math.cos(pose[2])
-    s = math.sin(pose[2])
-    x = pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]
-    y = pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]
+    xy = placed(xy_base, pose)
+    x, y = placed(sensor_xy_m.reshape(1, 2), pose)[0]
     through = 0
     for i in range(xy_base.shape[0]):
-        dx = pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1] - x
-        dy = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1] - y
+        dx = xy[i, 0] - x
+        dy = xy[i, 1] - y
         through += passes_through(x, y, dx, dy, grid, sightings, latest, behind_m)
     return through
