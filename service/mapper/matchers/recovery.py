@@ -35,6 +35,11 @@ class SteadyMotion:
         while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= LEAST_STEP_NS:
             self._matched.popleft()
 
+    @property
+    def last(self) -> SE2 | None:
+        """Pose of the newest match; None: there was none."""
+        return self._matched[-1][1] if self._matched else None
+
     def pose_at(self, stamp_ns: int) -> SE2 | None:
         """None where that is not known, or for a moment too far ahead."""
         if len(self._matched) < 2:

@@ -3,7 +3,8 @@
 A scan that is matched to people who walk beside the vehicle shows a vehicle that stands. Some hundred returns
 outweigh any odometry, so no weight of the prediction helps: it takes a decision about which returns belong to
 what stands still. What was seen from different places, over STATIC_PATH_M of the path, stands still whatever
-moves now. It decides between two hypotheses where the matched path leaves that of odometry and gyro:
+moves now, and no vehicle changes its speed at once. Both decide between two hypotheses where the matched path
+leaves that of odometry and gyro:
 
     laser      the matched pose is right, and odometry errs
     odometry   the pose by odometry is right, and part of the scene moves
@@ -24,8 +25,9 @@ import numpy.typing as npt
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
-from service.kernels.match import Prior
-from service.mapper.judgement import LEAST_CONFIRMING, is_loose, sigmas_of
+from service.kernels.match import Prior, student_cost
+from service.mapper.judgement import LEAST_CONFIRMING, chi2_between, is_loose, sigmas_of
+from service.mapper.matchers.recovery import SteadyMotion
 from service.mapper.methods.corridor.attempt import Aligned, Attempt, Matrix, chi2_of
 from service.mapper.methods.corridor.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
@@ -38,7 +40,10 @@ MAX_TURN_CHI2 = 10.8  # 99.9 % of one: beyond, odometry and scans turn at differ
 RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
 OUTLIER_SHARE = 0.1  # of the returns, which lie on no such wall by chance
 BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measurement of it
-MIN_ODOMETRY_NATS = -5.0  # evidence of static walls for odometry: below, odometry errs
+SPEED_WALK, TURN_WALK = 1.0, 2.0  # m/s and rad/s per root second, by which a vehicle's speed changes
+# By how much likelier it is that part of the scene moves than that odometry errs, before anything is asked:
+# where things are seen to move, and where none are.
+MOVING_NATS, STILL_NATS = 5.0, -5.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls: with less, their evidence is none
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05
@@ -134,6 +139,26 @@ def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.in
     return float((sums[counts > 0] / counts[counts > 0]).sum())
 
 
+def inertia_nats(
+    went_on: SE2, by_odometry: SE2, by_laser: SE2, elapsed_s: float, covariance: Matrix
+) -> float:
+    """By how much likelier one step is than another, since a vehicle does not change its speed at once, nats.
+
+    went_on       where the base would be had it gone on as between the last matches
+    by_odometry   where odometry puts it, from the last match; by_laser: where the scan does
+    elapsed_s     since the last match
+    covariance    (3, 3) of the prediction, base axes
+    """
+    walked_s3 = elapsed_s**3 / 3.0
+    way_m2 = SPEED_WALK**2 * walked_s3 + MATCH_SIGMA_M**2
+    turn_rad2 = TURN_WALK**2 * walked_s3 + MATCH_SIGMA_RAD**2
+    covariance = covariance + np.diag([way_m2, way_m2, turn_rad2])
+    odometry_cost, laser_cost = (
+        student_cost(chi2_between(went_on, pose, covariance), STUDENT) for pose in (by_odometry, by_laser)
+    )
+    return float(laser_cost - odometry_cost)
+
+
 def _log_likelihood(residual_m: Matrix) -> Matrix:
     on_wall = np.exp(-0.5 * (np.nan_to_num(residual_m, nan=np.inf) / RESIDUAL_SIGMA_M) ** 2)
     likelihood: Matrix = np.log(OUTLIER_SHARE + (1.0 - OUTLIER_SHARE) * on_wall)
@@ -145,16 +170,24 @@ class MovingScene:
 
     align               (attempt, start (3,), sub-map, is_held) -> the match; held to the prior, which then
                         errs by no more than it says
+    steady              the motion of the matches
     degraded_sigma_m    a direction that is known worse is open
     """
 
     def __init__(
-        self, align: Callable[[Attempt, Matrix, Submap, bool], Aligned], degraded_sigma_m: float
+        self,
+        align: Callable[[Attempt, Matrix, Submap, bool], Aligned],
+        steady: SteadyMotion,
+        degraded_sigma_m: float,
     ) -> None:
         self._align = align
+        self._steady = steady
         self._degraded_sigma_m = degraded_sigma_m
         self._reckoning = Reckoning()
         self._moves_until_ns: int | None = None  # at least; None: nothing moves
+        # Since part of the scene was seen to move last: the steps from each match of what stands still to
+        # that of the whole scan, one after the other, and the way.
+        self._drag, self._way_m = SE2(), 0.0
 
     def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
         """The match of what stands still, while part of the scene moves; None: it stands still again, or what
@@ -172,7 +205,7 @@ class MovingScene:
         if conflict is None:
             return self._accepted(static, attempt)
         by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
-        if conflict.is_turned or _evidence_nats(attempt, by_odometry, static) < MIN_ODOMETRY_NATS:
+        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + MOVING_NATS < 0.0:
             self._moves_until_ns = None
             return None
         return self._begun(by_odometry, attempt)
@@ -185,11 +218,12 @@ class MovingScene:
             return aligned
         if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
             return aligned
-        is_turned = conflict is not None and conflict.is_turned
-        if not is_turned and _moved_share(aligned) >= MIN_MOVING_SHARE:
+        is_moving = _moved_share(aligned) >= MIN_MOVING_SHARE
+        if is_moving if conflict is None else not conflict.is_turned:
             prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
             static, share = self._align_static(attempt, prior, aligned.submap)
-            if share >= MIN_STATIC_SHARE and _evidence_nats(attempt, static, aligned) >= MIN_ODOMETRY_NATS:
+            nats = self._evidence_nats(attempt, static, aligned) + (MOVING_NATS if is_moving else STILL_NATS)
+            if share >= MIN_STATIC_SHARE and nats >= 0.0:
                 return self._begun(static, attempt)
         if conflict is not None:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
@@ -216,6 +250,22 @@ class MovingScene:
             return None
         return self._begun(static, attempt)
 
+    def _evidence_nats(self, attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
+        """By how much likelier odometry is than the laser, by static walls and by inertia, for a scan that
+        was aligned in two ways on one sub-map.
+        """
+        of_odometry, of_laser = (
+            one.submap.static_residuals(one.xy_base, attempt.normals, one.result.pose)
+            for one in (by_odometry, by_laser)
+        )
+        nats = evidence_nats(of_odometry, of_laser, attempt.points.beam)
+        last, went_on = self._steady.last, self._steady.pose_at(attempt.stamp_ns)
+        reckoned = attempt.predicted.reckoned
+        if reckoned is None or last is None or went_on is None:
+            return nats
+        poses = last @ reckoned.pose, by_laser.pose
+        return nats + inertia_nats(went_on, *poses, attempt.predicted.elapsed_s, attempt.prior.covariance)
+
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all."""
         residual_m = submap.static_residuals(attempt.points.xy_base, attempt.normals, prior.pose)
@@ -227,15 +277,19 @@ class MovingScene:
 
     def _begun(self, static: Aligned, attempt: Attempt) -> Aligned:
         self._reckoning.restart(attempt.stamp_ns, static.pose)
-        self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        self._moves(attempt)
         return self._accepted(static, attempt)
+
+    def _moves(self, attempt: Attempt) -> None:
+        self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        self._drag, self._way_m = SE2(), 0.0
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """With the weight that the prediction has by its own distribution, and what is not to be mapped."""
         is_moving = static.submap.moved(static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
-        if moving_share >= MIN_MOVING_SHARE:
-            self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        if moving_share >= MIN_MOVING_SHARE or self._is_dragged(static, attempt):
+            self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON
         if static.result.weakest_sigma_m > self._degraded_sigma_m or static.result.used < LEAST_CONFIRMING:
@@ -250,6 +304,19 @@ class MovingScene:
         result = static.result._replace(prior_weight=weight)
         return replace(static, result=result, state=state, reason=reason, is_moving=is_moving)
 
+    def _is_dragged(self, static: Aligned, attempt: Attempt) -> bool:
+        """Whether matches of whole scans leave the path of what stands still: what moves along on ground that
+        the map does not know is not seen to move.
+        """
+        whole = self._align(attempt, attempt.prior.pose, static.submap, False)
+        self._drag = self._drag @ (static.pose.inverse() @ whole.pose)
+        self._way_m += attempt.predicted.travel_m
+        off_m, off_rad = math.hypot(self._drag.x_m, self._drag.y_m), abs(self._drag.theta_rad)
+        return (
+            off_m > SCALE_SIGMA * self._way_m + MATCH_SIGMA_M
+            or off_rad > SCALE_SIGMA * self._way_m + MATCH_SIGMA_RAD
+        )
+
 
 def _moved_share(aligned: Aligned) -> float:
     """Of the returns, those that lie where nothing stood before."""
@@ -260,12 +327,3 @@ def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:
     pose = conflict.pose
     at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
     return attempt.prior._replace(pose=at, covariance=conflict.covariance)
-
-
-def _evidence_nats(attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
-    """As evidence_nats, of a scan that was aligned in two ways on one sub-map."""
-    of_odometry, of_laser = (
-        one.submap.static_residuals(one.xy_base, attempt.normals, one.result.pose)
-        for one in (by_odometry, by_laser)
-    )
-    return evidence_nats(of_odometry, of_laser, attempt.points.beam)

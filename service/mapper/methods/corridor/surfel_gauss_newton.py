@@ -123,7 +123,7 @@ class SurfelGaussNewton:
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
         self._steady = SteadyMotion()
-        self._scene = MovingScene(self._align, config.degraded_sigma_m)
+        self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
         self._was_contradicted = False  # the prediction, by the scan before
         self._rest_until_ns = 0  # no wide search before
         self._gap: _Gap | None = None

@@ -8,7 +8,7 @@ import pytest
 
 from service.fusion.motion import Prediction, Reckoned
 from service.geometry.se2 import SE2
-from service.mapper.methods.corridor.moving_scene import Reckoning, evidence_nats
+from service.mapper.methods.corridor.moving_scene import Reckoning, evidence_nats, inertia_nats
 from service.offline.replay import ReplayOptions, replay
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import judge
@@ -64,6 +64,38 @@ def test_evidence_is_for_the_pose_at_which_static_walls_lie() -> None:
     assert nats == pytest.approx(-evidence_nats(off, on_walls, beam))
     assert nats == pytest.approx(10 * 2.2, rel=0.1)  # a measurement for each ten neighbours
     assert evidence_nats(off, off, beam) == 0.0
+
+
+@pytest.mark.parametrize(("elapsed_s", "least", "most"), [(0.04, 5.0, 20.0), (1.5, 0.0, 0.1)])
+def test_a_vehicle_does_not_stop_within_a_scan_but_within_a_second(
+    elapsed_s: float, least: float, most: float
+) -> None:
+    """Odometry goes on, the laser has jumped back by 7 cm; then the other way round."""
+    known = np.diag([0.003**2, 0.003**2, 0.001**2])
+    nats = inertia_nats(SE2(STEP_M), SE2(STEP_M), SE2(-0.03), elapsed_s, known)
+    assert least <= nats <= most
+    assert inertia_nats(SE2(STEP_M), SE2(-0.03), SE2(STEP_M), elapsed_s, known) == pytest.approx(-nats)
+
+
+def test_a_jump_back_onto_the_map_is_possible_where_the_pose_is_little_known() -> None:
+    vague = np.diag([0.1**2, 0.1**2, 0.01**2])
+    assert inertia_nats(SE2(STEP_M), SE2(STEP_M), SE2(-0.03), 0.04, vague) < 5.0
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case("tilted", "library", 3, 0.625, speed_mps=2.0),  # a third of the returns, on ground never seen
+        Case("tilted", "ring", 3, 0.625, speed_mps=2.0),  # a twelfth of them, and nothing else along the way
+    ],
+    ids=lambda case: case.world,
+)
+def test_a_line_on_the_floor_does_not_hold_the_vehicle(case: Case) -> None:
+    of = staged(case)
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
+    assert verdict.worst_m < 0.15
+    assert verdict.lost_percent == 0.0
 
 
 def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
