@@ -177,6 +177,7 @@ class Estimator:
         self._gyro_rate = 0.0
         self._jump_told_ns = 0  # not again before
         self._still = Standstill()
+        self._is_unwitnessed = False  # as in Standstill, since the last scan
         self._consistent = ConsistentCovariance()
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = LEAST_SIGMA
@@ -249,6 +250,7 @@ class Estimator:
             window_ns = round(self._settings.speed_window_s * 1e9)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
                 self._begin_twist(stamp_ns)
+        is_unwitnessed, self._is_unwitnessed = self._is_unwitnessed, False
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
         is_measured = bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE
@@ -268,6 +270,7 @@ class Estimator:
             is_measured=is_measured,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
+            is_unwitnessed=is_unwitnessed and pause_s > 0.0,
             reckoned=self._reckoned(),
             samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
             deviation=self._deviation,
@@ -394,10 +397,12 @@ class Estimator:
             track = self._odometry.track
             if value[:3] == tuple(track.value[last, :3]):
                 if self._has_begun and self._still.says_nothing(sample.stamp_ns, track, self._filter):
+                    self._is_unwitnessed = self._still.is_unwitnessed
                     return True
             else:
                 # What was driven while it was stuck it has not counted, or has: nobody knows.
-                if self._still.is_stuck or self._has_begun_anew(sample, last):
+                is_dead = self._still.is_stuck or self._still.is_unwitnessed
+                if is_dead or self._has_begun_anew(sample, last):
                     self._begin_odometry()
                 self._still = Standstill(has_moved=True)
         self._odometry.append(sample.stamp_ns, value)

@@ -46,6 +46,8 @@ class Prediction(Motion):
     is_confirmed: bool = False  # both did, and were weighed against each other
     odometry_noise: float = 1.0  # variance of odometry's way over that of its model, as learnt
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
+    # in that pause wheels stopped faster than a vehicle brakes: it may be towed, or they slip
+    is_unwitnessed: bool = False
     reckoned: "Reckoned | None" = None  # odometry and gyro alone; None: odometry was silent
     samples_dropped: int = 0  # since the last prediction: too many waited for it
     # (begin_s, end_s) from this moment -> what is known there beyond the twist: (K, 3) m, m, rad at K

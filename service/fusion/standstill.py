@@ -40,6 +40,7 @@ class Standstill:
 
     has_moved: bool = False  # once at all
     is_stuck: bool = False  # it stands while the vehicle drives
+    is_unwitnessed: bool = False  # it began to stand as no vehicle can, and no scan says whether that does
     _since_ns: int | None = None  # stamp of the first sample like the one before
     _stop: _ImpossibleStop | None = None  # with which it began to stand, as long as no scan has confirmed it
 
@@ -50,10 +51,12 @@ class Standstill:
         state   as of the last scan
         """
         scan_ns = int(state.stamp_ns[0])
-        if stamp_ns - scan_ns > STUCK_NS:
-            return False  # no scan says anything else
         if self._since_ns is None:
-            self._since_ns, self._stop = stamp_ns, _impossible_stop(track, state)
+            self._since_ns, self._stop = stamp_ns, _impossible_stop(stamp_ns, track, state)
+        if stamp_ns - scan_ns > STUCK_NS:
+            self.is_unwitnessed = self._stop is not None
+            return self.is_unwitnessed
+        self.is_unwitnessed = False
         if self._stop is not None and _went_on(self._stop, state):
             self.is_stuck = True
         if self._stop is not None and not _goes_on(self._stop, state):
@@ -83,24 +86,29 @@ def _went_on(stop: _ImpossibleStop, state: Filter) -> bool:
     return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
 
 
-def _impossible_stop(track: Track, state: Filter) -> _ImpossibleStop | None:
-    """That of odometry at its newest sample; None: a vehicle can have stopped so."""
+def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleStop | None:
+    """That of odometry at its newest sample, from its speed in one of the last two steps, for it may have
+    stood for part of the last one; None: a vehicle can have stopped so.
+
+    stamp_ns   of the first sample of the same pose
+    """
     first, end = track.span.tolist()
-    if end - first < 2:
-        return None
-    x_m, y_m, theta_rad = (track.value[end - 1, :3] - track.value[end - 2, :3]).tolist()
-    before_ns, last_ns = track.stamp_ns[end - 2 : end].tolist()
-    elapsed_s = (last_ns - before_ns) * 1e-9
-    speed_mps, turn_radps = math.hypot(x_m, y_m) / elapsed_s, abs(wrap_angle(theta_rad)) / elapsed_s
-    brakes = speed_mps <= MOST_BRAKING_MPS2 * elapsed_s
-    brakes_turn = turn_radps <= MOST_TURN_BRAKING_RADPS2 * elapsed_s
-    if brakes and brakes_turn:
-        return None
-    lead_s = max((last_ns - int(state.stamp_ns[0])) * 1e-9, 0.0)
-    return _ImpossibleStop(
-        speed_mps=0.0 if brakes else speed_mps,
-        turn_radps=0.0 if brakes_turn else turn_radps,
-        pose=state.pose.copy(),
-        way_m=speed_mps * lead_s,
-        turn_rad=turn_radps * lead_s,
-    )
+    last_ns = int(track.stamp_ns[end - 1])
+    for k in range(end - 2, max(end - 4, first - 1), -1):
+        x_m, y_m, theta_rad = (track.value[k + 1, :3] - track.value[k, :3]).tolist()
+        elapsed_s = (int(track.stamp_ns[k + 1]) - int(track.stamp_ns[k])) * 1e-9
+        stopped_s = max(last_ns - int(track.stamp_ns[k]), stamp_ns - last_ns) * 1e-9
+        speed_mps, turn_radps = math.hypot(x_m, y_m) / elapsed_s, abs(wrap_angle(theta_rad)) / elapsed_s
+        brakes = speed_mps <= MOST_BRAKING_MPS2 * stopped_s
+        brakes_turn = turn_radps <= MOST_TURN_BRAKING_RADPS2 * stopped_s
+        if brakes and brakes_turn:
+            continue
+        lead_s = max((last_ns - int(state.stamp_ns[0])) * 1e-9, 0.0)
+        return _ImpossibleStop(
+            speed_mps=0.0 if brakes else speed_mps,
+            turn_radps=0.0 if brakes_turn else turn_radps,
+            pose=state.pose.copy(),
+            way_m=speed_mps * lead_s,
+            turn_rad=turn_radps * lead_s,
+        )
+    return None

@@ -91,7 +91,7 @@ class MappedScan:
     change: MapChange
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
     elapsed_s: float = 0.0  # since the scan before
-    pause_s: float = 0.0  # in which nobody measured the way since then, the longest
+    is_way_unknown: bool = False  # that since then, as in judgement.py
 
 
 # Of a session in a stored map: nobody knows where it lies in it; one look says where; another one, too.

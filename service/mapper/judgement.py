@@ -111,6 +111,11 @@ def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64])
     return float(away.x_m * away.x_m / xx + y * y / y_left + t * t / t_left)
 
 
+def is_way_unknown(predicted: Prediction) -> bool:
+    """Whether the vehicle may be anywhere, by what nobody measured of its way since the last scan."""
+    return predicted.pause_s > CARRIED_S or predicted.is_unwitnessed
+
+
 def begun(points: Points, predicted: Prediction) -> Match:
     """The first scan: the map begins where the prediction puts it."""
     return Match(predicted, points, 1.0)

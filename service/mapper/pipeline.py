@@ -22,7 +22,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import CARRIED_S, drift_of
+from service.mapper.judgement import drift_of, is_way_unknown
 from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
@@ -211,7 +211,7 @@ class Mapper(Generic[ReadableMap]):
         looked_for = self._checks.where_to_compare(scan.sensor, at_ns, predicted)
         if looked_for is not None:
             return self._compared(points, at_ns, looked_for)
-        if predicted.pause_s > CARRIED_S and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
+        if is_way_unknown(predicted) and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         match = replace(match, motion=s.motion_model.correct(match.measured))
@@ -234,7 +234,9 @@ class Mapper(Generic[ReadableMap]):
             s.motion_model.settle(change.error_left)
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
         pose_map_odom = s.graph.add(
-            MappedScan(at_ns, still, match, change, covariance, predicted.elapsed_s, predicted.pause_s)
+            MappedScan(
+                at_ns, still, match, change, covariance, predicted.elapsed_s, is_way_unknown(predicted)
+            )
         )
         is_drawn = match.state != "lost" and self._localisation.is_found and not self._is_localizing
         match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)

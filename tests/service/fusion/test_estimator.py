@@ -363,8 +363,9 @@ def test_samples_of_a_silent_laser_are_kept_and_old_ones_forgotten() -> None:
     kept = np.diff(model._odometry.track.span)[0]
     assert 2 <= kept < 200
     for stamp_ms in range(200_020, 400_001, 20):
-        model.add(odometry(stamp_ms, SE2(200.0, 0.0, 0.0)))
-    assert model.predict(400_000 * MS).pose_odom_base.x_m == pytest.approx(200.0, abs=0.05)
+        braked_s = min(stamp_ms * 1e-3 - 200.0, 1.0)
+        model.add(odometry(stamp_ms, SE2(200.0 + braked_s - 0.5 * braked_s**2, 0.0, 0.0)))
+    assert model.predict(400_000 * MS).pose_odom_base.x_m == pytest.approx(200.5, abs=0.05)
 
 
 def test_a_pause_of_odometry_between_two_scans_is_told_and_one_of_the_laser_is_none() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.geometry.se2 import SE2
+from service.mapper.judgement import is_loose, sigmas_of
 from tests.service.fusion.samples import MS, SURE, matched, odometry
 
 VAGUE = np.diag([0.015**2, 1e-6, 1e-8])  # along a corridor, m^2
@@ -100,3 +101,30 @@ def test_odometry_that_dies_in_a_turn_on_the_spot_is_found_out_before_the_turn_i
             model.predict(stamp_ms * MS)
             model.correct(matched(SE2(1e-3 * min(stamp_ms, 3000), 0.0, turned_rad), SURE))
             assert bool(model.fault) is (stamp_ms > 4200) or 4000 < stamp_ms <= 4200
+
+
+@pytest.mark.parametrize(("braked_s", "gone_m"), [(0.5, 0.25), (0.02, 3.0), (0.003, 3.0)])
+def test_wheels_that_stand_at_once_while_no_scan_comes_measure_no_way(braked_s: float, gone_m: float) -> None:
+    """1 m/s until 4 s, then they brake, a vehicle does within 0.5 s; no scan until 7 s, when they roll on."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 9_001, 20):
+        at_s = stamp_ms * 1e-3
+        since_s = min(max(at_s - 4.0, 0.0), braked_s)
+        counted_m = min(at_s, 4.0) + since_s - 0.5 * since_s**2 / braked_s + max(at_s - 7.0, 0.0)
+        way_m = counted_m if braked_s == 0.5 else at_s
+        assert model.add(odometry(stamp_ms, SE2(counted_m, 0.0, 0.0)))
+        if stamp_ms % 100 == 0 and not 4000 < stamp_ms < 7000:
+            predicted = model.predict(stamp_ms * MS)
+            if stamp_ms == 7000:
+                is_known = braked_s == 0.5
+                assert predicted.pose_odom_base.x_m == pytest.approx(
+                    4.0 + gone_m, abs=0.1 if is_known else 1.0
+                )
+                assert predicted.pause_s == pytest.approx(0.0 if is_known else 3.0, abs=0.05)
+                assert is_loose(sigmas_of(predicted.local_covariance)) != is_known
+                assert predicted.is_unwitnessed != is_known
+            elif stamp_ms > 7100:
+                assert predicted.is_measured
+                assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
+            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
+            assert not model.fault

@@ -400,8 +400,8 @@ def _with_posts(
 def _unmeasured(pause_s: float) -> Reason:
     return Reason(
         "unmeasured_way",
-        f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {CARRIED_S:g} s); "
-        "the vehicle may have been carried",
+        f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {CARRIED_S:g} s; "
+        "1 s if odometry stops faster than a vehicle brakes); the vehicle may have been carried or towed",
     )
 
 

@@ -22,7 +22,6 @@ from service.mapper.components import (
     ScanToRender,
 )
 from service.mapper.graph.background_graph import BackgroundGraph, add_counts
-from service.mapper.judgement import CARRIED_S
 from service.mapper.methods.corridor.graph.fix_track import FixTrack
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
@@ -97,7 +96,7 @@ class LoopClosing(BackgroundGraph[Result]):
     def add(self, scan: MappedScan) -> SE2:
         pose = scan.match.motion.pose_odom_base
         self._gap_s = max(self._gap_s, scan.elapsed_s)
-        self._is_unmeasured |= scan.pause_s > CARRIED_S
+        self._is_unmeasured |= scan.is_way_unknown
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MOST_STANDING, 0), MOST_DOUBLED)

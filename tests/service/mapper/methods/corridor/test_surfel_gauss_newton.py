@@ -118,7 +118,7 @@ def test_where_nobody_measured_the_way_the_map_is_asked_again_when_the_graph_has
         found = matcher.match(points, predicted(SE2(0.02, 0.0, 0.0)), chain)
         assert found.state == "lost"
         assert found.reason.startswith(
-            "neither laser nor odometry measured the motion for 5.0 s (at most 4 s)"
+            "neither laser nor odometry measured the motion for 5.0 s (at most 4 s;"
         )
         pieces.append(chain.insert(points, found).piece)
     assert pieces == [1, 1, 1]
