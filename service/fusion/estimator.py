@@ -396,7 +396,9 @@ class Estimator:
         if last is not None:
             track = self._odometry.track
             if value[:3] == tuple(track.value[last, :3]):
-                if self._has_begun and self._still.says_nothing(sample.stamp_ns, track, self._filter):
+                if self._has_begun and self._still.says_nothing(
+                    sample.stamp_ns, track, self._filter, self._elapsed_s
+                ):
                     self._is_unwitnessed = self._still.is_unwitnessed
                     return True
             else:

@@ -21,6 +21,7 @@ STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
 MOST_BRAKING_MPS2, MOST_TURN_BRAKING_RADPS2 = 5.0, 20.0
 # So long, or so far, odometry stands while the vehicle drives; then it counts only once it moves again.
 STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
+MISSED_SCANS = 5  # and more than STUCK_NS: the laser is silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +45,20 @@ class Standstill:
     _since_ns: int | None = None  # stamp of the first sample like the one before
     _stop: _ImpossibleStop | None = None  # with which it began to stand, as long as no scan has confirmed it
 
-    def says_nothing(self, stamp_ns: int, track: Track, state: Filter) -> bool:
+    def says_nothing(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
         """Whether such a sample is no evidence of the motion.
 
-        track   of odometry, up to the sample that was used last
-        state   as of the last scan
+        track      of odometry, up to the sample that was used last
+        state      as of the last scan
+        period_s   of the scans
         """
         scan_ns = int(state.stamp_ns[0])
+        is_unheard = stamp_ns - scan_ns > STUCK_NS
+        if is_unheard and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
+            return False  # no scan is to say anything else
         if self._since_ns is None:
             self._since_ns, self._stop = stamp_ns, _impossible_stop(stamp_ns, track, state)
-        if stamp_ns - scan_ns > STUCK_NS:
+        if is_unheard:
             self.is_unwitnessed = self._stop is not None
             return self.is_unwitnessed
         self.is_unwitnessed = False

@@ -128,3 +128,16 @@ def test_wheels_that_stand_at_once_while_no_scan_comes_measure_no_way(braked_s: 
                 assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
             model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
             assert not model.fault
+
+
+def test_where_scans_are_seconds_apart_wheels_are_believed_between_them() -> None:
+    """A log of which few scans were kept: its laser is not silent, and its wheels stop at 5 s."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 8_001, 20):
+        way_m = min(stamp_ms * 1e-3, 5.0)
+        assert model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
+        if stamp_ms % 2000 == 0:
+            predicted = model.predict(stamp_ms * MS)
+            assert not predicted.is_unwitnessed
+            assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.05)
+            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
