@@ -98,6 +98,11 @@ def is_warm(place: Path | None = None) -> bool:
         return False
 
 
+def cache_key() -> str:
+    """Short hash of sources, their place, compiler and processor: kernels of another are not used."""
+    return hashlib.sha256(_compiled_for().encode()).hexdigest()[:12]
+
+
 def kernels_in(place: Path) -> int:
     """How many kernels of the present sources are kept there."""
     try:

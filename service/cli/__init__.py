@@ -13,6 +13,8 @@ from service.log_format import set_up_logging
 
 log = logging.getLogger(__name__)
 
+COMPLETION_ASKED = "_ARGCOMPLETE"  # by the shell, see service.cli.completion
+
 # command -> module and function; imported only when called, for numba and Zenoh take a second to import
 _COMMANDS = {
     "run": ("service.cli.live", "run"),
@@ -31,6 +33,7 @@ _COMMANDS = {
     "init": ("service.cli.upkeep", "init"),
     "install-unit": ("service.cli.upkeep", "install_unit"),
     "warmup": ("service.cli.upkeep", "warmup"),
+    "completion": ("service.cli.completion", "completion"),
 }
 
 
@@ -39,7 +42,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["simulate"]:
         _become_the_simulators(arguments[1:])
-    parsed = new_parser().parse_args(arguments)
+    parser = new_parser()
+    if COMPLETION_ASKED in os.environ:
+        from service.cli.completion import complete
+
+        complete(parser)
+    parsed = parser.parse_args(arguments)
     set_up_logging(logging.DEBUG if parsed.verbose else logging.INFO)
     module, function = _COMMANDS[parsed.command]
     command: Callable[..., int] = getattr(import_module(module), function)

@@ -5,12 +5,12 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from service.cli.choices import PROFILES, WORLDS, one_of
+from service.cli.choices import PROFILES, WORLDS, OneOf
 from service.cli.map_arguments import add_maps
 from service.cli.map_names import map_and_version
 from service.cli.recordings import add_choice
+from service.cli.version import ShowVersion
 from service.errors import UsageError
-from service.version import VERSION
 
 EPILOG = """exit codes: 0 done, 1 failed, 64 wrong usage, 65 bad input file, 74 I/O error, 78 bad config.
 Results go to stdout, progress and logs to stderr."""
@@ -37,7 +37,9 @@ def new_parser() -> Parser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"corridor {VERSION}")
+    parser.add_argument(
+        "--version", action=ShowVersion, help="version, commit of a checkout, key of the compiled kernels"
+    )
     parser.add_argument("-v", "--verbose", action="store_true", help="log every detail")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_run(commands)
@@ -56,6 +58,8 @@ def new_parser() -> Parser:
     _add_init(commands)
     _add_install_unit(commands)
     _add(commands, "warmup", "compile the kernels and keep them in the cache")
+    completion = _add(commands, "completion", "print the script by which a shell completes this command line")
+    completion.add_argument("shell", choices=("bash", "zsh", "fish"))
     return parser
 
 
@@ -72,7 +76,7 @@ def _add_demo(commands: Any) -> None:
     demo.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds")
     demo.add_argument(
         "--world",
-        type=one_of("world", WORLDS),
+        type=OneOf("world", WORLDS),
         metavar="W",
         help=f"the world to drive in (default: office): {', '.join(WORLDS)}",
     )
@@ -338,7 +342,7 @@ def _add(commands: Any, name: str, help_text: str) -> argparse.ArgumentParser:
 def _add_profile(parser: argparse.ArgumentParser, help_text: str) -> None:
     parser.add_argument(
         "--profile",
-        type=one_of("profile", PROFILES),
+        type=OneOf("profile", PROFILES),
         metavar="P",
         help=f"{help_text}: {', '.join(PROFILES)}",
     )

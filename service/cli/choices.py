@@ -5,7 +5,7 @@ A test holds them against simulators.worlds and service.mapper.profiles.
 
 import argparse
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 WORLDS = (
     *("corridor100", "crowd", "featureless", "floor", "glass_corridor", "glass_hall", "hall100", "hall200"),
@@ -14,14 +14,18 @@ WORLDS = (
 PROFILES = ("corridor", "contour_lm", "imle", "owolm_eskf", "submap_graph")
 
 
-def one_of(what: str, known: Sequence[str]) -> Callable[[str], str]:
-    """For an argument's `type`: the name itself, or a sentence that says which there are."""
+class OneOf:
+    """An argument's `type`: the name itself, or a sentence that says which there are."""
 
-    def check(name: str) -> str:
-        if name in known:
+    def __init__(self, what: str, known: Sequence[str]) -> None:
+        self._what = what
+        self.known = known  # for completion
+
+    def __call__(self, name: str) -> str:
+        if name in self.known:
             return name
-        near = difflib.get_close_matches(name, known, n=1)
+        near = difflib.get_close_matches(name, self.known, n=1)
         meant = f"did you mean {near[0]}? " if near else ""
-        raise argparse.ArgumentTypeError(f"no {what} {name!r}; {meant}there are {', '.join(known)}")
-
-    return check
+        raise argparse.ArgumentTypeError(
+            f"no {self._what} {name!r}; {meant}there are {', '.join(self.known)}"
+        )

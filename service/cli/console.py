@@ -14,9 +14,11 @@ if TYPE_CHECKING:  # it imports numba
     from service.kernel_warm_up import KernelProgress
 
 BAR_WIDTH = 30
+CLEAR = "\r\x1b[K"  # to the first column; what stands on the line goes
 REDRAW_S = 0.1
 PLAIN_STEPS = 10  # off a terminal a line each tenth
 SILENCE_S = 5.0  # the longest
+PACE_S = 2.0  # of a phase; sooner nobody knows how long it takes
 
 
 def print_result(result: dict[str, Any], as_json: bool) -> None:
@@ -100,7 +102,7 @@ class Progress:
             self._share = None if share is None else min(max(share, 0.0), 1.0)
             if self._terminal:
                 if is_new or self._share == 1.0 or self._quiet_s() >= REDRAW_S:
-                    self._write(f"\r{self._line()}")
+                    self._write(f"{CLEAR}{self._line()}")
             elif self._share is None:
                 if is_new:
                     self._write(f"{self._phase} ...\n")
@@ -113,7 +115,7 @@ class Progress:
         with self._lock:
             if self._has_begun and self._quiet_s() >= SILENCE_S:
                 line = f"{self._line()}, {self._monotonic_s() - self._phase_began_s:.0f} s"
-                self._write(f"\r{line}" if self._terminal else f"{line}\n")
+                self._write(f"{CLEAR}{line}" if self._terminal else f"{line}\n")
 
     def end(self) -> None:
         """Leave the bar's line."""
@@ -125,7 +127,15 @@ class Progress:
             return f"{self._phase} ..."
         if not self._terminal:
             return f"{self._phase}: {self._share:.0%}"
-        return f"{self._phase} {bar(self._share)}"
+        return f"{self._phase} {bar(self._share)}{self._left()}"
+
+    def _left(self) -> str:
+        """The time that the rest takes at the pace so far, once that is known by some seconds of it."""
+        taken_s = self._monotonic_s() - self._phase_began_s
+        if not self._share or self._share == 1.0 or taken_s < PACE_S:
+            return ""
+        left_s = round(taken_s * (1.0 - self._share) / self._share)
+        return f", {left_s // 60}:{left_s % 60:02} left"
 
     def _quiet_s(self) -> float:
         return self._monotonic_s() - self._written_s

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
-from service.cli.console import bar
+from service.cli.console import CLEAR, bar
 
 if TYPE_CHECKING:  # it imports numpy
     from service.runtime.service import Service
@@ -18,7 +18,6 @@ log = logging.getLogger(__name__)
 
 REDRAW_S = 0.5
 PLAIN_S = 10.0  # between two lines off a terminal
-CLEAR = "\r\x1b[K"  # to the first column; what stands on the line goes
 
 
 class StatusLine:

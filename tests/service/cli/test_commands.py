@@ -2,14 +2,16 @@ import io
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from service import log_format
-from service.cli import arguments, choices, console, main
+from service.cli import arguments, choices, console, main, version
 from service.cli.live import what_was_written
 from service.errors import (
     ConfigError,
@@ -49,7 +51,57 @@ def code_of(arguments: list[str]) -> int:
 
 def test_the_version_is_the_one_that_stands_in_one_place(capsys: pytest.CaptureFixture[str]):
     assert code_of(["--version"]) == 0
-    assert capsys.readouterr().out == f"corridor {VERSION}\n"
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first == f"corridor {VERSION}"
+    assert re.fullmatch(r"kernels [0-9a-f]{12}: .*compiled.*", others[-1])
+
+
+def test_a_checkout_has_its_commit_in_the_version_and_an_installed_program_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(version, "ROOT", tmp_path)
+    assert "git" not in version.version_words()
+    run = partial(subprocess.run, cwd=tmp_path, check=True, capture_output=True)
+    run(["git", "init", "--quiet"])
+    (tmp_path / "file").write_text("1")
+    run(["git", "add", "file"])
+    author = ("-c", "user.name=a", "-c", "user.email=a@localhost")
+    run(["git", *author, "commit", "--quiet", "--message", "one"])
+    commit = run(["git", "rev-parse", "HEAD"]).stdout.decode()[:12]
+    assert f"\ngit {commit}\n" in version.version_words()
+    (tmp_path / "file").write_text("2")
+    assert f"\ngit {commit}-dirty\n" in version.version_words()
+
+
+def test_bash_completes_commands_options_names_and_files(tmp_path: Path):
+    (tmp_path / "vehicle.yaml").write_text(GOOD)
+    lines = {
+        "corridor re": "replay report recover",
+        "corridor replay --prof": "--profile",
+        "corridor replay --profile c": "corridor contour_lm",
+        "corridor check v": "vehicle.yaml",
+    }
+    script = 'source <(corridor completion bash); for COMP_LINE in "$@"; do COMP_POINT=${#COMP_LINE}; '
+    script += 'COMP_TYPE=9; _python_argcomplete corridor; echo "${COMPREPLY[*]}"; done'
+    path = f"{CORRIDOR.parent}:{os.environ['PATH']}"
+    ran = subprocess.run(
+        ["bash", "-c", script, "bash", *lines],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert [line.strip() for line in ran.stdout.splitlines()] == list(lines.values()), ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("shell", "words"), [("zsh", "#compdef corridor"), ("fish", "complete --command corridor")]
+)
+def test_other_shells_have_a_script_too(shell: str, words: str, capsys: pytest.CaptureFixture[str]):
+    assert code_of(["completion", shell]) == 0
+    assert words in capsys.readouterr().out
+    assert code_of(["completion", "csh"]) == UsageError.exit_code
 
 
 @pytest.mark.parametrize(
@@ -247,9 +299,20 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
         for step in range(101):
             shown(step / 100)
         shown.end()
-    assert terminal.getvalue().startswith("\rreplay [..")
+    assert terminal.getvalue().startswith(f"{console.CLEAR}replay [..")
     assert terminal.getvalue().endswith("] 100%\n")
     assert pipe.getvalue().splitlines() == [f"replay: {tenth}0%" for tenth in range(1, 11)]
+
+
+def test_the_bar_says_how_long_the_rest_takes_once_the_pace_is_known():
+    clock_s, terminal = [0.0], Terminal()
+    shown = console.Progress("mapping", terminal, lambda: clock_s[0])
+    for clock_s[0], share in ((1.0, 0.01), (2.0, 0.02), (30.0, 0.25), (120.0, 1.0)):
+        shown(share)
+    shown(0.5, "closing loops")
+    shown.end()
+    ends = [line.partition("] ")[2] for line in terminal.getvalue().split(console.CLEAR)[1:]]
+    assert ends == ["  1%", "  2%, 1:38 left", " 25%, 1:30 left", "100%\n", " 50%\n"]
 
 
 def test_each_phase_of_a_work_has_a_line_of_its_own():
@@ -261,7 +324,7 @@ def test_each_phase_of_a_work_has_a_line_of_its_own():
         shown(None, "closing loops")
         shown(None, "closing loops")
         shown.end()
-    bars = [line.rpartition("\r")[2] for line in terminal.getvalue().split("\n")]
+    bars = [line.rpartition(console.CLEAR)[2] for line in terminal.getvalue().split("\n")]
     assert bars[0] == "compiling kernels [###############...............]  50%"
     assert bars[1] == f"mapping [{'#' * 30}] 100%"
     assert bars[2:] == ["closing loops ...", ""]
@@ -273,7 +336,10 @@ def test_each_phase_of_a_work_has_a_line_of_its_own():
 @pytest.mark.parametrize(
     ("stream", "expected"),
     [
-        (Terminal(), "\rclosing loops ...\rclosing loops ..., 5 s\rclosing loops ..., 10 s\n"),
+        (
+            Terminal(),
+            "".join(f"{console.CLEAR}closing loops ...{late}" for late in ("", ", 5 s", ", 10 s")) + "\n",
+        ),
         (io.StringIO(), "closing loops ...\nclosing loops ..., 5 s\nclosing loops ..., 10 s\n"),
     ],
 )
