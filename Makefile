@@ -37,6 +37,7 @@ $(STAMP): pyproject.toml
 	wait $$pip || { tail -n 30 $(VENV)/pip.log; echo "pip failed; all of its words: $(VENV)/pip.log"; exit 1; }
 	@echo "3/3 kernels: compiled once for this processor, half a minute to two minutes, five where others take the cores"
 	@$(BIN)/corridor warmup # so that the first start and the first test find every kernel compiled
+	@$(BIN)/corridor check --schema > config/schema/config.json # by which editors complete the examples
 	@touch $(STAMP)
 
 demo: venv ## fake devices, drivers, mapping, Zenoh and recording on this machine, until Ctrl-C
@@ -81,4 +82,4 @@ soak: venv ## the long checks
 	$(BIN)/python -m pytest -q -m hypothesis --hypothesis-profile=thorough $(TEST_ARGS)
 
 clean: ## remove what make made
-	rm -rf $(VENV) .venv-3.13 .venv-interop build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json
+	rm -rf $(VENV) .venv-3.13 .venv-interop build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache out bench.json config/schema/config.json

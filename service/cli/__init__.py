@@ -34,6 +34,7 @@ _COMMANDS = {
     "install-unit": ("service.cli.upkeep", "install_unit"),
     "warmup": ("service.cli.upkeep", "warmup"),
     "completion": ("service.cli.completion", "completion"),
+    "man": ("service.cli.manual", "man"),
 }
 
 

@@ -60,6 +60,8 @@ def new_parser() -> Parser:
     _add(commands, "warmup", "compile the kernels and keep them in the cache")
     completion = _add(commands, "completion", "print the script by which a shell completes this command line")
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
+    man = _add(commands, "man", "write the manual pages of the program and of its commands, for `man`")
+    man.add_argument("folder", type=Path, metavar="DIR", help="share/man/man1 of a prefix, say")
     return parser
 
 
@@ -280,7 +282,9 @@ def _add_score(commands: Any) -> None:
 
 def _add_check_and_doctor(commands: Any) -> None:
     check = _add(commands, "check", "validate a config; every fault with its place and what to write instead")
-    _add_config(check)
+    _add_config(check).add_argument(
+        "--schema", action="store_true", help="print the JSON schema of a config instead, for editors"
+    )
 
     doctor = _add(
         commands, "doctor", "look at ports, rights, devices, clocks, disk, cache; what is wrong, what to do"
@@ -348,12 +352,14 @@ def _add_profile(parser: argparse.ArgumentParser, help_text: str) -> None:
     )
 
 
-def _add_config(parser: argparse.ArgumentParser) -> None:
+def _add_config(parser: argparse.ArgumentParser) -> Any:
+    """The group of which one is given."""
     given = parser.add_mutually_exclusive_group(required=True)
     given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
     given.add_argument(
         "--config", type=Path, dest="config_option", metavar="CONFIG.yaml", help=argparse.SUPPRESS
     )
+    return given
 
 
 def _add_listen(parser: argparse.ArgumentParser) -> None:

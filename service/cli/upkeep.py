@@ -19,6 +19,8 @@ def config_path(parsed: argparse.Namespace) -> Path:
 
 
 def check(parsed: argparse.Namespace) -> int:
+    if parsed.schema:
+        return _print_schema()
     from service.config import laser_names, load_config, mapped_lasers
     from service.offline.config_here import faults_here
 
@@ -41,6 +43,13 @@ def check(parsed: argparse.Namespace) -> int:
     else:
         print(f"{path}: ok; {_what_is_mapped(mapped, others)}")
     return ConfigError.exit_code if faults else 0
+
+
+def _print_schema() -> int:
+    from service.config_schema import schema_text
+
+    print(schema_text(), end="")
+    return 0
 
 
 def _what_is_mapped(mapped: Sequence[str], others: Sequence[str]) -> str:

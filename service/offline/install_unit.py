@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from service.config_schema import schema_text
 from service.errors import StorageError, UsageError, words_of
 from service.resources import CONFIG, SYSTEMD
 
@@ -22,6 +23,7 @@ FILES = {
     SYSTEMD / "60-corridor.rules": "etc/udev/rules.d/60-corridor.rules",
     CONFIG / "vehicle.yaml": "etc/corridor/vehicle.yaml.example",
 }
+SCHEMA = "etc/corridor/schema/config.json"  # which the example names
 NEXT_STEPS = (
     "systemd-sysusers && systemd-tmpfiles --create",
     "udevadm control --reload && udevadm trigger",
@@ -52,7 +54,7 @@ class Installed:
 
 
 def install_unit(root: Path, force: bool = False, program: str | None = None) -> Installed:
-    """Write unit, sysusers, tmpfiles, udev rules and an example config below `root`.
+    """Write unit, sysusers, tmpfiles, udev rules, an example config and its schema below `root`.
 
     A file that stands there with other content is kept, unless `force`.
 
@@ -67,9 +69,10 @@ def install_unit(root: Path, force: bool = False, program: str | None = None) ->
     written: list[str] = []
     unchanged: list[str] = []
     kept: list[str] = []
-    for source, place in FILES.items():
+    texts = {place: source.read_text(encoding="utf-8") for source, place in FILES.items()}
+    for place, text in (texts | {SCHEMA: schema_text()}).items():
         target = root / place
-        content = _with_program(source.read_text(encoding="utf-8"), program)
+        content = _with_program(text, program)
         try:
             before = target.read_text(encoding="utf-8") if target.exists() else None
             if before == content:

@@ -27,16 +27,18 @@ from tests.simulated import drive as simulated_drive
 
 SHELL = written_in("sh")
 OF_THE_SYSTEM = {  # not ours, known to every reader; bash says whether the line can be one
-    "git", "cd", "cp", "sudo", "systemctl", "journalctl", "python3", "pip", "source", "apt", "ros2", "export"
+    *("git", "cd", "cp", "man", "sudo", "systemctl", "journalctl", "python3", "pip", "source", "apt", "ros2"),
+    "export",
 }  # fmt: skip
 PLACEHOLDER = re.compile(r"<[a-z ]+>")
+INTO_A_FILE = re.compile(r" > \S+")
 
 
 def commands_of(text):
     """Lines without comments, parts joined by && apart, each as words."""
     for line in text.splitlines():
         for part in PLACEHOLDER.sub("placeholder", line).split("&&"):
-            if words := shlex.split(part, comments=True):
+            if words := shlex.split(INTO_A_FILE.sub("", part), comments=True):
                 yield words
 
 

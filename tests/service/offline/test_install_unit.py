@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -7,15 +8,16 @@ import pytest
 
 from service.cli import main
 from service.config import load_config
+from service.config_schema import config_schema
 from service.errors import StorageError, UsageError
-from service.offline.install_unit import FILES, install_unit, own_program
+from service.offline.install_unit import FILES, SCHEMA, install_unit, own_program
 
 PROGRAM = "/opt/corridor/venv/bin/corridor"
 
 
 def test_every_file_is_put_where_it_is_looked_for(tmp_path: Path):
     done = install_unit(tmp_path, program="/usr/local/bin/corridor")
-    assert sorted(done.written) == sorted(str(tmp_path / place) for place in FILES.values())
+    assert sorted(done.written) == sorted(str(tmp_path / place) for place in (*FILES.values(), SCHEMA))
     unit = (tmp_path / "etc/systemd/system/corridor@.service").read_text()
     assert "\nExecStart=/usr/local/bin/corridor run /etc/corridor/%i.yaml\n" in unit
     assert PROGRAM not in unit
@@ -23,6 +25,9 @@ def test_every_file_is_put_where_it_is_looked_for(tmp_path: Path):
     assert "d /var/lib/corridor/maps 0750 corridor" in (tmp_path / "etc/tmpfiles.d/corridor.conf").read_text()
     assert 'ATTRS{idVendor}=="15d1"' in (tmp_path / "etc/udev/rules.d/60-corridor.rules").read_text()
     example = load_config(tmp_path / "etc/corridor/vehicle.yaml.example")
+    named = re.search(r"\$schema=(\S+)", (tmp_path / "etc/corridor/vehicle.yaml.example").read_text())
+    assert named is not None
+    assert json.loads((tmp_path / "etc/corridor" / named[1]).read_text()) == config_schema()
     assert str(example.sinks["recording"].directory) == "/var/lib/corridor/sessions"
     assert not list(tmp_path.rglob("*.new"))
     assert done.warning == ""

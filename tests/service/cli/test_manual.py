@@ -1,0 +1,48 @@
+import argparse
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from service.cli import _COMMANDS, main
+from service.cli.arguments import new_parser
+from service.cli.manual import pages
+
+PAGES = dict(pages(new_parser()))
+
+
+def actions_of(parser: argparse.ArgumentParser):
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for child in action.choices.values():
+                yield from actions_of(child)
+        elif action.help is not argparse.SUPPRESS:
+            yield parser.prog.replace(" ", "-"), action
+
+
+def test_each_command_has_a_page_and_each_option_stands_in_it():
+    assert {"corridor", "corridor-simulate", "corridor-map-merge"} <= PAGES.keys()
+    assert {f"corridor-{command}" for command in _COMMANDS} <= PAGES.keys()
+    for page, action in actions_of(new_parser()):
+        for option in action.option_strings:
+            assert option.replace("-", r"\-") in PAGES[page], f"{option} in {page}"
+
+
+@pytest.mark.skipif(shutil.which("groff") is None, reason="no groff: apt install groff")
+def test_groff_finds_no_fault_in_the_pages_and_loses_no_word():
+    command = ["groff", "-man", "-ww", "-Tascii", "-P-c", "-P-b", "-P-u", "-rLL=200n"]
+    ran = subprocess.run(command, input="".join(PAGES.values()), capture_output=True, text=True, check=True)
+    assert ran.stderr == ""
+    shown = re.sub(r"\s+", " ", ran.stdout)
+    assert ".mcap, .bag of ROS 1, .db3 or the folder of a ROS 2 bag" in shown  # begins with a dot
+    assert "corridor replay recordings through the same mapper" in shown
+    assert "exit codes: 0 done, 1 failed, 64 wrong usage" in shown
+
+
+def test_the_command_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["man", str(tmp_path / "man1")]) == 0
+    assert {path.stem for path in (tmp_path / "man1").iterdir()} == PAGES.keys()
+    assert (tmp_path / "man1" / "corridor-replay.1").read_text() == PAGES["corridor-replay"]
+    assert "corridor-replay.1" in capsys.readouterr().out
