@@ -235,7 +235,14 @@ class Mapper(Generic[ReadableMap]):
         covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
         pose_map_odom = s.graph.add(
             MappedScan(
-                at_ns, still, match, change, covariance, predicted.elapsed_s, is_way_unknown(predicted)
+                at_ns,
+                still,
+                match,
+                change,
+                covariance,
+                predicted.elapsed_s,
+                is_way_unknown(predicted),
+                predicted.local_covariance,
             )
         )
         is_drawn = match.state != "lost" and self._localisation.is_found and not self._is_localizing

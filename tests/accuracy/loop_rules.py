@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import numpy as np
-
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.corrections import corrected
@@ -103,7 +101,7 @@ RULES = (
     Rule(
         "more variance for steps with a low inlier ratio",
         f"{GRAPH}.odometry_edges",
-        {"DOUBTFUL_COVARIANCE": np.zeros((3, 3))},
+        {"MAX_DOUBT": (0.0, 0.0)},
     ),
     Rule(
         "errors that points of one cell share",

@@ -32,6 +32,8 @@ class KeyFrame:
     gap_s: float = math.inf  # longest time without a scan since the key frame before
     motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
     is_unmeasured: bool = False  # nobody measured the way from the newest key frame of a known place to here
+    # m^2, rad^2: by how much it may be off the key frame before where its match is wrong, by the predictions
+    doubt: tuple[float, float] = (math.inf, math.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +45,8 @@ class ThinnedScan:
     sensor_xy_m: tuple[float, float]
 
 
-ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance")  # of KeyframeList, one row a key frame
+# Of KeyframeList, one row a key frame
+ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_doubt")
 SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
 
 
@@ -59,6 +62,7 @@ class KeyframeList:
         self._numbers = np.zeros((64, 7))
         self._covariance = np.zeros((64, 3, 3))
         self._motion_covariance = np.zeros((64, 3, 3))
+        self._doubt = np.zeros((64, 2))
         self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
@@ -83,6 +87,7 @@ class KeyframeList:
         ).astype(np.float64)
         self._covariance = stored.covariance.copy()
         self._motion_covariance = np.full_like(stored.covariance, np.nan)
+        self._doubt = np.full((len(stored), 2), np.inf)
         self.stamps_ns = stored.stamp_ns.tolist()
         ends = np.cumsum(stored.point_count)[:-1]
         self.thinned = [
@@ -157,6 +162,11 @@ class KeyframeList:
         """(N, 3, 3) of each one's pose against the first scan of its session; NaN where that is not known."""
         return self._motion_covariance[: self.count]
 
+    @property
+    def doubt(self) -> Floats:
+        """(N, 2) m^2, rad^2 of each one, as in KeyFrame."""
+        return self._doubt[: self.count]
+
     def append(self, frame: KeyFrame, pose_map: Floats, thinned: ThinnedScan) -> None:
         if self.count == len(self._poses):
             for name in ARRAYS:
@@ -183,6 +193,7 @@ class KeyframeList:
         self._covariance[k] = frame.covariance
         known = frame.motion_covariance
         self._motion_covariance[k] = np.nan if known is None else known
+        self._doubt[k] = frame.doubt
         if frame.is_unmeasured:
             self.unmeasured.add(frame.piece)
         self.stamps_ns.append(frame.stamp_ns)

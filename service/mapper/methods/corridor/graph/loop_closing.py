@@ -22,6 +22,7 @@ from service.mapper.components import (
     ScanToRender,
 )
 from service.mapper.graph.background_graph import BackgroundGraph, add_counts
+from service.mapper.judgement import sigmas_of
 from service.mapper.methods.corridor.graph.fix_track import FixTrack
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
@@ -81,6 +82,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._last_ns = 0
         self._spot: SE2 | None = None  # of the first key frame from where the vehicle stands
         self._standing = 0  # key frames after that one from there
+        self._doubt = (0.0, 0.0)  # since then, as of KeyFrame
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._is_unmeasured = False  # nobody measured the way since the newest place that is known
         self._way_m = 0.0  # of those not yet sent
@@ -97,6 +99,8 @@ class LoopClosing(BackgroundGraph[Result]):
         pose = scan.match.motion.pose_odom_base
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         self._is_unmeasured |= scan.is_way_unknown
+        sigma_m, sigma_rad = (math.inf, math.inf) if scan.prior is None else sigmas_of(scan.prior)
+        self._doubt = self._doubt[0] + sigma_m**2, self._doubt[1] + sigma_rad**2
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MOST_STANDING, 0), MOST_DOUBLED)
@@ -109,9 +113,9 @@ class LoopClosing(BackgroundGraph[Result]):
             self._standing += 1
             if self._is_step(pose, self._spot):
                 self._spot, self._standing = pose, 0
-            self._fresh.append(_key_frame(scan, self._gap_s, self._is_unmeasured))
+            self._fresh.append(_key_frame(scan, self._gap_s, self._is_unmeasured, self._doubt))
             self._keyframes += 1
-            self._gap_s = 0.0
+            self._gap_s, self._doubt = 0.0, (0.0, 0.0)
         self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
         if is_keyframe and (self._way_m >= self._config.search_every_m or (is_detached and not self.waiting)):
             self._submit()
@@ -218,7 +222,7 @@ class LoopClosing(BackgroundGraph[Result]):
         return last is None or pose.is_step_from(last, config.keyframe_distance_m, config.keyframe_turn_rad)
 
 
-def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
+def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool, doubt: tuple[float, float]) -> KeyFrame:
     points, match = scan.points, scan.match
     return KeyFrame(
         stamp_ns=scan.stamp_ns,
@@ -234,6 +238,7 @@ def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
         gap_s=gap_s,
         motion_covariance=match.motion.covariance,
         is_unmeasured=is_unmeasured,
+        doubt=doubt,
     )
 
 

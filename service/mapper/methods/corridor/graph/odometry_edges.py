@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
+from service.geometry.poses import Floats
 from service.mapper.graph.pose_graph import Edges
 from service.mapper.known_pose import covariance_added
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
@@ -11,7 +12,7 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 # m^2, rad^2: of a step that was not matched, where no motion model says how well it is known
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
-DOUBTFUL_COVARIANCE = np.diag([0.09, 0.09, 0.09])  # ... added where an end hardly lies on the map
+MAX_DOUBT = (0.09, 0.09)  # m^2, rad^2: ... added at most where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
 # ... into a piece, where no scan was missing, so that nobody carried the vehicle; added to the motion model's
 PIECE_COVARIANCE = np.diag([1.0, 1.0, 0.01])
@@ -29,9 +30,21 @@ def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
 
 def doubtful_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
+    doubtful = _are_doubtful(keyframes)
+    return doubtful[1:] | doubtful[:-1]
+
+
+def _are_doubtful(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     score = keyframes.score
     doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
-    return doubtful[1:] | doubtful[:-1]
+    return doubtful
+
+
+def _doubt(keyframes: KeyframeList) -> Floats:
+    """(N - 1, 3, 3) what is added to steps: a match in doubt is known as well as the predictions alone."""
+    each = _are_doubtful(keyframes)[:, None] * np.minimum(keyframes.doubt, MAX_DOUBT)
+    step = np.maximum(each[1:], each[:-1])
+    return np.asarray(np.eye(3) * step[:, [0, 0, 1], None])
 
 
 def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = False) -> Edges:
@@ -48,7 +61,7 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     covariance[said] = covariance_added(then[said], now[said], edges.measured[said])
     covariance[said] += LEAST_COVARIANCE if is_by_motion else STEP_FLOOR
     # What was not matched cannot be a wrong match.
-    covariance[doubtful_steps(keyframes) & ~(said & is_lost)] += DOUBTFUL_COVARIANCE
+    covariance += np.where((said & is_lost)[:, None, None], 0.0, _doubt(keyframes))
     covariance[is_into_piece] += PIECE_COVARIANCE
     is_away = (keyframes.gap_s[1:] > AWAY_S) | np.isin(keyframes.piece[1:], [*keyframes.unmeasured])
     covariance[is_into_piece & (is_away | ~said)] = UNKNOWN_COVARIANCE

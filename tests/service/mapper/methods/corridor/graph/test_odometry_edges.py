@@ -16,9 +16,9 @@ from service.mapper.methods.corridor.graph.keyframe_list import (
     ThinnedScan,
 )
 from service.mapper.methods.corridor.graph.odometry_edges import (
-    DOUBTFUL_COVARIANCE,
     LEAST_COVARIANCE,
     LOST_COVARIANCE,
+    MAX_DOUBT,
     PIECE_COVARIANCE,
     STEP_FLOOR,
     UNKNOWN_COVARIANCE,
@@ -71,8 +71,13 @@ def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
 @pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
 def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_doubted(score: float, added: float) -> None:
     """The others lie on it with 0.9, and 60 % of that is 0.54."""
-    doubted = SOUND + added * DOUBTFUL_COVARIANCE
+    doubted = SOUND + added * np.diag([MAX_DOUBT[0], *MAX_DOUBT])
     check(edges(score=score), doubted, doubted)
+
+
+def test_a_match_in_doubt_is_known_as_well_as_the_predictions() -> None:
+    doubted = SOUND + np.diag([1e-4, 1e-4, 4e-6])
+    check(edges(score=0.53, doubt=(1e-4, 4e-6)), doubted, doubted)
 
 
 @pytest.mark.parametrize(("ahead_m", "sigma"), [(2.0 * STEP_M, 0.0), (2.0 * STEP_M + 3.0, 0.3)])
@@ -121,5 +126,5 @@ def test_a_match_in_doubt_is_doubted_beside_the_motion_model_too(is_lost: bool) 
     odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
     added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance
     expected = np.zeros((COUNT - 1, 3, 3))
-    expected[[ODD - 1, ODD]] = 0.0 if is_lost else DOUBTFUL_COVARIANCE
+    expected[[ODD - 1, ODD]] = 0.0 if is_lost else np.diag([MAX_DOUBT[0], *MAX_DOUBT])
     np.testing.assert_allclose(added, expected, atol=1e-12)
