@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 
-from tests.browser.test_edit import choose_place, click_map, offset_of, opened, view  # noqa: F401 - fixtures
+from tests.browser.test_edit import choose_place, click_map, offset_of, unchanged, unchanged_view  # noqa: F401 - fixtures
 from tests.service.offline.bent_maps import ROUND
 
 NOISE_M = 0.008
@@ -34,12 +34,12 @@ def corner_of(page, points, about=AT):
     )
 
 
-def test_two_walls_meet_where_no_point_lies(page, live):
+def test_two_walls_meet_where_no_point_lies(still):
     off_m = {}
     for turn_rad, angle_deg in product((0.0, 1.0), (90, 50, 140, -75)):
         angle_rad = math.radians(angle_deg)
         points = np.concatenate((wall(turn_rad), wall(turn_rad + angle_rad), [FAR_AWAY]))
-        corner = corner_of(page, points, AT + 0.3 * np.array([math.cos(turn_rad), math.sin(turn_rad)]))
+        corner = corner_of(still, points, AT + 0.3 * np.array([math.cos(turn_rad), math.sin(turn_rad)]))
         assert corner is not None, (turn_rad, angle_deg)
         off_m[turn_rad, angle_deg] = np.hypot(*(np.array(corner) - AT)) * abs(math.sin(angle_rad))
     assert {case: off for case, off in off_m.items() if off >= 0.02} == {}
@@ -56,12 +56,13 @@ NO_CORNERS = {
 }
 
 
-def test_what_is_no_corner_is_none(page, live):
-    found = {name: corner_of(page, points) for name, points in NO_CORNERS.items()}
+def test_what_is_no_corner_is_none(still):
+    found = {name: corner_of(still, points) for name, points in NO_CORNERS.items()}
     assert found == dict.fromkeys(NO_CORNERS)
 
 
-def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(page, view, bent):  # noqa: F811
+def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(unchanged, bent):  # noqa: F811
+    page = unchanged
     k, corner, beside = 40, np.array([15.0, -1.0]), np.array([14.92, -0.9])
     page.look_at(*bent.graph.map[k, :2], 60.0)
     choose_place(page, "a", bent.graph.map[k, :2])

@@ -24,17 +24,22 @@ PAIRED = (6, 22)  # key frames of the first round
 CABINET = np.array([(9.9, 9.5), (11.6, 9.5), (11.6, 9.9), (9.9, 9.9)])  # around the front of one; seen once
 
 
+def open_view(page, view):
+    """Its first version, with the area Edit shown."""
+    page.open(view.address)
+    page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.mayControl && r.health")
+    page.wait_for("return corridor.edit.version === 1")
+    page.choose("edit")
+
+
 @pytest.fixture
 def opened(page):
-    """Opens a stored map on the page, with the area Edit shown; closes it again."""
+    """Opens a stored map on the page; closes it again."""
     views = []
 
-    def open_one(source, version=1):
+    def open_one(source):
         views.append(View(source, "127.0.0.1:0"))
-        page.open(views[-1].address)
-        page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.mayControl && r.health")
-        page.wait_for("return corridor.edit.version === arguments[0]", version)
-        page.choose("edit")
+        open_view(page, views[-1])
         return views[-1]
 
     yield open_one
@@ -45,6 +50,22 @@ def opened(page):
 @pytest.fixture
 def view(opened, folder):
     return opened(folder)
+
+
+@pytest.fixture(scope="module")
+def unchanged_view(tmp_path_factory, bent):
+    view = View(save_bent(tmp_path_factory.mktemp("unchanged") / "ring", bent), "127.0.0.1:0")
+    yield view
+    view.close()
+
+
+@pytest.fixture
+def unchanged(share, unchanged_view):
+    """A page as `view` has it, shared by those who change nothing of the map; no place is chosen."""
+    page = share(unchanged_view.address, lambda page: open_view(page, unchanged_view))
+    page.choose("edit")
+    page.run("document.getElementById('forget-places').click()")
+    return page
 
 
 def offset_of(page, x_m, y_m):
@@ -191,7 +212,8 @@ def test_pairs_are_picked_with_keys_alone(page, view, folder, bent):
     assert bent.error_m(graph_in(folder)) < 0.10
 
 
-def test_a_click_beside_all_points_picks_none(page, view, bent):
+def test_a_click_beside_all_points_picks_none(unchanged, bent):
+    page = unchanged
     k = PAIRED[0]
     page.look_at(*bent.graph.map[k, :2], 100.0)
     choose_place(page, "a", bent.graph.map[k, :2])
@@ -390,9 +412,9 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     )
 
 
-def test_what_cannot_load_a_map_offers_no_editing_and_says_how_it_is_done(page, live):
-    assert not page.element("tab-edit").is_displayed()
-    assert "corridor view shows a stored map, and edits it" in page.text("resources")
+def test_what_cannot_load_a_map_offers_no_editing_and_says_how_it_is_done(still):
+    assert not still.element("tab-edit").is_displayed()
+    assert "corridor view shows a stored map, and edits it" in still.text("resources")
 
 
 def test_every_control_can_be_reached_with_the_keyboard(page, view):
@@ -405,7 +427,7 @@ def test_every_control_can_be_reached_with_the_keyboard(page, view):
     assert wanted | {"cut-from", "cut-from-pick", "cut-to", "cut-bridge", "edit-who"} <= set(reached)
 
 
-def test_axe_finds_nothing_serious_in_the_area_edit(page, view, axe):
+def test_axe_finds_nothing_serious_in_the_area_edit(axe, page, view):
     page.run(
         "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1]);"
         "corridor.edit.change({what: 'wall', corners: [[6, 0], [7, 0]]}, 'Wall')",

@@ -132,8 +132,8 @@ def test_nothing_is_drawn_from_where_a_pose_jumps_away_to_where_it_goes_on(page,
     assert page.pixel(3.25, 3.0) == driven != leapt
 
 
-def test_poses_of_two_lasers_at_one_moment_are_of_one_run(page, live):
-    kept = page.driver.execute_async_script(
+def test_poses_of_two_lasers_at_one_moment_are_of_one_run(still):
+    kept = still.driver.execute_async_script(
         "const poses = arguments[0], done = arguments[1]; import('./geometry.js').then(({PoseTrack}) => {"
         " const track = new PoseTrack(); for (const pose of poses) track.add(pose);"
         " done(track.poses.map((pose) => pose.number)); })",
@@ -142,64 +142,64 @@ def test_poses_of_two_lasers_at_one_moment_are_of_one_run(page, live):
     assert kept == [1, 3, 4]  # the first is of another run
 
 
-def test_keys_move_zoom_and_turn_the_map(page, live):
-    canvas = page.element("map")
-    page.look_at(0.0, 0.0, 40.0)
+def test_keys_move_zoom_and_turn_the_map(still):
+    canvas = still.element("map")
+    still.look_at(0.0, 0.0, 40.0)
     canvas.send_keys(Keys.ARROW_RIGHT)
-    assert page.run("return corridor.view.camera.x_m") == pytest.approx(1.5)
+    assert still.run("return corridor.view.camera.x_m") == pytest.approx(1.5)
     canvas.send_keys(Keys.ARROW_UP)
-    assert page.run("return corridor.view.camera.y_m") == pytest.approx(1.5)
+    assert still.run("return corridor.view.camera.y_m") == pytest.approx(1.5)
     canvas.send_keys("+")
-    assert page.run("return corridor.view.camera.scale") == pytest.approx(50.0)
+    assert still.run("return corridor.view.camera.scale") == pytest.approx(50.0)
     canvas.send_keys("[")
-    assert page.run("return corridor.view.camera.rotation_rad") == pytest.approx(math.pi / 12)
+    assert still.run("return corridor.view.camera.rotation_rad") == pytest.approx(math.pi / 12)
     canvas.send_keys("n")
-    assert page.run("return corridor.view.camera.rotation_rad") == pytest.approx(0.0)
-    assert page.element("follow").get_attribute("aria-pressed") == "false"
+    assert still.run("return corridor.view.camera.rotation_rad") == pytest.approx(0.0)
+    assert still.element("follow").get_attribute("aria-pressed") == "false"
     canvas.send_keys("f")
-    assert page.element("follow").get_attribute("aria-pressed") == "true"
+    assert still.element("follow").get_attribute("aria-pressed") == "true"
 
 
-def test_the_mouse_drags_the_map_and_the_wheel_zooms_about_the_pointer(page, live):
-    page.look_at(0.0, 0.0, 40.0)
-    canvas = page.element("map")
-    page.pointer().drag_and_drop_by_offset(canvas, -80, 40).perform()
-    assert page.run("const c = corridor.view.camera; return [c.x_m, c.y_m]") == pytest.approx([2.0, 1.0])
+def test_the_mouse_drags_the_map_and_the_wheel_zooms_about_the_pointer(still):
+    still.look_at(0.0, 0.0, 40.0)
+    canvas = still.element("map")
+    still.pointer().drag_and_drop_by_offset(canvas, -80, 40).perform()
+    assert still.run("const c = corridor.view.camera; return [c.x_m, c.y_m]") == pytest.approx([2.0, 1.0])
     box = canvas.rect
-    under = page.run("return corridor.view.camera.toMap(100, 300)")
-    page.run(
+    under = still.run("return corridor.view.camera.toMap(100, 300)")
+    still.run(
         "document.getElementById('map').dispatchEvent(new WheelEvent('wheel',"
         "{deltaY: -300, clientX: arguments[0], clientY: arguments[1], cancelable: true}))",
         box["x"] + 100,
         box["y"] + 300,
     )
-    assert page.run("return corridor.view.camera.scale") > 50.0
-    assert page.run("return corridor.view.camera.toMap(100, 300)") == pytest.approx(under, abs=0.02)
+    assert still.run("return corridor.view.camera.scale") > 50.0
+    assert still.run("return corridor.view.camera.toMap(100, 300)") == pytest.approx(under, abs=0.02)
 
 
-def test_a_distance_is_measured_by_two_clicks(page, live):
-    page.look_at(0.0, 0.0, 40.0)
-    page.element("measure").click()
-    canvas = page.element("map")
+def test_a_distance_is_measured_by_two_clicks(still):
+    still.look_at(0.0, 0.0, 40.0)
+    still.element("measure").click()
+    canvas = still.element("map")
     for dx, dy in ((0, 0), (120, 160)):
-        page.pointer().move_to_element_with_offset(canvas, dx, dy).click().perform()
-    page.wait_for_text("hint", "5.00 m")
-    assert "x 3.00 m, y -4.00 m" in page.text("hint")
+        still.pointer().move_to_element_with_offset(canvas, dx, dy).click().perform()
+    still.wait_for_text("hint", "5.00 m")
+    assert "x 3.00 m, y -4.00 m" in still.text("hint")
     canvas.send_keys(Keys.ESCAPE)
-    page.wait_for("return document.getElementById('hint').hidden")
+    still.wait_for("return document.getElementById('hint').hidden")
 
 
-def test_the_scale_bar_is_as_long_as_it_says(page, live):
-    page.look_at(0.0, 0.0, 37.0)
-    words = page.text("scale-text")
-    pixels = page.run("return parseFloat(document.getElementById('scale-bar').style.width)")
+def test_the_scale_bar_is_as_long_as_it_says(still):
+    still.look_at(0.0, 0.0, 37.0)
+    words = still.text("scale-text")
+    pixels = still.run("return parseFloat(document.getElementById('scale-bar').style.width)")
     assert words == "2 m"
     assert pixels == pytest.approx(2 * 37.0)
 
 
-def test_all_shows_all_of_the_map(page, scene, live):
-    page.element("fit").click()
-    seen, bounds = page.run("return corridor.view.camera.seen"), page.report()["bounds"]
+def test_all_shows_all_of_the_map(still, scene):
+    still.element("fit").click()
+    seen, bounds = still.run("return corridor.view.camera.seen"), still.report()["bounds"]
     assert all(seen[low] < bounds[low] for low in ("x_min_m", "y_min_m"))
     assert all(seen[high] > bounds[high] for high in ("x_max_m", "y_max_m"))
 

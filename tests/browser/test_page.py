@@ -1,6 +1,7 @@
 import json
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import product
 
 import numpy as np
 import pytest
@@ -39,52 +40,6 @@ def test_a_long_reason_moves_no_figure(page, scene, live):
     assert page.run(where) == before
 
 
-def test_each_sensor_has_its_row_and_a_fault_its_words(page, live):
-    rows = page.text("information")
-    assert "no route to 192.168.0.10" in rows
-    assert "1 of 2 well" in rows
-    cells = page.run(
-        "return [...document.querySelectorAll('#information tbody tr')][0].innerText.split(/\\s+/)"
-    )
-    assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3", "ms"]
-
-
-def test_the_mapping_of_now_is_told_a_second_and_a_scan(page, live):
-    facts = page.run(
-        "return [...document.querySelectorAll('#information .facts dt')]"
-        ".map((name) => `${name.textContent}: ${name.nextSibling.textContent}`)"
-    )
-    for fact in ("Scans mapped a second: 50.0", "Scans not mapped: 3", "Processor a scan, median: 0.9 ms"):
-        assert fact in facts
-    assert not any(fact.startswith("Scans mapped: ") for fact in facts)  # of a replay only
-
-
-def test_all_that_a_sensor_tells_is_shown_while_its_name_is_pressed(page, live):
-    rear = page.driver.find_element("xpath", "//section[@id='information']//button[contains(., 'rear')]")
-    rear.send_keys(Keys.ENTER)
-    assert rear.get_attribute("aria-expanded") == "true"
-    shown = page.driver.find_element("css selector", ".details:not([hidden])").text
-    assert shown.splitlines()[:3] == ["no route to 192.168.0.10", "state: down", "rate_hz: 0.0"]
-    rear.send_keys(Keys.ENTER)
-    assert page.driver.find_elements("css selector", ".details:not([hidden])") == []
-
-
-def test_no_zero_has_a_sign(page, live):
-    said = page.driver.execute_async_script(
-        "const done = arguments[0]; import('./format.js').then(({fixed, degrees}) =>"
-        " done([fixed(-0.0004, 3, ' m'), fixed(-0.0006, 3, ' m'), degrees(-0.0001), degrees(-0.01)]))"
-    )
-    assert said == ["0.000 m", "-0.001 m", "0.0\u00b0", "-0.6\u00b0"]
-
-
-def test_a_clock_that_counts_from_long_ago_is_said_in_days(page, live):
-    said = page.driver.execute_async_script(
-        "const offsets = ['', '12.34', '-40000', '7.2e6', '-4.0e8'], done = arguments[0];"
-        "import('./format.js').then((format) => done(offsets.map(format.offset)))"
-    )
-    assert said == ["\u2013", "12.3 ms", "-40.0 s", "7200.0 s", "-5 d"]
-
-
 def test_events_are_listed_newest_first(page, live):
     live.put(event('{"event": "mark", "text": "<b>here</b>"}', 2.0))
     live.put(event('{"event": "pause"}', 3.0))
@@ -93,27 +48,121 @@ def test_events_are_listed_newest_first(page, live):
     assert items == ["mapping paused", "mark, <b>here</b>"]  # as text, never as markup
 
 
-def test_the_token_leaves_the_address_bar(page, live):
-    assert page.report()["mayControl"]
-    assert TOKEN not in page.driver.current_url
-    assert "#" not in page.driver.current_url
-
-
-def test_commands_are_given_with_the_token(page, live, dispatcher):
-    page.choose("control")
-    page.run(
-        "corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['mark', 'save_map', 'reset_map']})"
+def test_each_sensor_has_its_row_and_a_fault_its_words(still):
+    rows = still.text("information")
+    assert "no route to 192.168.0.10" in rows
+    assert "1 of 2 well" in rows
+    cells = still.run(
+        "return [...document.querySelectorAll('#information tbody tr')][0].innerText.split(/\\s+/)"
     )
+    assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3", "ms"]
+
+
+def test_the_mapping_of_now_is_told_a_second_and_a_scan(still):
+    facts = still.run(
+        "return [...document.querySelectorAll('#information .facts dt')]"
+        ".map((name) => `${name.textContent}: ${name.nextSibling.textContent}`)"
+    )
+    for fact in ("Scans mapped a second: 50.0", "Scans not mapped: 3", "Processor a scan, median: 0.9 ms"):
+        assert fact in facts
+    assert not any(fact.startswith("Scans mapped: ") for fact in facts)  # of a replay only
+
+
+def test_all_that_a_sensor_tells_is_shown_while_its_name_is_pressed(still):
+    rear = still.driver.find_element("xpath", "//section[@id='information']//button[contains(., 'rear')]")
+    rear.send_keys(Keys.ENTER)
+    assert rear.get_attribute("aria-expanded") == "true"
+    shown = still.driver.find_element("css selector", ".details:not([hidden])").text
+    assert shown.splitlines()[:3] == ["no route to 192.168.0.10", "state: down", "rate_hz: 0.0"]
+    rear.send_keys(Keys.ENTER)
+    assert still.driver.find_elements("css selector", ".details:not([hidden])") == []
+
+
+def test_no_zero_has_a_sign(still):
+    said = still.driver.execute_async_script(
+        "const done = arguments[0]; import('./format.js').then(({fixed, degrees}) =>"
+        " done([fixed(-0.0004, 3, ' m'), fixed(-0.0006, 3, ' m'), degrees(-0.0001), degrees(-0.01)]))"
+    )
+    assert said == ["0.000 m", "-0.001 m", "0.0\u00b0", "-0.6\u00b0"]
+
+
+def test_a_clock_that_counts_from_long_ago_is_said_in_days(still):
+    said = still.driver.execute_async_script(
+        "const offsets = ['', '12.34', '-40000', '7.2e6', '-4.0e8'], done = arguments[0];"
+        "import('./format.js').then((format) => done(offsets.map(format.offset)))"
+    )
+    assert said == ["\u2013", "12.3 ms", "-40.0 s", "7200.0 s", "-5 d"]
+
+
+def test_the_token_leaves_the_address_bar(still):
+    assert still.report()["mayControl"]
+    assert TOKEN not in still.driver.current_url
+    assert "#" not in still.driver.current_url
+
+
+def test_tabs_are_worked_with_the_arrow_keys(still):
+    still.element("tab-information").send_keys(Keys.ARROW_RIGHT)
+    assert still.element("control").is_displayed()
+    assert not still.element("information").is_displayed()
+    assert still.driver.switch_to.active_element.get_attribute("id") == "tab-control"
+
+
+def test_everything_can_be_reached_with_the_keyboard(still):
+    still.run("document.activeElement.blur(); window.scrollTo(0, 0)")
+    reached = []
+    for _ in range(30):
+        still.pointer().send_keys(Keys.TAB).perform()
+        reached.append(still.driver.switch_to.active_element.get_attribute("id"))
+    assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
+
+
+def test_a_long_name_of_a_file_goes_on_after_an_underscore(still):
+    still.resize(PHONE)
+    still.choose("information")
+    still.wait_for_text("information", "veh1_20260101T000000Z_0001.mcap")
+    parts = still.run(
+        "const name = [...document.querySelectorAll('#information dd')]"
+        ".find((node) => node.textContent.startsWith('veh1_'));"
+        "return [...name.childNodes].map((node) => node.nodeName === 'WBR' ? '|' : node.data)"
+    )
+    assert parts == ["veh1_", "|", "20260101T000000Z_", "|", "0001.mcap"]
+
+
+def test_nothing_is_wider_than_a_phone(still):
+    still.resize(PHONE)
+    still.run(
+        "document.getElementById('vehicle').textContent = 'veh1_20261122T171908Z_0001_of_the_long_drive'"
+    )
+    for area in ("map", "information", "control", "resources"):
+        still.choose(area)
+        assert still.run("return document.documentElement.scrollWidth") <= PHONE[0]
+        cards = "[...document.querySelectorAll('.card, .card table')]"
+        wide = f"{cards}.filter((c) => c.scrollWidth > c.clientWidth)"
+        assert still.run(f"return {wide}.map((c) => c.innerText)") == []
+
+
+@pytest.fixture
+def control(still, still_dispatcher):
+    """The shared page at its area Control, with all commands and no notice; no command was given."""
+    still.choose("control")
+    verbs = "['mark', 'save_map', 'reset_map', 'set_pose']"
+    still.run(f"corridor.connection.on.hello({{run_id: '', vehicle: 'v', verbs: {verbs}}})")
+    still.run("document.getElementById('notices').replaceChildren()")
+    still_dispatcher.asked.clear()
+    return still
+
+
+def test_commands_are_given_with_the_token(control, still_dispatcher):
+    page = control
     page.element("do-save_map").click()
     page.wait_for_text("notices", "Save map: done.")
     page.element("mark-text").send_keys("a door", Keys.ENTER)
     page.wait_for_text("notices", "Set mark: done.")
-    assert asked(dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
+    assert asked(still_dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
 
 
-def test_a_reset_asks_first(page, live, dispatcher):
-    page.choose("control")
-    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
+def test_a_reset_asks_first(control, still_dispatcher):
+    page = control
     page.element("do-reset_map").click()
     page.element("confirm-no").click()
     page.wait_for("return !document.getElementById('confirm').open")
@@ -121,12 +170,11 @@ def test_a_reset_asks_first(page, live, dispatcher):
     page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
     page.wait_for_text("notices", "Reset map: done.")
-    assert asked(dispatcher) == [("reset_map", {})]
+    assert asked(still_dispatcher) == [("reset_map", {})]
 
 
-def test_a_name_that_cannot_be_is_refused_before_it_is_sent(page, live, dispatcher):
-    page.choose("control")
-    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['save_map']})")
+def test_a_name_that_cannot_be_is_refused_before_it_is_sent(control, still_dispatcher):
+    page = control
     page.element("save-as").click()
     name = page.element("confirm-input")
     for wrong in ("../lap", "lap 1", ""):
@@ -135,7 +183,34 @@ def test_a_name_that_cannot_be_is_refused_before_it_is_sent(page, live, dispatch
         assert page.run("return document.getElementById('confirm').open")
     name.send_keys("lap_1", Keys.ENTER)
     page.wait_for_text("notices", "done")
-    assert asked(dispatcher) == [("save_map", {"name": "lap_1"})]
+    assert asked(still_dispatcher) == [("save_map", {"name": "lap_1"})]
+
+
+def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispatcher):
+    page = control
+    page.run(
+        "const press = (name) => document.getElementById(name).click();"
+        "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
+        "  press('confirm-no'); press('do-reset_map'); });"
+    )  # asked again before the browser has told of the answer
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "Reset map: done.")
+    assert asked(still_dispatcher) == [("reset_map", {})]
+
+
+def test_the_pose_is_set_by_dragging(control, still_dispatcher):
+    page = control
+    page.look_at(1.0, 2.0, 40.0)
+    page.element("do-set_pose").click()
+    canvas = page.element("map")
+    page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "done.")
+    ((verb, request),) = asked(still_dispatcher)
+    assert verb == "set_pose"
+    assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
 
 
 def test_what_is_said_again_stands_there_once(page, live):
@@ -146,20 +221,6 @@ def test_what_is_said_again_stands_there_once(page, live):
         page.element("do-save_map").click()
         page.wait_for_text("notices", "the disk is full")
     assert len(page.driver.find_elements("css selector", ".notice")) == 1
-
-
-def test_a_question_waits_for_the_answer_to_the_one_before(page, live, dispatcher):
-    page.choose("control")
-    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['reset_map']})")
-    page.run(
-        "const press = (name) => document.getElementById(name).click();"
-        "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
-        "  press('confirm-no'); press('do-reset_map'); });"
-    )  # asked again before the browser has told of the answer
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
-    page.wait_for_text("notices", "Reset map: done.")
-    assert asked(dispatcher) == [("reset_map", {})]
 
 
 def test_without_the_token_one_only_looks(page, serve, scene, dispatcher):
@@ -228,21 +289,6 @@ def test_it_comes_back_after_the_service_was_started_again(page, serve, scene, l
     page.wait_for("const p = corridor.report().pose; return p && p.stamp_ns === '1700000005000000000'")
 
 
-def test_the_pose_is_set_by_dragging(page, live, dispatcher):
-    page.choose("control")
-    page.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['set_pose']})")
-    page.look_at(1.0, 2.0, 40.0)
-    page.element("do-set_pose").click()
-    canvas = page.element("map")
-    page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
-    page.wait_for_text("notices", "done.")
-    ((verb, request),) = asked(dispatcher)
-    assert verb == "set_pose"
-    assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
-
-
 def test_a_session_is_renamed_deleted_and_taken_back(page, serve, tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"a session")
     page.open(serve(folders={"session": tmp_path, "map": tmp_path}).address, TOKEN)
@@ -262,94 +308,53 @@ def test_a_session_is_renamed_deleted_and_taken_back(page, serve, tmp_path):
     assert (tmp_path / "lap.mcap").read_bytes() == b"a session"
 
 
-def test_tabs_are_worked_with_the_arrow_keys(page, live):
-    page.element("tab-information").send_keys(Keys.ARROW_RIGHT)
-    assert page.element("control").is_displayed()
-    assert not page.element("information").is_displayed()
-    assert page.driver.switch_to.active_element.get_attribute("id") == "tab-control"
-
-
-def test_everything_can_be_reached_with_the_keyboard(page, live):
-    page.run("document.activeElement.blur(); window.scrollTo(0, 0)")
-    reached = []
-    for _ in range(30):
-        page.pointer().send_keys(Keys.TAB).perform()
-        reached.append(page.driver.switch_to.active_element.get_attribute("id"))
-    assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
-
-
-@pytest.mark.parametrize("width", [PHONE[0], 320])
-def test_long_figures_of_sensors_stay_within_their_card_on_a_phone(page, live, width):
-    page.resize((width, PHONE[1]))
+def test_long_figures_of_sensors_stay_within_their_card_on_a_phone(page, live):
+    page.resize(PHONE)
     page.choose("information")
     values = {"rate_hz": "201.7", "age_s": "0.02", "dropped": "12345", "clock_offset_ms": "-4004380800000"}
     named = [Status(f"sensor/{name}", 0, "ok", values) for name in ("front", "rear", "lux")]
     live.put(encode_diagnostics("diagnostics", named, stamp(2.0), stamp(2.0)))
     page.wait_for_text("information", "-46347 d")
-    table, card = page.run(
-        "const table = document.querySelector('#information table'), card = table.parentElement;"
-        "const padding = parseFloat(getComputedStyle(card).paddingRight);"
-        "return [table.getBoundingClientRect().right, card.getBoundingClientRect().right - padding]"
-    )
-    assert table <= card
+    for width in (PHONE[0], 320):
+        page.resize((width, PHONE[1]))
+        page.wait_for("return innerWidth === arguments[0]", width)
+        table, card = page.run(
+            "const table = document.querySelector('#information table'), card = table.parentElement;"
+            "const padding = parseFloat(getComputedStyle(card).paddingRight);"
+            "return [table.getBoundingClientRect().right, card.getBoundingClientRect().right - padding]"
+        )
+        assert table <= card, width
 
 
-def test_a_long_name_of_a_file_goes_on_after_an_underscore(page, live):
-    page.resize(PHONE)
-    page.choose("information")
-    page.wait_for_text("information", "veh1_20260101T000000Z_0001.mcap")
-    parts = page.run(
-        "const name = [...document.querySelectorAll('#information dd')]"
-        ".find((node) => node.textContent.startsWith('veh1_'));"
-        "return [...name.childNodes].map((node) => node.nodeName === 'WBR' ? '|' : node.data)"
-    )
-    assert parts == ["veh1_", "|", "20260101T000000Z_", "|", "0001.mcap"]
-
-
-def test_nothing_is_wider_than_a_phone(page, live):
-    page.resize(PHONE)
-    page.run(
-        "document.getElementById('vehicle').textContent = 'veh1_20261122T171908Z_0001_of_the_long_drive'"
-    )
-    for area in ("map", "information", "control", "resources"):
-        page.choose(area)
-        assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]
-        cards = "[...document.querySelectorAll('.card, .card table')]"
-        wide = f"{cards}.filter((c) => c.scrollWidth > c.clientWidth)"
-        assert page.run(f"return {wide}.map((c) => c.innerText)") == []
-
-
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
-def test_axe_finds_nothing_serious(page, live, axe, size, is_dark):
-    page.resize(size, is_dark)
+def test_axe_finds_nothing_serious(axe, page, live):
     for number in range(40):
         live.put(event(f'{{"event": "mark", "text": "{number}"}}', 2.0 + number))
     page.wait_for_text("information", "mark, 39")
     page.choose("information")
     [name.click() for name in page.driver.find_elements("css selector", "#information button.name")]
     page.run(axe)
-    for area in ("information", "control", "resources"):
-        page.choose(area)
-        assert serious_faults(page) == []
+    for size, is_dark in product((DESKTOP, PHONE), (False, True)):
+        page.resize(size, is_dark)
+        for area in ("information", "control", "resources"):
+            page.choose(area)
+            assert serious_faults(page) == [], f"{size}, dark: {is_dark}, {area}"
     page.resize(DESKTOP)
 
 
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
-def test_axe_finds_nothing_serious_in_a_replay_with_its_layers_open(page, scene, live, axe, size, is_dark):
-    page.resize(size, is_dark)
+def test_axe_finds_nothing_serious_in_a_replay_with_its_layers_open(axe, page, scene, live):
     line = np.array([[0.0, 0.0], [2.0, 0.0]], np.float32)
     live.put(encode_graph(GraphPicture(stamp(1.0), [line], line[None], line[None]), stamp(1.0)))
     live.put(replaying(scene, 20.0))
     page.wait_for_text("replay-time", "0:20 min")
-    page.choose("map" if size == PHONE else "information")
     page.run("document.querySelector('.layers').open = true")
     page.run("document.getElementById('layer-change').click()")
     page.wait_for("return document.querySelectorAll('.graph-part, .change-part').length === 5")
-    assert page.run("return document.documentElement.scrollWidth") <= size[0]
     page.run(axe)
-    assert serious_faults(page) == []
+    for size, is_dark in product((DESKTOP, PHONE), (False, True)):
+        page.resize(size, is_dark)
+        page.choose("map" if size == PHONE else "information")
+        assert page.run("return document.documentElement.scrollWidth") <= size[0]
+        assert serious_faults(page) == [], f"{size}, dark: {is_dark}"
     page.resize(DESKTOP)
 
 

@@ -7,7 +7,14 @@ import pytest
 from selenium.webdriver.common.keys import Keys
 
 from tests.browser.conftest import DESKTOP, PHONE
-from tests.browser.test_edit import PAIRED, opened, view, wait_for_version  # noqa: F401 - fixtures
+from tests.browser.test_edit import (
+    PAIRED,
+    opened,  # noqa: F401 - a fixture
+    unchanged,  # noqa: F401 - a fixture
+    unchanged_view,  # noqa: F401 - a fixture
+    view,  # noqa: F401 - a fixture
+    wait_for_version,
+)
 from tests.browser.test_page import serious_faults
 from tests.service.offline.bent_maps import ROUND, graph_in
 
@@ -26,13 +33,18 @@ def choose_places(page, k):
     )
 
 
-@pytest.fixture
-def panes(page, view):  # noqa: F811
-    """Two panes open on the places of the first key frame."""
+def open_panes(page):
+    """Two of them, on the places of the first key frame."""
     choose_places(page, PAIRED[0])
     page.element("side-by-side").click()
     page.wait_for("const {pane} = corridor.edit.pairs; return pane.isOpen && pane.frames > 0")
-    return page
+
+
+@pytest.fixture
+def panes(unchanged):  # noqa: F811
+    """Two panes open, on a shared page."""
+    open_panes(unchanged)
+    return unchanged
 
 
 def look_in_pane(page, x_m, y_m):
@@ -57,7 +69,8 @@ def pick(page, of_a, of_b, order="ab"):
         click_middle(page, "map" if side == "a" else "pane")
 
 
-def test_a_bent_map_is_straightened_in_two_panes_in_either_order(page, panes, folder, bent):
+def test_a_bent_map_is_straightened_in_two_panes_in_either_order(page, view, folder, bent):  # noqa: F811
+    open_panes(page)
     orders = itertools.cycle(("ab", "ba"))
     for k in PAIRED:
         choose_places(page, k)
@@ -73,8 +86,8 @@ def test_a_bent_map_is_straightened_in_two_panes_in_either_order(page, panes, fo
     assert page.faults() == []
 
 
-def test_each_pane_shows_its_own_place(page, panes, bent):
-    k = PAIRED[0]
+def test_each_pane_shows_its_own_place(panes, bent):
+    page, k = panes, PAIRED[0]
     of_a, of_b = bent.common_points(k)[2]
     page.run("Object.assign(corridor.view.layers, {map: 0, path: 0, grid: 0})")
     colours = page.run("return corridor.view.colours.places")
@@ -95,7 +108,8 @@ def test_each_pane_shows_its_own_place(page, panes, bent):
         assert (seen("pane", "corridor.edit.pairs.pane.camera", xy_m) == [109, 40, 217]) == in_pane
 
 
-def test_points_are_picked_in_the_panes_with_keys_alone(page, panes, bent):
+def test_points_are_picked_in_the_panes_with_keys_alone(panes, bent):
+    page = panes
     of_a, of_b = bent.common_points(PAIRED[0])[0]
     page.look_at(*of_a, 400.0)
     look_in_pane(page, *of_b)
@@ -118,7 +132,8 @@ def test_points_are_picked_in_the_panes_with_keys_alone(page, panes, bent):
     assert page.run("return corridor.edit.pairs.pairs.length") == 1
 
 
-def test_the_second_pane_goes_when_it_is_not_wanted(page, panes):
+def test_the_second_pane_goes_when_it_is_not_wanted(panes):
+    page = panes
     is_open = "return corridor.edit.pairs.pane.isOpen"
     half = page.element("map").size["width"]
     page.element("side-by-side").click()
@@ -137,14 +152,15 @@ def test_the_second_pane_goes_when_it_is_not_wanted(page, panes):
     assert not page.element("side-by-side").is_enabled()
 
 
-def test_a_place_that_is_chosen_anew_comes_into_its_pane(page, panes, bent):
-    k = PAIRED[1]
+def test_a_place_that_is_chosen_anew_comes_into_its_pane(panes, bent):
+    page, k = panes, PAIRED[1]
     choose_places(page, k)
     middle = page.run("const c = corridor.edit.pairs.pane.camera; return [c.x_m, c.y_m]")
     assert middle == pytest.approx(bent.graph.map[k + ROUND, :2].tolist(), abs=1e-3)
 
 
-def test_axe_finds_nothing_serious_in_two_panes(page, panes, axe):
+def test_axe_finds_nothing_serious_in_two_panes(axe, panes):
+    page = panes
     page.run(axe)
     try:
         for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):

@@ -26,10 +26,14 @@ def recording(tmp_path_factory):
 
 
 @pytest.fixture
-def past(page, recording):
-    """The recording's page, at its last moment."""
-    page.open(recording.address)
-    page.wait_for("const r = corridor.report(); return r.moment && r.mayControl && r.health")
+def past(share, recording):
+    """The recording's page, shared; at its last moment."""
+
+    def open_it(page):
+        page.open(recording.address)
+        page.wait_for("const r = corridor.report(); return r.moment && r.mayControl && r.health")
+
+    page = share(recording.address, open_it)
     page.element("past-position").send_keys(Keys.END)
     wait_for_moment(page, END_S)
     page.wait_for("return corridor.report().tiles > 0")
@@ -183,10 +187,10 @@ def test_without_the_token_one_sees_the_moment_and_cannot_go_elsewhere(page, rec
     assert page.report()["moment"]["position_s"] == before
 
 
-def test_a_running_service_has_no_past(page, live):
-    assert not page.element("past").is_displayed()
-    page.element("map").send_keys(",")
-    assert page.faults() == []
+def test_a_running_service_has_no_past(still):
+    assert not still.element("past").is_displayed()
+    still.element("map").send_keys(",")
+    assert still.faults() == []
 
 
 def test_the_slider_is_dragged_with_the_mouse(past):
@@ -226,7 +230,7 @@ def test_a_replay_that_is_finished_is_looked_back_at_until_another_begins(page, 
         shown.close()
 
 
-def test_axe_finds_nothing_serious_on_the_page_of_a_recording(past, axe):
+def test_axe_finds_nothing_serious_on_the_page_of_a_recording(axe, past):
     past.run(axe)
     try:
         for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):

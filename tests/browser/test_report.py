@@ -54,7 +54,7 @@ def test_the_path_lies_where_the_map_has_it(report, out):
 
 
 @pytest.mark.parametrize("is_dark", [False, True])
-def test_it_is_accessible(report, axe, is_dark):
+def test_it_is_accessible(axe, report, is_dark):
     report.resize(DESKTOP, is_dark)
     report.run("document.querySelectorAll('details').forEach(details => { details.open = true; })")
     report.run(axe)

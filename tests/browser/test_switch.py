@@ -135,7 +135,7 @@ def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, sce
     assert posed == pytest.approx({"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad})
 
 
-def test_the_card_fits_a_phone_and_passes_axe(page, live, axe):
+def test_the_card_fits_a_phone_and_passes_axe(axe, page, live):
     page.resize(PHONE)
     open_control(page)
     assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]

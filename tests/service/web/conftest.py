@@ -48,9 +48,9 @@ def dispatcher() -> Iterator[FakeDispatcher]:
     made.go_on.set()
 
 
-@pytest.fixture
-def serve(store: TileStore, dispatcher: FakeDispatcher) -> Iterator[Callable[..., WebServer]]:
-    """Starts a page; by default at any free port of this machine."""
+@contextmanager
+def served(store: TileStore, answer: Callable[[str, bytes], Answer]) -> Iterator[Callable[..., WebServer]]:
+    """Starts pages, by default at any free port of this machine, and closes them at the end."""
     opened: list[WebServer] = []
 
     def start(
@@ -58,14 +58,22 @@ def serve(store: TileStore, dispatcher: FakeDispatcher) -> Iterator[Callable[...
     ) -> WebServer:
         config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
         about = About("veh1", "corridor", lambda: ["mark", "wait"], ("corridor", "contour_lm", "imle"))
-        opened.append(WebServer(config, about, store, dispatcher.answer, TOKEN, folders, retry_s))
+        opened.append(WebServer(config, about, store, answer, TOKEN, folders, retry_s))
         opened[-1].start()
         assert not wait or opened[-1].wait_served(TIMEOUT_S)
         return opened[-1]
 
-    yield start
-    for server in opened:
-        server.close()
+    try:
+        yield start
+    finally:
+        for server in opened:
+            server.close()
+
+
+@pytest.fixture
+def serve(store: TileStore, dispatcher: FakeDispatcher) -> Iterator[Callable[..., WebServer]]:
+    with served(store, dispatcher.answer) as start:
+        yield start
 
 
 class Client:
