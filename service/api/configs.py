@@ -43,16 +43,16 @@ def load_kernels(mapping: MappingConfig) -> None:
     """Load the kernels that a config needs; where they are compiled first, the log says so."""
     ensure_cache_dir()
     warm_up_encoding()
-    warm_up_once(mapping, KernelProgress(CompilingTold()))
+    warm_up_once(mapping, KernelProgress(CompileNotice()))
 
 
-class CompilingTold:
+class CompileNotice:
     """Called whenever something of the kernels is compiled; says so once, for that takes a minute."""
 
     def __init__(self) -> None:
-        self._is_told = False
+        self._is_logged = False
 
     def __call__(self, progress: KernelProgress | None = None) -> None:
-        if not self._is_told:
-            self._is_told = True
+        if not self._is_logged:
+            self._is_logged = True
             log.warning("compiling the kernels for this processor, once: half a minute to three minutes")

@@ -32,7 +32,7 @@ class Topics(TypedDict, total=False):
 
 
 class Recording:
-    """One drive; each iteration reads its frames anew, by rising time of arrival.
+    """One drive; each iteration reads all frames again, by rising time of arrival.
 
     lasers      names of all that have scans in it
     mountings   sensor -> (3,) x m, y m, yaw rad of lasers and GNSS antennas in the frame of the base

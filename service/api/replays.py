@@ -5,7 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from service.api.configs import CompilingTold
+from service.api.configs import CompileNotice
 from service.api.mapper import trajectory_of
 from service.api.poses import Pose, pose_of
 from service.api.recordings import AnyPath, Topics, choice_of, one_drive
@@ -102,10 +102,10 @@ def replay(
         from_raw=from_raw,
     )
     refuse_contradictions(options)
-    told = CompilingTold()
+    notice = CompileNotice()
     ensure_cache_dir()
     return Result(
         replay_recording(
-            one_drive(path), options, lambda share, phase: told() if phase == COMPILING else None
+            one_drive(path), options, lambda share, phase: notice() if phase == COMPILING else None
         )
     )

@@ -27,15 +27,15 @@ UpdateT = TypeVar("UpdateT", bound=Update)
 
 CHANNELS: dict[What, str] = {"pose": "pose", "scan": "*/scan", "tile": f"{TILES}/**"}
 CONNECT_S = 10.0
-MOST_WAITING = 1000  # poses and scans that nobody has taken; 10 s of three lasers
+MOST_WAITING = 1000  # poses and scans, the oldest are dropped; 10 s of three lasers
 ASK_AGAIN_S = 5.0  # for tiles that a congested link has dropped
 
 
 class Subscription(Generic[UpdateT]):
     """Iterate it for what the service publishes; on leaving `with`, or by close, the connection ends.
 
-    The first tiles are those of the map as it is. Of a tile that nobody has taken yet only the newest version
-    waits; of poses and scans the last 1000. `dropped` counts those before.
+    The first tiles are those of the map as it is. Of a tile only the newest version waits to be taken; of poses
+    and scans the last 1000: `dropped` counts those before. A service that restarts is found again.
     """
 
     def __init__(
@@ -108,9 +108,15 @@ class Subscription(Generic[UpdateT]):
         """For the map as it is at first, later for what has been lost; replies come as samples do."""
         if "tile" in self._keys and not self._is_closed and time.monotonic() >= self._ask_at_s:
             self._ask_at_s = time.monotonic() + ASK_AGAIN_S
-            self._session.get(
-                f"{self._keys['tile']}?since=0", self._take_reply, consolidation=zenoh.ConsolidationMode.NONE
-            )
+            try:
+                self._session.get(
+                    f"{self._keys['tile']}?since=0",
+                    self._take_reply,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                )
+            except zenoh.ZError as error:
+                if not self._is_closed:
+                    raise StorageError(f"the Zenoh session does not ask for tiles: {error}") from error
 
     def _take_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:

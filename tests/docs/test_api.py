@@ -25,7 +25,7 @@ from tests.service.publishing.conftest import open_publisher, publisher, store
 
 __all__ = ["open_publisher", "publisher", "store"]  # fixtures
 ENDPOINT = "tcp/127.0.0.1:7447"
-FOR_ROS = "ros2"  # which nobody has here
+FOR_ROS = "ros2"  # which is not installed here
 
 
 def run(page: str, replace: tuple[str, str] = ("", "")) -> dict[str, object]:

@@ -16,5 +16,5 @@ def driven() -> Drive:
 
 
 def recorded(folder: Path, name: str = "session.mcap") -> Path:
-    """The session of the recorder, which holds no config."""
+    """The session of the recorder, without a config."""
     return record(driven().frames, {"front": MOUNTING}, folder, T0_NS).rename(folder / name)

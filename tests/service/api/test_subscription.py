@@ -7,6 +7,7 @@ from service.api import subscription
 from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
+from service.publishing.config import PublishingConfig
 from tests.service.mapstore.tile_makers import same, tile
 from tests.service.publishing.conftest import client_config
 
@@ -89,6 +90,19 @@ def test_a_closed_subscription_ends_the_loop(publisher):
     updates.close()
     updates.close()
     assert list(updates) == []
+
+
+def test_a_service_that_restarts_is_found_again(open_publisher, store, monkeypatch):
+    monkeypatch.setattr(subscription, "ASK_AGAIN_S", 0.2)
+    store.update([tile(0, 0, 5)])
+    first = open_publisher()
+    with corridor.subscribe(first.endpoints[0], "tile", timeout_s=TIMEOUT_S) as updates:
+        assert same(next(updates), tile(0, 0, 5))
+        first.close()
+        store = type(store)()
+        store.update([tile(0, 0, 2)])  # versions of another run begin again
+        open_publisher(PublishingConfig(listen=(first.endpoints[0],)), map_source=store)
+        assert same(next(updates), tile(0, 0, 2))
 
 
 def test_a_session_of_the_program_is_used(publisher, store):
