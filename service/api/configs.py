@@ -18,7 +18,7 @@ from service.kernel_cache import ensure_cache_dir
 from service.kernel_warm_up import KernelProgress, warm_up_once
 from service.mapper.profiles import MappingConfig
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("corridor")  # not below "service", whose warnings a replay takes into its summary
 
 
 def config_of(config: AnyPath | Mapping[str, Any]) -> ReplayConfig:

@@ -34,8 +34,8 @@ ASK_AGAIN_S = 5.0  # for tiles that a congested link has dropped
 class Subscription(Generic[UpdateT]):
     """Iterate it for what the service publishes; on leaving `with`, or by close, the connection ends.
 
-    The first tiles are those of the map as it is. Of a tile only the newest version waits to be taken; of poses
-    and scans the last 1000: `dropped` counts those before. A service that restarts is found again.
+    The first tiles are those of the map as it is. Of a tile only the newest version waits to be taken; of
+    poses and scans the last 1000: `dropped` counts those before. A service that restarts is found again.
     """
 
     def __init__(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import corridor
+from service import kernel_warm_up
 from service.cli import main
 from tests.service.api.rooms import driven
 
@@ -43,6 +44,20 @@ def test_poses_are_those_of_the_drive(replayed):
 def test_settings_that_cannot_be_are_refused_in_words(recording, settings, error, words):
     with pytest.raises(error, match=words):
         corridor.replay(recording, **settings)
+
+
+def test_that_kernels_are_compiled_is_logged_once_and_is_no_warning_of_the_result(
+    recording, monkeypatch, caplog
+):
+    def compile_two(mapping, progress):
+        progress.compiled("service.kernels.a")
+        progress.compiled("service.kernels.b")
+
+    monkeypatch.setattr(kernel_warm_up, "_loaded", set())
+    monkeypatch.setattr(kernel_warm_up, "warm_up", compile_two)
+    warnings = corridor.replay(recording).summary["warnings"]
+    assert [record.name for record in caplog.records if "compiling" in record.getMessage()] == ["corridor"]
+    assert not any("compiling" in warning for warning in warnings)
 
 
 def test_a_plot_shows_map_and_trajectory_in_metres(replayed):
