@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 from service.mapstore.files import load_map
 from service.offline.map_log import map_log
 from service.publishing.commands import Answer
+from service.web.work import SessionMapProcess
 from tests.browser.conftest import PHONE
 from tests.browser.test_edit import EDITED_WITHIN_S, PAIRED, choose_place, click_map, residuals_m
 from tests.browser.test_page import serious_faults
@@ -35,9 +37,18 @@ def maps(tmp_path, folder):
     return tmp_path / "maps"
 
 
+@pytest.fixture(scope="module")
+def map_process():
+    """Works on the maps of all sessions: a start of one takes more than a second of processor."""
+    process = SessionMapProcess()
+    yield SimpleNamespace(ask=process.ask, close=lambda: None)
+    process.close()
+
+
 @pytest.fixture
-def session(page, serve, scene, dispatcher, folder, maps, monkeypatch):
+def session(page, serve, scene, dispatcher, folder, maps, map_process, monkeypatch):
     """A running session, open with the token at its area Edit; its map is that of `folder`."""
+    monkeypatch.setattr("service.web.resources.SessionMapProcess", lambda: map_process)
     server = serve(folders={"session": maps / "none", "map": maps})
     poses, poses_come = {"told": scene.messages(BEFORE_S)[1]}, threading.Lock()
 
@@ -177,24 +188,24 @@ def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session,
 
 def test_a_bent_map_is_straightened_while_the_session_runs(page, session, dispatcher, folder, maps, bent):
     fetch(page, bent)
-    for k in PAIRED:
-        here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
-        page.look_at(*(here + there) / 2, 100.0)
-        choose_place(page, "a", here)
-        choose_place(page, "b", there)
-        page.element("pick-pairs").click()
-        for first, second in bent.common_points(k):
-            page.look_at(*(first + second) / 2, 150.0)
-            click_map(page, *first)
-            page.wait_for_text("hint", "Now the same point")
-            click_map(page, *second)
-        page.element("map").send_keys(Keys.ESCAPE)
+    k = PAIRED[0]
+    here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
+    page.look_at(*(here + there) / 2, 100.0)
+    choose_place(page, "a", here)
+    choose_place(page, "b", there)
+    page.element("pick-pairs").click()
+    for first, second in bent.common_points(k):
+        page.look_at(*(first + second) / 2, 150.0)
+        click_map(page, *first)
+        page.wait_for_text("hint", "Now the same point")
+        click_map(page, *second)
+    page.element("map").send_keys(Keys.ESCAPE)
     page.element("optimise").click()
     wait_for_change(page, "the mapping goes on in edited-")
     copy = next(request["map"] for verb, request in asked(dispatcher) if verb == "load_map")
     assert bent.error_m(graph_in(folder)) > 0.5
     assert bent.error_m(graph_in(maps / copy)) < 0.10
-    assert len(residuals_m(page)) == 6
+    assert len(residuals_m(page)) == 3
     assert max(residuals_m(page)) < 0.05
     assert page.element("show-before").is_displayed()
     assert page.faults() == []
