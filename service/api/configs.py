@@ -39,6 +39,13 @@ def mountings_of(mountings: Mapping[str, npt.ArrayLike]) -> dict[str, SE2]:
     return poses
 
 
+def stored_folder(map: AnyPath | None, version: int | None) -> Path | None:
+    """Of the stored map to begin in. Raises UsageError for a version of no map."""
+    if map is None and version is not None:
+        raise UsageError(f"version {version} is of a stored map; name its folder by map")
+    return None if map is None else Path(map)
+
+
 def load_kernels(mapping: MappingConfig) -> None:
     """Load the kernels that a config needs; where they are compiled first, the log says so."""
     ensure_cache_dir()

@@ -33,7 +33,8 @@ def scan(
     intensity: npt.ArrayLike | None = None,
 ) -> LaserScan:
     """One sweep of a planar laser. Beam i looks at first_angle_rad + i * angle_step_rad, counter-clockwise
-    from straight ahead in the laser's frame, at stamp_ns + i * beam_interval_ns.
+    from straight ahead in the laser's frame, at stamp_ns + i * beam_interval_ns. Of a laser that is mounted
+    upside down both angles are negated.
 
     range_m           (N,) m; NaN, inf, 0 and what is not within range_min_m and range_max_m is no return
     stamp_ns          Unix time of beam 0, ns; any other clock that all frames share will do

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import Frame, LaserScan
-from service.api.configs import config_of, load_kernels, mountings_of
+from service.api.configs import config_of, load_kernels, mountings_of, stored_folder
 from service.api.poses import Pose, pose_of
 from service.api.recordings import AnyPath, Recording
 from service.config import mapped_lasers
@@ -41,11 +41,12 @@ class Mapper:
     """Frames in, poses and a map out: same frames, same poses, bit for bit, as in `corridor replay`.
 
     config      a YAML file, or what would stand in one ({"mapping": {"profile": ...}}), of which `sensors`
-                and `mapping` count; a Recording: as a replay maps it; None: the defaults
+                and `mapping` count; a Recording: as a replay maps it; None: the defaults. `upside_down` of a
+                mounting is not applied: `read` turns such scans, for own ones see `scan`
     mountings   laser -> (x m, y m, yaw rad) in the frame of the base, besides those of the config. Where
                 neither names a laser, there is one, "laser", at the base's origin
     map         folder of a stored map to begin in; None: that of the config, else a new map
-    version     of that map; None: the newest
+    version     of that map; None: the newest, or that in which the Recording began
     localize    only localise in it: it stays as it is
 
     Raises ConfigError, InputError where the map cannot be read, and UsageError.
@@ -60,14 +61,14 @@ class Mapper:
         version: int | None = None,
         localize: bool = False,
     ) -> None:
-        folder = None if map is None else Path(map)
+        folder = stored_folder(map, version)
         given = mountings_of(mountings or {})
         if isinstance(config, Recording):
             options = ReplayOptions(map=folder, version=version, localize=localize, choice=config.choice)
             setup = set_up(config.session, options)
             mapping, poses = setup.mapping, setup.poses_base_sensor
             lasers = (*setup.lasers, *(given.keys() & config.lasers))
-            sensors = config.lasers
+            sensors, version = config.lasers, setup.map_version
         else:
             read = config_of({} if config is None else config)
             mapping, poses = read.mapping, configured_mountings(read.sensors)
@@ -82,7 +83,7 @@ class Mapper:
         self._sensors = frozenset((*sensors, *given))
         begin = None if folder is None else begin_in(folder, mapping, version)
         load_kernels(mapping)
-        poses = {DEFAULT_LASER: SE2(), **poses, **given}
+        poses = {**dict.fromkeys(lasers, SE2()), **poses, **given}
         self._session = MappingSession(
             lambda: build_mapper(mapping, poses, new_patch_store=PatchFiles, begin_in=begin), lasers
         )

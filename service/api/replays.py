@@ -5,7 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from service.api.configs import CompileNotice
+from service.api.configs import CompileNotice, stored_folder
 from service.api.mapper import trajectory_of
 from service.api.poses import Pose, pose_of
 from service.api.recordings import AnyPath, Topics, choice_of, one_drive
@@ -95,7 +95,7 @@ def replay(
     options = ReplayOptions(
         config=None if config is None else Path(config),
         profile=profile,
-        map=None if map is None else Path(map),
+        map=stored_folder(map, version),
         version=version,
         localize=localize,
         choice=choice_of(topics),

@@ -90,6 +90,11 @@ def test_a_scan_of_an_unknown_laser_is_refused_and_one_of_an_unmapped_laser_coun
         mapper.process(replace(ROOM_SCAN, sensor="left"))
 
 
+def test_a_version_of_no_map_is_refused():
+    with pytest.raises(corridor.UsageError, match="version 2 is of a stored map"):
+        corridor.Mapper(version=2)
+
+
 def test_what_is_no_frame_is_refused():
     with pytest.raises(corridor.UsageError, match=r"a ndarray is no frame; corridor\.scan"):
         corridor.Mapper().process(ROOM_SCAN.range_m)

@@ -1,5 +1,4 @@
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -36,6 +35,7 @@ def test_poses_are_those_of_the_drive(replayed):
     ("settings", "error", "words"),
     [
         ({"localize": True}, corridor.UsageError, "--map"),
+        ({"version": 2}, corridor.UsageError, "version 2 is of a stored map; name its folder by map"),
         ({"map": "nowhere"}, corridor.InputError, "nowhere"),
         ({"profile": "x"}, corridor.ConfigError, "x is no profile"),
         ({"config": "none.yaml"}, corridor.ConfigError, "none.yaml"),
@@ -58,26 +58,6 @@ def test_that_kernels_are_compiled_is_logged_once_and_is_no_warning_of_the_resul
     warnings = corridor.replay(recording).summary["warnings"]
     assert [record.name for record in caplog.records if "compiling" in record.getMessage()] == ["corridor"]
     assert not any("compiling" in warning for warning in warnings)
-
-
-def test_a_plot_shows_map_and_trajectory_in_metres(replayed):
-    figure = pytest.importorskip("matplotlib.figure", reason="pip install matplotlib")
-    axes = figure.Figure().add_subplot()
-    assert replayed.plot(axes) is axes
-    (image,) = axes.get_images()
-    grid = replayed.map
-    assert image.get_extent()[:1] + image.get_extent()[2:3] == [grid.x_min_m, grid.y_min_m]
-    shown = np.concatenate([line.get_xydata() for line in axes.get_lines()])
-    assert sorted(map(tuple, shown)) == sorted(map(tuple, replayed.trajectory.pose[:, :2]))
-    assert [line.get_label() for line in axes.get_lines()] == [
-        state for state in ("ok", "degraded", "lost") if replayed.summary["state"][state]
-    ]
-
-
-def test_a_plot_without_matplotlib_says_what_to_install(replayed, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(corridor.CorridorError, match="pip install matplotlib"):
-        replayed.plot()
 
 
 def test_a_stored_map_is_gone_on_in(recording, stored):
