@@ -4,6 +4,7 @@
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -23,7 +24,7 @@ Schema = dict[str, Any]
 
 def schema_text() -> str:
     """As a file."""
-    return json.dumps(config_schema(), indent=1) + "\n"
+    return json.dumps(config_schema(), indent=1, allow_nan=False) + "\n"
 
 
 def config_schema() -> Schema:
@@ -107,6 +108,11 @@ def _chosen_by(key: str, schemas: Mapping[str, Schema], default: str | None = No
     return chosen
 
 
+def _is_json(value: Any) -> bool:
+    """Not NaN, which stands for "not given", and not infinity."""
+    return not isinstance(value, float) or math.isfinite(value)
+
+
 def _plain(schema: Any) -> Any:
     """Without the titles that pydantic makes of names, and without defaults of several keys."""
     if isinstance(schema, list):
@@ -120,7 +126,7 @@ def _kept(schema: Schema) -> Iterator[tuple[str, Any]]:
     for key, value in schema.items():
         if key == "properties":
             yield key, {name: _plain(one) for name, one in value.items()}
-        elif key == "default" and not isinstance(value, dict):
+        elif key == "default" and not isinstance(value, dict) and _is_json(value):
             yield key, value
         elif key not in ("title", "default"):
             yield key, _plain(value)
