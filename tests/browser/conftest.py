@@ -145,11 +145,12 @@ def page(chromium: webdriver.Chrome) -> Iterator[Page]:
 
 
 @pytest.fixture
-def share(chromium: webdriver.Chrome) -> Iterator[Callable[..., Page]]:
+def share(request: pytest.FixtureRequest, chromium: webdriver.Chrome) -> Iterator[Callable[..., Page]]:
     """Opens a page, or goes on with it where the test before has shared it; half a second of processor less.
 
     Whoever shares one brings it to where its test begins, and leaves nothing there that others would see.
     """
+    failed_before = request.session.testsfailed
     shared = Page(chromium)
     shared.resize(DESKTOP)
 
@@ -161,6 +162,8 @@ def share(chromium: webdriver.Chrome) -> Iterator[Callable[..., Page]]:
 
     yield begin
     chromium.get_log("browser")
+    if request.session.testsfailed > failed_before:
+        shared.leave()  # a test that failed may have left anything there
 
 
 @pytest.fixture
