@@ -63,7 +63,10 @@ class Map:
 
         Raises as Mapper does.
         """
-        if config is None and mountings is None:
-            mountings = {scan.sensor: (0.0, 0.0, 0.0)}
+        if config is None:
+            mountings = {scan.sensor: (0.0, 0.0, 0.0)} if mountings is None else mountings
+            config = {
+                "mapping": {"cell_m": next(tile.cell_m for tile in self._stored.tiles if tile.level == 0)}
+            }
         mapper = Mapper(config, mountings, map=self.folder, version=self.version, localize=True)
         return locate(scan, mapper)
