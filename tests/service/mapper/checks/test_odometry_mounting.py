@@ -205,6 +205,7 @@ def test_the_covariance_is_that_of_repeated_drives():
     np.testing.assert_allclose(said, spread, rtol=0.25)
 
 
+@pytest.mark.soak
 def test_a_laser_that_is_turned_by_three_degrees_is_named_within_a_lap():
     laser = replace(LMS100_50HZ, rate_hz=10.0)
     (made,) = Trip(WORLDS["office"], laser, 30.0, Wheels()).drives([11])

@@ -46,6 +46,7 @@ def test_mounting_scales_and_offset_are_found_within_what_is_aimed_at():
     assert fit["turn_per_m"] == pytest.approx(0.0, abs=0.003)
 
 
+@pytest.mark.soak
 def test_the_uncertainties_are_those_of_repeated_drives():
     """Errors of six drives in units of what each fit says of itself: it must not promise too much."""
     names = ("x_m", "y_m", "yaw_rad", "scale", "turn_scale", "offset_s")
