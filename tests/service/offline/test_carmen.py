@@ -11,9 +11,9 @@ from service.errors import InputError, StorageError, UsageError
 from service.geometry.se2 import SE2
 from service.offline.carmen import import_carmen
 from service.recording.mcap_source import open_session
+from tests.soaked import in_soak
 
 HEAD = "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n"
-from tests.soaked import in_soak
 
 
 def flaser(time_s, robot, laser=None, ranges=(2.0,) * 180, kind="FLASER"):
