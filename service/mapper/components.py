@@ -241,11 +241,9 @@ class Deskew(Protocol):
 
     def moment_of(self, scan: LaserScan) -> int:
         """At which the pose of the base says most of where its points are, ns."""
-        ...
 
     def __call__(self, scan: LaserScan, motion: Motion, at_ns: int) -> Points:
         """at_ns   moment of the motion, to which the points are brought"""
-        ...
 
 
 class LocalMap(Protocol):
@@ -255,7 +253,6 @@ class LocalMap(Protocol):
 
     def join(self, piece: int) -> None:
         """The graph has found where a piece of the map lies in the rest."""
-        ...
 
 
 @runtime_checkable
@@ -264,11 +261,9 @@ class HasPieces(Protocol):
 
     def detach(self, pause_s: float) -> None:
         """Nobody measured the way for so long: what is seen from here on is a piece, until it is joined."""
-        ...
 
     def attach(self) -> None:
         """Nobody looks for the place of a piece any more: scans are matched to the rest again."""
-        ...
 
 
 class Standing(NamedTuple):
@@ -290,7 +285,6 @@ class KnowsStanding(Protocol):
 
     def standing(self) -> Standing | None:
         """Of what scans are matched to now; None where nothing is counted."""
-        ...
 
 
 class Overlap(NamedTuple):
@@ -314,11 +308,9 @@ class KnownMap(LocalMap, Protocol):
 
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
         """What the points of a scan, (N, 2) m in the base frame, meet at a pose in odom."""
-        ...
 
     def begin_anew(self) -> None:
         """Be empty, and begin with the next scan."""
-        ...
 
 
 class MapRenderer(Protocol):
@@ -326,7 +318,6 @@ class MapRenderer(Protocol):
 
     def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
         """One after the other; walls stand over all."""
-        ...
 
 
 class FreeSpaceMap(Protocol):
@@ -335,23 +326,19 @@ class FreeSpaceMap(Protocol):
     @property
     def renderer(self) -> MapRenderer:
         """Draws as this map does."""
-        ...
 
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
     def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
         """Show the rendered map in place of all there is, and render `since` into it soon. Versions rise."""
-        ...
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles that changed since the last call, each with a new version; at most so many, the rest with the
         next call.
         """
-        ...
 
     def tiles(self) -> list[TileUpdate]:
         """All tiles as they are now, for who only looks on: changed_tiles gives what it would have given."""
-        ...
 
 
 ReadableMap = TypeVar("ReadableMap", bound=LocalMap)
@@ -377,49 +364,39 @@ class Graph(Protocol):
     @property
     def waiting(self) -> int:
         """Pieces of work that are out."""
-        ...
 
     @property
     def ready(self) -> bool:
         """Whether apply_result would not wait. Only what runs live may ask: the answer depends on a clock."""
-        ...
 
     @property
     def fault(self) -> str:
         """Why no work is done any more, "" while all is well. Mapping goes on without it."""
-        ...
 
     @property
     def finds_pieces(self) -> bool:
         """Whether it looks for where a piece of the map lies in the rest."""
-        ...
 
     def add(self, scan: MappedScan) -> SE2:
         """Take a scan that was mapped, give the newest pose_map_odom. Does not wait."""
-        ...
 
     def add_fix(self, fix: GnssFix) -> str:
         """Take a fix of a GNSS receiver; the name of the counter that it falls under. Does not wait."""
-        ...
 
     def apply_result(self) -> GraphUpdate | None:
         """Bring in the oldest piece of work, waiting for it; None where none is out."""
-        ...
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         """Do what a person asks for, such as "optimize"; answers at once, what follows comes by apply_result.
 
         payload and answer are JSON objects. Raises GraphRequestError.
         """
-        ...
 
     def finish(self) -> FinishedGraph:
         """Take in all that is out, do what is worth doing once at the end, and wait for it. Once, at last."""
-        ...
 
     def close(self) -> None:
         """Nobody wants anything more."""
-        ...
 
 
 class Stopwatch(Protocol):
