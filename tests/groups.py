@@ -24,7 +24,7 @@ TELL_S = 10.0  # no silence for longer
 LOOK_S = 0.5
 # Set, each of some hundred processes would compile every file anew: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-EXPECTED = "some six minutes on two cores, ten on slow ones"
+EXPECTED = "some eight minutes on two cores, twelve on slow ones"
 MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time
 DOCTOR = "tests/service/offline/doctor"
 REMAP = "tests/service/offline/test_map_remap.py"
