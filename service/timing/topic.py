@@ -303,11 +303,13 @@ class Topic:
         return self._delay_ns
 
     def _was_set(self, delay_ns: int) -> bool:
-        """Whether its clock was set before this message: one that is late would have come unevenly."""
-        if self._stamp_ns is None or abs(delay_ns - self._delay_ns) <= MOST_AHEAD_NS:
+        """Whether its clock was set before this message: those before came evenly and equally late, and so
+        did this one. One that is late comes unevenly; after a stall each comes less late than the one before.
+        """
+        steps, delays = self._log_steps_ns, list(self._last_delays)[-EVEN_STEPS:]
+        if abs(delay_ns - self._delay_ns) <= MOST_AHEAD_NS or len(delays) < EVEN_STEPS:
             return False
-        shortest_ns, longest_ns = min(self._log_steps_ns), max(self._log_steps_ns)
-        return len(self._log_steps_ns) == EVEN_STEPS and longest_ns - shortest_ns <= EVEN * longest_ns
+        return max(max(steps) - min(steps), max(delays) - min(delays)) <= EVEN * max(steps)
 
     @property
     def _drift_ns(self) -> int | None:

@@ -133,6 +133,19 @@ def test_scans_that_come_late_keep_their_stamps():
     assert run.warnings == []
 
 
+@pytest.mark.parametrize("step_ms", [0, 1, 5], ids=["at once", "1 ms apart", "5 ms apart"])
+def test_scans_that_come_all_together_after_a_stall_keep_their_stamps(step_ms: int):
+    frames: list[Frame] = [scan(k) for k in range(60)]
+    came_ns = frames[34].arrived_ns
+    for k in range(20, 35):
+        frames[k] = replace(frames[k], arrived_ns=came_ns + (k - 34) * step_ms * MS)
+    run = Run(by_log_time(*frames, *[sample(k) for k in range(120)]))
+    scans = [frame.stamp_ns for frame in run.of(LaserScan)]
+    assert set(scans) <= {scan(k).stamp_ns for k in range(60)}
+    assert len(scans) >= 50
+    assert not any("was set" in warning for warning in run.warnings)
+
+
 def is_of_middle(frame: Frame) -> bool:
     return isinstance(frame, LaserScan) and scan(20).stamp_ns <= frame.stamp_ns < scan(40).stamp_ns
 
