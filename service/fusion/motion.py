@@ -48,7 +48,7 @@ class Prediction(Motion):
     pause_s: float = 0.0  # the longest since the last scan in which nobody measured the way
     # in that pause wheels stopped faster than a vehicle brakes: it may be towed, or they slip
     is_unwitnessed: bool = False
-    reckoned: "Reckoned | None" = None  # odometry and gyro alone; None: odometry was silent
+    reckoned: Reckoned | None = None  # odometry and gyro alone; None: odometry was silent
     samples_dropped: int = 0  # since the last prediction: too many waited for it
     # (begin_s, end_s) from this moment -> what is known there beyond the twist: (K, 3) m, m, rad at K
     # moments evenly between, see service/kernels/sweep.py; None: nothing. Only until the next prediction.

@@ -95,7 +95,7 @@ def unmatched_unknown(frame: KeyFrame) -> KeyFrame:
 RULES = (
     Rule("nothing"),
     Rule("several loops, over 5 m of path", settings={"consensus_span_m": 1e-9}),
-    Rule("one loop where the path leads to it", f"{GRAPH}.way_drift", {"NEAR_CHI2": -1.0}),
+    Rule("one loop where the path leads to it", f"{GRAPH}.way_drift", {"CHI2_99_OF_3": -1.0}),
     Rule("limit of drift", f"{GRAPH}.way_drift", {"MOST_DRIFT_CHI2": math.inf}),
     Rule("unmatched steps as the motion model says", frame=unmatched_unknown),
     Rule(

@@ -109,7 +109,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "part of the scene moves where odometry and static walls agree ([35])",
         f"{METHOD}.moving_scene",
-        {"MIN_CONFLICT_CHI2": math.inf},
+        {"CHI2_999_OF_3": math.inf},
     ),
     (
         "odometry that stands counts only where a vehicle can stand ([30])",

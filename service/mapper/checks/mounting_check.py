@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.fusion.motion import Matrix, Measurement, Prediction
+from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, Reason
 
@@ -21,10 +22,9 @@ TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
 SAME_ERRORS = 20.0  # scans that see the same errors of the map
 MEDIAN_CHI2 = 2.37  # of three degrees of freedom
-ROBUST_CHI2 = 9.0  # of a scan that counts half
+ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
 BATCH_SCANS = 25  # after which an offset is judged
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
-MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
 
 
 class MountingCheck:
@@ -90,7 +90,7 @@ class MountingCheck:
         if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
             return
         chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
-        self.is_right = chi2 <= MOST_CHI2
+        self.is_right = chi2 <= CHI2_999_OF_3
         x_m, y_m, turn_rad = self._offset.tolist()
         self.fault = NO_REASON
         if not self.is_right:

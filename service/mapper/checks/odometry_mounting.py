@@ -17,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
+from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
+from service.mapper.checks.mounting_check import ROBUST_CHI2
 from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
@@ -31,13 +33,11 @@ JUDGED_EACH = 25  # steps
 # Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
 MATCH_M, WALK_M, TURN_M = 0.01, 0.02, 0.02
 MEDIAN_CHI2 = math.log(4.0)  # of two degrees of freedom
-ROBUST_CHI2 = 9.0  # of a step that counts half
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
 LEAST_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
 LEAST_SCALE, MOST_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
 TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
 KNOWN_SIGMA_M = 1.0  # of the point the vehicle turns around: a way without turns does not show it
-MOST_CHI2 = 16.3  # 99.9 % of three degrees of freedom
 
 
 class OdometryMounting:
@@ -123,7 +123,7 @@ def fault_of(steps: Floats) -> Reason:
     if found is None:
         return NO_REASON
     offset, covariance = found
-    if float(offset @ np.linalg.solve(covariance + TOLERANCE, offset)) <= MOST_CHI2:
+    if float(offset @ np.linalg.solve(covariance + TOLERANCE, offset)) <= CHI2_999_OF_3:
         return NO_REASON
     axle = SE2(*offset.tolist()).inverse()
     yaw_deg = math.degrees(axle.theta_rad)

@@ -14,17 +14,17 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.chi2 import CHI2_999_OF_1
 from service.geometry.se2 import wrap_angle
+from service.mapper.checks.mounting_check import SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 LONGEST_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
-SAME_ERRORS = 20.0  # scans that see the same errors of the map, as in mounting_check
 LEAST_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
 SCANS = 400  # the newest count
 JUDGED_EACH = 25  # scans
 TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
 KNOWN_S = 0.002  # sigma from which on stamps that go together are cleared of a fault
-MOST_CHI2 = 10.8  # 99.9 % of one degree of freedom
 
 
 class StampCheck:
@@ -65,7 +65,7 @@ class StampCheck:
 
     def _judge(self) -> None:
         late_s, sigma_s = lag_of(np.array(self._scans))
-        if late_s**2 > MOST_CHI2 * (sigma_s**2 + TOLERANCE_S**2):
+        if late_s**2 > CHI2_999_OF_1 * (sigma_s**2 + TOLERANCE_S**2):
             self.late_s, self.sigma_s = late_s, sigma_s
         elif sigma_s <= KNOWN_S:
             self.late_s = 0.0

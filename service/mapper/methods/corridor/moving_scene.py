@@ -22,7 +22,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from service.fusion.estimator import EstimatorConfig
 from service.fusion.motion import Prediction
+from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
@@ -33,14 +35,11 @@ from service.mapper.methods.corridor.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
 
 WINDOW_NS, WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
-SCALE_SIGMA = 0.02  # of odometry, common to the window
+USUAL = EstimatorConfig()  # how vehicles move, and odometry errs, before anything is learnt
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
-MIN_CONFLICT_CHI2 = 16.3  # 99.9 % of three degrees of freedom
-MAX_TURN_CHI2 = 10.8  # 99.9 % of one: beyond, odometry and scans turn at different times
 RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
 OUTLIER_SHARE = 0.1  # of the returns, which lie on no such wall by chance
 BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measurement of it
-SPEED_WALK, TURN_WALK = 1.0, 2.0  # m/s and rad/s per root second, by which a vehicle's speed changes
 # By how much likelier it is that part of the scene moves than that odometry errs, before anything is asked:
 # where things are seen to move, and where none are.
 MOVING_NATS, STILL_NATS = 5.0, -5.0
@@ -48,10 +47,10 @@ MIN_STATIC_SHARE = 0.2  # of the returns on static walls: with less, their evide
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05
 MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
-MAX_UNSEEN_S = (
-    1.0  # between two scans: after more, the vehicle may be elsewhere as well as the scene have moved
-)
+# Between two scans: after more, the vehicle may be elsewhere as well as the scene have moved.
+MAX_UNSEEN_S = 1.0
 STILL_NS = 1_000_000_000  # with less for so long, the scene stands still again
+NOTHING_MOVES = -1  # ns, before all stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +116,15 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     off = reckoned.inverse() @ begin.matched.inverse() @ end.matched
     travel_m = end.travel_m - begin.travel_m
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
-    way_m2 = end.variance_m2 - begin.variance_m2 + (SCALE_SIGMA * travel_m) ** 2 + MATCH_SIGMA_M**2
+    scale_m = USUAL.odometry_scale_sigma * travel_m
+    way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
     way_m2 += turn_rad2 * travel_m**2 / 3.0  # the heading walks along the path
     turn_chi2 = wrap_angle(off.theta_rad) ** 2 / turn_rad2
     chi2 = (off.x_m**2 + off.y_m**2) / way_m2 + turn_chi2
-    if chi2 <= MIN_CONFLICT_CHI2:
+    if chi2 <= CHI2_999_OF_3:
         return None
-    is_turned = turn_chi2 > MAX_TURN_CHI2
-    return Conflict(begin.matched @ reckoned, np.diag([way_m2, way_m2, turn_rad2]), is_turned)
+    covariance = np.diag([way_m2, way_m2, turn_rad2])
+    return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)
 
 
 def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
@@ -150,8 +150,8 @@ def inertia_nats(
     covariance    (3, 3) of the prediction, base axes
     """
     walked_s3 = elapsed_s**3 / 3.0
-    way_m2 = SPEED_WALK**2 * walked_s3 + MATCH_SIGMA_M**2
-    turn_rad2 = TURN_WALK**2 * walked_s3 + MATCH_SIGMA_RAD**2
+    way_m2 = USUAL.acceleration**2 * walked_s3 + MATCH_SIGMA_M**2
+    turn_rad2 = USUAL.turn_acceleration**2 * walked_s3 + MATCH_SIGMA_RAD**2
     covariance = covariance + np.diag([way_m2, way_m2, turn_rad2])
     odometry_cost, laser_cost = (
         student_cost(chi2_between(went_on, pose, covariance), STUDENT) for pose in (by_odometry, by_laser)
@@ -184,7 +184,7 @@ class MovingScene:
         self._steady = steady
         self._degraded_sigma_m = degraded_sigma_m
         self._reckoning = Reckoning()
-        self._moves_until_ns: int | None = None  # at least; None: nothing moves
+        self._moves_until_ns = NOTHING_MOVES  # at least
         # Since part of the scene was seen to move last: the steps from each match of what stands still to
         # that of the whole scan, one after the other, and the way.
         self._drag, self._way_m = SE2(), 0.0
@@ -193,20 +193,18 @@ class MovingScene:
         """The match of what stands still, while part of the scene moves; None: it stands still again, or what
         stands still contradicts odometry.
         """
-        if self._moves_until_ns is None or attempt.stamp_ns > self._moves_until_ns:
-            self._moves_until_ns = None
+        if attempt.stamp_ns > self._moves_until_ns:
             return None
         static, _share = self._align_static(attempt, attempt.prior, submap)
-        is_seen = static.result.used >= LEAST_CONFIRMING
-        if not is_seen or is_loose(sigmas_of(static.result.covariance)):
-            self._moves_until_ns = None
+        if static.result.used < LEAST_CONFIRMING or is_loose(sigmas_of(static.result.covariance)):
+            self._moves_until_ns = NOTHING_MOVES
             return None
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
         if conflict is None:
             return self._accepted(static, attempt)
         by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
         if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + MOVING_NATS < 0.0:
-            self._moves_until_ns = None
+            self._moves_until_ns = NOTHING_MOVES
             return None
         return self._begun(by_odometry, attempt)
 
@@ -312,10 +310,8 @@ class MovingScene:
         self._drag = self._drag @ (static.pose.inverse() @ whole.pose)
         self._way_m += attempt.predicted.travel_m
         off_m, off_rad = math.hypot(self._drag.x_m, self._drag.y_m), abs(self._drag.theta_rad)
-        return (
-            off_m > SCALE_SIGMA * self._way_m + MATCH_SIGMA_M
-            or off_rad > SCALE_SIGMA * self._way_m + MATCH_SIGMA_RAD
-        )
+        scale = USUAL.odometry_scale_sigma * self._way_m
+        return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
 
 
 def _moved_share(aligned: Aligned) -> float:

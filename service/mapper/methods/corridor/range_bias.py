@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.kernels.match import MatchSettings
 from service.kernels.range_bias import see_bias, shorten_ranges
+from service.mapper.checks.mounting_check import SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.methods.corridor.submaps import Submap
 
@@ -19,7 +20,6 @@ OFFSET_STEP_M, OFFSET_SIGMAS = 0.001, 2.0
 # Offset, slope and bend of the curve over 10 m look like another scale of the map, in a corridor like motion:
 # held at 0. What the offset does to the walls shows in the angle at which they are seen, and it is apart.
 SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
-SAME_ERRORS = 20.0  # scans in a row that see the same errors of the map
 LEARN_EVERY_M = 0.05  # of travel
 
 

@@ -221,8 +221,8 @@ class SurfelGaussNewton:
         motion = Motion(pose, (forward, left, turn), result.covariance)
         moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
         deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
-        match = Match(motion, deskewed, result.share, state, reason, aligned.submap.number, measured)
-        return match if aligned.is_moving is None else replace(match, is_moving=aligned.is_moving)
+        number, is_moving = aligned.submap.number, aligned.is_moving
+        return Match(motion, deskewed, result.share, state, reason, number, measured, is_moving=is_moving)
 
     def _learn_bias(self, aligned: Aligned, attempt: Attempt, local_map: SurfelSubmaps) -> None:
         if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:

@@ -11,13 +11,13 @@ import math
 import numpy as np
 
 from service.fusion.motion import Matrix, Measurement
+from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2
 from service.mapper.judgement import chi2_between, sigmas_of
 from service.mapper.methods.owolm_eskf.error_state import ErrorStateFilter
 
 BLIND_SIGMA = (100.0, 100.0, math.pi)  # m, m, rad: of what a scan says nothing about
 FIXED_M = 0.1  # sigma in the worst direction, up to which walls fix the position: that of `degraded_sigma_m`
-CONTRADICTS_CHI2 = 16.3  # 99.9 % of three degrees of freedom
 # Share of the way between both poses that dots have moved theirs backwards: a half where wheels give the way
 # with the wrong sign, as those of fr079 do in reverse; none where dots hold it back, but for a match's noise.
 BACKWARDS_SHARE = 0.25
@@ -93,7 +93,7 @@ class FilterPair:
             self._backwards_m = backwards_m
             self._counted = self.across.pose, dots.pose
         covariance = self.across.pose_covariance() + LEAST_COVARIANCE
-        if chi2_between(self.across.pose, dots.pose, covariance) <= CONTRADICTS_CHI2:
+        if chi2_between(self.across.pose, dots.pose, covariance) <= CHI2_999_OF_3:
             return
         apart = dots.position_m - self.across.position_m
         if backwards_m <= BACKWARDS_SHARE * float(np.hypot(*apart[:2])):

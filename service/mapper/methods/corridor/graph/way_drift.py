@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
+from service.geometry.chi2 import CHI2_99_OF_3
 from service.geometry.poses import Floats
 from service.mapper.known_pose import carried
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
@@ -16,12 +17,9 @@ MOST_DRIFT_CHI2 = 60.0
 # Of the way: what the covariance of the motion model leaves out, as a scan that is matched a metre off along
 # a corridor and gives 1.6 m after 71 m of way. Aisles of shelves that look alike lie 9 % of the way apart.
 UNMODELLED_SHARE = 0.003
-
-
-# A loop that is this near to where the way leads is believed alone, 99 % of three degrees of freedom: were it
-# wrong, it would bend the map by no more than the way may have drifted by.
-NEAR_CHI2 = 11.3
-# and the way is known this well, for that things that look alike lie farther apart than 3.5 sigma
+# A loop that lies where the way leads is believed alone where the way is known this well: were it wrong, it
+# would bend the map by no more than the way may have drifted by, and things that look alike lie farther apart
+# than 3.5 sigma.
 NEAR_SIGMA_M = 0.3
 
 
@@ -49,7 +47,7 @@ class WayDrift:
         if loop.of > loop.to:
             return False
         way = self.covariance(loop)
-        return bool(np.sqrt(way[:2, :2].diagonal().max()) <= NEAR_SIGMA_M) and self.chi2(loop) <= NEAR_CHI2
+        return bool(np.sqrt(way[:2, :2].diagonal().max()) <= NEAR_SIGMA_M) and self.chi2(loop) <= CHI2_99_OF_3
 
     def chi2(self, loop: Loop) -> float:
         """How far a loop is from where the way from `of` to a later `to` leads, in squared sigmas."""
