@@ -3,12 +3,9 @@
 What is sent are the bytes that go to subscribers of the native keys and into recordings, on other keys.
 """
 
-import logging
 from collections import Counter
 from functools import partial
 from pathlib import Path
-
-import zenoh
 
 from drivers.rmw_zenoh import Qos
 from service.encoding import Message
@@ -20,13 +17,10 @@ from service.publishing.listeners import Listeners
 from service.publishing.ros2_names import MAP, TOPICS
 from service.publishing.ros2_node import Ros2Node, Ros2Publisher
 from service.publishing.ros2_services import Command, Ros2Services
-from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
+from service.publishing.send_queues import Bulk, Sending
 from service.publishing.senders import Senders
 from service.publishing.shared import GridSource, SharedZenoh
 
-log = logging.getLogger(__name__)
-
-STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
 MAP_PERIOD_S = 1.0
 
 LATCHED = Qos(depth=1, is_transient_local=True)
@@ -46,39 +40,40 @@ class Ros2Topics:
         map_source: GridSource,
         map_period_s: float = MAP_PERIOD_S,
     ) -> None:
-        self._shared = shared
         self._map = shared.map_picture(map_source)
-        self._senders = Senders("ros2")
-        self._stream = StreamQueue(STREAM_CAPACITY)
-        self._bulk = BulkQueue(map_period_s, map_period_s)
+        self._senders = Senders("ros2", map_period_s, map_period_s)
         self._initial_pose: InitialPoseSubscriber | None = None
         self._services: Ros2Services | None = None
-        self._closed = False
         self._session = shared.open(config)
+        self._senders.opened.callback(shared.close)
         try:
             self._node = Ros2Node(self._session, config.ros2)
+            self._senders.opened.callback(self._node.close)
             self._publishers = {channel: self._declare(channel, kind) for channel, kind in TOPICS.items()}
             map_key = self._publishers[MAP].key
-            self._map_listeners = Listeners(self._session, map_key, partial(self._bulk.ask_for, MAP))
+            asked = partial(self._senders.bulk.ask_for, MAP)
+            self._map_listeners = Listeners(self._session, map_key, asked)
         except BaseException:
-            shared.close()
+            self._senders.close()
             raise
-        self._senders.start({"stream": self._send_stream, "map": self._send_maps})
+        self._senders.start(self._send_queued, self._send_due)
 
     def put(self, message: Message) -> None:
         """Hand a message over: sent 10 ms later at most. A full queue drops its oldest, counted."""
-        self._stream.put(Sending(message, None))
+        self._senders.stream.put(Sending(message, None))
 
     def map_changed(self, stamp_ns: int, log_ns: int) -> None:
         """Send the whole map soon, if somebody subscribes; Unix time of the newest scan in it."""
         self._map.changed(stamp_ns, log_ns)
-        self._bulk.ask_for(MAP)
+        self._senders.bulk.ask_for(MAP)
 
     def answer(self, command: Command, map_folder: Path | None) -> None:
         """Take poses on initialpose, and answer services, from now on. `command` may wait a bounded time."""
         key = self._node.subscription_key(initial_pose.CHANNEL, INITIAL_POSE)
         self._initial_pose = InitialPoseSubscriber(self._session, key, command, owner="ros2")
+        self._senders.opened.callback(self._initial_pose.close)
         self._services = Ros2Services(self._node, command, self._present_map, map_folder)
+        self._senders.opened.callback(self._services.close)
 
     @property
     def pose_refused(self) -> str:
@@ -87,41 +82,22 @@ class Ros2Topics:
 
     def counts(self) -> dict[str, Counter[str]]:
         """Messages sent, dropped and failed, by channel; requests answered, by service."""
-        return {
-            "sent": self._senders.sent(),
-            "dropped": self._stream.dropped(),
-            "failed": self._senders.failed(),
-            "answered": Counter() if self._services is None else self._services.counts(),
-        }
+        answered = Counter[str]() if self._services is None else self._services.counts()
+        return self._senders.counts() | {"answered": answered}
 
     def close(self) -> None:
         """Send what waits, then leave the graph. A second call does nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        self._stream.close()
-        self._bulk.close()
-        self._senders.join()
-        try:
-            if self._services is not None:
-                self._services.close()
-            if self._initial_pose is not None:
-                self._initial_pose.close()
-            self._node.close()
-            self._shared.close()
-        except zenoh.ZError as error:
-            log.error("ros2 does not close: %s", error)
+        self._senders.close()
 
-    def _send_stream(self) -> None:
-        while batch := self._stream.take():
-            for sending in batch:
-                message = sending.message
-                self._senders.attempt(message.channel, partial(self._send, message))
+    def _send_queued(self, sending: Sending) -> None:
+        self._senders.attempt(sending.message.channel, partial(self._send, sending.message))
 
-    def _send_maps(self) -> None:
-        while self._bulk.take() is not None:
-            if self._map_listeners.are_there and (message := self._present_map()) is not None:
-                self._senders.attempt(MAP, partial(self._send, message))
+    def _send_due(self, _: Bulk) -> None:
+        self._senders.attempt(MAP, self._send_map)
+
+    def _send_map(self) -> None:
+        if self._map_listeners.are_there and (message := self._present_map()) is not None:
+            self._send(message)
 
     def _present_map(self) -> Message | None:
         picture = self._map.message()

@@ -5,7 +5,6 @@ late at most, one the bulk (tiles, the whole map, states). Who comes late asks: 
 tf_static and health are answered by get.
 """
 
-import logging
 import threading
 import time
 from collections import Counter
@@ -34,14 +33,11 @@ from service.publishing.initial_pose import CHANNEL as INITIAL_POSE
 from service.publishing.initial_pose import InitialPoseSubscriber
 from service.publishing.keys import alive_key, vehicle_key
 from service.publishing.listeners import Listeners
-from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
+from service.publishing.send_queues import Bulk, Sending
 from service.publishing.senders import Senders
 from service.publishing.session import listened_at
 from service.publishing.shared import GridSource, SharedZenoh
 
-log = logging.getLogger(__name__)
-
-STREAM_CAPACITY = 512  # messages; one to two seconds of a vehicle with five sensors
 TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not each step on the way
 PICTURE_PERIOD_S = 1.0
 
@@ -79,7 +75,7 @@ class ZenohPublisher:
         self._map = map_source
         self._on_latency = on_latency
         self._map_stamp_ns = self._map_log_ns = 0
-        self._senders = Senders("zenoh")
+        self._senders = Senders("zenoh", TILE_PERIOD_S, picture_period_s)
         self._token_lock = threading.Lock()
         self._sequences: Counter[str] = Counter()  # of the newest message, by channel
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
@@ -87,27 +83,25 @@ class ZenohPublisher:
         self._last: dict[str, tuple[Message, int]] = {}  # with its sequence number
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._alive: Mapping[str, bool] = {}  # as it is to be shown
-        self._stream = StreamQueue(STREAM_CAPACITY)
-        self._bulk = BulkQueue(TILE_PERIOD_S, picture_period_s)
-        self._commands: CommandQueryable | None = None
         self._initial_pose: InitialPoseSubscriber | None = None
-        self._closed = False
-        self._shared = SharedZenoh() if shared is None else shared
-        self._map_picture = self._shared.map_picture(map_source)
-        self._session = self._shared.open(config)
+        shared = SharedZenoh() if shared is None else shared
+        self._map_picture = shared.map_picture(map_source)
+        self._session = shared.open(config)
+        self._senders.opened.callback(shared.close)
         try:
             self.endpoints = listened_at(self._session, config)
-            self._queryables = self._declare_queryables()
+            self._declare_queryables()
+            self._senders.opened.callback(self._take_down_tokens)
             self._listeners = {
                 channel: Listeners(
-                    self._session, vehicle_key(vehicle, channel), partial(self._bulk.ask_for, channel)
+                    self._session, vehicle_key(vehicle, channel), partial(self._senders.bulk.ask_for, channel)
                 )
                 for channel in PICTURES
             }
         except BaseException:
-            self._shared.close()
+            self._senders.close()
             raise
-        self._senders.start({"stream": self._send_stream, "bulk": self._send_bulk})
+        self._senders.start(self._send_now, self._send_bulk)
 
     def __enter__(self) -> "ZenohPublisher":
         return self
@@ -120,12 +114,12 @@ class ZenohPublisher:
 
         Never waits, but for 1 ms at most with a pose while a subscriber does not read: then Zenoh drops it.
         """
-        if message.channel in POSES and not self._closed:
+        if message.channel in POSES and not self._senders.closed:
             self._send_now(Sending(message, origin_ns))
         elif message.channel in STATES:
-            self._bulk.put(message)
+            self._senders.bulk.put(message)
         else:
-            self._stream.put(Sending(message, origin_ns))
+            self._senders.stream.put(Sending(message, origin_ns))
 
     def map_changed(self, tiles: Iterable[TileUpdate], stamp_ns: int, log_ns: int) -> None:
         """Hand over tiles that the map source holds already; never waits. Times are Unix time.
@@ -134,13 +128,13 @@ class ZenohPublisher:
         """
         self._map_stamp_ns, self._map_log_ns = stamp_ns, log_ns
         self._map_picture.changed(stamp_ns, log_ns)
-        self._bulk.put_tiles(tiles)
-        self._bulk.ask_for(*PICTURES)
+        self._senders.bulk.put_tiles(tiles)
+        self._senders.bulk.ask_for(*PICTURES)
 
     def set_alive(self, component: str, alive: bool = True) -> None:
         """Put up or take down the token alive/<component>; all fall by themselves when the process dies."""
         with self._token_lock:
-            if alive and component not in self._tokens and not self._closed:
+            if alive and component not in self._tokens and not self._senders.closed:
                 key = alive_key(self._vehicle, component)
                 self._tokens[component] = self._session.liveliness().declare_token(key)
             elif not alive and component in self._tokens:
@@ -155,69 +149,44 @@ class ZenohPublisher:
 
         `answer` takes verb and payload and may wait, in bounded time.
         """
-        self._commands = CommandQueryable(self._session, self._vehicle, answer)
+        commands = CommandQueryable(self._session, self._vehicle, answer)
+        self._senders.opened.callback(commands.close)
         self._initial_pose = InitialPoseSubscriber(
             self._session, vehicle_key(self._vehicle, INITIAL_POSE), answer
         )
+        self._senders.opened.callback(self._initial_pose.close)
 
     @property
     def pose_refused(self) -> str:
         """Why the newest pose on initialpose was not taken, "" if it was."""
         return self._initial_pose.refused if self._initial_pose is not None else ""
 
-    def sent(self) -> Counter[str]:
-        """Puts so far, by channel; tiles under map/tile."""
-        return self._senders.sent()
-
-    def dropped(self) -> Counter[str]:
-        """Messages that had to go before they were sent, by channel."""
-        return self._stream.dropped()
-
-    def failed(self) -> Counter[str]:
-        """Puts and answers that raised, by channel; the first of each is in the log."""
-        return self._senders.failed()
+    def counts(self) -> dict[str, Counter[str]]:
+        """Messages sent, dropped and failed (answers too), by channel; tiles under map/tile."""
+        return self._senders.counts()
 
     def close(self) -> None:
         """Send what waits, then take everything down. A second call does nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        self._stream.close()
-        self._bulk.close()
-        self._senders.join()
+        self._senders.close()
+
+    def _take_down_tokens(self) -> None:
         for component in list(self._tokens):
             self.set_alive(component, False)
-        try:
-            if self._commands is not None:
-                self._commands.close()
-            if self._initial_pose is not None:
-                self._initial_pose.close()
-            for queryable in self._queryables:
-                queryable.undeclare()  # type: ignore[no-untyped-call]
-            self._shared.close()
-        except zenoh.ZError as error:
-            log.error("Zenoh does not close: %s", error)
-
-    def _send_stream(self) -> None:
-        while batch := self._stream.take():
-            for sending in batch:
-                self._send_now(sending)
 
     def _send_now(self, sending: Sending) -> None:
         self._senders.attempt(sending.message.channel, partial(self._send, sending.message))
         if sending.origin_ns is not None and self._on_latency is not None:
             self._on_latency(time.monotonic_ns() - sending.origin_ns)
 
-    def _send_bulk(self) -> None:
-        while (bulk := self._bulk.take()) is not None:
-            for message in bulk.messages:
-                self._senders.attempt(message.channel, partial(self._send, message))
-            for component, alive in self._alive.items():
-                self._senders.attempt("alive", partial(self.set_alive, component, alive))
-            for tile in bulk.tiles:
-                self._senders.attempt(TILES, partial(self._send_tile, tile))
-            for channel in bulk.pictures:
-                self._senders.attempt(channel, partial(self._send_picture, channel))
+    def _send_bulk(self, bulk: Bulk) -> None:
+        for message in bulk.messages:
+            self._senders.attempt(message.channel, partial(self._send, message))
+        for component, alive in self._alive.items():
+            self._senders.attempt("alive", partial(self.set_alive, component, alive))
+        for tile in bulk.tiles:
+            self._senders.attempt(TILES, partial(self._send_tile, tile))
+        for channel in bulk.pictures:
+            self._senders.attempt(channel, partial(self._send_picture, channel))
 
     def _send(self, message: Message, sequence: int | None = None) -> None:
         channel = message.channel
@@ -289,16 +258,15 @@ class ZenohPublisher:
             express=fresh,
         )
 
-    def _declare_queryables(self) -> list[zenoh.Queryable[None]]:
+    def _declare_queryables(self) -> None:
         answers: dict[str, Callable[[zenoh.Query], None]] = {f"{TILES}/**": self._answer_tiles}
         answers |= {channel: partial(self._answer_picture, channel) for channel in PICTURES}
         answers |= {channel: partial(self._answer_last, channel) for channel in ANSWERED}
-        return [
-            self._session.declare_queryable(
+        for channel, answer in answers.items():
+            queryable = self._session.declare_queryable(
                 vehicle_key(self._vehicle, channel), partial(self._answer, channel, answer), complete=True
             )
-            for channel, answer in answers.items()
-        ]
+            self._senders.opened.callback(queryable.undeclare)
 
     def _answer(self, channel: str, answer: Callable[[zenoh.Query], None], query: zenoh.Query) -> None:
         with query:  # without it the asker would wait until its timeout

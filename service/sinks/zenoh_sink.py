@@ -54,14 +54,9 @@ class ZenohSink(Sink):
         self._publisher.map_changed(tiles, stamp_ns, log_ns)
 
     def health(self) -> Status:
-        counters = {
-            "sent": self._publisher.sent(),
-            "dropped": self._publisher.dropped(),
-            "failed": self._publisher.failed(),
-        }
         endpoints = " ".join(self._publisher.endpoints)
         more = {"initialpose_refused": self._publisher.pose_refused, "endpoints": endpoints}
-        return counted_row(self.name, counters, more)
+        return counted_row(self.name, self._publisher.counts(), more)
 
     def place(self) -> str:
         return ", ".join(self._publisher.endpoints)

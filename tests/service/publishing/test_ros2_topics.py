@@ -31,6 +31,7 @@ from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.service.publishing.conftest import Inbox, client_config
+from tests.service.publishing.test_zenoh_publisher import wait_until
 from tests.service.test_encoding_outputs import OUTPUT
 
 SCAN = LaserScan("front", 1, 1, 1, 1, 0.0, 0.1, 0.0, 1.0, np.ones(2, np.float32), NO_INTENSITY)
@@ -273,3 +274,22 @@ def test_what_cannot_be_sent_is_counted_and_the_rest_goes_on(open_topics, open_c
     opened.topics.close()
     assert opened.topics.counts()["failed"] == {"a//b": 1}
     assert opened.topics.counts()["sent"] == {"pose": 1}
+
+
+def test_a_map_that_cannot_be_encoded_is_counted_and_the_next_one_is_sent(
+    open_topics, open_client, store, monkeypatch
+):
+    encode_grid, fails = shared_module.encode_grid, iter([True])
+
+    def failing(*args: object) -> Message:
+        if next(fails, False):
+            raise ValueError("no such grid")
+        return encode_grid(*args)
+
+    monkeypatch.setattr(shared_module, "encode_grid", failing)
+    opened, maps = open_topics(), Inbox()
+    store.update([tile(7)])
+    open_client(opened.endpoint).declare_subscriber(MAP_KEY, maps)
+    wait_until(lambda: opened.topics.counts()["failed"] == {"map": 1})  # asked for by the subscription
+    opened.topics.map_changed(1_000, 2_000)
+    assert maps.wait_for(1)

@@ -66,7 +66,7 @@ def test_a_message_arrives_with_type_sequence_time_and_gid(publisher, client):
     assert attachment_of(scan).sequence == 1
     assert len({a.gid for a in attachments}) == 1
     assert attachment_of(scan).gid != attachments[0].gid
-    wait_until(lambda: publisher.sent() == {"pose": 3, "front/scan": 1})
+    wait_until(lambda: publisher.counts()["sent"] == {"pose": 3, "front/scan": 1})
 
 
 def test_fresh_things_go_first_and_bulk_last(publisher, client, store):
@@ -123,20 +123,24 @@ def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
         publisher.put(message("map/changes", number, payload=b"changed"))
         publisher.put(message("health", number, payload=b"health"))
     wait_until(
-        lambda: publisher.sent()["pose"] == 2 and publisher.sent()["health"] and publisher.sent()["tf_static"]
+        lambda: (
+            publisher.counts()["sent"]["pose"] == 2
+            and publisher.counts()["sent"]["health"]
+            and publisher.counts()["sent"]["tf_static"]
+        )
     )
     assert [(s.payload.to_bytes(), attachment_of(s).sequence) for s in get(client, "pose")] == [
         (b"\x00\x01\x00\x00pose", 2)
     ]
     assert [s.payload.to_bytes() for s in get(client, "tf_static")] == [b"tf"]
-    wait_until(lambda: publisher.sent()["map/changes"] >= 1)
+    wait_until(lambda: publisher.counts()["sent"]["map/changes"] >= 1)
     assert [s.payload.to_bytes() for s in get(client, "map/changes")] == [b"changed"]
     assert [s.payload.to_bytes() for s in get(client, "health")] == [b"health"]
 
 
 def test_a_late_joiner_with_history_gets_the_state_without_asking(publisher, client):
     publisher.put(message("tf_static", 1, payload=b"tf"))
-    wait_until(lambda: publisher.sent()["tf_static"] == 1)
+    wait_until(lambda: publisher.counts()["sent"]["tf_static"] == 1)
     inbox = Inbox()
     zenoh.ext.declare_advanced_subscriber(
         client,
@@ -213,7 +217,7 @@ def test_the_whole_map_is_made_only_for_who_listens_and_only_when_it_changed(
     change(1)
     for number in (1, 2):  # when the second is out, what the map asked for before has been looked at
         publisher.put(message("health", number))
-        wait_until(lambda number=number: publisher.sent()["health"] == number)
+        wait_until(lambda number=number: publisher.counts()["sent"]["health"] == number)
     assert grids == 0
     inbox = Inbox()
     subscriber = subscribe(client, publisher, "map", inbox)
@@ -231,7 +235,7 @@ def test_the_whole_map_is_made_only_for_who_listens_and_only_when_it_changed(
     assert grids == made + 1  # for the answer
     publisher.close()  # looks at all that waits
     assert grids == made + 1
-    assert publisher.sent()["map"] == 2
+    assert publisher.counts()["sent"]["map"] == 2
 
 
 def test_the_whole_map_comes_at_most_once_a_period(open_publisher, open_client, store):
@@ -266,7 +270,7 @@ def test_a_map_too_large_for_one_picture_is_counted_and_the_rest_goes_on(publish
     far = [tile(0, 0, 1), tile(20_000, 20_000, 2)]
     store.update(far)
     publisher.map_changed(far, 1, 2)
-    wait_until(lambda: publisher.failed()["map"] == 1)
+    wait_until(lambda: publisher.counts()["failed"]["map"] == 1)
     publisher.put(message("health", 1, payload=b"health"))
     expected = {"map/tile/0/0/0", "map/tile/0/20000/20000", "map/meta", "health"}  # a meta may come twice
     wait_until(lambda: {str(s.key_expr).removeprefix(f"{ROOT}/") for s in list(inbox.samples)} == expected)
@@ -343,14 +347,14 @@ def test_a_router_that_is_not_there_is_not_waited_for_and_found_when_it_comes(op
     began_s = time.monotonic()
     vehicle = open_publisher(PublishingConfig(listen=("tcp/127.0.0.1:0",), connect=(endpoint,)))
     vehicle.put(message("pose", 1))
-    wait_until(lambda: vehicle.sent()["pose"] == 1)
+    wait_until(lambda: vehicle.counts()["sent"]["pose"] == 1)
     assert time.monotonic() - began_s < TIMEOUT_S / 2
     site = open_publisher(PublishingConfig(listen=(endpoint,)))
     client = open_client(site.endpoints[0])
     wait_until(lambda: get(client, "pose"))
     site.close()
     vehicle.put(message("pose", 2))  # the site is gone again
-    wait_until(lambda: vehicle.sent()["pose"] == 2)
+    wait_until(lambda: vehicle.counts()["sent"]["pose"] == 2)
 
 
 STALLED = """
@@ -382,4 +386,4 @@ def test_a_stalled_subscriber_takes_nothing_from_the_others(publisher, client):
         arrived = inbox.wait_for(100)
         stalled.kill()
     assert [attachment_of(s).sequence for s in arrived] == list(range(1, 101))
-    assert publisher.dropped() == {}
+    assert publisher.counts()["dropped"] == {}
