@@ -86,7 +86,6 @@ def served(publisher, store, monkeypatch) -> Iterator[str]:
 
 
 def test_the_examples_of_the_api_run(folder, served, capsys):
-    pytest.importorskip("matplotlib", reason="pip install matplotlib")
     names = run("docs/api.md", (ENDPOINT, served))
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "50 scans, 0 loop closures"
@@ -128,7 +127,6 @@ def test_a_laser_from_a_csv_is_mapped(folder, capsys):
 
 
 def test_the_live_plot_shows_poses_as_they_come(folder, served, monkeypatch):
-    pytest.importorskip("matplotlib", reason="pip install matplotlib")
     monkeypatch.setattr(sys, "argv", ["live_plot.py", served])
     names = run("docs/recipes/live_plot.md")
     line = names["line"]
@@ -152,8 +150,6 @@ def test_a_folder_becomes_a_table_with_a_line_for_each_recording(folder):
 
 
 def test_the_map_goes_to_nav2_and_to_a_gis(folder, capsys):
-    pytest.importorskip("tifffile", reason="pip install tifffile")
-    pytest.importorskip("ezdxf", reason="pip install ezdxf")
     page = "docs/recipes/map_elsewhere.md"
     names = run(page)
     result = names["result"]

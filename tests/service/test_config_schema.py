@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import jsonschema
 import pytest
 import yaml
 
@@ -9,7 +10,6 @@ from service.config_schema import schema_text
 from service.errors import UsageError
 from service.mapper.profiles import METHODS
 
-jsonschema = pytest.importorskip("jsonschema", reason="pip install jsonschema")
 CONFIG = Path(__file__).parents[2] / "config"
 EXAMPLES = {  # folder -> what each file in it is
     CONFIG: "config",

@@ -2,13 +2,13 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import corridor
 
 
 def test_a_plot_shows_map_and_trajectory_in_metres(replayed):
-    figure = pytest.importorskip("matplotlib.figure", reason="pip install matplotlib")
-    axes = figure.Figure().add_subplot()
+    axes = Figure().add_subplot()
     assert replayed.plot(axes) is axes
     (image,) = axes.get_images()
     grid = replayed.map

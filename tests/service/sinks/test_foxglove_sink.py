@@ -12,6 +12,7 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
+from foxglove import layouts
 from rosbags.typesys import Stores, get_typestore
 
 from service.encoding import ERROR, OK, encode_graph, encode_tf_static
@@ -25,8 +26,6 @@ from service.sinks.foxglove_sink import MOST_WAITING, FoxgloveSink, open_sink
 from service.sinks.sink import SinkContext
 from tests.browser.scene import Scene, event, stamp
 from tests.service.sinks.contexts import sink_context
-
-layouts = pytest.importorskip("foxglove.layouts", reason="pip install 'corridor[viewer]'")
 
 TIMEOUT_S = 20.0
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
