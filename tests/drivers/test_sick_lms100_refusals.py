@@ -177,8 +177,6 @@ def test_device_at_rest_that_cannot_be_logged_into_is_a_device_error():
 
 def test_pretended_unit_of_2009_gives_scans_at_once(shared):
     script = shared / "cases/sick_v123_output_range.py"
-    if not script.exists():
-        pytest.skip(f"{script} is not there")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with subprocess.Popen([sys.executable, script, str(port)], stdout=subprocess.DEVNULL) as server:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.shared_data import NO_RECORDINGS
+from tests.shared_data import NO_RECORDINGS, SHARED
 from tests.soaked import in_soak
 
 MOST_CPU_S = 1.0  # that it may still take; a kernel that is compiled to its end takes up to 3
@@ -36,7 +36,7 @@ MOMENTS = [(*of, when) if (*of, when) in NOW else in_soak(*of, when) for of in C
 
 
 @pytest.fixture
-def begin(tmp_path: Path, shared: Path) -> Iterator[Callable[[str], subprocess.Popen[bytes]]]:
+def begin(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[bytes]]]:
     """Begins a command with an empty kernel cache, in a group of its own, as a shell does."""
     config = tmp_path / "vehicle.yaml"
     settings = {
@@ -47,7 +47,7 @@ def begin(tmp_path: Path, shared: Path) -> Iterator[Callable[[str], subprocess.P
         "map": {"directory": str(tmp_path / "maps")},
     }
     config.write_text(yaml.safe_dump(settings))
-    recording = shared / "worlds" / "tshape_s2" / "tshape_s2.mcap"
+    recording = SHARED / "worlds" / "tshape_s2" / "tshape_s2.mcap"
     arguments = {
         "run": [config],
         "demo": ["--out", tmp_path / "demo"],

@@ -22,7 +22,7 @@ from tests.service.timing.test_damaged_times import every, fields, offset, zero
 from tests.shared_data import SHARED
 
 CASES = SHARED / "cases"
-with_cases = pytest.mark.skipif(not CASES.exists(), reason=f"{CASES} is not there; set CORRIDOR_SHARED")
+with_cases = pytest.mark.usefixtures("shared")
 WORSE_M = 1.3e-3  # the error of good_small.mcap against the truth
 
 
