@@ -10,7 +10,7 @@ from service.api.mapper import trajectory_of
 from service.api.poses import Pose, pose_of
 from service.api.recordings import AnyPath, Topics, choice_of, one_drive
 from service.kernel_cache import ensure_cache_dir
-from service.mapstore.tiles import TileStore
+from service.mapstore.tiles import grid_of_tiles
 from service.offline.replay import COMPILING
 from service.offline.replay import replay as replay_recording
 from service.offline.replay_result import Replay, write_replay
@@ -48,11 +48,7 @@ class Result:
     @cached_property
     def map(self) -> Grid:
         """The map at the end. Raises StorageError beyond 410 m square at 5 cm."""
-        store = TileStore()
-        store.update(self._done.tiles)
-        grid = store.grid()
-        assert grid is not None
-        return grid
+        return grid_of_tiles(self._done.tiles)
 
     def save(self, folder: AnyPath) -> None:
         """Write the files of `corridor replay --out`: trajectories, states, summary, map.yaml and map.pgm for

@@ -13,7 +13,7 @@ from service.api.poses import Pose
 from service.api.recordings import AnyPath
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.files import StoredMap, load_map
-from service.mapstore.tiles import TileStore
+from service.mapstore.tiles import grid_of_tiles
 from service.outputs import Grid
 
 
@@ -41,11 +41,7 @@ class Map:
     @cached_property
     def grid(self) -> Grid:
         """Its cells as one picture. Raises StorageError beyond 410 m square at 5 cm."""
-        store = TileStore()
-        store.update(self._stored.tiles)
-        grid = store.grid()
-        assert grid is not None
-        return grid
+        return grid_of_tiles(self._stored.tiles)
 
     def localize(
         self,

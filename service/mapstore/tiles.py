@@ -284,6 +284,15 @@ class _Canvas:
         grown[top:bottom, left:right] = self._cells[top - row : bottom - row, left - column : right - column]
 
 
+def grid_of_tiles(tiles: Iterable[TileUpdate]) -> Grid:
+    """The finest level, which is not empty, as one picture. Raises StorageError beyond MAX_GRID_CELLS."""
+    store = TileStore()
+    store.update(tiles)
+    grid = store.grid()
+    assert grid is not None
+    return grid
+
+
 def tiles_of_grid(grid: Grid) -> list[TileUpdate]:
     """A grid as tiles, its cells moved by less than half a cell to where those of tiles lie."""
     column, row = round(grid.x_min_m / grid.cell_m), round(grid.y_min_m / grid.cell_m)

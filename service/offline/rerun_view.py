@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import CorridorError, StorageError, words_of
-from service.mapstore.tiles import TileStore
+from service.mapstore.tiles import grid_of_tiles
 from service.offline.result import open_result
 from service.offline.trajectory import Trajectory
 from service.offline.view import graph_picture
@@ -44,10 +44,7 @@ def show_in_rerun(source: Path, save: Path | None = None) -> None:
         ) from error
     result = open_result(source)
     graph, trajectory = graph_picture(result), result.trajectory
-    store = TileStore()
-    store.update(result.tiles)
-    grid = store.grid()
-    assert grid is not None
+    grid = grid_of_tiles(result.tiles)
     stream = rr.RecordingStream(f"corridor {source.resolve().name}")
     if save is not None:
         try:

@@ -20,7 +20,7 @@ from service.encoding import (
 )
 from service.errors import StorageError
 from service.mapper.graph.graph_picture import draw_saved
-from service.mapstore.tiles import TileStore
+from service.mapstore.tiles import grid_of_tiles
 from service.offline.session_file import write_messages
 from service.offline.states_file import sigmas_of
 from service.outputs import MapperOutput
@@ -47,11 +47,8 @@ def write_result_session(path: Path, done: "Replay") -> None:
 def _messages(done: "Replay") -> Iterator[Message]:
     first_ns = done.outputs[0].stamp_ns
     yield encode_tf_static(done.poses_base_sensor, first_ns, first_ns, upside_down=done.upside_down)
-    store = TileStore()
-    store.update(done.tiles)
     try:
-        if (grid := store.grid()) is not None:
-            yield encode_grid(grid, first_ns, first_ns)
+        yield encode_grid(grid_of_tiles(done.tiles), first_ns, first_ns)
     except StorageError as error:
         log.warning("%s has no /map: %s", RESULT_SESSION, error)
     if (graph := done.graph or done.session) is not None:
