@@ -158,27 +158,15 @@ class Subscription(Generic[UpdateT]):
 
 @overload
 def subscribe(
-    endpoint: str | zenoh.Session,
-    what: Literal["pose"],
-    *,
-    vehicle: str = ...,
-    timeout_s: float | None = ...,
+    endpoint: str | zenoh.Session, what: Literal["pose"], *, vehicle: str = ..., timeout_s: float | None = ...
 ) -> Subscription[Pose]: ...
 @overload
 def subscribe(
-    endpoint: str | zenoh.Session,
-    what: Literal["scan"],
-    *,
-    vehicle: str = ...,
-    timeout_s: float | None = ...,
+    endpoint: str | zenoh.Session, what: Literal["scan"], *, vehicle: str = ..., timeout_s: float | None = ...
 ) -> Subscription[LaserScan]: ...
 @overload
 def subscribe(
-    endpoint: str | zenoh.Session,
-    what: Literal["tile"],
-    *,
-    vehicle: str = ...,
-    timeout_s: float | None = ...,
+    endpoint: str | zenoh.Session, what: Literal["tile"], *, vehicle: str = ..., timeout_s: float | None = ...
 ) -> Subscription[TileUpdate]: ...
 @overload
 def subscribe(
