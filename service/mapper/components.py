@@ -90,9 +90,9 @@ class MappedScan:
     match: Match
     change: MapChange
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
+    prior: npt.NDArray[np.float64]  # (3, 3) the same of the prediction
     elapsed_s: float = 0.0  # since the scan before
     is_way_unknown: bool = False  # that since then, as in judgement.py
-    prior: npt.NDArray[np.float64] | None = None  # (3, 3) of the prediction against the local map, base axes
 
 
 # Of a session in a stored map: nobody knows where it lies in it; one look says where; another one, too.

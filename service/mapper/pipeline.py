@@ -232,17 +232,11 @@ class Mapper(Generic[ReadableMap]):
         self.counters["keyframes"] += change.is_keyframe
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
-        covariance = predicted.local_covariance if match.measured is None else match.measured.covariance
+        prior = predicted.local_covariance
+        covariance = prior if match.measured is None else match.measured.covariance
         pose_map_odom = s.graph.add(
             MappedScan(
-                at_ns,
-                still,
-                match,
-                change,
-                covariance,
-                predicted.elapsed_s,
-                is_way_unknown(predicted),
-                predicted.local_covariance,
+                at_ns, still, match, change, covariance, prior, predicted.elapsed_s, is_way_unknown(predicted)
             )
         )
         is_drawn = match.state != "lost" and self._localisation.is_found and not self._is_localizing

@@ -108,8 +108,8 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "part of the scene moves where odometry and static walls agree ([35])",
-        f"{METHOD}.moving_scene",
-        {"CHI2_999_OF_3": math.inf},
+        f"{METHOD}.moving_scene.MovingScene",
+        {"match": lambda *_: None, "judge": lambda _, aligned, attempt: aligned, "explain": lambda *_: None},
     ),
     (
         "odometry that stands counts only where a vehicle can stand ([30])",

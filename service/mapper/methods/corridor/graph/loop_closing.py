@@ -99,7 +99,7 @@ class LoopClosing(BackgroundGraph[Result]):
         pose = scan.match.motion.pose_odom_base
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         self._is_unmeasured |= scan.is_way_unknown
-        sigma_m, sigma_rad = (math.inf, math.inf) if scan.prior is None else sigmas_of(scan.prior)
+        sigma_m, sigma_rad = sigmas_of(scan.prior)
         self._doubt = self._doubt[0] + sigma_m**2, self._doubt[1] + sigma_rad**2
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
