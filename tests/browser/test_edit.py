@@ -95,6 +95,28 @@ def choose_place(page, side, xy_map):
     page.wait_for("return corridor.edit.pairs.places[arguments[0]].points.length > 0", side)
 
 
+def choose_places(page, bent, k):
+    """Key frame k as place A, that of a round later as B; points of them are then picked."""
+    here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
+    page.look_at(*(here + there) / 2, 100.0)
+    choose_place(page, "a", here)
+    choose_place(page, "b", there)
+    chosen = page.run("const {a, b} = corridor.edit.pairs.places; return [a.keyframe, b.keyframe]")
+    assert chosen == [k, k + ROUND]
+    page.element("pick-pairs").click()
+
+
+def pick_pairs(page, bent, k):
+    """All points that both places have in common, with the mouse."""
+    choose_places(page, bent, k)
+    for first, second in bent.common_points(k):
+        page.look_at(*(first + second) / 2, 150.0)
+        click_map(page, *first)
+        page.wait_for_text("hint", "Now the same point")
+        click_map(page, *second)
+    page.element("map").send_keys(Keys.ESCAPE)
+
+
 def wait_for_version(page, number):
     """Until the change is made. A refusal that is shown may still be that of the change before."""
     is_made = "return corridor.edit.version === arguments[0] && !corridor.edit.isBusy"
@@ -122,19 +144,7 @@ def drawn(page):
 def test_a_bent_map_is_straightened_by_clicks_compared_and_taken_back(page, view, folder, bent):
     assert bent.error_m(graph_in(folder)) > 0.5
     for k in PAIRED:
-        here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
-        page.look_at(*(here + there) / 2, 100.0)
-        choose_place(page, "a", here)
-        choose_place(page, "b", there)
-        chosen = page.run("const {a, b} = corridor.edit.pairs.places; return [a.keyframe, b.keyframe]")
-        assert chosen == [k, k + ROUND]
-        page.element("pick-pairs").click()
-        for first, second in bent.common_points(k):
-            page.look_at(*(first + second) / 2, 150.0)
-            click_map(page, *first)
-            page.wait_for_text("hint", "Now the same point")
-            click_map(page, *second)
-        page.element("map").send_keys(Keys.ESCAPE)
+        pick_pairs(page, bent, k)
     rows = residuals_m(page)
     apart_m = [float(np.hypot(*(a - b))) for k in PAIRED for a, b in bent.common_points(k)]
     np.testing.assert_allclose(rows, apart_m, atol=0.03)  # a pixel or two
@@ -166,10 +176,7 @@ def test_a_bent_map_is_straightened_by_clicks_compared_and_taken_back(page, view
 def test_a_new_pair_and_one_of_the_map_are_removed(page, view, folder, bent):
     k = PAIRED[0]
     first, second = bent.common_points(k)[0]
-    page.look_at(*bent.graph.map[k, :2], 100.0)
-    choose_place(page, "a", bent.graph.map[k, :2])
-    choose_place(page, "b", bent.graph.map[k + ROUND, :2])
-    page.element("pick-pairs").click()
+    choose_places(page, bent, k)
     page.look_at(*(first + second) / 2, 150.0)
     for points in 3 * (first, second):
         click_map(page, *points)

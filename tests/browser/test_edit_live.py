@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from service.mapstore.files import load_map
@@ -16,18 +15,15 @@ from service.offline.map_log import map_log
 from service.publishing.commands import Answer
 from service.web.work import SessionMapProcess
 from tests.browser.conftest import PHONE
-from tests.browser.test_edit import EDITED_WITHIN_S, PAIRED, choose_place, click_map, residuals_m
-from tests.browser.test_page import serious_faults
+from tests.browser.test_edit import EDITED_WITHIN_S, PAIRED, pick_pairs, residuals_m
+from tests.browser.test_page import asked, serious_faults
 from tests.in_background import in_background
-from tests.service.offline.bent_maps import ROUND, graph_in
+from tests.service.offline.bent_maps import graph_in
 from tests.service.web.conftest import TOKEN
 
 VERBS = "['save_map', 'load_map', 'set_pose']"
 ERASED = [(10.5, 4.0), (13.5, 8.0)]  # corners of a rectangle, m, map frame
-BEFORE_S, SINCE_S = (
-    1.0,
-    2.0,
-)  # seconds of the scene: the last pose in the map before, and the first in the copy
+BEFORE_S, SINCE_S = 1.0, 2.0  # of the scene: the last pose in the map before, and the first in the copy
 
 
 @pytest.fixture
@@ -84,10 +80,6 @@ def session(page, serve, scene, dispatcher, folder, maps, map_process, monkeypat
 
     with in_background(drive):
         yield server
-
-
-def asked(dispatcher):
-    return [(verb, json.loads(payload)) for verb, payload in dispatcher.asked]
 
 
 def erase_by_mouse(page):
@@ -188,18 +180,7 @@ def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session,
 
 def test_a_bent_map_is_straightened_while_the_session_runs(page, session, dispatcher, folder, maps, bent):
     fetch(page, bent)
-    k = PAIRED[0]
-    here, there = bent.graph.map[k, :2], bent.graph.map[k + ROUND, :2]
-    page.look_at(*(here + there) / 2, 100.0)
-    choose_place(page, "a", here)
-    choose_place(page, "b", there)
-    page.element("pick-pairs").click()
-    for first, second in bent.common_points(k):
-        page.look_at(*(first + second) / 2, 150.0)
-        click_map(page, *first)
-        page.wait_for_text("hint", "Now the same point")
-        click_map(page, *second)
-    page.element("map").send_keys(Keys.ESCAPE)
+    pick_pairs(page, bent, PAIRED[0])
     page.element("optimise").click()
     wait_for_change(page, "the mapping goes on in edited-")
     copy = next(request["map"] for verb, request in asked(dispatcher) if verb == "load_map")
