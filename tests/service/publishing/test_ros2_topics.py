@@ -31,8 +31,8 @@ from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.service.publishing.conftest import Inbox, client_config
-from tests.service.publishing.test_zenoh_publisher import wait_until
 from tests.service.test_encoding_outputs import OUTPUT
+from tests.waiting import wait_until
 
 SCAN = LaserScan("front", 1, 1, 1, 1, 0.0, 0.1, 0.0, 1.0, np.ones(2, np.float32), NO_INTENSITY)
 POSE_KEY = f"0/pose/nav_msgs::msg::dds_::Odometry_/{type_hash(ODOMETRY)}"

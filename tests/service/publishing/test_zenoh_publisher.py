@@ -15,6 +15,7 @@ from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import TIMEOUT_S, Inbox
+from tests.waiting import wait_until
 
 ROOT = "corridor/v1/veh1"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -31,14 +32,6 @@ def attachment_of(sample: zenoh.Sample) -> Attachment:
 def get(session: zenoh.Session, selector: str) -> list[zenoh.Sample]:
     replies = session.get(f"{ROOT}/{selector}", consolidation=zenoh.ConsolidationMode.NONE, timeout=TIMEOUT_S)
     return [reply.ok for reply in replies if reply.ok is not None]
-
-
-def wait_until(condition) -> None:
-    """For what no event tells; asks again every 5 ms."""
-    pause, deadline_s = threading.Event(), time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not become true"
-        pause.wait(0.005)
 
 
 def subscribe(session: zenoh.Session, publisher, key: str, inbox: Inbox) -> zenoh.Subscriber:

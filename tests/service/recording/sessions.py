@@ -1,7 +1,6 @@
 """Messages and files that the tests of the recording share."""
 
-import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -107,13 +106,3 @@ def read_back(path: Path) -> list[tuple[str, int, bytes]]:
 def as_read(messages: Iterable[Message]) -> list[tuple[str, int, bytes]]:
     """What read_back is to give: by log time, in the order written where that is equal."""
     return sorted(((f"/{m.channel}", m.log_ns, m.payload) for m in messages), key=lambda row: row[1])
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Wait for another thread's doing; ten milliseconds between looks."""
-    pause = threading.Event()
-    for _ in range(round(seconds * 100)):
-        if condition():
-            return
-        pause.wait(0.01)
-    raise AssertionError(f"not within {seconds} s")

@@ -9,7 +9,8 @@ import pytest
 from service.recording import mcap_recorder
 from service.recording.mcap_file import McapFile, create_stream
 from service.recording.mcap_recovery import recover
-from tests.service.recording.sessions import PLENTY, T0_NS, read_back, scan_message, wait_until
+from tests.service.recording.sessions import PLENTY, T0_NS, read_back, scan_message
+from tests.waiting import wait_until
 
 
 class Clock:

@@ -23,9 +23,9 @@ from tests.service.recording.sessions import (
     mountings_message,
     read_back,
     scan_message,
-    wait_until,
     write_file,
 )
+from tests.waiting import wait_until
 
 
 def test_what_was_put_is_what_rosbags_reads(recorder, tmp_path):
@@ -308,7 +308,7 @@ def test_leftovers_are_recovered_while_recording_goes_on(recorder, tmp_path):
     (tmp_path / "veh1_20251119T100000Z_0001.mcap.active").write_bytes(b"\x89MCAP0\r\n")
     session = recorder()
     session.put(scan_message(0))
-    wait_until(lambda: not session.recovering, seconds=60.0)
+    wait_until(lambda: not session.recovering, 60.0)
     session.finish()
     assert read_back(before) == as_read(lost)[:100]  # the rest was never synced
     assert sorted(path.name for path in tmp_path.iterdir()) == [

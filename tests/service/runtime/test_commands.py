@@ -36,6 +36,7 @@ from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.mapping_runs import OFFSET_NS, FakeMapper, scan
 from tests.service.sinks.contexts import sink_context
 from tests.service.sinks.test_map_saver import tile
+from tests.waiting import wait_until
 
 
 class Machine:
@@ -460,9 +461,7 @@ def test_nobody_is_left_waiting_when_the_mapper_does_not_answer(tmp_path: Path, 
     told: list[dict[str, Any]] = []
     asking = threading.Thread(target=lambda: told.append(machine.ask("pause")))
     asking.start()
-    pause = threading.Event()
-    while not machine.link.waiting:
-        pause.wait(0.005)
+    wait_until(lambda: machine.link.waiting)
     machine.commands.close()
     asking.join(10.0)
     assert told == [{"ok": False, "error": "the service is stopping"}]

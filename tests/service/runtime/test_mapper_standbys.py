@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,6 +29,7 @@ from service.runtime.mapper_messages import (
     TilesItem,
 )
 from tests.service.runtime.test_mapper_link import Heard
+from tests.waiting import wait_until
 
 TIMEOUT_S = 10.0
 FIRST, SECOND, LATE, THIRD = -2, -3, -4, -5  # process ids that nobody has and nobody kills
@@ -99,14 +100,7 @@ def standby(link: MapperLink, pid: int, number: int, of_pid: int) -> Acted:
 
 
 def until_standby(link: MapperLink, pid: int) -> None:
-    until(lambda: link.standby_pid == pid, f"stand-by is not {pid}")
-
-
-def until(what: Callable[[], bool], words: str) -> None:
-    pause, deadline_s = threading.Event(), time.monotonic() + TIMEOUT_S
-    while not what():
-        assert time.monotonic() < deadline_s, f"after {TIMEOUT_S} s the {words}"
-        pause.wait(0.01)
+    wait_until(lambda: link.standby_pid == pid, words=f"the stand-by is not {pid}")
 
 
 def is_sent_away(acted: Acted) -> bool:
@@ -141,7 +135,7 @@ def test_a_copy_of_a_lost_mapper_that_is_on_its_way_still_goes_on(link: MapperLi
     submit(link, 3)
     assert link.pid == FIRST
     mapper.channel.close()
-    until(lambda: link.pid == 0, "lost mapper has a number still")
+    wait_until(lambda: link.pid == 0, words="the lost mapper has a number still")
     second = standby(link, SECOND, 1, of_pid=FIRST)
     second.until(3)
     assert second.numbers() == [2, 3]
@@ -156,10 +150,10 @@ def test_samples_that_wait_for_a_scan_wait_for_the_stand_by_too(
     mapper = first_mapper(link)
     link.submit(FrameItem(1, 1, time.monotonic_ns(), "base", ODOMETRY, b""))
     mapper.channel.close()
-    until(lambda: link.pid == 0, "lost mapper has a number still")
+    wait_until(lambda: link.pid == 0, words="the lost mapper has a number still")
     monkeypatch.setattr(mapper_link, "HOLD_NS", 0)
     turns = link.turns
-    until(lambda: link.turns > turns + 1, "link stands still")
+    wait_until(lambda: link.turns > turns + 1, words="the link stands still")
     second = standby(link, SECOND, 0, of_pid=FIRST)
     second.until(2)
     assert second.numbers() == [1]
@@ -210,7 +204,7 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     mapper.until(6)
     assert not link._kept
     mapper.say(CanCopy(True))
-    until(lambda: link._keeps_items, "items are not kept")
+    wait_until(lambda: link._keeps_items, words="the items are not kept")
     late = standby(link, LATE, 4, of_pid=FIRST)
     assert is_sent_away(late)
     submit(link, 2)

@@ -26,6 +26,7 @@ from service.sinks.foxglove_sink import MOST_WAITING, FoxgloveSink, open_sink
 from service.sinks.sink import SinkContext
 from tests.browser.scene import Scene, event, stamp
 from tests.service.sinks.contexts import sink_context
+from tests.waiting import wait_until
 
 TIMEOUT_S = 20.0
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
@@ -92,12 +93,15 @@ class Viewer:
 
 
 def talk(sink: FoxgloveSink, conversation: Callable[[Viewer], Awaitable[None]]) -> None:
+    wait_until(sink.place, words="it serves nobody")
+
     async def hold() -> None:
-        async with asyncio.timeout(TIMEOUT_S), aiohttp.ClientSession() as session:
-            while not (address := sink.place()):
-                await asyncio.sleep(0.01)
-            async with session.ws_connect(address, protocols=["foxglove.sdk.v1"], max_msg_size=0) as socket:
-                await conversation(Viewer(socket))
+        async with (
+            asyncio.timeout(TIMEOUT_S),
+            aiohttp.ClientSession() as session,
+            session.ws_connect(sink.place(), protocols=["foxglove.sdk.v1"], max_msg_size=0) as socket,
+        ):
+            await conversation(Viewer(socket))
 
     asyncio.run(hold())
 
@@ -169,8 +173,7 @@ def test_nothing_waits_while_the_port_is_taken_and_it_is_had_when_it_is_free(
         other.listen()
         port = other.getsockname()[1]
         sink = open_one(f"127.0.0.1:{port}")
-        while "cannot be served" not in sink.health().message:
-            pass
+        wait_until(lambda: "cannot be served" in sink.health().message)
         assert sink.health().level == ERROR
         sink.put(encode_tf_static({"front": SE2()}, 1, 1))
         for k in range(MOST_WAITING + 500):

@@ -25,6 +25,7 @@ from service.sinks.map_saver import MOST_ASKED, MOST_UNSAVED, MapSaver
 from service.sinks.sink import SavedMap
 from tests.service.mapstore.graphs import graph_of
 from tests.service.sinks.contexts import sink_context
+from tests.waiting import wait_until
 
 NOBODY = 4_194_305  # above every process id that Linux gives
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
@@ -87,13 +88,8 @@ def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
     kept.saver.start()
     assert kept.emitted_one.wait(10.0)
     kept.tiles.update([tile(2)])
-    deadline = threading.Event()
-    for _ in range(1000):
-        if kept.saver.saved_version == 2:
-            break
-        deadline.wait(0.01)
+    wait_until(lambda: kept.saver.saved_version == 2)
     kept.saver.flush()
-    assert kept.saver.saved_version == 2
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [2]
 
 

@@ -20,6 +20,7 @@ from service.web.server import WebServer
 from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
+from tests.waiting import wait_until
 
 TILES, PATH = 1, 3
 
@@ -360,10 +361,7 @@ def test_a_port_that_is_taken_is_said_and_taken_when_it_is_free(serve):
     with sockets.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         server = serve(wait=False, listen=f"127.0.0.1:{port}")
-        deadline_s = time.monotonic() + TIMEOUT_S
-        while "cannot be served" not in server.health().message:
-            assert time.monotonic() < deadline_s
-            threading.Event().wait(0.01)
+        wait_until(lambda: "cannot be served" in server.health().message)
         assert server.health().level == 2
         assert server.address == ""
     assert server.wait_served(TIMEOUT_S)

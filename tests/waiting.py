@@ -1,0 +1,13 @@
+"""For what another thread or process does and no event tells."""
+
+import threading
+import time
+from collections.abc import Callable
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = 30.0, words: str = "it is not so") -> None:
+    """Look each 5 ms. Raises AssertionError, with the words, where it does not come about in time."""
+    pause, deadline_s = threading.Event(), time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s, f"after {timeout_s} s {words}"
+        pause.wait(0.005)
