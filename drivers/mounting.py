@@ -2,19 +2,19 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from drivers.section import Section
 
 OffsetM = Annotated[float, Field(ge=-50.0, le=50.0)]  # on a vehicle
 TurnDeg = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
-class Mounting(BaseModel):
+class Mounting(Section):
     """Pose of the sensor in the base frame: x forward, y left, z up, yaw counter-clockwise seen from above.
 
     Upside down means turned by 180 deg about its own forward axis, before the yaw.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     x_m: OffsetM = 0.0
     y_m: OffsetM = 0.0

@@ -13,9 +13,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
+from drivers.section import Section
 from service.errors import ConfigError
 from service.located_yaml import Document, load
 from service.located_yaml import Fault as Mistake
@@ -27,10 +28,8 @@ DAY_S = 86_400.0
 JITTER_SHARE = 0.25  # of the period, where nothing else is said
 
 
-class Fault(BaseModel):
+class Fault(Section):
     """One line of the file. Times are seconds since the devices were ready."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     device: str
     kind: str

@@ -2,17 +2,16 @@
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
+from drivers.section import Section
 from drivers.wires import DeviceFile, Host
 
 
-class HokuyoUtm30lxConfig(BaseModel):
+class HokuyoUtm30lxConfig(Section):
     """What the device shall do, and by which wire: `device` for USB, `host` for Ethernet, never both."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["hokuyo_utm30lx"] = "hokuyo_utm30lx"
     name: str = Field(min_length=1)

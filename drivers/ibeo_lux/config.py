@@ -2,20 +2,19 @@
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.ibeo_lux.messages import TICKS_PER_DEG
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
+from drivers.section import Section
 from drivers.wires import Host
 
 Label = Literal["dirt", "rain", "ground", "transparent"]
 
 
-class IbeoLuxConfig(BaseModel):
+class IbeoLuxConfig(Section):
     """What the device shall do and how its layers become one scan. The device's flash is never written."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["ibeo_lux"] = "ibeo_lux"
     name: str = Field(min_length=1)

@@ -3,9 +3,10 @@
 import math
 from typing import Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.latency import LatencyMs
+from drivers.section import Section
 from drivers.wires import DeviceFile
 
 
@@ -31,14 +32,12 @@ RETRY_START_NS = 1_000_000_000
 GIVE_UP_NS = 8_000_000_000  # longer than any banner, so that a robot that was reset is waited for
 
 
-class IrobotCreateConfig(BaseModel):
+class IrobotCreateConfig(Section):
     """One robot on one serial port.
 
     There is no mounting: the middle of the wheel axle *is* the base frame's origin, and the other sensors'
     mountings are measured from there.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["irobot_create"] = "irobot_create"
     name: str = Field(min_length=1)

@@ -2,17 +2,16 @@
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
+from drivers.section import Section
 from drivers.wires import Host
 
 
-class Lms100Config(BaseModel):
+class Lms100Config(Section):
     """What the device shall do. Where it does something else, the driver changes it, but not its flash."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["sick_lms100"] = "sick_lms100"
     name: str = Field(min_length=1)

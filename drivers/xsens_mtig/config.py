@@ -3,10 +3,11 @@
 import math
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
+from drivers.section import Section
 from drivers.wires import DeviceFile
 from drivers.xsens_mtig.orientation import apply, axes_of
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
@@ -23,10 +24,8 @@ USB = "usb"
 AUTO: Literal["auto"] = "auto"
 
 
-class XsensMtigConfig(BaseModel):
+class XsensMtigConfig(Section):
     """What the device shall do. What differs is written to it, and it keeps it for good."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["xsens_mtig"] = "xsens_mtig"
     name: str = Field(min_length=1)

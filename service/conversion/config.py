@@ -2,12 +2,14 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from drivers.section import Section
 
 Echo = Literal["strongest", "first", "last"]
 
 
-class ConversionConfig(BaseModel):
+class ConversionConfig(Section):
     """Of a sensor_msgs/MultiEchoLaserScan and of a sensor_msgs/PointCloud2.
 
     echo          which of a beam's echoes counts; the strongest, where no intensities come, is the first
@@ -15,8 +17,6 @@ class ConversionConfig(BaseModel):
     z_max_m       height it sits, above and below the laser itself. None: see point_cloud
     min_range_m   nearer points of a 3-D laser are the vehicle's own
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     echo: Echo = "strongest"
     z_min_m: float | None = Field(default=None, ge=-100.0, le=100.0)

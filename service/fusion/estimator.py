@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
+from drivers.section import Section
 from service.fusion.consistent_covariance import ConsistentCovariance, widen_pose
 from service.fusion.motion import Matrix, Measurement, Motion, Prediction, Reckoned, scan_alone
 from service.fusion.standstill import Standstill
@@ -62,10 +63,8 @@ FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, where 
 LEAST_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
 
 
-class EstimatorConfig(BaseModel):
+class EstimatorConfig(Section):
     """How far each source of motion is trusted. A walk is a standard deviation that grows with the root."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     odometry_position_walk: float = Field(default=0.02, gt=0.0)  # m per root metre driven
     odometry_heading_walk: float = Field(default=0.01, gt=0.0)  # rad per root metre driven

@@ -6,9 +6,10 @@ from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_arg
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from drivers.frames import GnssFix, LaserScan
+from drivers.section import Section
 from service.fusion.motion import Measurement, Motion, MotionModel, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
@@ -458,10 +459,8 @@ class ComponentKind:
     begins_in_stored: bool = False
 
 
-class NoSettings(BaseModel):
+class NoSettings(Section):
     """Of a component that has nothing to set."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.fusion.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
@@ -32,10 +33,8 @@ NOT_KNOWN_M, NOT_KNOWN_RAD = 100.0, math.pi  # a sigma beyond is no measure of a
 CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
 
 
-class JudgementConfig(BaseModel):
+class JudgementConfig(Section):
     """When a match is accepted; part of the settings of every matcher."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     lost_ratio: float = Field(default=0.30, ge=0.0, le=1.0)  # of the returns on the map: below, it is none
     degraded_ratio: float = Field(default=0.45, ge=0.0, le=1.0)  # below, it is doubtful

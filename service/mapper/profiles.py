@@ -27,6 +27,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 
 from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
+from drivers.section import Section
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
@@ -102,20 +103,18 @@ class BeginIn:
     geo: GeoReference | None = None  # where it lies on the earth
 
 
-class MappingConfig(BaseModel):
+class MappingConfig(Section):
     """Which method maps, with which parameters, and how fine the shown map is.
 
     mapping_model gives the class whose `settings` know the components that were chosen.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping", "localization"] = "mapping"
     lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
     outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
-    components: dict[Slot, str] = {}
+    components: dict[Slot, str] = Field(default_factory=dict)
     settings: Any = None  # by slot: the settings of the component in it; None: the profile's
 
     @field_validator("profile")

@@ -1,14 +1,13 @@
 """What the map saver is told."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.config_types import Folder
 
 
-class MapConfig(BaseModel):
+class MapConfig(Section):
     """Where the map is kept, and how often it is saved on the way."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     directory: Folder
     load: Folder | None = None  # a stored map that the session begins in; None: a new map

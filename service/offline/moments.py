@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from drivers.frames import LaserScan
+from drivers.section import Section
 from service.encoding import CHANGES, STANDING, Pose, Status
 from service.errors import CorridorError
 from service.geometry.poses import Floats
@@ -31,10 +32,8 @@ GO_TO = "moment_go_to"
 STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of a running service
 
 
-class GoToAsked(BaseModel):
+class GoToAsked(Section):
     """Seconds since the first moment; behind the last one it means that."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 

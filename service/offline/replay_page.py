@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from drivers.counted import counted
 from drivers.frames import LaserScan
+from drivers.section import Section
 from service.encoding import (
     CHANGES,
     LEVEL_OF_STATE,
@@ -58,24 +59,18 @@ LEAST_REST = 20.0  # looking at all tiles may take a share of 1 / LEAST_REST of 
 VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
 
 
-class NothingAsked(BaseModel):
+class NothingAsked(Section):
     """Of replay_pause and replay_resume."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
-
-class RateAsked(BaseModel):
+class RateAsked(Section):
     """Seconds of the recording a second; 0: as fast as it goes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rate: Annotated[float, Field(ge=0.0, le=10_000.0)]
 
 
-class GoToAsked(BaseModel):
+class GoToAsked(Section):
     """Seconds since the beginning of the recording."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 

@@ -3,9 +3,10 @@
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from drivers.rmw_zenoh import Distro, absolute_name
+from drivers.section import Section
 from drivers.wires import is_host
 
 _EXAMPLE = 'write an endpoint as "tcp/127.0.0.1:7447" (tcp, udp, ws) or "unixsock-stream//path"'
@@ -24,10 +25,8 @@ def _check_endpoint(endpoint: str) -> str:
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 
 
-class Ros2Config(BaseModel):
+class Ros2Config(Section):
     """Topics and services for ROS 2 nodes that run rmw_zenoh_cpp; no ROS here."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     enabled: bool = False
     domain: int = Field(default=0, ge=0, le=232)  # ROS_DOMAIN_ID of the nodes
@@ -37,10 +36,8 @@ class Ros2Config(BaseModel):
     router: Literal["own", "connect"] = "own"
 
 
-class PublishingConfig(BaseModel):
+class PublishingConfig(Section):
     """The Zenoh session: it is a router, so subscribers connect to it and need no other."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     listen: tuple[Endpoint, ...] = ("tcp/127.0.0.1:7447",)  # port 0: any free one
     connect: tuple[Endpoint, ...] = ()  # further routers, a site's say; tried for ever, never waited for

@@ -1,14 +1,13 @@
 """Settings of the recorder."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.config_types import Folder
 
 
-class RecordingConfig(BaseModel):
+class RecordingConfig(Section):
     """Where sessions go, and how much of the disk they may take."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     directory: Folder
     rotate_mb: int = Field(default=1024, ge=1, le=100_000)

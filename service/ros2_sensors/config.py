@@ -2,11 +2,12 @@
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.rmw_zenoh import absolute_name
+from drivers.section import Section
 from service.publishing.config import Endpoint
 
 
@@ -16,10 +17,8 @@ def _check_topic(topic: str) -> str:
     return name
 
 
-class Ros2SensorConfig(BaseModel):
+class Ros2SensorConfig(Section):
     """A topic, and the router by which its publisher is reached."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(min_length=1)
     topic: Annotated[str, AfterValidator(_check_topic)]

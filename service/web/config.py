@@ -4,8 +4,9 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
+from drivers.section import Section
 from drivers.wires import is_host
 
 _LISTEN = re.compile(r"(?:\[(?P<v6>[0-9A-Fa-f:.]+)\]|(?P<host>[A-Za-z0-9_.-]+)):(?P<port>\d{1,5})")
@@ -36,10 +37,8 @@ def _check_host_name(name: str) -> str:
     return name
 
 
-class WebConfig(BaseModel):
+class WebConfig(Section):
     """The operator's page. Loopback unless told otherwise; what changes state needs the token."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     enabled: bool = True
     listen: Annotated[str, AfterValidator(check_listen)] = "127.0.0.1:8080"

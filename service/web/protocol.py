@@ -29,9 +29,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from drivers.frames import LaserScan
+from drivers.section import Section
 from service.encoding import Pose, Status
 from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, Grid, TileUpdate
@@ -44,34 +45,28 @@ DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than
 FloatArray = npt.NDArray[np.float32]
 
 
-class TokenShown(BaseModel):
+class TokenShown(Section):
     """Asks for the right to change something."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["token"]
     token: Annotated[str, Field(max_length=200)]
 
 
-class CommandAsked(BaseModel):
+class CommandAsked(Section):
     """A command of docs/commands.md; `n` comes back with the answer."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["command"]
     n: Annotated[int, Field(ge=0, lt=2**53)]
     verb: Annotated[str, Field(min_length=1, max_length=40)]
-    request: dict[str, Any] = {}
+    request: dict[str, Any] = Field(default_factory=dict)
 
 
-class ResourceAsked(BaseModel):
+class ResourceAsked(Section):
     """Something about stored sessions and maps, see resources.py; only to list them needs no token.
 
     to        rename: the new name; download: the format; undo: the number that delete gave
     request   keyframe and edit: what service.offline.session_map_commands is asked
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     type: Literal["resource"]
     n: Annotated[int, Field(ge=0, lt=2**53)]
@@ -79,7 +74,7 @@ class ResourceAsked(BaseModel):
     kind: Literal["session", "map"] = "session"
     name: Annotated[str, Field(max_length=255)] = ""
     to: Annotated[str, Field(max_length=255)] = ""
-    request: dict[str, Any] = {}
+    request: dict[str, Any] = Field(default_factory=dict)
 
 
 Asked = TokenShown | CommandAsked | ResourceAsked

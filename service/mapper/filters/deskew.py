@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.frames import LaserScan
+from drivers.section import Section
 from service.errors import InputError
 from service.fusion.motion import Motion, Prediction
 from service.geometry.polygons import is_inside
@@ -21,10 +22,8 @@ LEAST_NOISE_M = 0.003
 UNKNOWN_NOISE_M = 0.03  # of a laser that has shown none yet
 
 
-class BeamsConfig(BaseModel):
+class BeamsConfig(Section):
     """Which returns are used, besides what the sensor itself says of its range."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     nearest_m: float = Field(default=0.10, ge=0.0)  # nearer: error codes of some devices, dirt on the window
     farthest_m: float = Field(default=100.0, gt=0.0)

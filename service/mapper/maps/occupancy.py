@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry.grid import TileRange
 from service.geometry.polygons import Cells, cells_along, cells_inside, centres_of, is_inside
 from service.geometry.se2 import SE2
@@ -36,10 +37,8 @@ from service.outputs import UNKNOWN, TileUpdate
 POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is seen costs memory
 
 
-class OccupancyConfig(BaseModel):
+class OccupancyConfig(Section):
     """When a scan is drawn, and how far its beams clear."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     insert_distance_m: float = Field(default=0.10, gt=0.0)
     insert_turn_rad: float = Field(default=0.08, gt=0.0)

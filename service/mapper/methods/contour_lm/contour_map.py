@@ -4,8 +4,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry.se2 import SE2
 from service.kernels.background import LearningSettings, learn_scan, mark_passed, mark_unseen
 from service.kernels.contour_blur import (
@@ -29,20 +30,16 @@ POOL_TILES = 65_536  # 0.9 GB of address space: 0.17 km2 at 5 cm
 FIRST_SCAN_CELLS = 65_536
 
 
-class ContoursConfig(BaseModel):
+class ContoursConfig(Section):
     """Which neighbouring end points are joined (eq. 5), and what becomes of those that are not."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     longest_step_m: float = Field(default=0.15, gt=0.0)  # d_th
     most_ratio: float = Field(default=2.0, ge=1.0)  # r_th
     lone_points: bool = False  # points without a contour enter the map as blobs
 
 
-class BlurConfig(BaseModel):
+class BlurConfig(Section):
     """How likely a place beside a contour is (eqs. 6 and 7). Lengths in cells, the same on every level."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     along_cells: float = Field(default=10.0, gt=0.0)
     across_cells: float = Field(default=1.5, gt=0.0)
@@ -52,10 +49,8 @@ class BlurConfig(BaseModel):
     least: float = Field(default=0.05, gt=0.0, lt=1.0)  # what is below counts as nothing
 
 
-class LearningConfig(BaseModel):
+class LearningConfig(Section):
     """How the map changes with each scan (eqs. 13 to 18)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rate: float = Field(default=0.01, gt=0.0, lt=1.0)  # w_l
     control: float = Field(default=3.0, ge=0.0)  # tau
@@ -69,9 +64,7 @@ class LearningConfig(BaseModel):
     free_range_m: float = Field(default=20.0, gt=0.0)  # beams fade cells up to here
 
 
-class ContourMapConfig(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class ContourMapConfig(Section):
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
     levels: int = Field(default=3, ge=1, le=6)  # each with cells twice as wide as the one before
     insert_distance_m: float = Field(default=0.05, ge=0.0)  # learn after so much way,

@@ -6,8 +6,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points
@@ -31,10 +32,8 @@ PRINTED_BEAMS = 540
 MOST_TRIALS, MOST_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a prior nothing else ends it
 
 
-class WeightsConfig(BaseModel):
+class WeightsConfig(Section):
     """How points are weighed so that every orientation of wall has its say (eq. 9)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     balance: bool = True  # False: every point weighs the same
     bins: int = Field(default=12, ge=1, le=180)  # B, over 180 deg
@@ -46,10 +45,8 @@ class WeightsConfig(BaseModel):
     thin_m: float = Field(default=0.02, ge=0.0)
 
 
-class SearchConfig(BaseModel):
+class SearchConfig(Section):
     """The rough search before: a window of so many sigmas of the prediction, within bounds."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     window_sigmas: float = Field(default=2.0, ge=0.0)
     most_window_m: float = Field(default=0.5, ge=0.0)

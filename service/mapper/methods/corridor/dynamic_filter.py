@@ -1,7 +1,8 @@
 """Settings of how things that move are told from things that stay."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.kernels.static_score import StaticScoreSettings
 
 TICK_S = 0.05  # in which it is counted how long something stands
@@ -15,10 +16,8 @@ def ticks_in(time_s: float) -> int:
     return round(time_s / TICK_S)
 
 
-class DynamicFilterConfig(BaseModel):
+class DynamicFilterConfig(Section):
     """When something counts in full, and when it is forgotten."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     enough_s: float = Field(default=1.0, ge=0.0, le=6.0)  # 0: all things count alike, and stay
     behind_m: float = Field(default=0.2, gt=0.0)

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.static_score import (
@@ -54,10 +55,8 @@ MARK_M, MOST_MARK = 0.05, 32_767  # of the path, from one mark to the next; belo
 MOST_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
-class SubmapsConfig(BaseModel):
+class SubmapsConfig(Section):
     """How sub-maps are cut and filled."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)

@@ -10,8 +10,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from drivers.section import Section
 from service.geometry.grid import TileRange
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
@@ -29,10 +30,8 @@ BACKGROUND, OUTER, INNER, HIT = 0.1, 0.3, 0.6, 0.9
 HIT_CODE = {"product": 250, "mean": 8}  # 8 is 0.8 in tenths, exactly; with 250, ln 3 is exact, ln 6 to 0.1 %
 
 
-class PatchMapConfig(BaseModel):
+class PatchMapConfig(Section):
     """How the map is cut and drawn, and how much of it is kept in memory."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     cell_m: float = Field(default=0.01, gt=0.0)
     insert_distance_m: float = Field(default=0.2, ge=0.0)  # a scan is drawn after so much way,

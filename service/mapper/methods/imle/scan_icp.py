@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import deskew_points
@@ -21,10 +22,8 @@ from service.outputs import Reason
 Array = npt.NDArray[np.float64]
 
 
-class IcpConfig(BaseModel):
+class IcpConfig(Section):
     """Which points are pairs, and when it ends."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
     points: int = Field(default=180, ge=20)  # of the newer scan that look for a partner, evenly chosen

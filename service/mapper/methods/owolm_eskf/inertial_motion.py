@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
+from drivers.section import Section
 from service.fusion.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY
@@ -24,10 +25,8 @@ MOST_UNKNOWN_S = 0.3  # at 1 m/s no farther than scans of the map lie apart
 ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S = 1.0, 0.05
 
 
-class InertialMotionConfig(BaseModel):
+class InertialMotionConfig(Section):
     """The IMU's errors and place, and what is assumed where it is silent."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     imu_x_m: float = 0.0  # the IMU in the base frame
     imu_y_m: float = 0.0

@@ -6,8 +6,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry.grid import tiles_of
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2, wrap_angle
@@ -34,10 +35,8 @@ POOL_TILES = 262_144  # 1.3 GB of address space a level; only what is seen costs
 RULES = {"noisy_or": NOISY_OR, "maximum": MAXIMUM}
 
 
-class SegmentsConfig(BaseModel):
+class SegmentsConfig(Section):
     """Which points make an orthogonal blurred segment."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     width_m: float = Field(default=0.04, gt=0.0)  # twice the ranging error
     least_points: int = Field(default=20, ge=2)
@@ -46,10 +45,8 @@ class SegmentsConfig(BaseModel):
     gap_steps: float = Field(default=3.0, ge=0.0)
 
 
-class OrthogonalMapConfig(BaseModel):
+class OrthogonalMapConfig(Section):
     """The pyramid, and how a point is blurred."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
     ratio: Literal[2, 4, 5] = 4

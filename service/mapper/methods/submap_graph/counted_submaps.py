@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.counted_occupancy import CountedGrid, CountWeights, count_overlap, count_scan
 from service.kernels.likelihood import LikelihoodField
@@ -19,10 +20,8 @@ SAME_WALL_M = 0.10  # a return so near to a wall lies on it
 POOL_TILES = 131_072  # 1.3 GB of address space; only what is seen costs memory
 
 
-class CountedSubmapsConfig(BaseModel):
+class CountedSubmapsConfig(Section):
     """How sub-maps are cut, and what a count says."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(default=30, ge=1, le=1000)
     cell_m: float = Field(default=0.05, ge=0.02, le=0.5)

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from drivers.antenna import antenna_of
 from drivers.frames import GnssFix
+from drivers.section import Section
 from service.geometry.se2 import SE2
 from service.mapper.background import NewWorker
 from service.mapper.components import (
@@ -38,10 +39,8 @@ DETACHED_INTERVAL_NS, MOST_DOUBLED = 500_000_000, 4
 REQUESTS = ("optimize", "undo", "checkpoint", "set_pose")
 
 
-class PoseRequest(BaseModel):
+class PoseRequest(Section):
     """What set_pose takes: pose_map_base as a person sees it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     x_m: float = Field(allow_inf_nan=False)
     y_m: float = Field(allow_inf_nan=False)

@@ -1,12 +1,12 @@
 """Settings of the default profile's graph."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from drivers.section import Section
 
 
-class LoopsConfig(BaseModel):
+class LoopsConfig(Section):
     """How finely the way is kept, how far it may have drifted, and over which way loops are looked for."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)

@@ -12,8 +12,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
@@ -48,10 +49,8 @@ MOST_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as 
 Ints = npt.NDArray[np.int64]
 
 
-class LandmarkGraphConfig(BaseModel):
+class LandmarkGraphConfig(Section):
     """Which sub-maps are aligned with each other, and how far odometry is trusted between track points."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     match: SubmapMatchConfig = SubmapMatchConfig()
     # Share of points, when a scan or a sub-map is aligned anew.

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from drivers.frames import GnssFix
+from drivers.section import Section
 from service.geometry.se2 import SE2
 from service.mapper.background import NewWorker
 from service.mapper.components import (
@@ -29,28 +30,22 @@ from service.mapper.methods.submap_graph.graph.landmark_back_end import (
 )
 
 
-class PointOfSubmap(BaseModel):
+class PointOfSubmap(Section):
     """A point of the shown map, and the sub-map that drew it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     submap: int = Field(ge=0)
     x_m: float = Field(allow_inf_nan=False)  # map frame
     y_m: float = Field(allow_inf_nan=False)
 
 
-class PairRequest(BaseModel):
+class PairRequest(Section):
     """Two points that are one in the world. The word for them is that of the interface."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     first: PointOfSubmap
     second: PointOfSubmap
 
 
-class PairNumber(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class PairNumber(Section):
     pair: int = Field(ge=0)
 
 

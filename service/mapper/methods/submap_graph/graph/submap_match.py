@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import wrap_angle
@@ -23,10 +24,8 @@ ON_MAP = 0.3  # likelihood from which a point lies on the other sub-map
 CORNER_REACH_M = 0.6  # how far around a point its neighbours say whether it is a corner
 
 
-class SubmapMatchConfig(BaseModel):
+class SubmapMatchConfig(Section):
     """When two sub-maps are said to show the same place, and which points are landmarks."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     search_cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     most_points: int = Field(default=400, ge=50)
