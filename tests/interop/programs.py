@@ -4,14 +4,17 @@ import json
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 ROOT = Path(__file__).parents[2] / ".venv-interop"
 CLIENTS = Path(__file__).parent / "clients"
 INSTALL_TIMEOUT_S = 600.0
-CLIENT_TIMEOUT_S = 90.0
+CLIENT_TIMEOUT_S, TALK_TIMEOUT_S = 90.0, 180.0
 TAIL_CHARS = 1500
 
 
@@ -89,11 +92,36 @@ def run(command: list[str], home: Path | None = None, timeout_s: float = CLIENT_
 
 def run_client(venv: Venv, script: str, facts: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Run clients/<script> there with the facts as a JSON file; its last line. Raises InteropError."""
-    told = folder / f"{Path(script).stem}.json"
-    told.write_text(json.dumps(facts))
-    out = run([str(venv.bin / "python"), "-E", "-s", str(CLIENTS / script), str(told)])
-    seen: dict[str, Any] = json.loads(out.splitlines()[-1])
+    seen: dict[str, Any] = json.loads(run(_command(venv, script, facts, folder)).splitlines()[-1])
     return seen
+
+
+@contextmanager
+def started_client(
+    venv: Venv, script: str, facts: dict[str, Any], folder: Path, stderr: int | None = None
+) -> Iterator[tuple[subprocess.Popen[str], IO[str], IO[str]]]:
+    """The same script with stdin and stdout, while it runs; killed at the end, or after TALK_TIMEOUT_S."""
+    command = _command(venv, script, facts, folder)
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        command, stdin=pipe, stdout=pipe, stderr=stderr, text=True, env=environment(folder)
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    guard = threading.Timer(TALK_TIMEOUT_S, process.kill)
+    guard.start()
+    try:
+        yield process, process.stdin, process.stdout
+    finally:
+        guard.cancel()
+        process.kill()
+        process.communicate()
+
+
+def _command(venv: Venv, script: str, facts: dict[str, Any], folder: Path) -> list[str]:
+    facts_file = folder / f"{Path(script).stem}.json"
+    facts_file.write_text(json.dumps(facts))
+    return [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / script), str(facts_file)]
 
 
 def environment(home: Path | None = None) -> dict[str, str]:

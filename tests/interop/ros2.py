@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from typing import Any
 from drivers.rmw_zenoh import Topic, dds_type
 from service.encoding import DIAGNOSTICS, LASER_SCAN, OCCUPANCY_GRID, ODOMETRY, TF, type_hash
 from service.encoding.ros_services import LOAD_MAP, SAVE_MAP, TRIGGER, service_hash
-from tests.interop.programs import CLIENT_TIMEOUT_S, CLIENTS, InteropError, Venv, environment, run_client
+from tests.interop.programs import TAIL_CHARS, InteropError, Venv, run_client, started_client
 from tests.system.machine import FakeVehicle, LiveService, free_port
 
 DOMAIN = 7
@@ -128,36 +127,20 @@ def _run_client(
     venv: Venv, facts: dict[str, Any], folder: Path, restart: Callable[[], None]
 ) -> dict[str, Any]:
     """What the client saw; it goes on through one restart. Raises InteropError."""
-    facts_file = folder / "facts.json"
-    facts_file.write_text(json.dumps({"domain": DOMAIN, "topics": TOPICS, "services": SERVICES, **facts}))
-    process = subprocess.Popen(
-        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_client.py"), str(facts_file)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env=environment(folder),
-    )
-    assert process.stdout is not None
-    assert process.stdin is not None
-    guard = threading.Timer(2 * CLIENT_TIMEOUT_S, process.kill)
-    guard.start()
+    facts = {"domain": DOMAIN, "topics": TOPICS, "services": SERVICES, **facts}
     lines: list[str] = []
     again_s = 0.0
-    try:
-        for line in process.stdout:
+    script = "zenoh_ros2_sdk_client.py"
+    with started_client(venv, script, facts, folder, subprocess.STDOUT) as (process, stdin, stdout):
+        for line in stdout:
             lines.append(line)
             if line == "restart\n":
                 restart()
                 again_s = time.time()
-                process.stdin.write("\n")
-                process.stdin.flush()
+                stdin.write("\n")
+                stdin.flush()
         if process.wait() != 0:
-            raise InteropError(f"it ended with {process.returncode}:\n{''.join(lines)[-1500:]}")
-    finally:
-        guard.cancel()
-        process.kill()
-        process.communicate()
+            raise InteropError(f"it ended with {process.returncode}:\n{''.join(lines)[-TAIL_CHARS:]}")
     seen: dict[str, Any] = json.loads(lines[-1])
     late = {topic: at_s - again_s for topic, at_s in seen.pop("back_at_s").items()}
     seen["back_s"] = max(0.0, *late.values())

@@ -1,9 +1,7 @@
 """A foreign ROS 2 node as laser: its scans against the same scans read by our driver."""
 
-import json
 import math
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +15,7 @@ from drivers.frames import LaserScan
 from service.encoding import decode_frame, decode_pose
 from service.geometry.se2 import SE2
 from service.recording.mcap_reader import Recording
-from tests.interop.programs import CLIENTS, InteropError, Venv, environment
+from tests.interop.programs import InteropError, Venv, started_client
 from tests.system.machine import FakeVehicle, LiveService
 
 DOMAIN = 7
@@ -62,26 +60,12 @@ def run_sdk_laser(venv: Venv, folder: Path) -> str:
 @contextmanager
 def _relay(venv: Venv, folder: Path, endpoint: str) -> Iterator[None]:
     """The foreign node."""
-    facts_file = folder / "facts.json"
     port = int(endpoint.rpartition(":")[2])
-    facts_file.write_text(
-        json.dumps({"port": port, "domain": DOMAIN, "from": "/front/scan", "to": "/relayed/scan"})
-    )
-    process = subprocess.Popen(
-        [str(venv.bin / "python"), "-E", "-s", str(CLIENTS / "zenoh_ros2_sdk_relay.py"), str(facts_file)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=environment(folder),
-    )
-    try:
-        assert process.stdout is not None
-        if process.stdout.readline() != "relays\n":
+    facts = {"port": port, "domain": DOMAIN, "from": "/front/scan", "to": "/relayed/scan"}
+    with started_client(venv, "zenoh_ros2_sdk_relay.py", facts, folder) as (_, _, stdout):
+        if stdout.readline() != "relays\n":
             raise InteropError("the relay does not start")
         yield
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def _poses_by_scan(sessions: Path) -> dict[bytes, SE2]:
