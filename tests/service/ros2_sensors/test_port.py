@@ -99,9 +99,13 @@ def test_the_subscription_is_in_the_graph(wire: ZenohWire):
     assert any(token.startswith(f"0/1/MS/%/%/corridor_laser/{scan_topic}") for token in shown)
 
 
-def test_a_publisher_without_a_type_hash_is_heard(wire: ZenohWire):
-    key = Topic("/other", LASER_SCAN, NO_TYPE_HASH).key(0)
-    payload = encode_frame(scan(1)).payload
+PAYLOAD = encode_frame(scan(1)).payload
+
+
+@contextmanager
+def published(wire: ZenohWire, hash_text: str) -> Iterator[Subscription]:
+    """A subscription to a topic on which there is one message, its type hash as it says."""
+    key = Topic("/other", LASER_SCAN, hash_text).key(0)
     with (
         Subscription(config(router=router_of(wire), topic="/other"), LASER_SCAN) as heard,
         zenoh.open(client_config(router_of(wire))) as session,
@@ -110,8 +114,19 @@ def test_a_publisher_without_a_type_hash_is_heard(wire: ZenohWire):
         with publisher.declare_matching_listener() as matching:
             if not publisher.matching_status.matching:
                 assert matching.recv().matching
-        publisher.put(payload)
-        assert heard.read(TIMEOUT_S) == pack(payload)
+        publisher.put(PAYLOAD)
+        yield heard
+
+
+def test_a_publisher_without_a_type_hash_is_heard(wire: ZenohWire):
+    with published(wire, NO_TYPE_HASH) as heard:
+        assert heard.read(TIMEOUT_S) == pack(PAYLOAD)
+
+
+def test_messages_with_another_type_hash_are_refused_with_both_hashes(wire: ZenohWire):
+    expected = r"/other at .* type hash RIHS01_0a come; expected RIHS01_64c1\w+; build the node"
+    with published(wire, "RIHS01_0a") as heard, pytest.raises(TransportError, match=expected):
+        heard.read(TIMEOUT_S)
 
 
 def test_no_router_is_a_transport_error():
@@ -125,8 +140,9 @@ def test_messages_that_are_not_read_in_time_are_no_silent_loss(wire: ZenohWire, 
     with Subscription(config(router=router_of(wire)), LASER_SCAN) as subscription:
         with subscription._changed:
             assert subscription._changed.wait_for(lambda: subscription._lost >= 3, TIMEOUT_S)
-        with pytest.raises(TransportError, match=r"/scan at tcp/.*: \d+ messages lost"):
+        with pytest.raises(TransportError, match=r"/scan at tcp/.*: \d+ messages lost") as raised:
             subscription.read(1.0)
+        assert int(str(raised.value).split()[3]) >= 5  # with the two that still waited
         assert subscription.read(TIMEOUT_S)
 
 
