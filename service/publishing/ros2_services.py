@@ -26,7 +26,7 @@ from service.encoding.ros_services import (
 )
 from service.errors import InputError
 from service.outputs import Grid
-from service.publishing.commands import Answer
+from service.publishing.commands import Answer, CommandError
 from service.publishing.query_workers import QueryWorkers
 from service.publishing.ros2_node import Ros2Node, reply, request_of
 
@@ -39,7 +39,7 @@ Command = Callable[[str, bytes], Answer]
 @dataclass(frozen=True, slots=True)
 class _Service:
     type: str
-    respond: Callable[[bytes], bytes]  # request -> response. Raises InputError
+    respond: Callable[[bytes], bytes]  # request -> response. Raises InputError, CommandError
     refuse: Callable[[str], bytes]  # why it is not done -> response
 
 
@@ -66,7 +66,7 @@ class Ros2Services:
         self._offer("save_map", _Service(SAVE_MAP, self._save_map, _not_saved))
 
     def counts(self) -> Counter[str]:
-        """Requests answered, by service, and "refused"."""
+        """Requests answered, by service, and "refused": those that were refused or failed."""
         with self._lock:
             return Counter(self._counts)
 
@@ -89,16 +89,16 @@ class Ros2Services:
                 query.reply_err(str(error).encode())
             return
         if refused := self._workers.start(name, partial(self._answer, name, service, query, request)):
-            self._reply(name, query, request, self._refusal(name, service, refused))
+            self._reply(name, query, request, self._refusal(name, service.refuse, refused))
 
     def _answer(self, name: str, service: _Service, query: zenoh.Query, request: Attachment) -> None:
         try:
             response = service.respond(query.payload.to_bytes() if query.payload is not None else b"")
-        except InputError as error:
-            response = self._refusal(name, service, str(error))
+        except (InputError, CommandError) as error:
+            response = self._refusal(name, service.refuse, str(error))
         except Exception as error:  # whatever a stranger sends must not bring the service down
             log.exception("ros2 service %s failed", name)
-            response = self._refusal(name, service, f"{error!r}; the service's log says more")
+            response = self._refusal(name, service.refuse, f"{error!r}; the service's log says more")
         self._reply(name, query, request, response)
 
     def _reply(self, name: str, query: zenoh.Query, request: Attachment, response: bytes) -> None:
@@ -110,10 +110,10 @@ class Ros2Services:
             else:
                 self._count(name)
 
-    def _refusal(self, name: str, service: _Service, why: str) -> bytes:
+    def _refusal(self, name: str, refuse: Callable[[str], bytes], why: str) -> bytes:
         self._count("refused")
         log.warning("ros2 service %s: %s", name, why)
-        return service.refuse(why)
+        return refuse(why)
 
     def _count(self, what: str) -> None:
         with self._lock:
@@ -122,17 +122,18 @@ class Ros2Services:
     def _trigger(self, verb: str, request: bytes) -> bytes:
         """The request is empty; its one byte stands there because a structure needs a member."""
         answer = self._command(verb, b"")
-        return encode_response(TRIGGER, success=answer.ok, message=_words(answer))
+        if not answer.ok:
+            raise CommandError(_error(answer))
+        return encode_response(TRIGGER, success=True, message=answer.body.decode())
 
     def _load_map(self, payload: bytes) -> bytes:
         name = _map_named(read_request(LOAD_MAP, payload).map_url)
         answer = self._command("load_map", json.dumps({"map": name}).encode())
         if answer.ok:
-            present = self._present_map() or _empty_map()
-            return encode_response(LOAD_MAP, map=read(OCCUPANCY_GRID, present.payload), result=SUCCESS)
-        log.warning("ros2 service load_map: %s", _words(answer))
+            return _map_response(self._present_map(), SUCCESS)
         is_there = self._map_folder is not None and (self._map_folder / name).exists()
-        return _not_loaded(result=UNDEFINED_FAILURE if is_there else MAP_DOES_NOT_EXIST)
+        result = UNDEFINED_FAILURE if is_there else MAP_DOES_NOT_EXIST
+        return self._refusal("load_map", lambda _: _map_response(None, result), _error(answer))
 
     def _save_map(self, payload: bytes) -> bytes:
         request = read_request(SAVE_MAP, payload)
@@ -144,13 +145,13 @@ class Ros2Services:
         name = _map_named(request.map_url)
         answer = self._command("save_map", json.dumps({"name": name} if name else {}).encode())
         if not answer.ok:
-            log.warning("ros2 service save_map: %s", _words(answer))
-        return encode_response(SAVE_MAP, result=answer.ok)
+            raise CommandError(_error(answer))
+        return encode_response(SAVE_MAP, result=True)
 
 
-def _words(answer: Answer) -> str:
-    """The error of a command that failed, or its whole answer as JSON."""
-    return answer.body.decode() if answer.ok else str(json.loads(answer.body)["error"])
+def _error(answer: Answer) -> str:
+    """Of a command that failed."""
+    return str(json.loads(answer.body)["error"])
 
 
 def _not_triggered(why: str) -> bytes:
@@ -161,13 +162,15 @@ def _not_saved(why: str) -> bytes:
     return encode_response(SAVE_MAP, result=False)
 
 
-def _not_loaded(why: str = "", result: int = UNDEFINED_FAILURE) -> bytes:
+def _not_loaded(why: str) -> bytes:
     """nav2's response has no text; the log says why."""
-    return encode_response(LOAD_MAP, map=read(OCCUPANCY_GRID, _empty_map().payload), result=result)
+    return _map_response(None, UNDEFINED_FAILURE)
 
 
-def _empty_map() -> Message:
-    return encode_grid(Grid(0, 1.0, 0.0, 0.0, np.empty((0, 0), np.int8)), 0, 0)
+def _map_response(present: Message | None, result: int) -> bytes:
+    """To load_map; without a map an empty one."""
+    grid = present or encode_grid(Grid(0, 1.0, 0.0, 0.0, np.empty((0, 0), np.int8)), 0, 0)
+    return encode_response(LOAD_MAP, map=read(OCCUPANCY_GRID, grid.payload), result=result)
 
 
 def _map_named(url: str) -> str:

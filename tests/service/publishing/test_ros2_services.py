@@ -103,10 +103,15 @@ def test_a_trigger_is_a_command(session, asked, name, verb):
     assert asked.heard == [(verb, b"")]
 
 
-def test_a_command_that_fails_is_a_trigger_without_success(session, asked, monkeypatch):
+def test_a_command_that_fails_is_an_answer_without_success_and_counted(
+    session, topics, asked, monkeypatch, caplog
+):
     monkeypatch.setattr(type(asked), "__call__", lambda self, verb, payload: refusal("the disk is full"))
     response = answer(session, "save", ros_services.TRIGGER)
     assert (response.success, response.message) == (False, "the disk is full")
+    assert not save(session, "office")
+    assert topics.counts()["answered"]["refused"] == 2
+    assert caplog.text.count("the disk is full") == 2
 
 
 def test_the_response_names_the_request_it_answers(session):
@@ -147,11 +152,14 @@ def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
 @pytest.mark.parametrize(
     ("url", "result"), [("nowhere", 1), ("office", 255), ("package://nav2/maps/office.yaml", 255)]
 )
-def test_load_map_says_whether_the_map_is_missing_or_wrong(session, asked, monkeypatch, caplog, url, result):
+def test_load_map_says_whether_the_map_is_missing_or_wrong(
+    session, topics, asked, monkeypatch, caplog, url, result
+):
     monkeypatch.setattr(type(asked), "__call__", lambda self, verb, payload: refusal("not so"))
     response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
     assert response.result == result
     assert caplog.records
+    assert topics.counts()["answered"]["refused"] == 1
 
 
 def test_save_map_saves_under_the_name(session, asked):
