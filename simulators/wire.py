@@ -258,26 +258,22 @@ class TcpWire(_Wire):
 
     def __init__(self, device: FakeDevice | ManyClients, host: str, port: int) -> None:
         super().__init__(f"tcp {host}:{port}", device)
-        self._address = (host, port)
+        self.endpoint = (host, port)  # for port 0 the real one, once entered
         self._server: socket.socket | None = None
-
-    @property
-    def endpoint(self) -> tuple[str, int]:
-        return self._address
 
     def __enter__(self) -> tuple[str, int]:
         self.restore()
-        return self._address
+        return self.endpoint
 
     def _is_plugged(self) -> bool:
         return self._server is not None
 
     def _plug_in(self) -> None:
         if self._server is None:
-            self._server = socket.create_server(self._address)
+            self._server = socket.create_server(self.endpoint)
             self._server.setblocking(False)
-            self._address = self._server.getsockname()[:2]
-            self.name = f"tcp {self._address[0]}:{self._address[1]}"
+            self.endpoint = self._server.getsockname()[:2]
+            self.name = f"tcp {self.endpoint[0]}:{self.endpoint[1]}"
 
     def _pull(self) -> None:
         """Reset every client and stop listening: a new connection is refused."""

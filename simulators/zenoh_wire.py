@@ -33,18 +33,14 @@ class ZenohWire:
         self.failure: BaseException | None = None  # what the device raised; it ends the wire
         self._topic = Topic(topic, message_type, type_hash(message_type))
         self._domain = domain
-        self._address = (host, port)
+        self.endpoint = (host, port)  # for port 0 the real one, once entered
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
         self._thread: threading.Thread | None = None
 
-    @property
-    def endpoint(self) -> tuple[str, int]:
-        return self._address
-
     def __enter__(self) -> tuple[str, int]:
         self.restore()
-        return self._address
+        return self.endpoint
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -58,7 +54,7 @@ class ZenohWire:
         """Open and publish, after a cut at the same port."""
         settings = {
             "mode": "router",
-            "listen/endpoints": [f"tcp/{self._address[0]}:{self._address[1]}"],
+            "listen/endpoints": [f"tcp/{self.endpoint[0]}:{self.endpoint[1]}"],
             "scouting/gossip/enabled": True,
             "adminspace/enabled": True,  # tells which port was free
             "transport/shared_memory/enabled": False,
@@ -66,11 +62,11 @@ class ZenohWire:
         try:
             self._session = zenoh.open(zenoh_config(settings))
         except zenoh.ZError as error:
-            raise OSError(f"no router at {self._address[0]}:{self._address[1]}: {error}") from error
+            raise OSError(f"no router at {self.endpoint[0]}:{self.endpoint[1]}: {error}") from error
         reply = next(iter(self._session.get(f"@/{self._session.zid()}/router", timeout=2.0)))
         assert reply.ok is not None
         locator: str = json.loads(reply.ok.payload.to_string())["locators"][0]
-        self._address = (self._address[0], int(locator.rpartition(":")[2]))
+        self.endpoint = (self.endpoint[0], int(locator.rpartition(":")[2]))
         self._stop.clear()
         self._thread = threading.Thread(
             target=self._run, args=(self._session,), name=f"node {self._topic.name}", daemon=True

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zenoh
 
 from drivers.link import RawChunk
 from drivers.sick_lms100.driver import Lms100Session
@@ -18,7 +17,14 @@ from simulators.sick_lms100 import FakeLms100, Lms100Setup
 from tests.docs.blocks import ROOT, written_in
 from tests.drivers.lms100 import Room, config
 from tests.drivers.virtual_time import Talk
-from tests.service.publishing.conftest import client, open_client, open_publisher, publisher, store
+from tests.service.publishing.conftest import (
+    client,
+    open_client,
+    open_publisher,
+    publisher,
+    store,
+    wait_for_subscriber,
+)
 
 __all__ = ["client", "open_client", "open_publisher", "publisher", "store"]  # fixtures
 
@@ -49,12 +55,10 @@ def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client,
     payload = encode_pose(output, 1).payload
     here = program_of("README.md").replace("tcp/127.0.0.1:7447", publisher.endpoints[0])
     poses = client.declare_publisher("corridor/v1/veh1/pose")
-    matching = poses.declare_matching_listener(zenoh.handlers.FifoChannel(4))
     with subprocess.Popen([sys.executable, "-u", "-c", here], stdout=subprocess.PIPE, text=True) as reader:
         assert reader.stdout is not None
         try:
-            if not poses.matching_status.matching:
-                matching.recv()
+            wait_for_subscriber(poses)
             for _ in range(3):
                 poses.put(payload)
                 assert reader.stdout.readline() == "x 1.00 m, y 2.00 m, heading 28.6 deg\n"

@@ -35,6 +35,13 @@ class Inbox:
             return list(self.samples)
 
 
+def wait_for_subscriber(publisher: zenoh.Publisher) -> None:
+    """Until it knows of one: what is put before is not sent."""
+    with publisher.declare_matching_listener() as matching:
+        while not publisher.matching_status.matching:
+            matching.recv()
+
+
 def client_config(endpoint: str) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in {

@@ -27,6 +27,10 @@ from tests.service.publishing.test_initial_pose import payload_of
 CONFIG = PublishingConfig(listen=("tcp/127.0.0.1:0",), ros2={"enabled": True, "namespace": "veh1"})
 GID = bytes(range(16))
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
+INITIAL_POSE_KEY = (
+    "0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/"
+    + JAZZY.hash_rihs01("geometry_msgs/msg/PoseWithCovarianceStamped")
+)
 for name, definition in {
     "x/msg/TriggerResponse": "bool success\nstring message",
     "x/msg/LoadMapRequest": "string map_url",
@@ -193,9 +197,7 @@ def test_too_many_requests_at_once_are_refused_with_the_reason(session, asked, m
 
 
 def test_a_pose_on_initialpose_becomes_set_pose(session, topics, asked):
-    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    key = f"0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/{JAZZY.hash_rihs01(kind)}"
-    session.put(key, payload_of(SE2(1.25, -2.5, 3.0)))
+    session.put(INITIAL_POSE_KEY, payload_of(SE2(1.25, -2.5, 3.0)))
     assert asked.entered.acquire(timeout=20.0)
     verb, payload = asked.heard[0]
     assert verb == "set_pose"
@@ -203,9 +205,7 @@ def test_a_pose_on_initialpose_becomes_set_pose(session, topics, asked):
 
 
 def test_a_pose_that_is_refused_is_kept_for_health(session, topics, asked):
-    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    key = f"0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/{JAZZY.hash_rihs01(kind)}"
-    session.put(key, payload_of(SE2(1.0, 2.0, 3.0), "odom"))
+    session.put(INITIAL_POSE_KEY, payload_of(SE2(1.0, 2.0, 3.0), "odom"))
     list(session.get("behind/what/went/before"))
     topics.close()
     assert topics.pose_refused == "initialpose: a pose in the frame 'odom'; expected 'map'"

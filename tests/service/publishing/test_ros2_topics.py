@@ -30,7 +30,7 @@ from service.publishing.ros2_topics import Ros2Topics
 from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
-from tests.service.publishing.conftest import Inbox, client_config
+from tests.service.publishing.conftest import Inbox, client_config, wait_for_subscriber
 from tests.service.test_encoding_outputs import OUTPUT
 from tests.waiting import wait_until
 
@@ -98,11 +98,7 @@ def test_a_topic_carries_the_bytes_of_the_message_with_its_attachment(open_topic
 
 
 def wait_for_match(opened: Opened, key: str) -> None:
-    """Until the publisher of the key knows of a subscriber: what is put before is not sent."""
-    publisher = next(p for p in opened.topics._publishers.values() if p.key == key)._publisher
-    with publisher.declare_matching_listener() as listener:
-        while not publisher.matching_status.matching:
-            listener.recv()
+    wait_for_subscriber(next(p for p in opened.topics._publishers.values() if p.key == key)._publisher)
 
 
 def test_ten_thousand_messages_have_each_a_well_formed_attachment(open_topics, open_client):
@@ -229,9 +225,7 @@ def test_nodes_find_each_other_by_this_router(open_topics, open_node):
     inbox = Inbox()
     listener.declare_subscriber("0/chatter", inbox)
     publisher = talker.declare_publisher("0/chatter")
-    with publisher.declare_matching_listener() as matching:
-        if not publisher.matching_status.matching:
-            assert matching.recv().matching
+    wait_for_subscriber(publisher)
     publisher.put(b"hello")
     assert inbox.wait_for(1)[0].payload.to_bytes() == b"hello"
 

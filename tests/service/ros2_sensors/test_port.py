@@ -17,7 +17,7 @@ from service.ros2_sensors.port import Subscription
 from service.ros2_sensors.session import Ros2Session, pack
 from simulators.ros2_node import FakeNode, NodeSetup
 from simulators.zenoh_wire import ZenohWire
-from tests.service.publishing.conftest import client_config
+from tests.service.publishing.conftest import client_config, wait_for_subscriber
 from tests.service.ros2_sensors.nodes import config, scan
 from tests.system.machine import free_port
 
@@ -111,9 +111,7 @@ def published(wire: ZenohWire, hash_text: str) -> Iterator[Subscription]:
         zenoh.open(client_config(router_of(wire))) as session,
     ):
         publisher = session.declare_publisher(key)
-        with publisher.declare_matching_listener() as matching:
-            if not publisher.matching_status.matching:
-                assert matching.recv().matching
+        wait_for_subscriber(publisher)
         publisher.put(PAYLOAD)
         yield heard
 
