@@ -103,9 +103,10 @@ def test_what_the_graph_has_said_holds_until_it_says_else_or_ends():
 @pytest.mark.parametrize(("blank_s", "state"), [(1.0, "degraded"), (3.0, "lost")])
 def test_a_blank_scan_is_degraded_while_the_place_was_known_just_now(blank_s: float, state: State):
     place = Localisation("proven")
-    place.judged(Match(MOTION, POINTS, 0.9, "ok"), MapChange(), OF_GRAPH, 0, PRIOR)
+    place.judged(Match(MOTION, POINTS, 0.9, "ok"), MapChange(), OF_GRAPH, 5 * 10**9, PRIOR)
     blank = Match(MOTION, BLANK, 0.0, "lost")
-    assert place.judged(blank, MapChange(), OF_GRAPH, round(blank_s * 1e9), PRIOR).state == state
+    at_ns = round((5.0 + blank_s) * 1e9)
+    assert place.judged(blank, MapChange(), OF_GRAPH, at_ns, PRIOR).state == state
 
 
 def test_a_blank_scan_before_any_other_is_lost():
