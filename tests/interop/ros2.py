@@ -92,14 +92,13 @@ class _Router:
     def start(self) -> None:
         """It listens when this returns."""
         program = (
-            "import json, sys, zenoh\nconfig = zenoh.Config()\n"
-            "for key, value in json.loads(sys.argv[1]).items(): config.insert_json5(key, json.dumps(value))\n"
-            "with zenoh.open(config):\n    print('listens', flush=True)\n    sys.stdin.read()\n"
+            "import json, sys, zenoh\nfrom drivers.zenoh_config import zenoh_config\n"
+            "with zenoh.open(zenoh_config(json.loads(sys.argv[1]))):\n"
+            "    print('listens', flush=True)\n    sys.stdin.read()\n"
         )
         settings = {
             "mode": "router",
             "listen/endpoints": [f"tcp/127.0.0.1:{self._port}"],
-            "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": True,
         }
         self._process = subprocess.Popen(

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.rmw_zenoh import Attachment
 from service.encoding import ros_services
@@ -23,25 +22,14 @@ from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
 from tests.service.publishing.test_command_queryable import Asked
 from tests.service.publishing.test_initial_pose import payload_of
+from tests.service.test_encoding_ros_services import JAZZY
 
 CONFIG = PublishingConfig(listen=("tcp/127.0.0.1:0",), ros2={"enabled": True, "namespace": "veh1"})
 GID = bytes(range(16))
-JAZZY = get_typestore(Stores.ROS2_JAZZY)
 INITIAL_POSE_KEY = (
     "0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/"
     + JAZZY.hash_rihs01("geometry_msgs/msg/PoseWithCovarianceStamped")
 )
-for name, definition in {
-    "x/msg/TriggerResponse": "bool success\nstring message",
-    "x/msg/LoadMapRequest": "string map_url",
-    "x/msg/LoadMapResponse": "nav_msgs/OccupancyGrid map\nuint8 result",
-    "x/msg/SaveMapRequest": (
-        "string map_topic\nstring map_url\nstring image_format\nstring map_mode\n"
-        "float32 free_thresh\nfloat32 occupied_thresh"
-    ),
-    "x/msg/SaveMapResponse": "bool result",
-}.items():
-    JAZZY.register(get_types_from_msg(definition, name))
 
 
 @pytest.fixture
