@@ -58,11 +58,6 @@ class Pace:
     def is_paused(self) -> bool:
         return self._is_paused
 
-    @property
-    def is_ahead(self) -> bool:
-        """Whether it goes to a log time as fast as it goes."""
-        return self._until_ns is not None
-
     def pause(self) -> None:
         self._set(is_paused=True, until_ns=None)
 
