@@ -28,9 +28,10 @@ def pages(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
     """Name and roff of each page, that of the whole program first."""
     name = parser.prog.replace(" ", "-")
     yield name, "\n".join(_page(name, parser))
-    for command in _commands(parser):
-        for child in command.choices.values():
-            yield from pages(child)
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for child in action.choices.values():
+                yield from pages(child)
 
 
 def _page(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
@@ -60,10 +61,6 @@ def _page(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
 
 def _item(head: str, words: str) -> Iterator[str]:
     yield from (".TP", rf"\fB{_plain(head)}\fR", _plain(words) or r"\&")
-
-
-def _commands(parser: argparse.ArgumentParser) -> list["argparse._SubParsersAction[argparse.ArgumentParser]"]:
-    return [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
 
 
 def _plain(text: str) -> str:
