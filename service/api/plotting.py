@@ -22,7 +22,7 @@ def plot(grid: Grid, trajectory: Trajectory, states: Sequence[State], axes: "Axe
             from matplotlib import pyplot
         except ImportError as error:
             raise CorridorError(
-                "plot() needs matplotlib, which is not installed: pip install matplotlib"
+                "plot() needs matplotlib, which is not installed: pip install 'corridor[plot]'"
             ) from error
         axes = pyplot.figure().add_subplot()
     height, width = grid.cells.shape
