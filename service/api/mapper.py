@@ -95,7 +95,7 @@ class Mapper:
     @property
     def counters(self) -> Mapping[str, int]:
         """Scans mapped, and what was dropped, by reason: scans, scans_dropped_late, samples_dropped_late"""
-        return dict(self._session.counters)
+        return self._session.counters.copy()  # 0 for what has not come about
 
     @property
     def warnings(self) -> Sequence[str]:
@@ -160,7 +160,7 @@ class Mapper:
             saved if isinstance(saved, SavedGraph) else None,
         )
         if number is None:
-            raise InputError(f"{folder}: nothing was mapped ({self.counters})")
+            raise InputError(f"{folder}: nothing was mapped ({dict(self.counters)})")
         return number
 
     def _refuse_unknown(self, frame: Frame) -> None:

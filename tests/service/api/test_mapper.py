@@ -5,6 +5,8 @@ import pytest
 
 import corridor
 from tests.service.api.rooms import MOUNTINGS, driven
+from tests.service.timing.damages import damaged
+from tests.service.timing.test_damaged_times import zero
 
 ROOM_SCAN = next(frame for frame in driven().frames if isinstance(frame, corridor.LaserScan))
 
@@ -36,6 +38,7 @@ def test_a_mapper_gives_what_a_replay_gives_bit_for_bit(recording, replayed):
 def test_frames_of_a_program_are_mapped_where_the_vehicle_was(replayed):
     mapper = corridor.Mapper(mountings=MOUNTINGS)
     assert mapper.map() is None
+    assert mapper.counters["scans"] == mapper.counters["scans_dropped_late"] == 0
     poses = mapped(mapper, driven().frames)
     for pose in poses:
         true = driven().truth[pose.stamp_ns]
@@ -107,6 +110,13 @@ def test_a_late_scan_is_dropped_and_counted():
     assert mapper.counters["scans_dropped_late"] == 1
 
 
+def test_frames_that_wait_for_their_stamps_to_be_judged_are_mapped_at_the_end():
+    mapper = corridor.Mapper(mountings={"front": (0.0, 0.0, 0.0)})
+    assert mapped(mapper, damaged("scan", zero(1))[:200]) == []
+    mapper.finish()
+    assert mapper.counters["scans"] == 7
+
+
 def test_a_saved_map_is_gone_on_in(stored):
     mapper = corridor.Mapper(mountings=MOUNTINGS, map=stored, localize=True)
     poses = mapped(mapper, driven().frames)
@@ -116,6 +126,7 @@ def test_a_saved_map_is_gone_on_in(stored):
     assert poses[-1].state != "lost"
     with pytest.raises(corridor.UsageError, match="localises only"):
         mapper.save(stored)
+    corridor.Mapper({"map": {"load": str(stored)}}, localize=True)  # which needs a map
 
 
 def test_nothing_goes_on_after_the_end_and_nothing_is_saved_of_nothing(tmp_path):
