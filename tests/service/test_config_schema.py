@@ -89,7 +89,9 @@ def test_empty_sections_and_chosen_components_are_right(schema):
 
 def test_the_command_prints_it_and_takes_no_config_then(schema, capsys):
     assert main(["check", "--schema"]) == 0
-    assert json.loads(capsys.readouterr().out) == schema
+    printed = capsys.readouterr().out
+    assert json.loads(printed) == schema
+    assert '"default": "127.0.0.1:8080"' in printed  # editors show it
     with pytest.raises(SystemExit) as left:
         main(["check", "vehicle.yaml", "--schema"])
     assert left.value.code == UsageError.exit_code

@@ -39,6 +39,7 @@ def test_poses_are_those_of_the_drive(replayed):
         ({"map": "nowhere"}, corridor.InputError, "nowhere"),
         ({"profile": "x"}, corridor.ConfigError, "x is no profile"),
         ({"config": "none.yaml"}, corridor.ConfigError, "none.yaml"),
+        ({"from_raw": True}, corridor.InputError, "raw"),
     ],
 )
 def test_settings_that_cannot_be_are_refused_in_words(recording, settings, error, words):

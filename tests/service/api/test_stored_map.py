@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ def test_a_scan_is_found_in_the_map_and_the_map_stays_as_it_is(stored):
     assert loaded.grid.cells.max() > 65
     before = sorted(stored.rglob("*"))
     scans = [frame for frame in driven().frames if isinstance(frame, corridor.LaserScan)]
-    for scan in (scans[-1], scans[0]):  # each call searches again
+    for scan in (scans[-1], replace(scans[0], scan_period_ns=0)):  # each call searches again
         pose = loaded.localize(scan, mountings=MOUNTINGS)
         assert pose is not None
         true = driven().truth[scan.stamp_ns]

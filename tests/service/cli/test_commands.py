@@ -49,11 +49,15 @@ def code_of(arguments: list[str]) -> int:
         return left.code if isinstance(left.code, int) else -1
 
 
-def test_the_version_is_the_one_that_stands_in_one_place(capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(("warm", "words"), [(True, "all compiled"), (False, "some are compiled when .*")])
+def test_the_version_is_the_one_that_stands_in_one_place(
+    warm: bool, words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("service.kernel_cache.is_warm", lambda: warm)
     assert code_of(["--version"]) == 0
     first, *others = capsys.readouterr().out.splitlines()
     assert first == f"corridor {VERSION}"
-    assert re.fullmatch(r"kernels [0-9a-f]{12}: .*compiled.*", others[-1])
+    assert re.fullmatch(f"kernels [0-9a-f]{{12}}: {words}", others[-1])
 
 
 def test_a_checkout_has_its_commit_in_the_version_and_an_installed_program_has_none(
@@ -71,6 +75,8 @@ def test_a_checkout_has_its_commit_in_the_version_and_an_installed_program_has_n
     assert f"\ngit {commit}\n" in version.version_words()
     (tmp_path / "file").write_text("2")
     assert f"\ngit {commit}-dirty\n" in version.version_words()
+    monkeypatch.setenv("PATH", "")
+    assert "git" not in version.version_words()
 
 
 def test_bash_completes_commands_options_names_and_files(tmp_path: Path):
