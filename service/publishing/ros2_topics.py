@@ -80,6 +80,11 @@ class Ros2Topics:
         """Why the newest pose on initialpose was not taken, "" if it was."""
         return self._initial_pose.refused if self._initial_pose is not None else ""
 
+    @property
+    def has_router(self) -> bool:
+        """Whether another router is connected."""
+        return bool(self._session.info.routers_zid())
+
     def counts(self) -> dict[str, Counter[str]]:
         """Messages sent, dropped and failed, by channel; requests answered, by service."""
         answered = Counter[str]() if self._services is None else self._services.counts()

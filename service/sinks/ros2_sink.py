@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from service.encoding import Message, Status
+from service.encoding import WARNING, Message, Status
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
 from service.publishing.ros2_names import MAP, OF_SENSORS, TOPICS
@@ -24,6 +24,7 @@ class Ros2Sink(Sink):
     def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
         self._context = context
         self._place = f"domain {config.ros2.domain}, {config.ros2.namespace or '/'}"
+        self._routers = ", ".join(config.connect) if config.ros2.router == "connect" else ""
         self._topics = Ros2Topics(config, context.zenoh, context.tiles)
 
     def start(self) -> None:
@@ -39,7 +40,11 @@ class Ros2Sink(Sink):
 
     def health(self) -> Status:
         refused = self._topics.pose_refused
-        return counted_row(self.name, self._topics.counts(), {"initialpose_refused": refused})
+        row = counted_row(self.name, self._topics.counts(), {"initialpose_refused": refused})
+        if self._routers and not self._topics.has_router:
+            no_router = f"no router at {self._routers}; start rmw_zenohd there, or change publishing.connect"
+            return row._replace(level=WARNING, message=no_router)
+        return row
 
     def place(self) -> str:
         return self._place

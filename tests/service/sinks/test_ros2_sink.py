@@ -24,6 +24,7 @@ from service.encoding.graph import encode_graph
 from service.mapstore.tiles import TileStore
 from service.outputs import GraphPicture
 from service.publishing.config import PublishingConfig
+from service.publishing.session import open_session
 from service.recording.mcap_reader import Recording
 from service.sinks.fan_out import Sinks
 from service.sinks.registry import SINKS
@@ -32,6 +33,8 @@ from tests.service.publishing.conftest import Inbox, client_config
 from tests.service.publishing.test_ros2_topics import OUTPUT, SCAN
 from tests.service.sinks.contexts import sink_context
 from tests.service.sinks.test_zenoh_sink import put_until_heard
+from tests.system.machine import free_port
+from tests.waiting import wait_until
 
 LOG_NS = 1_700_000_000_000_000_000
 LISTEN = ("tcp/127.0.0.1:0",)
@@ -78,6 +81,21 @@ def test_its_row_holds_what_was_sent_and_warns_of_what_was_not(sink: Ros2Sink):
     row = sink.health()
     assert (row.name, row.level, row.message) == ("ros2", WARNING, "1 dropped, 0 failed")
     assert row.values["dropped.pose"] == "1"
+
+
+def test_its_row_warns_while_the_nodes_router_is_not_there():
+    router = f"tcp/127.0.0.1:{free_port()}"
+    by_router = {"enabled": True, "router": "connect"}
+    sink = open_sink(PublishingConfig(listen=LISTEN, connect=(router,), ros2=by_router), sink_context())
+    row = sink.health()
+    assert (row.level, row.message) == (
+        WARNING,
+        f"no router at {router}; start rmw_zenohd there, or change publishing.connect",
+    )
+    with open_session(PublishingConfig(listen=(router,))):
+        wait_until(lambda: sink.health().level == OK)
+    wait_until(lambda: sink.health().level == WARNING)
+    sink.close()
 
 
 def test_zenoh_ros_and_recording_have_the_same_bytes_encoded_once(tmp_path: Path, monkeypatch):
