@@ -26,6 +26,7 @@ from service.outputs import TileUpdate
 from service.publishing import shared as shared_module
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
+from service.publishing.ros2_names import TOPICS
 from service.publishing.ros2_topics import Ros2Topics
 from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
@@ -46,10 +47,8 @@ def config(**ros2: object) -> PublishingConfig:
 class Opened:
     def __init__(self, settings: PublishingConfig, shared: SharedZenoh, store: TileStore) -> None:
         self.topics = Ros2Topics(settings, shared, store, map_period_s=0.05)
-        session = shared.open(settings)
-        self.endpoint = listened_at(session, settings)[0]
-        self.zid = str(session.zid())
-        shared.close()
+        self.endpoint = listened_at(self.topics._session, settings)[0]
+        self.zid = str(self.topics._session.zid())
 
 
 @pytest.fixture
@@ -124,7 +123,7 @@ def test_the_graph_shows_the_node_and_its_topics_with_quality_of_service(open_to
     opened = open_topics(config(domain=7, namespace="veh1"))
     client = open_client(opened.endpoint)
     begin = f"@ros2_lv/7/{opened.zid}/0"
-    hashes = {name: type_hash(kind) for name, kind in shown_types().items()}
+    hashes = {name: type_hash(kind) for name, kind in TOPICS.items()}
     assert tokens(client) == {
         f"{begin}/0/NN/%/%veh1/corridor",
         f"{begin}/1/MP/%/%veh1/corridor/%veh1%pose/nav_msgs::msg::dds_::Odometry_/{hashes['pose']}/::,10:,:,:,,",
@@ -136,15 +135,6 @@ def test_the_graph_shows_the_node_and_its_topics_with_quality_of_service(open_to
         ":1:,1:,:,:,,",
         f"{begin}/6/MP/%/%veh1/corridor/%veh1%diagnostics/diagnostic_msgs::msg::dds_::DiagnosticArray_/"
         f"{hashes['diagnostics']}/::,10:,:,:,,",
-    }
-
-
-def shown_types() -> dict[str, str]:
-    return {
-        "pose": "nav_msgs/msg/Odometry",
-        "tf": "tf2_msgs/msg/TFMessage",
-        "map": "nav_msgs/msg/OccupancyGrid",
-        "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     }
 
 

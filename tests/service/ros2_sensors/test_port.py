@@ -1,44 +1,28 @@
 """Over loopback: a pretended node on a router, the link of all drivers, and the subscription."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 import zenoh
 
 from drivers.errors import TransportError
-from drivers.frames import Frame
 from drivers.link import LinkHealth, run_link
 from drivers.rmw_zenoh import NO_TYPE_HASH, Topic
 from service.encoding import LASER_SCAN, encode_frame
 from service.ros2_sensors import port as port_module
 from service.ros2_sensors.port import Subscription
-from service.ros2_sensors.session import Ros2Session, pack
+from service.ros2_sensors.scan import KIND
+from service.ros2_sensors.session import pack
 from simulators.ros2_node import FakeNode, NodeSetup
 from simulators.zenoh_wire import ZenohWire
-from tests.service.publishing.conftest import client_config, wait_for_subscriber
+from tests.service.publishing.conftest import TIMEOUT_S, Inbox, client_config, wait_for_subscriber
 from tests.service.ros2_sensors.nodes import config, scan
 from tests.system.machine import free_port
 
 SETUP = NodeSetup(20_000_000)
-TIMEOUT_S = 30.0
-
-
-class Heard:
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self.frames: list[Frame] = []
-
-    def __call__(self, frame: Frame) -> None:
-        with self._changed:
-            self.frames.append(frame)
-            self._changed.notify_all()
-
-    def wait(self, more: int) -> None:
-        with self._changed:
-            wanted = len(self.frames) + more
-            assert self._changed.wait_for(lambda: len(self.frames) >= wanted, TIMEOUT_S)
 
 
 @pytest.fixture
@@ -53,11 +37,10 @@ def router_of(wire: ZenohWire) -> str:
 
 
 @contextmanager
-def link(settings: object, heard: Heard) -> Iterator[LinkHealth]:
+def link(settings: object, heard: Inbox) -> Iterator[LinkHealth]:
     health, stop = LinkHealth("laser"), threading.Event()
-    open_port: Callable[[], Subscription] = lambda: Subscription(settings, LASER_SCAN)  # noqa: E731
-    new_session = lambda: Ros2Session(settings, LASER_SCAN, "scans")  # noqa: E731
-    thread = threading.Thread(target=run_link, args=(health, open_port, new_session, heard, stop))
+    ends = partial(KIND.open_transport, settings), KIND.session_maker(settings)
+    thread = threading.Thread(target=run_link, args=(health, *ends, heard, stop))
     thread.start()
     try:
         yield health
@@ -67,23 +50,23 @@ def link(settings: object, heard: Heard) -> Iterator[LinkHealth]:
 
 
 def test_the_scans_of_a_node_arrive(wire: ZenohWire):
-    heard = Heard()
+    heard = Inbox()
     with link(config(router=router_of(wire)), heard) as health:
-        heard.wait(5)
+        heard.wait_for(5)
         assert (health.state, health.status) == ("streaming", "streaming")
         assert health.identity == {"frame": "laser"}
-    stamps_ns = [frame.stamp_ns for frame in heard.frames]
+    stamps_ns = [frame.stamp_ns for frame in heard.samples]
     assert stamps_ns == sorted(stamps_ns)
     assert wire.counters["messages"] >= 5
 
 
 def test_it_goes_on_when_the_router_was_restarted(wire: ZenohWire):
-    heard = Heard()
+    heard = Inbox()
     with link(config(router=router_of(wire), silence_timeout_s=0.5), heard) as health:
-        heard.wait(2)
+        heard.wait_for(2)
         wire.cut()
         wire.restore()
-        heard.wait(20)  # more than can have been under way
+        heard.wait_for(len(heard.samples) + 20)  # more than can have been under way
         assert health.state == "streaming"
 
 
