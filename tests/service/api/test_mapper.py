@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import corridor
+from service.mapper.mapping_session import MappingSession
+from service.mapstore.files import load_map
 from tests.service.api.rooms import MOUNTINGS, driven
+from tests.service.mapstore.test_tiles import GEO
 from tests.service.timing.damages import damaged
 from tests.service.timing.test_damaged_times import zero
 
@@ -115,6 +118,15 @@ def test_frames_that_wait_for_their_stamps_to_be_judged_are_mapped_at_the_end():
     assert mapped(mapper, damaged("scan", zero(1))[:200]) == []
     mapper.finish()
     assert mapper.counters["scans"] == 7
+
+
+def test_a_saved_map_has_its_time_and_its_place_on_the_earth(tmp_path, monkeypatch):
+    monkeypatch.setattr(MappingSession, "geo_reference", GEO)
+    mapper = corridor.Mapper(mountings=MOUNTINGS)
+    mapper.process(ROOM_SCAN)
+    mapper.save(tmp_path / "map")
+    stored = load_map(tmp_path / "map")
+    assert (stored.geo, stored.saved_ns) == (GEO, ROOM_SCAN.stamp_ns)
 
 
 def test_a_saved_map_is_gone_on_in(stored):
