@@ -53,6 +53,13 @@ def message_hash(message_type: str) -> str:
     return get_type_hash(message_type, parts.pop(message_type), parts)
 
 
+def common(message_type: str) -> dict[str, object]:
+    """What publishers and subscribers of the SDK take alike."""
+    whole, _ = JAZZY.generate_msgdef(message_type, ros_version=2)
+    described = {"msg_type": message_type, "msg_definition": whole, "type_hash": message_hash(message_type)}
+    return described | ROUTER
+
+
 class Inbox:
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -88,17 +95,7 @@ ROUTER = {"router_ip": "127.0.0.1", "router_port": WANTED["port"], "domain_id": 
 
 
 def subscribe(topic: str, inbox: Inbox, qos: QosProfile | None = None) -> ROS2Subscriber:
-    message_type = WANTED["topics"][topic][0]
-    whole, _ = JAZZY.generate_msgdef(message_type, ros_version=2)
-    return ROS2Subscriber(
-        topic,
-        message_type,
-        inbox,
-        msg_definition=whole,
-        type_hash=message_hash(message_type),
-        qos=qos,
-        **ROUTER,
-    )
+    return ROS2Subscriber(topic=topic, callback=inbox, qos=qos, **common(WANTED["topics"][topic][0]))
 
 
 def check_topics() -> None:
@@ -156,10 +153,7 @@ def check_services() -> None:
 
 def check_pose(diagnostics: Inbox) -> None:
     """A pose on /initialpose becomes a command, which /diagnostics counts."""
-    whole, _ = JAZZY.generate_msgdef(INITIAL_POSE, ros_version=2)
-    publisher = ROS2Publisher(
-        "/initialpose", INITIAL_POSE, msg_definition=whole, type_hash=message_hash(INITIAL_POSE), **ROUTER
-    )
+    publisher = ROS2Publisher(topic="/initialpose", **common(INITIAL_POSE))
     types = publisher.session_mgr.store.types
     make = {name.rpartition("/")[2]: made for name, made in types.items()}
     publisher.publish(
@@ -208,7 +202,6 @@ def main() -> None:
     gone_s = time.time()
     input()  # until it is done
     back_at_s = {topic: box.first_after_gap(topic, gone_s) for topic, box in boxes.items()}
-    late["/tf_static"].wait("/tf_static after the restart", 1)
     check_topics()
     for subscriber in subscribers:
         subscriber.close()

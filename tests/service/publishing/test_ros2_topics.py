@@ -33,6 +33,7 @@ from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.service.publishing.conftest import Inbox, client_config, wait_for_subscriber
 from tests.service.test_encoding_outputs import OUTPUT
+from tests.system.machine import free_port
 from tests.waiting import wait_until
 
 SCAN = LaserScan("front", 1, 1, 1, 1, 0.0, 0.1, 0.0, 1.0, np.ones(2, np.float32), NO_INTENSITY)
@@ -218,6 +219,19 @@ def test_nodes_find_each_other_by_this_router(open_topics, open_node):
     wait_for_subscriber(publisher)
     publisher.put(b"hello")
     assert inbox.wait_for(1)[0].payload.to_bytes() == b"hello"
+
+
+def test_a_node_gets_the_mountings_again_from_a_restarted_service(open_topics, open_node):
+    settings = PublishingConfig(listen=(f"tcp/127.0.0.1:{free_port()}",), ros2={"enabled": True})
+    mountings, key = Inbox(), "0/tf_static/tf2_msgs::msg::dds_::TFMessage_/*"
+    history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+    opened = open_topics(settings)
+    zenoh.ext.declare_advanced_subscriber(open_node(opened.endpoint), key, mountings, history=history)
+    for starts in (1, 2):
+        opened.topics.put(encode_tf_static({"front": SE2(0.2, 0.0, 0.0)}, 1, 1))
+        mountings.wait_for(starts)
+        opened.topics.close()
+        opened = open_topics(settings)
 
 
 def test_the_map_is_encoded_once_for_zenoh_and_ros(open_topics, open_client, store, shared, monkeypatch):
