@@ -5,7 +5,6 @@ import logging
 import threading
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -36,11 +35,8 @@ TRIGGERS = {"pause": "pause", "resume": "resume", "save": "save_map", "reset": "
 Command = Callable[[str, bytes], Answer]
 
 
-@dataclass(frozen=True, slots=True)
-class _Service:
-    type: str
-    respond: Callable[[bytes], bytes]  # request -> response. Raises InputError, CommandError
-    refuse: Callable[[str], bytes]  # why it is not done -> response
+_Respond = Callable[[bytes], bytes]  # request -> response. Raises InputError, CommandError
+_Refuse = Callable[[str], bytes]  # why it is not done -> response
 
 
 class Ros2Services:
@@ -61,9 +57,10 @@ class Ros2Services:
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
         for name, verb in TRIGGERS.items():
-            self._offer(name, _Service(TRIGGER, partial(self._trigger, verb), _not_triggered))
-        self._offer("load_map", _Service(LOAD_MAP, self._load_map, _not_loaded))
-        self._offer("save_map", _Service(SAVE_MAP, self._save_map, _not_saved))
+            self._offer(name, TRIGGER, partial(self._trigger, verb), _not_triggered)
+        # The responses of nav2 have no text: the log says why.
+        self._offer("load_map", LOAD_MAP, self._load_map, lambda _: _map_response(None, UNDEFINED_FAILURE))
+        self._offer("save_map", SAVE_MAP, self._save_map, lambda _: encode_response(SAVE_MAP, result=False))
 
     def counts(self) -> Counter[str]:
         """Requests answered, by service, and "refused": those that were refused or failed."""
@@ -75,10 +72,10 @@ class Ros2Services:
         self._node.take_no_more_requests()
         self._workers.close()
 
-    def _offer(self, name: str, service: _Service) -> None:
-        self._node.service(name, service.type, partial(self._take, name, service))
+    def _offer(self, name: str, service_type: str, respond: _Respond, refuse: _Refuse) -> None:
+        self._node.service(name, service_type, partial(self._take, name, respond, refuse))
 
-    def _take(self, name: str, service: _Service, query: zenoh.Query) -> None:
+    def _take(self, name: str, respond: _Respond, refuse: _Refuse, query: zenoh.Query) -> None:
         """Zenoh's thread: hand the query on."""
         try:
             request = request_of(query)
@@ -88,17 +85,20 @@ class Ros2Services:
             with query:
                 query.reply_err(str(error).encode())
             return
-        if refused := self._workers.start(name, partial(self._answer, name, service, query, request)):
-            self._reply(name, query, request, self._refusal(name, service.refuse, refused))
+        work = partial(self._answer, name, respond, refuse, query, request)
+        if refused := self._workers.start(name, work):
+            self._reply(name, query, request, self._refusal(name, refuse, refused))
 
-    def _answer(self, name: str, service: _Service, query: zenoh.Query, request: Attachment) -> None:
+    def _answer(
+        self, name: str, respond: _Respond, refuse: _Refuse, query: zenoh.Query, request: Attachment
+    ) -> None:
         try:
-            response = service.respond(query.payload.to_bytes() if query.payload is not None else b"")
+            response = respond(query.payload.to_bytes() if query.payload is not None else b"")
         except (InputError, CommandError) as error:
-            response = self._refusal(name, service.refuse, str(error))
+            response = self._refusal(name, refuse, str(error))
         except Exception as error:  # whatever a stranger sends must not bring the service down
             log.exception("ros2 service %s failed", name)
-            response = self._refusal(name, service.refuse, f"{error!r}; the service's log says more")
+            response = self._refusal(name, refuse, f"{error!r}; the service's log says more")
         self._reply(name, query, request, response)
 
     def _reply(self, name: str, query: zenoh.Query, request: Attachment, response: bytes) -> None:
@@ -110,7 +110,7 @@ class Ros2Services:
             else:
                 self._count(name)
 
-    def _refusal(self, name: str, refuse: Callable[[str], bytes], why: str) -> bytes:
+    def _refusal(self, name: str, refuse: _Refuse, why: str) -> bytes:
         self._count("refused")
         log.warning("ros2 service %s: %s", name, why)
         return refuse(why)
@@ -156,15 +156,6 @@ def _error(answer: Answer) -> str:
 
 def _not_triggered(why: str) -> bytes:
     return encode_response(TRIGGER, success=False, message=why)
-
-
-def _not_saved(why: str) -> bytes:
-    return encode_response(SAVE_MAP, result=False)
-
-
-def _not_loaded(why: str) -> bytes:
-    """nav2's response has no text; the log says why."""
-    return _map_response(None, UNDEFINED_FAILURE)
 
 
 def _map_response(present: Message | None, result: int) -> bytes:
