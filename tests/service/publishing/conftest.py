@@ -1,12 +1,12 @@
 """A publisher on a free port, and clients that are always closed."""
 
-import json
 import threading
 from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
 
+from drivers.zenoh_config import zenoh_config
 from service.mapstore.tiles import TileStore
 from service.publishing.config import PublishingConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
@@ -43,15 +43,7 @@ def wait_for_subscriber(publisher: zenoh.Publisher) -> None:
 
 
 def client_config(endpoint: str) -> zenoh.Config:
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "client",
-        "connect/endpoints": [endpoint],
-        "connect/timeout_ms": 20_000,
-        "scouting/multicast/enabled": False,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
+    return zenoh_config({"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 20_000})
 
 
 @pytest.fixture
