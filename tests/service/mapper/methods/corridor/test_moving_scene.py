@@ -97,6 +97,15 @@ def test_a_line_on_the_floor_does_not_hold_the_vehicle(world: str, worst_m: floa
     assert verdict.lost_percent == 0.0
 
 
+def test_a_vehicle_that_is_towed_while_its_laser_is_silent_is_lost_until_its_place_is_found() -> None:
+    of = staged(Case("towed", "office", 3, 0.75))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
+    assert verdict.ok_off == 0
+    assert verdict.end_m < 0.05
+    assert next(o.state for o in outputs if o.stamp_ns >= of.to_ns) == "lost"
+
+
 def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     of = staged(Case("escort", "ring", for_s=4.0, share=0.5))
     outputs = mapped(of).outputs
