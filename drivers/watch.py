@@ -17,10 +17,12 @@ class DropReason(NamedTuple):
 
 SAME_STAMP = DropReason("with the same stamp", "the sensor stalls: switch its power off and on")
 OUT_OF_ORDER = DropReason(
-    "stamped no later than the one before", "its clock stalls or was set: switch its power off and on"
+    "stamped no later than the one before",
+    "its clock stalls or was set: switch its power off and on; of a ROS node look at header.stamp",
 )
 AHEAD_OF_ARRIVAL = DropReason(
-    "stamped later than they arrived", "its clock is damaged or was set: switch its power off and on"
+    "stamped later than they arrived",
+    "its clock is damaged or was set: switch its power off and on; of a ROS node look at header.stamp",
 )
 DAMAGED = DropReason(
     "damaged on the way", "look at plugs, cable and ground, and whether another program reads this port"
