@@ -22,6 +22,7 @@ from service.kernel_cache import ensure_cache_dir, is_warm
 LOGS = Path("build")
 TELL_S = 10.0  # no silence for longer
 LOOK_S = 0.5
+MAX_SILENCE_S = 900.0  # of a group; no test may take as long
 # Set, each of some hundred processes would compile every file anew: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 EXPECTED = "some eight minutes on two cores, twelve on slow ones"
@@ -78,7 +79,9 @@ class Running:
         self.log = folder / f"{group.name}.log"
         self._began_s = time.monotonic()
         self._file: IO[str] = self.log.open("w")
-        command = [sys.executable, "-m", "pytest", "-q", "-rs", "-m", "not soak and not bench"]
+        # faulthandler: what it is aborted for is in its log
+        command = [sys.executable, "-X", "faulthandler", "-m", "pytest"]
+        command += ["-q", "-rs", "-m", "not soak and not bench"]
         command += ["--durations=25"]  # its slowest tests stand at the end of its words
         self.process = subprocess.Popen(
             ["nice", "-n", str(group.niceness), *command, "-p", "no:cacheprovider", *group.arguments],
@@ -88,6 +91,8 @@ class Running:
         )
         self.told = False
         self._cpu_s = 0.0
+        self._log_bytes = 0
+        self._wrote_s = self._began_s
 
     def wait(self, seconds: float) -> bool:
         """Whether it has ended within so long; the processor time of an ended one is read here."""
@@ -97,6 +102,14 @@ class Running:
                 self.process.wait(seconds)
                 self._cpu_s = children_cpu_s() - before_s
         return self.process.returncode is not None
+
+    def abort_if_silent(self) -> None:
+        """End it, with the stacks of its threads in its log, where it wrote nothing for MAX_SILENCE_S."""
+        now_s, log_bytes = time.monotonic(), self.log.stat().st_size
+        if log_bytes != self._log_bytes:
+            self._wrote_s, self._log_bytes = now_s, log_bytes
+        elif now_s - self._wrote_s > MAX_SILENCE_S:
+            self.process.send_signal(signal.SIGABRT)
 
     @property
     def text(self) -> str:
@@ -129,6 +142,7 @@ def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
         while alive := [one for one in running if not one.wait(0.0)]:
             alive[0].wait(LOOK_S)
             for one in running:
+                one.abort_if_silent()
                 if one.wait(0.0) and not one.told:
                     one.told = True
                     say(one.end())

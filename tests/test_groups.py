@@ -10,6 +10,15 @@ from tests.groups import GROUPS, Group, run
 ROOT = Path(__file__).parents[1]
 PASSES = "def test_a():\n    pass\n"
 FAILS = "def test_b():\n    raise AssertionError('it is broken')\n"
+HANGS = """
+import threading
+
+def wait_for_ever():
+    threading.Event().wait()
+
+def test_d():
+    threading.Thread(target=wait_for_ever).start()
+"""
 SKIPS = "import pytest\n\ndef test_c():\n    pytest.skip('no laser here; plug one in')\n"
 
 
@@ -67,6 +76,17 @@ def test_it_is_never_silent_for_long(
     monkeypatch.setattr(groups, "LOOK_S", 0.01)
     run([group(tmp_path, "a", PASSES)], tmp_path / "logs")
     assert "s: a 0 %" in capsys.readouterr().out
+
+
+def test_a_group_that_hangs_after_its_tests_ends_with_the_stacks_of_its_threads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(groups, "MAX_SILENCE_S", 2.0)
+    monkeypatch.setattr(groups, "LOOK_S", 0.01)
+    assert run([group(tmp_path, "h", HANGS)], tmp_path / "logs") == 1
+    said = capsys.readouterr().out
+    assert "h: exit code -6" in said
+    assert "in wait_for_ever" in said
 
 
 def test_every_test_is_in_exactly_one_group():
