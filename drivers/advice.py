@@ -30,6 +30,7 @@ class Advice:
     bauds           rates that this sensor may be set to, worth listening at; empty where a rate means nothing
     other_settings  tried in turn where nobody answers; each is a start-up dialogue of the driver's own
     doubt           why this is not the device the config means, from its identity; "" where it may be
+    settings_of     settings that the identity shows: {"model": "lms5xx"}; empty where it shows none
     worries         words in a status beside "streaming" that call for action
     start_up_s      how long the first frame may take where nothing is wrong
     silence         what to do about a device that sends nothing
@@ -40,6 +41,7 @@ class Advice:
     bauds: tuple[int, ...] = ()
     other_settings: Callable[[Any], Sequence[OtherSettings]] = lambda config: ()
     doubt: Callable[[Any, Mapping[str, str]], str] = lambda config, identity: ""
+    settings_of: Callable[[Mapping[str, str]], Mapping[str, Any]] = lambda identity: {}
     worries: tuple[str, ...] = ()
     start_up_s: float = 12.0
     silence: str = "is it switched on, has it finished booting, is the cable in, does another host hold it?"

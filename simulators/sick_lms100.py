@@ -1,4 +1,4 @@
-"""A pretended SICK LMS100: the other end of drivers.sick_lms100. No I/O.
+"""A pretended SICK LMS100 or one of its kin: the other end of drivers.sick_lms100. No I/O.
 
 It answers what third-party clients ask at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT, sick_scan_xd)
 in the order and form they need, and reproduces the behaviour of real ones: a port open before anything
@@ -8,12 +8,13 @@ flag on the first scans, a motor that turns a little slower than it says, a cloc
 
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 import numpy as np
 
 from drivers.errors import ProtocolError
+from drivers.sick_lms100.models import MODELS
 from drivers.sick_lms100.protocol import (
     STX,
     Decoder,
@@ -26,23 +27,21 @@ from drivers.sick_lms100.protocol import (
     writer,
 )
 from drivers.sick_lms100.telegrams import (
-    FULL_FIRST_E4DEG,
-    FULL_LAST_E4DEG,
+    FULL_TURN_E4DEG,
     Calendar,
     DeviceStatus,
     OutputRange,
     ScanConfig,
     ScanDataConfig,
     ScanTelegram,
+    exact_step_deg,
     write_calendar,
     write_scan,
 )
 from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
 from simulators.sick_optics import channels_of
+from simulators.sick_setup import TRAITS, Lms100Setup
 
-FULL_RANGE = OutputRange(FULL_FIRST_E4DEG, FULL_LAST_E4DEG)
-LEGAL_PAIRS = {(2500, 2500), (2500, 5000), (5000, 5000)}  # 1/100 Hz, 1/10000 deg
-FULL_TURN_E4DEG = 3_600_000
 LEAVES_AFTER_SWEEP_NS = 300_000
 ZERO_TO_SENDING_NS = 3_107_000  # mean of 175 scans of a recorded LMS111, 3.07 to 3.27 ms
 SENDING_JITTER_NS = 60_000
@@ -56,39 +55,12 @@ ACCESS_DENIED, UNKNOWN_METHOD, UNKNOWN_VARIABLE, NOT_NOW = 0x1, 0x2, 0x3, 0x4
 TOO_FEW_PARAMETERS, WRITE_DENIED, UNKNOWN_COMMAND, UNKNOWN_EVENT = 0x8, 0xA, 0xC, 0xF
 
 EVENTS = ("LMDscandata", "LIDoutputstate", "LIDinputstate", "LFErec")
-PLAIN_SETTINGS = (
+SETTINGS = (
+    *("LMPoutputRange", "LMDscandatacfg", "EIHstCola"),
     *("LCMcfg", "LFPparticle", "LFPmeanfilter", "LFPmedianfilter", "LFPnto1filter"),
     *("LICencset", "LICsrc", "LICencres", "LocationName", "EIIpAddr", "EImask", "Elgate"),
     *("TSCRole", "TSCTCInterface", "TSCTCSrvAddr", "TSCTCtimezone", "TSCTCupdatetime"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Lms100Setup:
-    """Firmware, stored settings and faults of this unit."""
-
-    dialect: Dialect = Dialect.ASCII
-    scan: ScanConfig = field(default_factory=lambda: ScanConfig(5000, 5000))
-    output_range: OutputRange = field(default_factory=lambda: FULL_RANGE)
-    scan_data: ScanDataConfig = field(default_factory=lambda: ScanDataConfig(1, False, False))
-    measuring: bool = True  # as after a power-up long ago
-    serial_number: int = 18_090_362
-    device_name: str = "not defined"
-    boot_ns: int = 0  # the port is open but nothing answers
-    start_delay_ns: int = 200_000_000  # from standing still to measuring; a real one takes seconds
-    reconfigure_delay_ns: int = 300_000_000  # a real one takes 30 s
-    refusal_ns: int = 0  # no answer to a client after one that died while subscribed; real ones up to 60 s
-    first_writes_refused: int = 0  # with error 4, as after power-up
-    refused: frozenset[str] = frozenset()  # settings by their names; V1.23 denies LMPoutputRange (error A)
-    kept: frozenset[str] = frozenset()  # settings whose change is accepted and not made
-    firmware: str = "V1.80.2"
-    clock_start_us: int = 0  # counter at power-up; near 2**32 it soon wraps
-    clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
-    motor_speed: float = 0.9955  # of nominal; the recorded LMS111 turns with 49.6 to 49.8 Hz
-    zero_index_after_sweep: bool = True  # as the recorded LMS111; False: at the first beam, as documented
-    scale: float = 1.0  # mm per digit
-    reach_m: float = 20.0
-    repeat_every: int = 0  # every n-th scan telegram is sent twice
 
 
 class FakeLms100:
@@ -96,6 +68,10 @@ class FakeLms100:
 
     def __init__(self, source: SweepSource, setup: Lms100Setup | None = None, seed: int = 0) -> None:
         self.setup = setup or Lms100Setup()
+        self._model, self._traits = MODELS[self.setup.model], TRAITS[self.setup.model]
+        self._own_settings = ("FREchoFilter",) if self._model.echoes == "filter" else ()
+        reach_m = self.setup.reach_m
+        self._reach_m = self._traits.reach_m if reach_m is None else reach_m
         self.contamination = 0
         self.failed = False
         self.counters: Counter[str] = Counter()
@@ -118,10 +94,18 @@ class FakeLms100:
         self._output_changes = 0
 
     def _take_factory_settings(self) -> None:
-        self._scan, self._range = self.setup.scan, self.setup.output_range
+        model = self._model
+        self._scan = self.setup.scan or self._scan_config(
+            model.rates_hz[0] * 100, round(model.steps_deg[0] * 1e4)
+        )
+        self._range = self.setup.output_range or OutputRange(model.first_e4deg, model.last_e4deg)
+        self._echo_filter = self.setup.echo_filter
         self._scan_data = self.setup.scan_data
         self._dialect = self._next_dialect = self.setup.dialect
         self._writes_to_refuse = self.setup.first_writes_refused
+
+    def _scan_config(self, frequency_chz: int, step_e4deg: int) -> ScanConfig:
+        return ScanConfig(frequency_chz, step_e4deg, self._model.first_e4deg, self._model.last_e4deg)
 
     def connected(self, now_ns: int) -> bytes:
         self._forget_client()
@@ -232,12 +216,12 @@ class FakeLms100:
         return 1e11 / self._scan.frequency_chz / self.setup.motor_speed
 
     def _first_beam_ns(self, index: int) -> int:
-        """When scan `index` passes -45 deg, where a whole sweep begins."""
+        """When scan `index` passes the angle at which a whole sweep begins."""
         assert self._turning_since_ns is not None
         return self._turning_since_ns + round(index * self._period_ns())
 
     def _leaves_ns(self, index: int) -> int:
-        sweep_ns = self._period_ns() * (FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / FULL_TURN_E4DEG
+        sweep_ns = self._period_ns() * (self._model.last_e4deg - self._model.first_e4deg) / FULL_TURN_E4DEG
         return self._first_beam_ns(index) + round(sweep_ns) + LEAVES_AFTER_SWEEP_NS
 
     def _scans_complete(self, now_ns: int) -> int:
@@ -264,20 +248,22 @@ class FakeLms100:
         beam_count = (self._range.last_e4deg - first_e4deg + step_e4deg // 2) // step_e4deg + 1
         beam_interval_ns = self._period_ns() * step_e4deg / FULL_TURN_E4DEG
         first_ray_ns = begins_ns + round(
-            self._period_ns() * (first_e4deg - FULL_FIRST_E4DEG) / FULL_TURN_E4DEG
+            self._period_ns() * (first_e4deg - self._model.first_e4deg) / FULL_TURN_E4DEG
         )
         sweep = self._source.sweep(
             first_ray_ns,
             round(beam_interval_ns),
             float(np.radians(first_e4deg / 10_000 - 90.0)),
-            float(np.radians(step_e4deg / 10_000)),
+            float(np.radians(exact_step_deg(step_e4deg))),
             beam_count,
         )
-        zero_ns = leaves_ns - ZERO_TO_SENDING_NS if self.setup.zero_index_after_sweep else begins_ns
+        after_sweep = self.setup.zero_index_after_sweep
+        after_sweep = self._traits.zero_index_after_sweep if after_sweep is None else after_sweep
+        zero_ns = leaves_ns - ZERO_TO_SENDING_NS if after_sweep else begins_ns
         sent_ns = leaves_ns + round(self._jitter.uniform(-SENDING_JITTER_NS, SENDING_JITTER_NS))
         error = self.failed or index < FLAGGED_SCANS
         channels_16bit, channels_8bit = channels_of(
-            sweep, self._scan_data, first_e4deg, step_e4deg, self.setup.scale, self.setup.reach_m
+            sweep, self._scan_data, first_e4deg, step_e4deg, self.setup.scale, self._reach_m
         )
         number = self._telegram_base + index
         self._last_scan = ScanTelegram(
@@ -350,7 +336,7 @@ class FakeLms100:
         )
 
         def ident(w: Writer) -> None:
-            w.text("LMS10x_FieldEval")
+            w.text(self.setup.ident or self._traits.ident)
             w.text(self.setup.firmware)
 
         def inputs(w: Writer) -> None:
@@ -359,11 +345,12 @@ class FakeLms100:
             w.u8(2, 2, 2, 2)
             w.u16(0)
 
-        return {
+        output_step_e4deg = self._model.output_step_e4deg or self._scan.step_e4deg
+        return {name: lambda w: w.u8(self._echo_filter) for name in self._own_settings} | {
             "SCdevicestate": lambda w: w.u8(2 if self.failed else int(state == STATE_MEASURING)),
             "STlms": lambda w: status.write(w, self._dialect),
             "LMPscancfg": self._scan.write,
-            "LMPoutputRange": replace(self._range, step_e4deg=5000).write,
+            "LMPoutputRange": replace(self._range, step_e4deg=output_step_e4deg).write,
             "LMDscandatacfg": self._scan_data.write,
             "DeviceIdent": ident,
             "0": ident,
@@ -392,7 +379,7 @@ class FakeLms100:
 
     def _write(self, request: Telegram, now_ns: int) -> Telegram:
         name = request.name
-        if name not in (*PLAIN_SETTINGS, "LMPoutputRange", "LMDscandatacfg", "EIHstCola"):
+        if name not in (*SETTINGS, *self._own_settings):
             return self._refuse(UNKNOWN_VARIABLE)
         if not self._logged_in or name in self.setup.refused:
             return self._refuse(WRITE_DENIED)
@@ -402,7 +389,8 @@ class FakeLms100:
         r = reader(request)
         if name == "LMPoutputRange":
             wanted = OutputRange.read(r)
-            if not FULL_FIRST_E4DEG - 100 <= wanted.first_e4deg < wanted.last_e4deg <= FULL_LAST_E4DEG + 100:
+            first_e4deg, last_e4deg = self._model.first_e4deg - 100, self._model.last_e4deg + 100
+            if not first_e4deg <= wanted.first_e4deg < wanted.last_e4deg <= last_e4deg:
                 return self._refuse(NOT_NOW)
             self._range = self._range if name in self.setup.kept else wanted
         elif name == "LMDscandatacfg":
@@ -410,6 +398,8 @@ class FakeLms100:
             if not 1 <= layout.echoes <= 3 or layout.interval < 1:
                 return self._refuse(NOT_NOW)
             self._scan_data = self._scan_data if name in self.setup.kept else layout
+        elif name == "FREchoFilter":
+            self._echo_filter = r.u8()
         elif name == "EIHstCola":
             self._next_dialect = Dialect.BINARY if r.u8() else Dialect.ASCII
         return self._reply("sWA", name)
@@ -428,7 +418,7 @@ class FakeLms100:
             "mSCreboot": self._reboot,
         }
         method = methods.get(request.name)
-        if method is None:
+        if method is None or (request.name == "mLMPsetscancfg" and self._model.scan_is_fixed):
             return self._refuse(UNKNOWN_METHOD)
         open_to_all = request.name in ("SetAccessMode", "Run", "mDOSetOutput")
         if request.name in self.setup.refused or not (self._logged_in or open_to_all):
@@ -443,10 +433,12 @@ class FakeLms100:
     def _set_scan_config(self, r: Reader, now_ns: int) -> Callable[[Writer], None]:
         wanted = ScanConfig.read(r)
         pair = (wanted.frequency_chz, wanted.step_e4deg)
-        status = 0 if pair in LEGAL_PAIRS else 1 if pair[0] not in (2500, 5000) else 2
+        rate_hz, step_deg = pair[0] / 100, pair[1] / 10_000
+        has_step = step_deg in self._model.steps_deg and self._model.has_time_for(round(rate_hz), step_deg)
+        status = 1 if rate_hz not in self._model.rates_hz else 0 if has_step else 2
         if status == 0 and "mLMPsetscancfg" not in self.setup.kept:
             changed = pair != (self._scan.frequency_chz, self._scan.step_e4deg)
-            self._scan = wanted = ScanConfig(*pair)
+            self._scan = wanted = self._scan_config(*pair)
             if changed:
                 self.counters["scan_config_changes"] += 1
                 if self._turning_since_ns is not None:

@@ -86,6 +86,17 @@ class LaserModel:
 # SICK operating instructions LMS1xx, technical data: 18 m at 10 % remission, statistical error 12 mm
 # (1 sigma), divergence 15 mrad. It reports echoes down to some centimetres.
 LMS100 = LaserModel(range_min_m=0.05, range_max_m=20.0, tenth_range_m=18.0, sigma_m=0.012)
+# LMS5xx HR: 65 m with distances in mm, 40 m at 10 %, 6 mm to 10 m and 14 mm to 30 m; beam 4.7 mrad.
+LMS500 = LaserModel(
+    range_min_m=0.2,
+    range_max_m=65.0,
+    tenth_range_m=40.0,
+    sigma_m=0.005,
+    sigma_per_m=0.0003,
+    divergence_rad=0.0047,
+)
+# TiM571, TiM781 data sheets: 0.05 to 25 m, 8 m at 10 %, statistical error 20 mm.
+TIM500 = LaserModel(range_min_m=0.05, range_max_m=25.0, tenth_range_m=8.0, sigma_m=0.02)
 # Hokuyo UTM-30LX specification: 0.1 to 30 m, repeated accuracy 10 mm to 10 m and 30 mm beyond.
 UTM30LX = LaserModel(
     range_min_m=0.1,

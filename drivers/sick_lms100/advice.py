@@ -1,10 +1,12 @@
-"""What `corridor doctor` knows of the LMS1xx: its other dialect and port, and other devices that use CoLa."""
+"""What `corridor doctor` knows of SICK scanners: their dialects, ports and families."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from drivers.advice import Advice, OtherSettings
 from drivers.errors import ProtocolError
 from drivers.sick_lms100.config import Lms100Config
+from drivers.sick_lms100.models import model_of
 from drivers.sick_lms100.protocol import Decoder
 
 PORTS = (2111, 2112)
@@ -37,11 +39,18 @@ def other_settings(config: Lms100Config) -> list[OtherSettings]:
 
 
 def doubt(config: Lms100Config, identity: Mapping[str, str]) -> str:
-    """DeviceIdent of the family begins with LMS1, as in `LMS10x_FieldEval V1.36`."""
+    """DeviceIdent begins with the family's name, as in `LMS10x_FieldEval V1.36`."""
     device = identity.get("device", "")
-    if not device or device.startswith("LMS1"):
+    if not device or model_of(device) == config.model:
         return ""
-    return f"it calls itself {device}, expected an LMS1xx; is host {config.host} the right scanner?"
+    return (
+        f"it calls itself {device}, expected {config.limits.name}; is host {config.host} the right scanner?"
+    )
+
+
+def settings_of(identity: Mapping[str, str]) -> dict[str, Any]:
+    model = model_of(identity.get("device", ""))
+    return {"model": model} if model else {}
 
 
 ADVICE = Advice(
@@ -49,6 +58,7 @@ ADVICE = Advice(
     recognise=recognise,
     other_settings=other_settings,
     doubt=doubt,
+    settings_of=settings_of,
     worries=("contamination", "device error", "temperature", "state "),
     start_up_s=20.0,  # 50 Hz and 25 Hz need another angle step; half a minute is said, not waited for
     silence="just switched on it needs half a minute, after a lost connection up to one; is another host, "

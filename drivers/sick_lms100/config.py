@@ -1,25 +1,30 @@
-"""Settings of one LMS100, LMS111 or other LMS1xx, as they stand in config/*.yaml."""
+"""Settings of one LMS1xx, LMS5xx, TiM5xx or TiM7xx, as they stand in config/*.yaml."""
 
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.section import Section
+from drivers.sick_lms100.models import MODELS, Model, ModelName
 from drivers.wires import Host
 
 
 class Lms100Config(Section):
-    """What the device shall do. Where it does something else, the driver changes it, but not its flash."""
+    """What the device shall do. Where it does something else, the driver changes it, but not its flash.
+
+    The defaults that depend on the model are shown for an LMS1xx; see Model.defaults.
+    """
 
     type: Literal["sick_lms100"] = "sick_lms100"
     name: str = Field(min_length=1)
+    model: ModelName = "lms1xx"
     host: Host = Field(min_length=1)
     port: int = Field(default=2111, ge=1, le=65535)  # or 2112
     dialect: Literal["auto", "cola_a", "cola_b"] = "auto"  # auto asks in both; the device is never rewritten
     password_hash: str = Field(default="F4724744", pattern=r"^[0-9A-Fa-f]{8}$")  # of level 3, "client"
-    scan_rate_hz: Literal[25, 50] = 50
+    scan_rate_hz: Literal[15, 25, 35, 50, 75, 100] = 50
     angle_step_deg: float = 0.5
     first_angle_deg: float = Field(default=-135.0, ge=-135.0, le=135.0)  # sensor frame, 0 straight ahead
     last_angle_deg: float = Field(default=135.0, ge=-135.0, le=135.0)
@@ -32,12 +37,39 @@ class Lms100Config(Section):
     map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _with_defaults_of_model(cls, given: Any) -> Any:
+        name = given.get("model") if isinstance(given, dict) else None
+        return {**MODELS[name].defaults, **given} if isinstance(name, str) and name in MODELS else given
+
     @model_validator(mode="after")
     def _device_can_do_it(self) -> Self:
-        if self.angle_step_deg not in (0.25, 0.5):
-            raise ValueError(f"{self.name}: angle_step_deg must be 0.25 or 0.5, not {self.angle_step_deg}")
-        if self.scan_rate_hz == 50 and self.angle_step_deg == 0.25:
-            raise ValueError(f"{self.name}: angle_step_deg 0.25 needs scan_rate_hz 25, not 50")
+        can = self.limits
+        for key, value, possible in (
+            ("scan_rate_hz", self.scan_rate_hz, can.rates_hz),
+            ("angle_step_deg", self.angle_step_deg, can.steps_deg),
+        ):
+            if value not in possible:
+                either = " or ".join(f"{one:g}" for one in sorted(possible))
+                raise ValueError(f"{self.name}: {key} of model {self.model} must be {either}, not {value:g}")
+        most_hz = max(rate for rate in can.rates_hz if can.has_time_for(rate, self.angle_step_deg))
+        if self.scan_rate_hz > most_hz:
+            raise ValueError(
+                f"{self.name}: angle_step_deg {self.angle_step_deg:g} needs scan_rate_hz {most_hz} or less, "
+                f"not {self.scan_rate_hz}"
+            )
+        if self.echo != "first" and can.echoes == "one":
+            raise ValueError(
+                f"{self.name}: echo {self.echo} of model {self.model}: it has one echo, the first"
+            )
+        least_deg, most_deg = can.sees_deg
+        if self.first_angle_deg < least_deg or self.last_angle_deg > most_deg:
+            raise ValueError(
+                f"{self.name}: first_angle_deg {self.first_angle_deg:g} to last_angle_deg "
+                f"{self.last_angle_deg:g} must lie within {least_deg:g} to {most_deg:g}, which model "
+                f"{self.model} sees"
+            )
         if self.first_angle_deg + self.angle_step_deg > self.last_angle_deg:
             raise ValueError(
                 f"{self.name}: first_angle_deg {self.first_angle_deg} must lie below "
@@ -48,3 +80,8 @@ class Lms100Config(Section):
                 f"{self.name}: range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}"
             )
         return self
+
+    @property
+    def limits(self) -> Model:
+        """What this model can do."""
+        return MODELS[self.model]

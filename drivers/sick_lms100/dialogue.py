@@ -1,9 +1,9 @@
-"""Start-up dialogue of an LMS1xx, and its polling while it streams. No I/O, no clock.
+"""Start-up dialogue of an LMS1xx or kin, and its polling while it streams. No I/O, no clock.
 
 Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
 a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what
 differs, read back. Sources: an LMS111's start-up recorded in SICKAG/sick_scan_xd; clearpathrobotics/LMS1xx
-issues 11, 21, 51; SICKAG/sick_scan issue 44; SICKAG/sick_scan_xd issues 35, 503.
+issues 11, 21, 51; SICKAG/sick_scan issue 44; SICKAG/sick_scan_xd issues 35, 70, 503.
 
 A setting that the device refuses or does not keep is no fault where scans come: each scan states its own
 rate, step and angles. `refusals` names it.
@@ -18,6 +18,7 @@ from drivers.device_text import one_line
 from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.sick_lms100.config import Lms100Config
+from drivers.sick_lms100.models import mismatch
 from drivers.sick_lms100.protocol import Dialect, Reader, Telegram, Writer, reader, refusal_text, writer
 from drivers.sick_lms100.telegrams import (
     CONTAMINATION,
@@ -47,29 +48,12 @@ SUBSCRIBE_ATTEMPTS = 5  # as CHANGE_ATTEMPTS
 WATCH_PERIOD_S = 10.0  # dirt and warmth come slowly, and each question costs the device time
 UNANSWERED_LIMIT = 3  # then this question is not asked again: SXD's test_server.py never answers it
 ACCESS_LEVEL = 3
+ECHO_FILTERS = {"first": 0, "last": 2}  # 1: all, of which DIST1 is the first
 
 DIALECTS = {"cola_a": Dialect.ASCII, "cola_b": Dialect.BINARY}
 ANSWERS = ("sRA", "sWA", "sAN", "sEA")
 
-# DeviceIdent of other SICK sensors that speak CoLa begins with their type name; an LMS1000 calls itself
-# LMS1xxxx, an LMS100 LMS10x. Source: SICKAG/sick_scan, sick_scan_common.cpp, isCompatibleDevice.
-OTHER_FAMILIES = {
-    "LMS1XXX": "LMS1000",
-    "LMS4": "LMS4000",
-    "LMS5": "LMS5xx",
-    "MRS1": "MRS1000",
-    "MRS6": "MRS6000",
-    "TIM": "TiM",
-    "NAV": "NAV",
-    "RMS": "RMS radar",
-}
-
 T = TypeVar("T")
-
-
-def other_family(device: str) -> str:
-    """Which scanner calls itself so, where it is one that this driver does not read; else ""."""
-    return next((name for start, name in OTHER_FAMILIES.items() if device.upper().startswith(start)), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +71,7 @@ class Lms100Dialogue:
 
     def __init__(self, config: Lms100Config) -> None:
         self._config = config
+        self._limits = config.limits
         self.dialect: Dialect | None = DIALECTS.get(config.dialect)
         self.counters: Counter[str] = Counter()
         self.identity: dict[str, str] = {}
@@ -136,12 +121,8 @@ class Lms100Dialogue:
             text = yield from self._read(name, lambda r: one_line(r.text()))
             if text:
                 self.identity[key] = text
-        device = self.identity.get("device", "")
-        if family := other_family(device):
-            raise DeviceError(
-                f"this is of the family {family} (it calls itself {device}), expected an LMS1xx: its "
-                f"field of view, scan rates and stamps differ; is host {self._config.host} the right scanner?"
-            )
+        if words := mismatch(self.identity.get("device", ""), self._config.model):
+            raise DeviceError(f"{words}; is host {self._config.host} the right scanner?")
 
     def _is_measuring(self) -> Dialogue[bool]:
         status = yield from self._read("STlms", DeviceStatus.read)
@@ -173,12 +154,18 @@ class Lms100Dialogue:
         but for the layout of the scan telegram, which is cheap to write."""
         self.phase = "reading configuration"
         changes: list[Change] = []
-        scan = yield from self._read("LMPscancfg", ScanConfig.read)
-        if scan is not None and not scan.agrees(self.scan_config):
-            changes.append((self.scan_config.words, self._change_scan_config))
+        if not self._limits.scan_is_fixed:
+            scan = yield from self._read("LMPscancfg", ScanConfig.read)
+            if scan is not None and not scan.agrees(self.scan_config):
+                changes.append((self.scan_config.words, self._change_scan_config))
         fields = yield from self._read("LMPoutputRange", OutputRange.read)
         if fields is not None and not fields.agrees(self.output_range):
-            changes.append((f"field of view {self.output_range.words}", self._change_output_range))
+            change = (f"field of view {self.output_range.words}", self._change_output_range)
+            changes.insert(0 if self._limits.output_range_first else len(changes), change)
+        if self._limits.echoes == "filter":
+            echo = yield from self._read("FREchoFilter", lambda r: r.u8())
+            if echo not in (None, ECHO_FILTERS[self._config.echo]):
+                changes.append((f"echo {self._config.echo}", self._change_echo))
         layout = yield from self._read_scan_data()
         if layout != self.scan_data_config:
             changes.append((self.scan_data_config.words, self._change_scan_data))
@@ -193,7 +180,9 @@ class Lms100Dialogue:
     @property
     def scan_config(self) -> ScanConfig:
         """What the config asks for, in device units."""
-        return ScanConfig(self._config.scan_rate_hz * 100, round(self._config.angle_step_deg * 10_000))
+        step_e4deg = round(self._config.angle_step_deg * 10_000)
+        limits = self._limits
+        return ScanConfig(self._config.scan_rate_hz * 100, step_e4deg, limits.first_e4deg, limits.last_e4deg)
 
     @property
     def output_range(self) -> OutputRange:
@@ -201,12 +190,14 @@ class Lms100Dialogue:
         return OutputRange(
             round((self._config.first_angle_deg + 90.0) * 10_000),
             round((self._config.last_angle_deg + 90.0) * 10_000),
+            self._limits.output_step_e4deg or self.scan_config.step_e4deg,
         )
 
     @property
     def scan_data_config(self) -> ScanDataConfig:
         bits = self._config.intensity_bits
-        return ScanDataConfig(3 if self._config.echo == "last" else 1, bits > 0, bits == 16)
+        both = self._config.echo == "last" and self._limits.echoes == "channels"
+        return ScanDataConfig(3 if both else 1, bits > 0, bits == 16)
 
     def _log_in(self) -> Dialogue[None]:
         self.phase = "logging in"
@@ -266,6 +257,17 @@ class Lms100Dialogue:
         found = yield from self._read("LMPoutputRange", OutputRange.read)
         if found is not None and not found.agrees(wanted):
             raise DeviceError(f"after LMPoutputRange was accepted it has {found.words}")
+        if self._limits.output_range_first:  # it counts once the device was logged out of
+            yield from self._ask("sMN", "Run", timeout_s=CHANGE_TIMEOUT_S)
+            yield from self._log_in()
+
+    def _change_echo(self) -> Dialogue[None]:
+        self.phase = "choosing echo and intensity"
+        wanted = ECHO_FILTERS[self._config.echo]
+        yield from self._change("sWN", "FREchoFilter", lambda w: w.u8(wanted))
+        found = yield from self._read("FREchoFilter", lambda r: r.u8())
+        if found not in (None, wanted):
+            raise DeviceError(f"after FREchoFilter {wanted} was accepted it has {found}")
 
     def _change_scan_data(self) -> Dialogue[None]:
         self.phase = "choosing echo and intensity"

@@ -1,10 +1,12 @@
-"""Session with one LMS1xx: its dialogue over one connection, and scan telegrams into frames. No I/O.
+"""Session with one LMS1xx or kin: its dialogue over one connection, and scan telegrams into frames. No I/O.
 
 Time. The device counts microseconds since power-on and stamps each telegram twice: the zero index, and when
 it was handed to the network. The second against the arrival feeds the clock map, the first is translated by
 it. The listing puts the zero index before the measurement. The recorded LMS111 (V1.80.2) however sends whole
 telegrams 3.1 ms after it, while its sweep takes 15 ms, so there it lies behind the sweep. A telegram cannot
 leave before its last beam: where the two stamps say so, the first beam is put a whole sweep before sending.
+So do a recorded TiM551 (3.8 ms) and TiM781S (7.7 ms), whose sweep takes 50 ms. A recorded LMS511 sends
+40.9 ms after it, its turn taking 40 ms: there the zero index comes first, and is taken for the first beam.
 """
 
 import math
@@ -23,13 +25,13 @@ from drivers.sick_lms100.protocol import Decoder, Telegram, encode, writer
 from drivers.sick_lms100.telegrams import (
     ANGLE_SLACK_E4DEG,
     FIRST_RANGE_CODE,
-    FULL_FIRST_E4DEG,
-    FULL_LAST_E4DEG,
+    FULL_TURN_E4DEG,
     LOW_CODES,
     Channel,
     OutputRange,
     ScanConfig,
     ScanTelegram,
+    exact_step_deg,
     read_scan,
 )
 from drivers.watch import OUTSIDE, SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
@@ -58,6 +60,7 @@ class Lms100Session:
 
     def __init__(self, config: Lms100Config) -> None:
         self._config = config
+        self._limits = config.limits
         self._decoder = Decoder(DIALECTS.get(config.dialect))
         self._dialogue = Lms100Dialogue(config)
         self._runner: DialogueRunner[Ask, Telegram] = DialogueRunner(self._dialogue.run)
@@ -209,6 +212,11 @@ class Lms100Session:
         if not found:
             contents = [channel.content for channel in scan.channels_16bit + scan.channels_8bit]
             raise ProtocolError(f"a scan with channels {contents}, expected DIST1")
+        if len(found[0][0].values) > self._limits.max_beams:
+            raise ProtocolError(
+                f"{len(found[0][0].values)} beams in a scan telegram, at most {self._limits.max_beams} are "
+                f"possible; is it no {self._limits.name}?"
+            )
         for channel in (c for pair in found for c in pair if c is not None):
             if len(channel.values) != len(found[0][0].values):
                 raise ProtocolError(
@@ -239,20 +247,21 @@ class Lms100Session:
             return None
         self._silence.heard()
         self._check_against_config(scan, geometry)
+        step_deg = exact_step_deg(geometry.step_e4deg)
+        first_deg = geometry.first_e4deg / 10_000 - 90.0 + beams.start * step_deg
         echoes = [(distance.part(beams), rssi and rssi.part(beams)) for distance, rssi in echoes]
-        geometry = echoes[0][0]
         range_m, intensity = (
             self._last_echo(echoes) if self._config.echo == "last" else self._convert(*echoes[0])
         )
-        self._count_codes(geometry.values)
+        self._count_codes(echoes[0][0].values)
         return LaserScan(
             sensor=self._config.name,
             stamp_ns=stamp_ns,
             arrived_ns=arrived_ns,
             beam_interval_ns=beam_interval_ns,
             scan_period_ns=round(1e11 / scan.frequency_chz * self._dialogue.scan_interval),
-            first_angle_rad=math.radians(geometry.first_e4deg / 10_000 - 90.0),
-            angle_step_rad=math.radians(geometry.step_e4deg / 10_000),
+            first_angle_rad=math.radians(first_deg),
+            angle_step_rad=math.radians(step_deg),
             range_min_m=self._config.range_min_m,
             range_max_m=self._config.range_max_m,
             range_m=range_m,
@@ -262,14 +271,14 @@ class Lms100Session:
     def _wanted_beams(self, geometry: Channel) -> slice:
         """Those of the configured field of view, where the device sends more than a step beyond it."""
         wanted, count = self._dialogue.output_range, len(geometry.values)
+        step_e4deg = exact_step_deg(geometry.step_e4deg) * 10_000
         before_e4deg = wanted.first_e4deg - geometry.first_e4deg
-        behind_e4deg = geometry.last_e4deg - wanted.last_e4deg
-        slack_e4deg = ANGLE_SLACK_E4DEG + geometry.step_e4deg
-        before = (
-            -((ANGLE_SLACK_E4DEG - before_e4deg) // geometry.step_e4deg) if before_e4deg > slack_e4deg else 0
-        )
-        behind = (
-            -((ANGLE_SLACK_E4DEG - behind_e4deg) // geometry.step_e4deg) if behind_e4deg > slack_e4deg else 0
+        behind_e4deg = geometry.first_e4deg + step_e4deg * (count - 1) - wanted.last_e4deg
+        before, behind = (
+            math.ceil((beyond_e4deg - ANGLE_SLACK_E4DEG) / step_e4deg)
+            if beyond_e4deg > ANGLE_SLACK_E4DEG + step_e4deg
+            else 0
+            for beyond_e4deg in (before_e4deg, behind_e4deg)
         )
         return slice(before, count - behind)
 
@@ -298,7 +307,7 @@ class Lms100Session:
 
     def _beam_interval_ns(self, scan: ScanTelegram, geometry: Channel) -> int:
         """From the measurement frequency where it fits the rotation, else from the rotation."""
-        by_rotation_hz = scan.frequency_chz / 100.0 * 3_600_000 / geometry.step_e4deg
+        by_rotation_hz = scan.frequency_chz / 100.0 * FULL_TURN_E4DEG / geometry.step_e4deg
         shots_hz = scan.shots_100hz * (1.0 if scan.shots_100hz > 10_000 else 100.0)
         if shots_hz and abs(shots_hz / by_rotation_hz - 1.0) < 0.1:
             return round(1e9 / shots_hz)
@@ -308,16 +317,17 @@ class Lms100Session:
     def _first_beam_before_zero_us(self, scan: ScanTelegram, geometry: Channel) -> int:
         """How long before the zero-index stamp the first beam was measured. By the earliest sending of this
         sweep: one that is held up says nothing, and the others scatter by 0.2 ms, which stamps shall not."""
-        e4deg_per_us = scan.frequency_chz / 100.0 * 3_600_000 / 1e6
+        e4deg_per_us = scan.frequency_chz / 100.0 * FULL_TURN_E4DEG / 1e6
+        begin_e4deg = self._limits.first_e4deg
         sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS
         sweep = (scan.frequency_chz, geometry.last_e4deg)
         if self._sweep_measured == sweep:
             sending_us = min(sending_us, self._least_sending_us)
         self._sweep_measured, self._least_sending_us = sweep, sending_us
-        sweep_us = round((FULL_LAST_E4DEG - FULL_FIRST_E4DEG) / e4deg_per_us)
-        last_us = round((geometry.last_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
+        sweep_us = round((self._limits.last_e4deg - begin_e4deg) / e4deg_per_us)
+        last_us = round((geometry.last_e4deg - begin_e4deg) / e4deg_per_us)
         start_before_zero_us = sweep_us - sending_us if sending_us < last_us else 0
-        return start_before_zero_us - round((geometry.first_e4deg - FULL_FIRST_E4DEG) / e4deg_per_us)
+        return start_before_zero_us - round((geometry.first_e4deg - begin_e4deg) / e4deg_per_us)
 
     def _last_echo(self, echoes: Echoes) -> Rows:
         """The second echo where there is one, else the first."""

@@ -1,7 +1,7 @@
-"""Telegrams of the LMS1xx, field by field; one layout serves both dialects and both directions.
+"""Telegrams of the LMS1xx and its kin, field by field; one layout serves both dialects and both directions.
 
 Source: SICK Telegram Listing 8014631; LMS500 manual 8013796, annex (LMDscandata); checked against a recorded
-LMS111 (V1.80.2). Device units: 1/10000 deg (e4deg), 1/100 Hz (chz), us.
+LMS111 (V1.80.2), LMS511, TiM551 and TiM781S. Device units: 1/10000 deg (e4deg), 1/100 Hz (chz), us.
 """
 
 from dataclasses import dataclass, replace
@@ -11,14 +11,15 @@ import numpy.typing as npt
 
 from drivers.errors import ProtocolError
 from drivers.rates import same_rate
+from drivers.sick_lms100.models import LMS1XX
 from drivers.sick_lms100.protocol import Dialect, Reader, Telegram, Writer, reader, writer
 
-MAX_BEAMS = 1082  # 270 deg at 0.25 deg, and one that some firmware adds
+MAX_BEAMS = 1142  # 190 deg at 0.1667 deg, and one that some firmware adds
 MAX_CHANNELS = 8
 MAX_ENCODERS = 4
 
 ANGLE_SLACK_E4DEG = 100
-FULL_FIRST_E4DEG, FULL_LAST_E4DEG = -450_000, 2_250_000  # all the LMS1xx can see; 900_000 is straight ahead
+FULL_TURN_E4DEG = 3_600_000
 
 STATE_READY = 7
 STATES = {
@@ -48,14 +49,20 @@ LOW_CODES = {0: "no_echo", 1: "dazzled", 2: "implausible", 3: "filtered"}  # 4 t
 FIRST_RANGE_CODE = 16
 
 
+def exact_step_deg(step_e4deg: int) -> float:
+    """A step above 0 that is a whole fraction of a turn is stated rounded: 3333 for a third of a degree."""
+    exact_e4deg = FULL_TURN_E4DEG / round(FULL_TURN_E4DEG / step_e4deg)
+    return (exact_e4deg if abs(exact_e4deg - step_e4deg) <= 0.5 else step_e4deg) / 10_000
+
+
 @dataclass(frozen=True, slots=True)
 class ScanConfig:
     """LMPscancfg: how fast it turns and how finely it measures."""
 
     frequency_chz: int
     step_e4deg: int
-    first_e4deg: int = FULL_FIRST_E4DEG
-    last_e4deg: int = FULL_LAST_E4DEG
+    first_e4deg: int = LMS1XX.first_e4deg
+    last_e4deg: int = LMS1XX.last_e4deg
     sectors: int = 1
 
     def write(self, w: Writer) -> None:
@@ -360,12 +367,12 @@ def _read_channels(r: Reader, bits: int) -> tuple[Channel, ...]:
     channels = []
     for _ in range(_at_most(r.u16(), MAX_CHANNELS, f"channels of {bits} bits")):
         content, scale, offset, first_e4deg, step_e4deg = r.characters(5), r.f32(), r.f32(), r.i32(), r.u16()
-        values = r.array(_at_most(r.u16(), MAX_BEAMS, "beams", "; is it an LMS5xx or an MRS1000?"), bits)
+        values = r.array(_at_most(r.u16(), MAX_BEAMS, "beams"), bits)
         channels.append(Channel(content, values, first_e4deg, step_e4deg, scale, offset))
     return tuple(channels)
 
 
-def _at_most(count: int, limit: int, what: str, question: str = "") -> int:
+def _at_most(count: int, limit: int, what: str) -> int:
     if count > limit:
-        raise ProtocolError(f"{count} {what} in a scan telegram, at most {limit} are possible{question}")
+        raise ProtocolError(f"{count} {what} in a scan telegram, at most {limit} are possible")
     return count

@@ -143,9 +143,14 @@ def _ask_for(
         until_answered=True,
     )
     identity = told_identity(kind, config, seen)
+    if shown := kind.advice.settings_of(identity):  # of another model it may have been refused, and is known
+        settings = {**settings, **shown}
+        config = kind.config.model_validate({"name": str(wire), **where, **settings})
     if seen.frames or (identity and not kind.advice.doubt(config, identity)):
         port = {"port": config.port} if not wire.device and hasattr(config, "port") else {}
         return Found(wire, kind_name, {**where, **port, **settings}, seen.identity)
+    if identity and seen.error is not None:  # a device of this kind that its driver refuses, with the reason
+        return Found(wire, words=str(seen.error))
     if seen.first_bytes:
         return Found(wire, words=f"no {kind_name}, but {describe(bytes(seen.first_bytes))}")
     return Found(wire, words=str(seen.error) if seen.error is not None else f"no {kind_name} answers")

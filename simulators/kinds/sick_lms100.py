@@ -1,4 +1,4 @@
-"""The pretended LMS1xx as a type of device: its options, and how it comes to its wire."""
+"""The pretended LMS1xx or kin as a type of device: its options, and how it comes to its wire."""
 
 import math
 from dataclasses import replace
@@ -7,11 +7,15 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.mounting import OffsetM, TurnDeg
+from drivers.sick_lms100.models import ModelName
 from service.geometry.se2 import SE2
 from simulators.device_kind import DeviceKind
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
-from simulators.truth import LMS100, LaserTruth, Ride, seed_of
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
+from simulators.truth import LMS100, LMS500, TIM500, LaserTruth, Ride, seed_of
 from simulators.wire import TcpWire, serve_tcp
+
+OPTICS = {"lms1xx": LMS100, "lms5xx": LMS500, "tim5xx": TIM500, "tim7xx": TIM500}
 
 
 class Lms100Options(BaseModel):
@@ -19,13 +23,15 @@ class Lms100Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    model: ModelName = "lms1xx"
+    ident: str = Field(default="", max_length=32)  # what it calls itself; "": as its model does
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # 0: any free
     x_m: OffsetM = 0.20  # mounting in the base frame, as in config/vehicle.yaml
     y_m: OffsetM = 0.0
     yaw_deg: TurnDeg = 0.0
-    sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
-    bias_m: float = LMS100.bias_m
+    sigma_m: float | None = Field(default=None, ge=0.0)  # None: the model's
+    bias_m: float = 0.0
     clock_drift_ppm: float = 40.0
     firmware: str = Field(default=Lms100Setup().firmware, min_length=1, max_length=9)
     refuses: Literal["", "mLMPsetscancfg", "LMPoutputRange", "LMDscandatacfg"] = ""  # a setting
@@ -33,9 +39,13 @@ class Lms100Options(BaseModel):
 
 def build(name: str, options: Lms100Options, ride: Ride, seed: int) -> TcpWire:
     mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
-    model = replace(LMS100, sigma_m=options.sigma_m, bias_m=options.bias_m)
-    source = LaserTruth(ride, name, mounting, model, seed)
+    optics = replace(OPTICS[options.model], bias_m=options.bias_m)
+    if options.sigma_m is not None:
+        optics = replace(optics, sigma_m=options.sigma_m)
+    source = LaserTruth(ride, name, mounting, optics, seed)
     setup = Lms100Setup(
+        options.model,
+        options.ident,
         clock_drift_ppm=options.clock_drift_ppm,
         refused=frozenset(filter(None, (options.refuses,))),
         firmware=options.firmware,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.sick_lms100.protocol import Dialect
-from simulators.sick_lms100 import Lms100Setup
+from simulators.sick_setup import Lms100Setup
 from tests.drivers import lms100, lux, mtig, utm30lx
 from tests.drivers.virtual_time import Talk
 

@@ -13,7 +13,8 @@ from service.encoding import encode_pose, encode_raw
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from service.recording.mcap_file import McapFile
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 from tests.docs.blocks import ROOT, written_in
 from tests.drivers.lms100 import Room, config
 from tests.drivers.virtual_time import Talk

@@ -18,7 +18,8 @@ from simulators.faults import Faulty
 from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.irobot_create import FakeCreate
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from tests.drivers import irobot_bench, lms100, lux, mtig, utm30lx
 from tests.drivers.virtual_link import VirtualLink

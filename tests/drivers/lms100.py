@@ -8,7 +8,8 @@ from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.telegrams import Channel, ScanTelegram
 from simulators.device import Sweep
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 from tests.drivers.virtual_time import Talk
 
 

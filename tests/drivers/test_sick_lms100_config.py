@@ -31,6 +31,7 @@ def test_every_pair_of_rate_and_step_the_device_has_is_accepted(rate, step):
     [
         ({"hots": "1.2.3.4"}, "hots"),
         ({"scan_rate_hz": 40}, "scan_rate_hz"),
+        ({"scan_rate_hz": 100}, "must be 25 or 50, not 100"),
         ({"angle_step_deg": 0.25}, "needs scan_rate_hz 25"),
         ({"angle_step_deg": 0.1, "scan_rate_hz": 25}, "must be 0.25 or 0.5"),
         ({"first_angle_deg": 10.0, "last_angle_deg": 10.0}, "must lie below"),

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 import pytest
 
 from drivers.errors import DeviceError, TransportError
-from drivers.sick_lms100.dialogue import other_family
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.protocol import Decoder, Dialect, Telegram, encode, writer
 from drivers.sick_lms100.telegrams import OutputRange, ScanConfig, ScanDataConfig, ScanTelegram, write_scan
-from simulators.sick_lms100 import Lms100Setup
+from simulators.sick_setup import Lms100Setup
 from tests.drivers.lms100 import config, talk, telegram
 from tests.drivers.virtual_time import SECOND_NS, Talk
 
@@ -223,25 +222,6 @@ def test_server_that_answers_with_the_wrong_type_and_nothing_in_it_is_put_up_wit
     t = scripted(Scripted(answers)).run(30.0)
     assert t.session.status == "streaming"
     assert t.session.counters["answers_unusable"] > 3
-
-
-@pytest.mark.parametrize(
-    ("ident", "family"),
-    [("LMS5xx", "LMS5xx"), ("LMS511_FieldEval", "LMS5xx"), ("MRS1xxxx", "MRS1000"), ("LMS1xxxx", "LMS1000")],
-)
-def test_another_scanner_of_the_maker_is_named_and_left_alone(ident, family):
-    name = bytes([0, len(ident)]) + ident.encode()
-    device = Scripted({"SCdevicestate": b"\1", "DeviceIdent": name + b"\0\x04V1.8"})
-    with pytest.raises(
-        DeviceError, match=rf"family {family} \(it calls itself {ident}\), expected an LMS1xx"
-    ):
-        scripted(device).run(5.0)
-    assert device.heard[-1] == "SerialNumber"  # nothing was written to it
-
-
-@pytest.mark.parametrize("ident", ["LMS10x_FieldEval", "LMS111", "LMS15x", "something of an OEM"])
-def test_the_own_family_and_unknown_names_are_taken(ident):
-    assert other_family(ident) == ""
 
 
 def test_name_that_would_forge_a_line_of_the_log_is_shown_as_one():

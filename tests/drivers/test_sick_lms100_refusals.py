@@ -13,7 +13,8 @@ from drivers.errors import DeviceError, TransportError
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.protocol import Dialect, encode
 from drivers.sick_lms100.telegrams import OutputRange, ScanConfig, ScanDataConfig, write_scan
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 from tests.drivers.lms100 import Room, config, talk, telegram
 from tests.drivers.over_tcp import frames_of_driver
 from tests.drivers.test_sick_lms100_driver import part_of_the_view

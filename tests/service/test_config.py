@@ -142,11 +142,11 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
         (with_line("\tfront: {type: sick_lms100, host: a}", 3), "write spaces in place of the tab"),
         (
             with_line("  front: {type: sick_lms100, host: a, scan_rate_hz: 40}", 3),
-            "c.yaml:3:39: sensors.front.scan_rate_hz: should be 25 or 50 (got 40)",
+            "c.yaml:3:39: sensors.front.scan_rate_hz: should be 15, 25, 35, 50, 75 or 100 (got 40)",
         ),
         (
             with_line("  front: {type: sick_lms100, host: a, angle_step_deg: 0.25}", 3),
-            "c.yaml:3:3: sensors.front: front: angle_step_deg 0.25 needs scan_rate_hz 25, not 50",
+            "c.yaml:3:3: sensors.front: front: angle_step_deg 0.25 needs scan_rate_hz 25 or less, not 50",
         ),
         (
             with_line("recording: {directory: s, rotate_gb: 1}", 7),

@@ -19,7 +19,8 @@ from drivers.sick_lms100.telegrams import (
     read_scan,
 )
 from simulators.device import Sweep
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 
 ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
 START_NS = 5_000 * 10**9

@@ -18,7 +18,7 @@ from service.encoding import decode_diagnostics, decode_frame, encode_pose, read
 from service.offline.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.resources import CONFIG
-from simulators.sick_lms100 import Lms100Setup
+from simulators.sick_setup import Lms100Setup
 from tests.demo_run import LOOK_S, DemoRun, run_demo
 
 RATES_HZ = {

@@ -10,7 +10,8 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from service.encoding import OK, Status, decode_diagnostics
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 from simulators.wire import serve_tcp
 from tests.drivers.lms100 import Room
 from tests.system.machine import LiveService, Subscriber

@@ -3,7 +3,11 @@ from pathlib import Path
 import pytest
 
 from service.errors import UsageError
-from service.offline.discovery import Wire, parse_wire, serial_ports
+from service.offline.discovery import Wire, discover, parse_wire, serial_ports
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
+from simulators.wire import serve_tcp
+from tests.drivers.lms100 import Room
 
 
 @pytest.mark.parametrize(
@@ -50,3 +54,25 @@ def test_each_serial_port_is_asked_once_by_the_name_that_stays(tmp_path: Path):
         (tmp_path / "serial" / "by-id" / name).symlink_to(tmp_path / target)
     names = ("corridor/xsens", "serial/by-id/usb-Hokuyo", "ttyUSB1")
     assert serial_ports(tmp_path) == [Wire(device=str(tmp_path / name)) for name in names]
+
+
+ASK_S = 60.0  # a fake device on a busy machine; the first answer ends it
+
+
+def found_at_a(setup: Lms100Setup):
+    with serve_tcp(FakeLms100(Room(), setup)) as (host, port):
+        [found] = discover([Wire(host=host, port=port, type="sick_lms100")], ASK_S)
+    return found
+
+
+def test_another_model_of_the_same_telegram_is_found_with_the_setting_that_reads_it():
+    found = found_at_a(Lms100Setup(model="lms5xx"))
+    assert found.type == "sick_lms100"
+    assert found.settings["model"] == "lms5xx"
+    assert found.identity["device"] == "LMS511_FieldEval"
+
+
+def test_scanner_that_is_not_read_is_named_with_what_it_would_need():
+    found = found_at_a(Lms100Setup(ident="MRS1xxxx"))
+    assert found.type == ""
+    assert "MRS1000 (it calls itself MRS1xxxx), which is not read: that would need one of its" in found.words

@@ -25,7 +25,8 @@ from service.offline.doctor.devices import (
 from service.offline.doctor.findings import Finding
 from service.offline.doctor.machine import Machine
 from simulators.irobot_create import FakeCreate
-from simulators.sick_lms100 import FakeLms100, Lms100Setup
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
 from simulators.wire import serve_pty
 from tests.drivers.irobot_bench import STANDING
 from tests.drivers.lms100 import Room

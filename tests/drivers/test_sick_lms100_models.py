@@ -1,0 +1,254 @@
+"""Scanners that share the LMS1xx's telegram: real telegrams, the driver against a fake of each, refusals."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers.errors import DeviceError
+from drivers.sick_lms100.advice import ADVICE
+from drivers.sick_lms100.driver import Lms100Session
+from drivers.sick_lms100.models import MODELS, NOT_READ, mismatch, model_of
+from drivers.sick_lms100.protocol import Decoder, Dialect, encode
+from drivers.sick_lms100.telegrams import read_scan, write_scan
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
+from tests.drivers.lms100 import Room, config, talk, telegram
+from tests.drivers.virtual_time import SECOND_NS, Talk
+
+TELEGRAMS = Path(__file__).parent / "telegrams"
+OTHERS = ("lms5xx", "tim5xx", "tim7xx")
+
+
+def recorded(name):
+    """Bytes of one telegram of a real device."""
+    path = next(TELEGRAMS.glob(f"{name}.*"))
+    text = path.read_text()
+    return bytes.fromhex(text) if path.suffix == ".hex" else b"\x02" + text.strip().encode() + b"\x03"
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "rate_hz", "step_deg", "beams", "first_deg", "shots_khz", "ranges_m", "intensity"),
+    [
+        ("lms511", "lms5xx", 25, 1 / 6, 1141, -95.0, 54.0, (1.305, 0.624), (254, 208)),
+        ("tim551", "tim5xx", 15, 1.0, 271, -135.0, 5.4, (0.44, 1.333), (170, 163)),
+        ("tim781s", "tim7xx", 15, 1 / 3, 811, -135.0, 16.2, (1.356, 0.662), (10_421, 14_131)),
+    ],
+)
+def test_recorded_scan_becomes_a_frame(
+    name, model, rate_hz, step_deg, beams, first_deg, shots_khz, ranges_m, intensity
+):
+    changes = {"scan_rate_hz": rate_hz, "angle_step_deg": round(step_deg, 4), "intensity_bits": 8}
+    session = Lms100Session(config(model=model, **changes))
+    [frame] = session.receive_data(recorded(name), 1_000 * SECOND_NS)
+    assert len(frame.range_m) == len(frame.intensity) == beams
+    assert frame.scan_period_ns == round(1e9 / rate_hz)
+    assert frame.beam_interval_ns == pytest.approx(1e6 / shots_khz, abs=1.0)
+    assert frame.first_angle_rad == pytest.approx(math.radians(first_deg), abs=1e-9)
+    last_rad = frame.first_angle_rad + (beams - 1) * frame.angle_step_rad
+    assert last_rad == pytest.approx(-frame.first_angle_rad, abs=1e-9)  # though 0.1667 deg is sent
+    assert tuple(frame.range_m[[0, -1]].tolist()) == pytest.approx(ranges_m)
+    assert tuple(frame.intensity[[0, -1]].tolist()) == intensity
+
+
+@pytest.mark.parametrize("name", ["lms511", "tim551", "tim781s"])
+def test_recorded_telegram_is_written_as_it_was_read(name):
+    raw = recorded(name)
+    [read] = Decoder().receive_data(raw)
+    assert encode(write_scan(read_scan(read), read.dialect)) == raw
+
+
+@pytest.mark.parametrize(("name", "model"), [("tim551", "tim5xx"), ("tim781s", "tim7xx")])
+def test_tim_stamps_its_scan_after_the_sweep(name, model):
+    """Sent 3.8 and 7.7 ms after the zero index: the first beam was a sweep of 50 ms before the sending."""
+    session = Lms100Session(config(model=model))
+    [frame] = session.receive_data(recorded(name), 1_000 * SECOND_NS)
+    assert frame.stamp_ns == pytest.approx(1_000 * SECOND_NS - 50_000_000, abs=20_000)
+
+
+def test_lms5xx_stamps_its_scan_before_the_sweep():
+    session = Lms100Session(config(model="lms5xx"))
+    [frame] = session.receive_data(recorded("lms511"), 1_000 * SECOND_NS)
+    assert frame.stamp_ns == 1_000 * SECOND_NS - 40_853_000
+
+
+@pytest.mark.parametrize("dialect", list(Dialect))
+@pytest.mark.parametrize("model", OTHERS)
+def test_driver_streams_from_the_fake_of_each_model(model, dialect):
+    limits = MODELS[model]
+    t = talk(Lms100Setup(model=model, dialect=dialect), model=model, intensity_bits=16).run(2.0)
+    assert t.session.status == "streaming"
+    frame = t.frames[-1]
+    first_deg, last_deg = limits.sees_deg
+    assert math.degrees(frame.first_angle_rad) == pytest.approx(first_deg)
+    last_rad = frame.first_angle_rad + (len(frame.range_m) - 1) * frame.angle_step_rad
+    assert math.degrees(last_rad) == pytest.approx(last_deg)
+    assert frame.scan_period_ns == round(1e9 / limits.rates_hz[0])
+    assert frame.range_max_m == limits.range_max_m
+    assert np.nanmax(frame.range_m) == np.float32(3.0)
+    assert t.session.counters["scans_not_as_configured"] == 0
+    begins_ns = {first_ns for first_ns in t.device._source.first_rays_ns}
+    late_ns = min(abs(frame.stamp_ns - first_ns) for first_ns in begins_ns)
+    assert late_ns < 700_000  # what is not known of the time from the last beam to the sending
+
+
+def test_cut_field_of_view_begins_at_the_exact_angle():
+    """Of steps of 0.3333 deg, as they are sent, the 600th ends 0.02 deg short of 200 deg."""
+    room = Room()
+    device = FakeLms100(room, Lms100Setup(model="tim7xx", kept=frozenset({"LMPoutputRange"})))
+    t = Talk(Lms100Session(config(model="tim7xx", first_angle_deg=65.0)), device).connect().run(2.0)
+    assert math.degrees(t.frames[-1].first_angle_rad) == pytest.approx(65.0, abs=1e-9)
+
+
+def written(t):
+    """Names of what the session wrote, in order."""
+    return [r.name for r in Decoder().receive_data(bytes(t.sent)) if r.kind in ("sWN", "sMN")]
+
+
+def test_lms5xx_is_left_once_between_field_of_view_and_scan_rate():
+    t = talk(
+        Lms100Setup(model="lms5xx"),
+        model="lms5xx",
+        scan_rate_hz=100,
+        angle_step_deg=0.6667,
+        first_angle_deg=-90.0,
+        last_angle_deg=90.0,
+    )
+    t.run(5.0)
+    assert t.session.status == "streaming"
+    assert written(t) == [
+        *("SetAccessMode", "LMPoutputRange", "Run", "SetAccessMode", "mLMPsetscancfg"),
+        *("LMCstartmeas", "Run"),
+    ]
+    assert t.frames[-1].scan_period_ns == 10_000_000
+    assert math.degrees(t.frames[-1].angle_step_rad) == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize(("stored", "echo", "wanted"), [(1, "first", 0), (0, "last", 2), (2, "first", 0)])
+def test_lms5xx_chooses_its_echo_by_the_filter(stored, echo, wanted):
+    t = talk(Lms100Setup(model="lms5xx", echo_filter=stored), model="lms5xx", echo=echo).run(3.0)
+    assert t.session.status == "streaming"
+    assert "FREchoFilter" in written(t)
+    assert "LMDscandatacfg" not in written(t)
+    assert t.device._echo_filter == wanted
+
+
+def test_echo_filter_that_is_kept_is_named():
+    setup = Lms100Setup(model="lms5xx", refused=frozenset({"FREchoFilter"}))
+    t = talk(setup, model="lms5xx", echo="last").run(5.0)
+    assert "configured echo last not taken: FREchoFilter refused" in t.session.status
+    assert t.frames
+
+
+@pytest.mark.parametrize("model", ["tim5xx", "tim7xx"])
+def test_scan_rate_of_a_tim_is_not_written(model):
+    t = talk(Lms100Setup(model=model, measuring=False), model=model).run(3.0)
+    assert t.session.status == "streaming"
+    assert written(t) == ["SetAccessMode", "LMCstartmeas", "Run"]
+
+
+def test_tim551_that_measures_more_coarsely_than_configured_is_used_and_named():
+    session = Lms100Session(config(model="tim5xx"))
+    for copy in range(20):
+        raw = recorded("tim551")
+        for field in (0xE789, 0x3D611E4A, 0x3D612D1F):  # scan counter, zero index and sending in us
+            later = field + copy * (1 if field == 0xE789 else 66_667)
+            raw = raw.replace(b" %X " % field, b" %X " % later)
+        session.receive_data(raw, 1_000 * SECOND_NS + copy * 66_667_000)
+    assert "scans at 15 Hz and 1 deg" in session.status
+    assert "configured 15 Hz and 0.3333 deg" in session.status
+
+
+@pytest.mark.parametrize("ident", ["LMS111", "LMS10x_FieldEval", "LMS511_FieldEval", "TiM571", "TiM781S"])
+def test_families_are_known_by_the_device_s_own_name(ident):
+    own = model_of(ident)
+    assert mismatch(ident, own) == ""
+    assert ADVICE.settings_of({"device": ident}) == {"model": own}
+    for other in MODELS.keys() - {own}:
+        assert mismatch(ident, other) == (
+            f"this is of the family {MODELS[own].name} (it calls itself {ident}), expected "
+            f"{MODELS[other].name}: write model: {own}"
+        )
+
+
+@pytest.mark.parametrize("model", list(MODELS))
+def test_name_of_an_oem_is_taken(model):
+    assert mismatch("something of an OEM", model) == ""
+    assert ADVICE.settings_of({"device": "something of an OEM"}) == {}
+
+
+MRS1104_IDENT = bytes.fromhex(  # SICKAG/sick_scan_xd, 20210722_143600_ros2_mrs1104_sick_scan_xd.pcapng.json
+    "0202020200000024735241204465766963654964656e742000084d525331787878780008312e302e302e30520a"
+)
+
+
+def test_recorded_name_of_an_mrs1104_is_refused():
+    [answer] = Decoder().receive_data(MRS1104_IDENT)
+    assert answer.body[2:10] == b"MRS1xxxx"
+    assert "MRS1000" in mismatch("MRS1xxxx", "lms1xx")
+
+
+@pytest.mark.parametrize(
+    ("ident", "family"),
+    [("MRS1xxxx", "MRS1000"), ("LMS1xxxx", "LMS1000"), ("LMS4111R", "LMS4000"), ("TiM240", "TiM2xx")],
+)
+@pytest.mark.parametrize("model", list(MODELS))
+def test_scanner_with_another_telegram_is_refused_by_name_and_left_alone(ident, family, model):
+    t = talk(Lms100Setup(model=model, ident=ident, measuring=False), model=model)
+    with pytest.raises(DeviceError, match=rf"family {family} \(it calls itself {ident}\), which is not read"):
+        t.run(5.0)
+    assert written(t) == []
+    assert t.device.counters["starts"] == 0
+
+
+def test_every_refusal_says_what_would_be_needed():
+    for ident, (family, need) in NOT_READ.items():
+        words = mismatch(ident + "00", "lms1xx")
+        assert family in words
+        assert words.endswith(f"that would need {need}")
+
+
+@pytest.mark.parametrize("model", OTHERS)
+def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(model):
+    with pytest.raises(DeviceError, match=f"expected LMS1xx: write model: {model}; is host"):
+        talk(Lms100Setup(model=model)).run(5.0)
+
+
+def test_scan_with_more_beams_than_the_model_has_is_malformed():
+    """As of an MRS1104 that does not answer DeviceIdent: 1101 beams."""
+    session = Lms100Session(config(model="tim5xx"))
+    session.receive_data(encode(write_scan(telegram(values=(1500,) * 1101), Dialect.ASCII)), SECOND_NS)
+    assert session.counters["scans_malformed"] == 1
+
+
+@pytest.mark.parametrize(
+    ("model", "rate_hz", "step_deg"),
+    [
+        *(("lms5xx", 25, step) for step in (0.1667, 0.25, 0.3333, 0.5, 0.6667, 0.75, 1.0)),
+        *(("lms5xx", 35, 0.25), ("lms5xx", 50, 0.3333), ("lms5xx", 75, 0.5), ("lms5xx", 100, 0.6667)),
+        *(("tim5xx", 15, 0.3333), ("tim5xx", 15, 1.0), ("tim7xx", 15, 0.3333)),
+    ],
+)
+def test_what_the_model_can_do_is_accepted(model, rate_hz, step_deg):
+    assert config(model=model, scan_rate_hz=rate_hz, angle_step_deg=step_deg).angle_step_deg == step_deg
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"model": "mrs1000"}, "lms1xx"),
+        ({"model": ["lms5xx"]}, "lms1xx"),
+        ({"model": "lms5xx", "scan_rate_hz": 15}, "must be 25 or 35 or 50 or 75 or 100, not 15"),
+        ({"model": "lms5xx", "angle_step_deg": 0.1667}, "needs scan_rate_hz 25 or less, not 50"),
+        ({"model": "lms5xx", "first_angle_deg": -100.0}, "must lie within -95 to 95"),
+        ({"model": "lms5xx", "last_angle_deg": 100.0}, "must lie within -95 to 95"),
+        ({"model": "tim5xx", "scan_rate_hz": 50}, "must be 15, not 50"),
+        ({"model": "tim7xx", "angle_step_deg": 1.0}, "must be 0.3333, not 1"),
+        ({"model": "tim7xx", "echo": "last"}, "it has one echo, the first"),
+    ],
+)
+def test_what_the_model_cannot_do_is_refused(changes, words):
+    with pytest.raises(ValidationError, match=words):
+        config(**changes)
