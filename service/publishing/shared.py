@@ -33,12 +33,13 @@ class MapPicture:
     def message(self) -> tuple[Message, int] | None:
         """On channel "map", with its version; None while there is no map."""
         with self._lock:
+            times_ns = self._times_ns  # before the map: its picture is then never older than its stamp
             grid = self._source.grid()
             if grid is None:
                 return None
-            made_of = (grid.version, *self._times_ns)
+            made_of = (grid.version, *times_ns)
             if self._made is None or self._made[0] != made_of:
-                self._made = made_of, encode_grid(grid, *self._times_ns)
+                self._made = made_of, encode_grid(grid, *times_ns)
             return self._made[1], grid.version
 
 

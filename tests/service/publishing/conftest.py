@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import pytest
 import zenoh
@@ -34,6 +35,15 @@ class Inbox:
             )
             return list(self.samples)
 
+    def wait_for_one(
+        self, wanted: Callable[[zenoh.Sample], bool], timeout_s: float = TIMEOUT_S
+    ) -> zenoh.Sample:
+        """The first that is wanted."""
+        with self._changed:
+            found = self._changed.wait_for(lambda: list(filter(wanted, self.samples)), timeout_s)
+            assert found, f"none of {len(self.samples)} samples after {timeout_s} s"
+            return found[0]
+
 
 def wait_for_subscriber(publisher: zenoh.Publisher) -> None:
     """Until it knows of one: what is put before is not sent."""
@@ -53,16 +63,13 @@ def store() -> TileStore:
 
 @pytest.fixture
 def open_publisher(store) -> Iterator[Callable[..., ZenohPublisher]]:
-    opened = []
+    with ExitStack() as opened:
 
-    def open_one(config: PublishingConfig = ANY_PORT, **settings: object) -> ZenohPublisher:
-        publisher = ZenohPublisher(config, "veh1", settings.pop("map_source", store), **settings)
-        opened.append(publisher)
-        return publisher
+        def open_one(config: PublishingConfig = ANY_PORT, **settings: object) -> ZenohPublisher:
+            source = settings.pop("map_source", store)
+            return opened.enter_context(ZenohPublisher(config, "veh1", source, **settings))
 
-    yield open_one
-    for publisher in opened:
-        publisher.close()
+        yield open_one
 
 
 @pytest.fixture
@@ -72,16 +79,8 @@ def publisher(open_publisher) -> ZenohPublisher:
 
 @pytest.fixture
 def open_client() -> Iterator[Callable[[str], zenoh.Session]]:
-    opened = []
-
-    def open_one(endpoint: str) -> zenoh.Session:
-        session = zenoh.open(client_config(endpoint))
-        opened.append(session)
-        return session
-
-    yield open_one
-    for session in opened:
-        session.close()
+    with ExitStack() as opened:
+        yield lambda endpoint: opened.enter_context(zenoh.open(client_config(endpoint)))
 
 
 @pytest.fixture

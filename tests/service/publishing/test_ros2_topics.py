@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from service.encoding import (
 )
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
-from service.outputs import TileUpdate
+from service.outputs import Grid, TileUpdate
 from service.publishing import shared as shared_module
 from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
@@ -59,15 +60,14 @@ def shared() -> SharedZenoh:
 
 @pytest.fixture
 def open_topics(shared: SharedZenoh, store: TileStore) -> Iterator[Callable[..., Opened]]:
-    opened = []
+    with ExitStack() as closed:
 
-    def open_one(settings: PublishingConfig | None = None) -> Opened:
-        opened.append(Opened(settings or config(), shared, store))
-        return opened[-1]
+        def open_one(settings: PublishingConfig | None = None) -> Opened:
+            opened = Opened(settings or config(), shared, store)
+            closed.callback(opened.topics.close)
+            return opened
 
-    yield open_one
-    for one in opened:
-        one.topics.close()
+        yield open_one
 
 
 def pose(log_ns: int = 2_000) -> Message:
@@ -142,10 +142,9 @@ def test_the_graph_shows_the_node_and_its_topics_with_quality_of_service(open_to
 def test_the_topic_of_a_sensor_appears_with_its_first_message(open_topics, open_client):
     opened = open_topics()
     client = open_client(opened.endpoint)
-    inbox = Inbox()
-    client.liveliness().declare_subscriber(
-        f"@ros2_lv/0/{opened.zid}/0/*/MP/%/%/corridor/%front%scan/**", inbox
-    )
+    inbox, key = Inbox(), f"@ros2_lv/0/{opened.zid}/0/*/MP/%/%/corridor/%front%scan/**"
+    assert tokens(client, key) == set()
+    client.liveliness().declare_subscriber(key, inbox, history=True)  # or one before it is known is missed
     opened.topics.put(encode_frame(SCAN))
     token = str(inbox.wait_for(1)[0].key_expr)
     assert token.split("/")[10:] == [
@@ -191,7 +190,6 @@ def test_who_comes_late_gets_the_mountings_and_the_map(open_topics, open_client,
 @pytest.fixture
 def open_node() -> Iterator[Callable[[str], zenoh.Session]]:
     """As rmw_zenoh_cpp opens its session by default: a peer with gossip, connected to a router."""
-    opened = []
 
     def open_one(endpoint: str) -> zenoh.Session:
         settings = client_config(endpoint)
@@ -201,12 +199,10 @@ def open_node() -> Iterator[Callable[[str], zenoh.Session]]:
             "scouting/gossip/enabled": True,
         }.items():
             settings.insert_json5(key, json.dumps(value))
-        opened.append(zenoh.open(settings))
-        return opened[-1]
+        return opened.enter_context(zenoh.open(settings))
 
-    yield open_one
-    for session in opened:
-        session.close()
+    with ExitStack() as opened:
+        yield open_one
 
 
 def test_nodes_find_each_other_by_this_router(open_topics, open_node):
@@ -239,9 +235,9 @@ def test_the_map_is_encoded_once_for_zenoh_and_ros(open_topics, open_client, sto
     made = []
     encode_grid = shared_module.encode_grid
 
-    def counted(*args: object) -> Message:
-        made.append(args)
-        return encode_grid(*args)
+    def counted(grid: Grid, *times_ns: int) -> Message:
+        made.append((grid.version, *times_ns))
+        return encode_grid(grid, *times_ns)
 
     monkeypatch.setattr(shared_module, "encode_grid", counted)
     settings = config()
@@ -254,11 +250,16 @@ def test_the_map_is_encoded_once_for_zenoh_and_ros(open_topics, open_client, sto
             store.update([tile(version)])
             publisher.map_changed([tile(version)], version, version)
             opened.topics.map_changed(version, version)
-            for inbox in (native, ros):
-                while decode_grid(inbox.wait_for(1)[-1].payload.to_bytes()).cells.max() < version:
-                    inbox.wait_for(len(inbox.samples) + 1)
-        assert native.samples[-1].payload.to_bytes() == ros.samples[-1].payload.to_bytes()
-    assert len(made) == 3
+            first, second = (payload_sent_at(inbox, version) for inbox in (native, ros))
+            assert first == second
+            assert decode_grid(first).cells.max() == version
+    assert len(made) == len(set(made))
+
+
+def payload_sent_at(inbox: Inbox, log_ns: int) -> bytes:
+    """Waits for it."""
+    sent = inbox.wait_for_one(lambda s: Attachment.decode(s.attachment.to_bytes()).source_ns == log_ns)
+    return sent.payload.to_bytes()
 
 
 def test_what_cannot_be_sent_is_counted_and_the_rest_goes_on(open_topics, open_client):

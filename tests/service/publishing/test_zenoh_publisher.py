@@ -69,16 +69,17 @@ def test_fresh_things_go_first_and_bulk_last(publisher, client, store):
         publisher.put(message(channel, 1))
     store.update([tile(0, 0, 1)])
     publisher.map_changed([tile(0, 0, 1)], 1, 1)
-    quality = {
-        str(s.key_expr).removeprefix(f"{ROOT}/"): (s.priority, s.express, s.congestion_control)
-        for s in inbox.wait_for(9)
-    }
+
+    def quality(channel: str) -> tuple[object, ...]:
+        sample = inbox.wait_for_one(lambda sample: str(sample.key_expr) == f"{ROOT}/{channel}")
+        return sample.priority, sample.express, sample.congestion_control
+
     drop = zenoh.CongestionControl.DROP
     for channel in ("pose", "odom", "tf", "front/scan", "base/odom"):
-        assert quality[channel] == (zenoh.Priority.DATA_HIGH, True, drop)
-    assert quality["events"] == (zenoh.Priority.DATA, False, drop)
+        assert quality(channel) == (zenoh.Priority.DATA_HIGH, True, drop)
+    assert quality("events") == (zenoh.Priority.DATA, False, drop)
     for channel in ("map", "map/tile/0/0/0"):
-        assert quality[channel] == (zenoh.Priority.DATA_LOW, False, drop)
+        assert quality(channel) == (zenoh.Priority.DATA_LOW, False, drop)
 
 
 def test_a_burst_of_what_belongs_together_arrives_whole(publisher, client):
