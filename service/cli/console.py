@@ -127,15 +127,15 @@ class Progress:
             return f"{self._phase} ..."
         if not self._terminal:
             return f"{self._phase}: {self._share:.0%}"
-        return f"{self._phase} {bar(self._share)}{self._left()}"
+        return f"{self._phase} {bar(self._share)}{self._pace()}"
 
-    def _left(self) -> str:
-        """The time that the rest takes at the pace so far, once that is known by some seconds of it."""
+    def _pace(self) -> str:
+        """Rate of the phase so far, and the time that the rest takes at that rate, once some seconds show it."""
         taken_s = self._monotonic_s() - self._phase_began_s
         if not self._share or self._share == 1.0 or taken_s < PACE_S:
             return ""
         left_s = round(taken_s * (1.0 - self._share) / self._share)
-        return f", {left_s // 60}:{left_s % 60:02} left"
+        return f", {100.0 * self._share / taken_s:.2g} %/s, {left_s // 60}:{left_s % 60:02} left"
 
     def _quiet_s(self) -> float:
         return self._monotonic_s() - self._written_s
