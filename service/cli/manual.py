@@ -24,20 +24,22 @@ def man(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def pages(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
-    """Name and roff of each page, that of the whole program first."""
+def pages(parser: argparse.ArgumentParser, summary: str = "") -> Iterator[tuple[str, str]]:
+    """Name and roff of each page, that of the whole program first.
+
+    summary   of a command that has no description
+    """
     name = parser.prog.replace(" ", "-")
-    yield name, "\n".join(_page(name, parser))
+    yield name, "\n".join(_page(name, parser, parser.description or summary))
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            for child in action.choices.values():
-                yield from pages(child)
+            for command in action._choices_actions:
+                yield from pages(action.choices[command.dest], command.help or "")
 
 
-def _page(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
+def _page(name: str, parser: argparse.ArgumentParser, description: str) -> Iterator[str]:
     formatter = argparse.HelpFormatter(parser.prog, width=WIDTH)
     formatter.add_usage(parser.usage, parser._actions, parser._mutually_exclusive_groups, prefix="")
-    description = parser.description or ""
     yield f'.TH {name.upper()} 1 "" "corridor {VERSION}" "corridor"'
     yield from (".SH NAME", _plain(f"{name} - {description.rstrip('.')}"))
     yield from (".SH SYNOPSIS", ".nf", _plain(formatter.format_help().strip("\n")), ".fi")

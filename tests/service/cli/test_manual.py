@@ -30,6 +30,13 @@ def test_each_command_has_a_page_and_each_option_stands_in_it():
             assert option.replace("-", r"\-") in PAGES[page], f"{option} in {page}"
 
 
+@pytest.mark.parametrize("name", PAGES)
+def test_whatis_can_show_what_each_command_does(name: str):
+    assert re.search(
+        rf"^\.SH NAME\n{re.escape(name.replace('-', chr(92) + '-'))} \\- \w.+$", PAGES[name], re.MULTILINE
+    )
+
+
 @pytest.mark.skipif(shutil.which("groff") is None, reason="no groff: apt install groff")
 def test_groff_finds_no_fault_in_the_pages_and_loses_no_word():
     command = ["groff", "-man", "-ww", "-Tascii", "-P-c", "-P-b", "-P-u", "-rLL=200n"]
