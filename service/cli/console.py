@@ -130,7 +130,7 @@ class Progress:
         return f"{self._phase} {bar(self._share)}{self._pace()}"
 
     def _pace(self) -> str:
-        """Rate of the phase so far, and the time that the rest takes at that rate, once some seconds show it."""
+        """Rate of the phase so far and the time that the rest takes at it, once some seconds show it."""
         taken_s = self._monotonic_s() - self._phase_began_s
         if not self._share or self._share == 1.0 or taken_s < PACE_S:
             return ""
