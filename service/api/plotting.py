@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from service.errors import CorridorError
+from service.extras import install_command
 from service.offline.trajectory import Trajectory
 from service.outputs import STATES, UNKNOWN, Grid, State
 
@@ -22,7 +23,7 @@ def plot(grid: Grid, trajectory: Trajectory, states: Sequence[State], axes: "Axe
             from matplotlib import pyplot
         except ImportError as error:
             raise CorridorError(
-                "plot() needs matplotlib, which is not installed: pip install 'corridor[plot]'"
+                f"plot() needs matplotlib, which is not installed: {install_command('plot')}"
             ) from error
         axes = pyplot.figure().add_subplot()
     height, width = grid.cells.shape

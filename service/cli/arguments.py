@@ -255,9 +255,7 @@ def _add_view(commands: Any) -> None:
         "any of its moments",
     )
     _add_listen(view)
-    view.add_argument(
-        "--rerun", action="store_true", help="in rerun's viewer instead (pip install 'corridor[rerun]')"
-    )
+    view.add_argument("--rerun", action="store_true", help="in rerun's viewer instead (extra rerun)")
     view.add_argument(
         "--save", type=Path, metavar="FILE.rrd", help="with --rerun: write a recording for it, open nothing"
     )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from service.errors import CorridorError
+from service.extras import install_command
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapstore.annotated import scale_bar_m
@@ -27,7 +28,7 @@ def optional(module: str, to: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise CorridorError(
-            f"--format {to} needs {module}, which is not installed: pip install 'corridor[export]'"
+            f"--format {to} needs {module}, which is not installed: {install_command('export')}"
         ) from error
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import CorridorError, StorageError, words_of
+from service.extras import install_command
 from service.mapstore.tiles import grid_of_tiles
 from service.offline.result import open_result
 from service.offline.trajectory import Trajectory
@@ -40,7 +41,7 @@ def show_in_rerun(source: Path, save: Path | None = None) -> None:
         import rerun as rr
     except ImportError as error:
         raise CorridorError(
-            "--rerun needs rerun-sdk, which is not installed: pip install 'corridor[rerun]'"
+            f"--rerun needs rerun-sdk, which is not installed: {install_command('rerun')}"
         ) from error
     result = open_result(source)
     graph, trajectory = graph_picture(result), result.trajectory

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from service.encoding import CHANGES, ERROR, OK, Message, Status, encode_grid, schema_text
 from service.errors import StorageError
+from service.extras import install_command
 from service.outputs import TileUpdate
 from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.sink import Sink, SinkContext
@@ -35,7 +36,7 @@ def open_sink(config: FoxgloveConfig, context: SinkContext) -> "FoxgloveSink | N
         import foxglove  # noqa: F401 - asked for before the service starts
     except ImportError as error:
         raise StorageError(
-            f"foxglove.enabled needs foxglove-sdk ({error}); pip install 'corridor[viewer]', or set "
+            f"foxglove.enabled needs foxglove-sdk ({error}): {install_command('viewer')}; or set "
             "foxglove.enabled to false"
         ) from error
     return FoxgloveSink(config, context)

@@ -11,6 +11,8 @@ from service.kernel_cache import DIGEST_NAME, KERNELS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("service", "drivers", "simulators")
+# Packages of tests and extras: an import of one fails as where it is not installed.
+NOT_OF_THE_CORE = ("scipy", "matplotlib", "filterpy", "tifffile", "ezdxf", "foxglove", "rerun")
 TIMEOUT_S = 300.0  # kernels are compiled where those of the tree do not fit
 
 
@@ -30,8 +32,8 @@ def build_wheel(folder: Path) -> Path:
 
 
 def install(wheel: Path, folder: Path) -> Path:
-    """The command, installed in a venv of its own. Dependencies come from the venv that tests; kernels of the
-    same sources come from its cache, where it has them beside the sources.
+    """The command, installed in a venv of its own. Dependencies come from the venv that tests, less those of
+    extras and tests; kernels of the same sources come from its cache, where it has them beside the sources.
     """
     venv = folder / "venv"
     run([sys.executable, "-m", "venv", "--without-pip", str(venv)], folder)
@@ -41,6 +43,9 @@ def install(wheel: Path, folder: Path) -> Path:
     run([*pip, "install", "--quiet", "--no-deps", "--no-index", str(wheel)], folder)
     # A .pth file in a folder that a .pth file names is not read: the editable install of the tree stays out.
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (site / "sitecustomize.py").write_text(
+        f"import sys\nsys.modules.update(dict.fromkeys({NOT_OF_THE_CORE}))\n"
+    )
     compiled = KERNELS / "__pycache__"
     if (compiled / DIGEST_NAME).exists():
         installed = site / "service" / "kernels"

@@ -24,5 +24,5 @@ def test_a_plot_shows_map_and_trajectory_in_metres(replayed):
 
 def test_a_plot_without_matplotlib_says_what_to_install(replayed, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(corridor.CorridorError, match=r"pip install 'corridor\[plot\]'"):
+    with pytest.raises(corridor.CorridorError, match=r"-m pip install 'matplotlib>="):
         replayed.plot()

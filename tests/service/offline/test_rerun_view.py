@@ -14,7 +14,7 @@ from service.offline.rerun_view import show_in_rerun
 from service.offline.trajectory import write_tum
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
 
-chunk = pytest.importorskip("rerun.chunk", reason="pip install 'corridor[rerun]'")
+chunk = pytest.importorskip("rerun.chunk", reason="pip install rerun-sdk")
 
 S = 1_000_000_000
 
@@ -82,7 +82,7 @@ def test_what_cannot_be_shown_is_refused_in_words(
         show_in_rerun(result, result / "map.pgm" / "a.rrd")
     assert main(["view", str(result), "--save", str(tmp_path / "a.rrd")]) == UsageError.exit_code
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(CorridorError, match=r"pip install 'corridor\[rerun\]'"):
+    with pytest.raises(CorridorError, match="-m pip install 'rerun-sdk<"):
         show_in_rerun(result, tmp_path / "a.rrd")
 
 

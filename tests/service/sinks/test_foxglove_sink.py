@@ -200,7 +200,7 @@ def test_without_the_package_the_config_is_refused_in_words(monkeypatch: pytest.
     context: SinkContext = sink_context()
     assert open_sink(FoxgloveConfig(), context) is None
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(StorageError, match=re.escape("pip install 'corridor[viewer]'")):
+    with pytest.raises(StorageError, match=re.escape("-m pip install 'foxglove-sdk<")):
         open_sink(FoxgloveConfig(enabled=True), context)
 
 

@@ -35,9 +35,10 @@ class ErrorStateFilter:
     Errors are "believed less true" (Qian et al. 2019, eq. 16: r = r_IMU - dr). After each observation the
     error is taken out of the state, so the filter always predicts an error of zero; only its covariance is
     carried.
-    Transitions and noise are gathered over the steps since the last observation and handed to filterpy
+    Transitions and noise are gathered over the steps since the last observation and applied to the covariance
     together (Phi = ... Phi_2 Phi_1): the same covariance as step by step, for a tenth of the time.
 
+    covariance   (15, 15) of the error as of the last settle()
     arm_m        (3,) the IMU in the base frame
     gravity      m/s^2
     densities    (4,) white noise of force, rate, and walk of their biases; m/s^2, rad/s, m/s^3, rad/s^2 per
@@ -58,24 +59,10 @@ class ErrorStateFilter:
         self._noise_per_s[ATTITUDE:FORCE_BIAS] = rate
         self._noise_per_s[FORCE_BIAS:RATE_BIAS] = force_walk
         self._noise_per_s[RATE_BIAS:] = rate_walk
-        # Imported here, for it brings scipy: 60 MB and a second that no other profile is to pay for.
-        from filterpy.kalman import KalmanFilter
-
-        self._kalman = KalmanFilter(dim_x=STATES, dim_z=3)
-        self._kalman.P = np.zeros((STATES, STATES))
+        self.covariance: Array = np.zeros((STATES, STATES))
         self._transition = np.eye(STATES)
         self._noise = np.zeros((STATES, STATES))
         self._step = np.empty((STATES, STATES))
-
-    @property
-    def covariance(self) -> Array:
-        """(15, 15) of the error as of the last settle()."""
-        covariance: Array = self._kalman.P
-        return covariance
-
-    @covariance.setter
-    def covariance(self, covariance: Array) -> None:
-        self._kalman.P = covariance
 
     @property
     def yaw_rad(self) -> float:
@@ -156,18 +143,18 @@ class ErrorStateFilter:
 
     def settle(self) -> None:
         """Let the covariance catch up with the steps taken."""
-        self._kalman.predict(F=self._transition, Q=self._noise)
+        self.covariance = self._transition @ self.covariance @ self._transition.T + self._noise
         self._transition = np.eye(STATES)
         self._noise = np.zeros((STATES, STATES))
 
     def pose_covariance(self) -> Array:
         """(3, 3) of x, y, yaw of the base, in its own axes."""
-        return self._of_base(self._kalman.P)
+        return self._of_base(self.covariance)
 
     def doubt_pose(self, weight: float) -> None:
         """Believe position and yaw as if their information were that part of what it is; below 1."""
         rows = np.ix_([POSITION, POSITION + 1, ATTITUDE + 2], [POSITION, POSITION + 1, ATTITUDE + 2])
-        self._kalman.P[rows] *= 1.0 / weight
+        self.covariance[rows] *= 1.0 / weight
 
     def observe_pose(self, pose: SE2, covariance_base: Array) -> None:
         """A match: z = r_IMU - r_lidar of x, y and yaw (eqs. 12 to 16); covariance in base axes."""
@@ -217,7 +204,7 @@ class ErrorStateFilter:
         self.rotation = turn @ self.rotation
         self.velocity_mps = turn @ self.velocity_mps
         self.position_m = self.rotation @ self._arm_m
-        covariance = self._kalman.P
+        covariance = self.covariance
         for first in (POSITION, VELOCITY, ATTITUDE):
             covariance[first : first + 3, :] = turn @ covariance[first : first + 3, :]
             covariance[:, first : first + 3] = covariance[:, first : first + 3] @ turn.T
@@ -237,12 +224,13 @@ class ErrorStateFilter:
         return of_base
 
     def _update(self, z: Array, rows: Array, covariance: Array) -> None:
-        """Kalman update in Joseph's form (filterpy), then the error is taken out of the state (eq. 16)."""
-        kalman = self._kalman
-        kalman.x = np.zeros((STATES, 1))
-        kalman.update(z.reshape(-1, 1), R=covariance, H=rows)
-        kalman.P = 0.5 * (kalman.P + kalman.P.T)
-        error = kalman.x[:, 0]
+        """Kalman update in Joseph's form, then the error is taken out of the state (eq. 16)."""
+        across = self.covariance @ rows.T
+        gain = across @ np.linalg.inv(rows @ across + covariance)
+        rest = np.eye(STATES) - gain @ rows
+        updated = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
+        self.covariance = 0.5 * (updated + updated.T)
+        error = (gain @ z[:, None])[:, 0]
         self.position_m = self.position_m - error[POSITION:VELOCITY]
         self.velocity_mps = self.velocity_mps - error[VELOCITY:ATTITUDE]
         turn = np.empty((3, 3))

@@ -5,11 +5,12 @@ import time
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from service.geometry.se2 import SE2
+from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY, rotation_of
 from service.mapper.methods.owolm_eskf.error_state import ErrorStateFilter
 
@@ -197,3 +198,29 @@ def test_200_hz_costs_a_small_part_of_a_core():  # B13
             flight.filter.observe_floor(0.05, 0.05)
         best_s = min(best_s, time.thread_time() - began_s)
     assert best_s < 0.1
+
+
+def test_prediction_and_update_are_those_of_filterpy_to_the_bit():
+    flight = Flight(3, np.array([0.2, -0.1, 0.3]))
+    oracle = KalmanFilter(dim_x=STATES, dim_z=3)
+    for scan in range(20):
+        for step in range(STEPS_PER_SCAN):
+            flight.step((scan * STEPS_PER_SCAN + step) * IMU_S)
+        tested = flight.filter
+        oracle.P = tested.covariance
+        oracle.predict(F=tested._transition, Q=tested._noise)
+        tested.settle()
+        assert np.array_equal(tested.covariance, oracle.P)
+
+        matched, rows = flight.base(), tested.pose_rows()
+        turn = np.eye(3)
+        turn[:2, :2] = [[math.cos(a := matched.theta_rad), -math.sin(a)], [math.sin(a), math.cos(a)]]
+        before, pose = (tested.position_m, tested.rate_bias), tested.pose
+        turned = wrap_angle(pose.theta_rad - matched.theta_rad)
+        z = [pose.x_m - matched.x_m, pose.y_m - matched.y_m, turned]
+        oracle.x = np.zeros((STATES, 1))
+        oracle.update(np.array([z]).T, R=turn @ np.diag(MATCH_SIGMA**2) @ turn.T, H=rows)
+        tested.observe_pose(matched, np.diag(MATCH_SIGMA**2))
+        assert np.array_equal(tested.covariance, 0.5 * (oracle.P + oracle.P.T))
+        assert np.array_equal(tested.position_m, before[0] - oracle.x[:VELOCITY, 0])
+        assert np.array_equal(tested.rate_bias, before[1] - oracle.x[RATE_BIAS:, 0])
