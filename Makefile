@@ -14,7 +14,7 @@ export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test check ci axe bench papers chaos interop soak clean
+.PHONY: help venv demo test check ci axe bench papers chaos interop soak wheel deb clean
 
 help: ## this list
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -76,6 +76,13 @@ chaos: venv ## every driver through every fault, then the whole machine: a table
 
 interop: venv ## third-party programs, each in a venv of its own, against ours: a table
 	$(BIN)/python -m tests.interop $(INTEROP_ARGS)
+
+wheel: venv ## the wheel, in build/
+	rm -rf build/lib build/bdist.* build/corridor-*.whl
+	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --no-build-isolation --wheel-dir build .
+
+deb: wheel ## a Debian package for this Debian or Ubuntu, in build/
+	$(BIN)/python systemd/package/build_deb.py build/corridor-*.whl --out build
 
 soak: venv ## the long checks
 	$(BIN)/python -m pytest -q -m soak $(TEST_ARGS)
