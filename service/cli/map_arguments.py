@@ -95,7 +95,13 @@ def _add_edit(edit: argparse.ArgumentParser) -> None:
     change.add_argument(
         "--undo", action="store_true", help="take the newest edit back; again: the one before it"
     )
-    edit.add_argument("--free", action="store_true", help="with --erase: the area is free, not unknown")
+    becomes = edit.add_mutually_exclusive_group()
+    becomes.add_argument("--free", action="store_true", help="with --erase: all of the area is free then")
+    becomes.add_argument(
+        "--unknown",
+        action="store_true",
+        help="with --erase: all of the area is unknown then (default: free where scans see through it)",
+    )
     edit.add_argument(
         "--bridge", action="store_true", help="with --cut: odometry holds the two ends of what is cut"
     )

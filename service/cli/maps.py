@@ -68,7 +68,7 @@ def print_problems(told: dict[str, Any]) -> None:
         print(f"damaged: {problem}")
 
 
-_ONLY_WITH = {"free": "erase", "bridge": "cut", "keyframes": "add_pair", "to": "undo"}
+_ONLY_WITH = {"free": "erase", "unknown": "erase", "bridge": "cut", "keyframes": "add_pair", "to": "undo"}
 
 
 def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
@@ -81,7 +81,9 @@ def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
     if parsed.undo:
         return map_edit.undo(parsed.map, parsed.to, who, now_ns)
     changes = {
-        "erase": lambda: map_edit.erase(parsed.erase, parsed.free),
+        "erase": lambda: map_edit.erase(
+            parsed.erase, "free" if parsed.free else "unknown" if parsed.unknown else "as_seen"
+        ),
         "wall": lambda: map_edit.wall(parsed.wall),
         "cut": lambda: map_edit.cut(parsed.cut, parsed.bridge),
         "add_pair": lambda: map_edit.add_pair(parsed.add_pair, parsed.keyframes),

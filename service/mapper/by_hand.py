@@ -12,14 +12,15 @@ from service.geometry.poses import Floats
 
 Ints = npt.NDArray[np.int64]
 
-WALL, ERASED, ERASED_TO_FREE = 0, 1, 2
+WALL, ERASED, ERASED_TO_FREE, ERASED_AS_SEEN = 0, 1, 2, 3
+BECOMES = {"as_seen": ERASED_AS_SEEN, "unknown": ERASED, "free": ERASED_TO_FREE}  # what is erased
 PREFIX = "by_hand_"  # of the names in a file
 
 
 class Drawing(NamedTuple):
     """One wall, or one area that was erased."""
 
-    kind: int  # WALL, ERASED, ERASED_TO_FREE
+    kind: int  # WALL, ERASED (unknown), ERASED_TO_FREE, ERASED_AS_SEEN (by beams that pass; else unknown)
     until: int  # of an area: it takes away what the key frames before this one drew
     corners_map: Floats  # (C, 2) m
 
@@ -79,6 +80,7 @@ class ByHand:
         ]
 
     def and_drawn(self, drawing: Drawing, map_poses: Floats) -> "ByHand":
+        """With one more. map_poses: (N, 3) of the key frames; one at NaN holds no corner."""
         corners = drawing.corners_map
         keyframe = np.array([_nearest(map_poses, xy) for xy in corners], np.int64)
         return replace(
@@ -143,4 +145,23 @@ class ByHand:
 
 
 def _nearest(map_poses: Floats, xy: Floats) -> int:
-    return int(np.argmin(np.hypot(map_poses[:, 0] - xy[0], map_poses[:, 1] - xy[1])))
+    return int(np.nanargmin(np.hypot(map_poses[:, 0] - xy[0], map_poses[:, 1] - xy[1])))
+
+
+def pairs_of(by_hand: ByHand, map_poses: Floats) -> list[dict[str, Any]]:
+    """What a person says is one place, and how far apart it lies still with the key frames at (N, 3)."""
+    ends = by_hand.pair_ends
+    xy = se2.points_from(map_poses[ends], by_hand.pair_xy)
+    apart_m = np.hypot(*(xy[:, 0] - xy[:, 1]).T)
+    return [
+        {
+            "pair": k,
+            "keyframes": ends[k].tolist(),
+            "x_m": round(float(xy[k, 0, 0]), 2),
+            "y_m": round(float(xy[k, 0, 1]), 2),
+            "other_x_m": round(float(xy[k, 1, 0]), 2),
+            "other_y_m": round(float(xy[k, 1, 1]), 2),
+            "apart_mm": round(1e3 * float(apart_m[k]), 1),
+        }
+        for k in range(len(ends))
+    ]

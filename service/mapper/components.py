@@ -119,6 +119,7 @@ class RenderedMap:
     evidence: npt.NDArray[np.int8]  # (T, W, W) of the free-space map that drew it
     wall_cells: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     # (K, 2) row and column of the cells in which a person has drawn a wall: no beam clears them
+    is_part: npt.NDArray[np.bool_] | None = None  # (T, W, W) cells that are replaced; None: all of the map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,6 +195,18 @@ class PlaceNews:
     found_once: FoundOnce | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class EditAnswer:
+    """What became of a change of the map by hand.
+
+    told    a JSON object: `done`, in words, and figures
+    error   why it is not made, in words; "" where it is
+    """
+
+    told: Mapping[str, Any] = field(default_factory=dict)
+    error: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphUpdate:
     """What a piece of finished work changed, besides pose_map_odom.
@@ -208,6 +221,7 @@ class GraphUpdate:
     picture  the graph, for people to look at; None: that of before stands
     known    how well a key frame is known in the map; None: no news, and at first the motion model alone
              says how well
+    edited   the answer to a change by hand that `Graph.request` took; None: this was no such work
     """
 
     counts: Mapping[str, int]
@@ -219,6 +233,7 @@ class GraphUpdate:
     saved: SavedGraph | KeptGraph | None = None
     picture: GraphPicture | None = None
     known: KnownPose | None = None
+    edited: EditAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,6 +335,9 @@ class MapRenderer(Protocol):
     def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
         """One after the other; walls stand over all."""
 
+    def render_part(self, drawn: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
+        """As render, of what may reach a polygon (C, 2) m: it replaces the cells within, and no others."""
+
 
 class FreeSpaceMap(Protocol):
     """What is shown and driven on: occupancy in tiles, in the map frame."""
@@ -331,7 +349,9 @@ class FreeSpaceMap(Protocol):
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
     def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
-        """Show the rendered map in place of all there is, and render `since` into it soon. Versions rise."""
+        """Show the rendered map in place of all there is, or of its part, and render `since` into it soon.
+        Versions rise.
+        """
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles that changed since the last call, each with a new version; at most so many, the rest with the
@@ -387,10 +407,11 @@ class Graph(Protocol):
     def apply_result(self) -> GraphUpdate | None:
         """Bring in the oldest piece of work, waiting for it; None where none is out."""
 
-    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Do what a person asks for, such as "optimize"; answers at once, what follows comes by apply_result.
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any] | None:
+        """Do what a person asks for, such as "optimize"; what follows comes by apply_result.
 
-        payload and answer are JSON objects. Raises GraphRequestError.
+        payload and answer are JSON objects; None: the answer comes with a result, as `edited`. Raises
+        GraphRequestError.
         """
 
     def finish(self) -> FinishedGraph:

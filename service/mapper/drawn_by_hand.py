@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 
 from service.geometry.poses import Floats
-from service.mapper.by_hand import ERASED_TO_FREE, WALL, ByHand, Drawing
+from service.mapper.by_hand import ERASED, ERASED_TO_FREE, WALL, ByHand, Drawing
 from service.mapper.components import AreaToErase, ScanToRender, ToRender, WallToRender
 
 
@@ -21,9 +21,10 @@ def among_scans(
     scans: Iterable[tuple[int, ScanToRender]], by_hand: ByHand, map_poses: Floats
 ) -> Iterator[ToRender]:
     """Scans with the numbers of their key frames, rising; each area behind those that it was erased from, and
-    the walls at last. map_poses: (N, 3) of the key frames.
+    the walls at last. An area that is as scans see it is not among them: its points are gone from the scans.
+    map_poses: (N, 3) of the key frames.
     """
-    areas = [drawing for drawing in by_hand.drawings(map_poses) if drawing.kind != WALL]
+    areas = [d for d in by_hand.drawings(map_poses) if d.kind in (ERASED, ERASED_TO_FREE)]
     areas.sort(key=lambda drawing: drawing.until)
     for k, scan in scans:
         while areas and areas[0].until <= k:

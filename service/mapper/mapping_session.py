@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 from drivers.frames import Frame, LaserScan
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.mapper.components import FinishedGraph, Graph
+from service.mapper.components import EditAnswer, FinishedGraph, Graph
 from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import GraphPicture, Grid, MapperOutput, TileUpdate
@@ -75,7 +75,15 @@ class LeftOut:
 Step = SessionRequest | LoadMap | SwitchProfile | ApplyResult | GraphRequest | LeftOut
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
-GRAPH_REQUESTS = ("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint")
+GRAPH_REQUESTS = (
+    "add_landmark_pair",
+    "remove_landmark_pair",
+    "optimize",
+    "undo",
+    "set_pose",
+    "checkpoint",
+    "edit_map",
+)
 
 
 class FrameMapper(Protocol):
@@ -86,6 +94,7 @@ class FrameMapper(Protocol):
     saved: SavedGraph | KeptGraph | None
     graph_picture: GraphPicture | None
     changes_told: MapChanges | None
+    edited: list[EditAnswer]
 
     @property
     def map_changes(self) -> MapChanges | None: ...
@@ -235,9 +244,14 @@ class MappingSession:
         """Apply the oldest result of the graph's back end, between two frames; waits for it."""
         self._mapper.apply_result()
 
-    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any] | None:
         """As Graph.request. Raises GraphRequestError."""
         return self._mapper.graph.request(name, payload)
+
+    def take_edited(self) -> list[EditAnswer]:
+        """Answers to requests of which `request` gave None, that have come since the last call."""
+        edited, self._mapper.edited = self._mapper.edited, []
+        return edited
 
     def finish(self) -> FinishedGraph:
         """Graph.finish, in the odom of all outputs. Before a reset or at the end; then no frame more."""

@@ -10,6 +10,7 @@ from service.geometry.geo_reference import GeoReference
 from service.mapper.checks.sensor_checks import SensorChecks, Verdict
 from service.mapper.components import (
     Components,
+    EditAnswer,
     FinishedGraph,
     Graph,
     GraphUpdate,
@@ -64,6 +65,9 @@ class Mapper(Generic[ReadableMap]):
         self._is_localizing = is_localizing
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
+        self.edited: list[
+            EditAnswer
+        ] = []  # to requests for changes by hand, as they came; for who takes them
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None
@@ -183,6 +187,8 @@ class Mapper(Generic[ReadableMap]):
             self.saved = update.saved
         if update.picture is not None:
             self.graph_picture = update.picture
+        if update.edited is not None:
+            self.edited.append(update.edited)
         if update.joined is not None:
             self._components.local_map.join(update.joined)
         if self._components.graph.fault:

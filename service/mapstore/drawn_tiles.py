@@ -10,11 +10,16 @@ from service.geometry.poses import Floats
 from service.outputs import UNKNOWN, TileUpdate
 
 
-def with_area(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> tuple[list[TileUpdate], int]:
+def with_area(
+    tiles: Sequence[TileUpdate], corners_map: Floats, value: int, drawn: Sequence[TileUpdate] = ()
+) -> tuple[list[TileUpdate], int]:
     """With `value` within a polygon (C, 2) m, in the tiles that there are; and how many cells of the finest
     level changed. Each tile that changed gets a new version.
+
+    drawn   tiles whose cells within stand in the place of `value`
     """
-    return _filled(tiles, {cell_m: cells_inside(corners_map, cell_m) for cell_m in _sizes(tiles)}, value)
+    cells = {cell_m: cells_inside(corners_map, cell_m) for cell_m in _sizes(tiles)}
+    return _filled(tiles, cells, value, drawn)
 
 
 def with_line(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> tuple[list[TileUpdate], int]:
@@ -28,22 +33,28 @@ def _sizes(tiles: Sequence[TileUpdate]) -> set[float]:
 
 
 def _filled(
-    tiles: Sequence[TileUpdate], cells_by_size: dict[float, Cells], value: int
+    tiles: Sequence[TileUpdate],
+    cells_by_size: dict[float, Cells],
+    value: int,
+    drawn: Sequence[TileUpdate] = (),
 ) -> tuple[list[TileUpdate], int]:
+    by_place = {(tile.level, tile.ix, tile.iy): tile.cells for tile in drawn}
     version = max(tile.version for tile in tiles)
     filled, count = [], 0
     for tile in tiles:
         edge, cells = len(tile.cells), cells_by_size[tile.cell_m]
         row, column = (cells[(cells // edge == (tile.iy, tile.ix)).all(axis=1)] % edge).T
-        changed = tile.cells[row, column] != value
+        shown = by_place.get((tile.level, tile.ix, tile.iy))
+        values = value if shown is None else shown[row, column]
+        changed = tile.cells[row, column] != values
         if not changed.any():
             filled.append(tile)
             continue
-        drawn = tile.cells.copy()
-        drawn[row, column] = value
-        drawn.setflags(write=False)
+        new = tile.cells.copy()
+        new[row, column] = values
+        new.setflags(write=False)
         version += 1
-        filled.append(replace(tile, version=version, cells=drawn))
+        filled.append(replace(tile, version=version, cells=new))
         count += int(changed.sum()) if tile.level == 0 else 0
     return filled, count
 

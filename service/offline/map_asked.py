@@ -1,124 +1,76 @@
 """What the operator's page may ask of a stored map, as JSON; all of it bounded."""
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from service.errors import InputError
-
-MOST_CORNERS = 500  # of an area or a wall
-MOST_PAIRS = 100  # in one change
-LONGEST_NAME = 100  # letters
-
-
-def _at_most(most: int, what: str) -> AfterValidator:
-    def check(given: Sequence[Any]) -> Sequence[Any]:
-        if len(given) > most:
-            raise ValueError(f"{len(given)} {what}, at most {most} are taken at once; make several changes")
-        return given
-
-    return AfterValidator(check)
-
-
-class _Asked(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+from service.mapper.edit_requests import (
+    MOST_PAIRS,
+    Asked,
+    Cut,
+    Erase,
+    Number,
+    Optimize,
+    Point,
+    RemovePair,
+    Wall,
+    Who,
+    at_most,
+)
 
 
-Metres = Annotated[float, Field(allow_inf_nan=False)]
-Point = tuple[Metres, Metres]  # x, y in the map
-Number = Annotated[int, Field(ge=0, lt=2**53)]
-Seconds = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]  # after the map's first key frame
-Corners = Annotated[list[Point], _at_most(MOST_CORNERS, "points")]
-
-
-class Look(_Asked):
+class Look(Asked):
     """Versions, pairs and key frames of the map as it is now."""
 
 
-class LookAtKeyframe(_Asked):
+class LookAtKeyframe(Asked):
     """The points that a key frame saw."""
 
     version: Number
     keyframe: Number
 
 
-class Erase(_Asked):
-    what: Literal["erase"]
-    corners: Corners
-    free: bool = False
-
-
-class Wall(_Asked):
-    what: Literal["wall"]
-    corners: Corners
-
-
-class Cut(_Asked):
-    what: Literal["cut"]
-    from_s: Seconds
-    to_s: Seconds
-    bridge: bool = False
-
-
-class Pair(_Asked):
+class Pair(Asked):
     """Two points of the map that are one place, and the key frames that saw them."""
 
     points: tuple[Point, Point]
     keyframes: tuple[Number, Number]
 
 
-class AddPairs(_Asked):
+class AddPairs(Asked):
     what: Literal["add-pair"]
-    pairs: Annotated[list[Pair], Field(min_length=1), _at_most(MOST_PAIRS, "pairs")]
+    pairs: Annotated[list[Pair], Field(min_length=1), at_most(MOST_PAIRS, "pairs")]
 
 
-class RemovePair(_Asked):
-    what: Literal["remove-pair"]
-    pair: Number
-
-
-class Optimize(_Asked):
-    what: Literal["optimize"]
-
-
-class Undo(_Asked):
+class Undo(Asked):
     """to    number of the version to go back to; None: the one before the newest edit"""
 
     what: Literal["undo"]
     to: Number | None = None
 
 
-ContentChange = Annotated[Erase | Wall | Cut | AddPairs | RemovePair | Optimize, Field(discriminator="what")]
 ChangeAsked = Annotated[
     Erase | Wall | Cut | AddPairs | RemovePair | Optimize | Undo, Field(discriminator="what")
 ]
 
 
-class Edit(_Asked):
+class Edit(Asked):
     """One change. version: the one that the person saw; who: "" for the user of the command"""
 
     version: Number
-    who: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    who: Who = ""
     change: ChangeAsked
 
 
-class KeyframeOfSession(_Asked):
+class KeyframeOfSession(Asked):
     """The points that a key frame saw. seen: what SessionMapCommands gave for a look"""
 
     seen: str
     keyframe: Number
 
 
-class EditOfCopy(_Asked):
-    """One change. seen: as above; "" where nobody has looked, which suffices for areas and walls"""
-
-    seen: str = ""
-    who: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
-    change: ContentChange
-
-
-Asked = Look | LookAtKeyframe | Edit
+Request = Look | LookAtKeyframe | Edit
 REQUESTS: dict[str, TypeAdapter[Any]] = {
     "map_look": TypeAdapter(Look),
     "map_keyframe": TypeAdapter(LookAtKeyframe),
@@ -127,11 +79,11 @@ REQUESTS: dict[str, TypeAdapter[Any]] = {
 VERBS = tuple(REQUESTS)
 
 
-def read_asked(verb: str, payload: bytes) -> Asked:
+def read_asked(verb: str, payload: bytes) -> Request:
     """What a page asks. Raises InputError, which names what is wrong."""
     if verb not in REQUESTS:
         raise InputError(f"this is a stored map; it knows {', '.join(VERBS)}")
-    asked: Asked = read_as(REQUESTS[verb], payload)
+    asked: Request = read_as(REQUESTS[verb], payload)
     return asked
 
 

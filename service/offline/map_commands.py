@@ -11,12 +11,13 @@ import numpy as np
 
 from service.errors import CorridorError, InputError
 from service.geometry import poses as se2
+from service.mapper import edit_requests as edits
+from service.mapper.by_hand import pairs_of
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, load_map
 from service.offline import map_asked as asked_for
 from service.offline import map_edit
 from service.offline.map_log import map_log
-from service.offline.map_loops import pairs_of
 from service.publishing.commands import Answer, refusal
 
 MOST_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
@@ -100,36 +101,44 @@ def look(stored: StoredMap) -> dict[str, Any]:
     graph = stored.graph
     return {
         "version": stored.number,
-        "pairs": [] if graph is None else pairs_of(graph),
+        "pairs": [] if graph is None else pairs_of(graph.by_hand, graph.map),
         "keyframes": None if graph is None else _keyframes(graph),
     }
 
 
 def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
-    """Its pose and its points in the map. Raises InputError where there is none."""
+    """Its pose and its points in the map; its stamp in digits, for JavaScript knows no such whole numbers.
+
+    Raises InputError where there is none.
+    """
     graph = stored.graph
     if graph is None or k >= len(graph):
         raise InputError(f"there is no key frame {k} in this map")
     first = int(graph.point_count[:k].sum())
     seen = graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
     points = se2.points_from(graph.map[k], seen)
-    return {"keyframe": k, "pose": graph.map[k].tolist(), "points": np.round(points, 4).ravel().tolist()}
+    return {
+        "keyframe": k,
+        "stamp_ns": str(graph.stamp_ns[k]),
+        "pose": graph.map[k].tolist(),
+        "points": np.round(points, 4).ravel().tolist(),
+    }
 
 
 def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
     match change:
-        case asked_for.Erase():
-            return map_edit.erase(np.ravel(change.corners).tolist(), change.free)
-        case asked_for.Wall():
+        case edits.Erase():
+            return map_edit.erase(np.ravel(change.corners).tolist(), change.becomes)
+        case edits.Wall():
             return map_edit.wall(np.ravel(change.corners).tolist())
-        case asked_for.Cut():
+        case edits.Cut():
             return map_edit.cut((repr(change.from_s), repr(change.to_s)), change.bridge)
         case asked_for.AddPairs():
             pairs = [(np.ravel(pair.points).tolist(), pair.keyframes) for pair in change.pairs]
             return map_edit.add_pairs(pairs)
-        case asked_for.RemovePair():
+        case edits.RemovePair():
             return map_edit.remove_pair(change.pair)
-        case asked_for.Optimize():
+        case edits.Optimize():
             return map_edit.optimize()
         case asked_for.Undo():
             raise TypeError("an undo is no change of what the map holds")

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,20 @@ import numpy as np
 
 from drivers.counted import counted
 from service.errors import InputError, UsageError
-from service.geometry.polygons import area_m2
 from service.geometry.poses import Floats
+from service.mapper.edit_requests import (
+    Becomes,
+    EditError,
+    at_words,
+    erased_words,
+    moved_words,
+    refuse_line,
+    refuse_outline,
+    wall_words,
+)
 from service.mapper.maps.occupancy import SHOWN_LEAST, SHOWN_MOST, OccupancyConfig, OccupancyTiles
 from service.mapper.methods.corridor.graph.editing import (
-    EditError,
+    drawn_part,
     solved,
     with_area_erased,
     with_pair,
@@ -35,8 +43,6 @@ from service.offline.replay_result import rewrite_result
 from service.outputs import UNKNOWN
 
 MOST_NAMED = 3  # places of pairs in the words of an edit
-LARGEST_M2 = 10_000.0  # of the rectangle around an area, or a piece of a wall: 4 million cells of 5 cm
-FURTHEST_M = 100_000.0  # from the origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,23 +120,25 @@ def _held(folder: Path) -> InUse:
     return InUse(folder, "corridor map edit")
 
 
-def erase(corners: Sequence[float], is_free: bool) -> Change:
-    """An area is gone from the shown map, and from what vehicles are localised against."""
+def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
+    """An area is gone from the shown map, and from what vehicles are localised against.
+
+    becomes   what it is then. A map without a graph holds no beams: all is unknown there "as_seen"
+    """
     outline = points_of(corners, least=3)
-    _refuse_if_large(outline, "the area", "erase it in parts")
-    if area_m2(outline) < 1e-4:
-        raise UsageError("map edit --erase: the corners X Y X Y X Y... enclose no area")
+    _as_usage("map edit --erase", refuse_outline, outline)
 
     def change(stored: StoredMap) -> Changed:
-        tiles, cells = with_area(stored.tiles, outline, SHOWN_LEAST if is_free else UNKNOWN)
+        tiles, cells = with_area(stored.tiles, outline, SHOWN_LEAST if becomes == "free" else UNKNOWN)
         graph, points = stored.graph, 0
         if graph is not None:
-            graph, points = with_area_erased(graph, outline, is_free)
-        as_what = "free" if is_free else "unknown"
-        words = (
-            f"erased {area_m2(outline):.2f} m2 about {_middle(outline)}: "
-            f"{counted(cells, 'cell')} {as_what} now"
-        )
+            graph, points = with_area_erased(graph, outline, becomes)
+            if becomes == "as_seen":
+                shown = OccupancyTiles(OccupancyConfig(), stored.tiles[0].cell_m)
+                shown.replace_by(drawn_part(graph, outline, shown.renderer), ())
+                tiles, cells = with_area(stored.tiles, outline, UNKNOWN, shown.changed_tiles())
+        as_what = {"free": "free", "unknown": "unknown", "as_seen": "free or unknown, as scans see them,"}
+        words = f"{erased_words(outline)}: {counted(cells, 'cell')} {as_what[becomes]} now"
         told = {"cells_changed": cells, "points_gone": points}
         return Changed(
             replace(stored, tiles=tiles, graph=graph), f"{words}, {counted(points, 'point')} gone", told
@@ -142,15 +150,12 @@ def erase(corners: Sequence[float], is_free: bool) -> Change:
 def wall(corners: Sequence[float]) -> Change:
     """A wall stands from now on, whatever lasers see through it."""
     line = points_of(corners, least=2)
-    for piece in pairwise(line):
-        _refuse_if_large(np.array(piece), "a piece of the wall", "draw it through more points")
-    length_m = float(np.hypot(*np.diff(line, axis=0).T).sum())
+    _as_usage("map edit --wall", refuse_line, line)
 
     def change(stored: StoredMap) -> Changed:
         tiles, cells = with_line(stored.tiles, line, SHOWN_MOST)
         graph = None if stored.graph is None else with_wall(stored.graph, line)
-        words = f"drew a wall of {length_m:.2f} m about {_middle(line)}"
-        return Changed(replace(stored, tiles=tiles, graph=graph), words, {"cells_changed": cells})
+        return Changed(replace(stored, tiles=tiles, graph=graph), wall_words(line), {"cells_changed": cells})
 
     return change
 
@@ -182,7 +187,7 @@ def add_pairs(pairs: Sequence[tuple[Sequence[float], Sequence[int]]]) -> Change:
             graph = with_pair(graph, points, keyframes)
         first = len(before.by_hand.pair_ends)
         named = f"pair {first}" if len(spots) == 1 else f"pairs {first} to {first + len(spots) - 1}"
-        about = ", ".join(_at(points.mean(axis=0)) for points, _ in spots[:MOST_NAMED])
+        about = ", ".join(at_words(points.mean(axis=0)) for points, _ in spots[:MOST_NAMED])
         words = f"{named} about {about}{' ...' * (len(spots) > MOST_NAMED)}"
         return _solved(stored, graph, words, {"pairs": len(spots)})
 
@@ -197,7 +202,8 @@ def add_pair(points: Sequence[float], keyframes: Sequence[int] | None) -> Change
         paired = with_pair(_graph_of(stored), spots, keyframes)
         number = len(paired.by_hand.pair_ends) - 1
         first, second = paired.by_hand.pair_ends[number].tolist()
-        words = f"pair {number}: {_at(spots[0])} and {_at(spots[1])} are one (key frames {first}, {second})"
+        where = f"{at_words(spots[0])} and {at_words(spots[1])}"
+        words = f"pair {number}: {where} are one (key frames {first}, {second})"
         return _solved(stored, paired, words, {"pair": number, "keyframes": [first, second]})
 
     return change
@@ -272,12 +278,9 @@ def _solved(stored: StoredMap, graph: SavedGraph, words: str, told: dict[str, An
     done = solved(graph, shown.renderer)
     shown.replace_by(done.rendered_map, ())
     most_m = round(float(done.moved_m.max()), 3)
-    aside = (
-        f"; gone as the rest contradicts: {counted(done.contradicted, 'loop')}" if done.contradicted else ""
-    )
     return Changed(
         replace(stored, tiles=shown.changed_tiles(), graph=done.graph),
-        f"{words}; key frames moved by up to {most_m:.3f} m{aside}",
+        moved_words(words, most_m, done.contradicted),
         {**told, "moved_m": most_m, "loops_contradicted": done.contradicted},
     )
 
@@ -299,22 +302,9 @@ def _graph_of(stored: StoredMap) -> SavedGraph:
     return stored.graph
 
 
-def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
-    """What cells are looked for in: the rectangle around (C, 2) m. Raises UsageError."""
-    if (most_m := float(np.abs(points).max())) > FURTHEST_M:
-        raise UsageError(
-            f"{what} reaches {most_m:.6g} m from the origin; at most {FURTHEST_M:.0f} m are taken"
-        )
-    width_m, height_m = np.ptp(points, axis=0).tolist()
-    if width_m * height_m > LARGEST_M2:
-        raise UsageError(
-            f"{what} spans {width_m:.0f} m x {height_m:.0f} m, more than {LARGEST_M2:.0f} m2; {instead}"
-        )
-
-
-def _middle(points: Floats) -> str:
-    return _at(points.mean(axis=0))
-
-
-def _at(xy: Floats) -> str:
-    return f"({xy[0]:.2f}, {xy[1]:.2f}) m"
+def _as_usage(option: str, refuse: Callable[[Floats], None], points: Floats) -> None:
+    """Raises UsageError where `refuse` does not take the points."""
+    try:
+        refuse(points)
+    except EditError as error:
+        raise UsageError(f"{option}: {error}") from error

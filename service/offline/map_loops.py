@@ -8,6 +8,7 @@ import numpy as np
 from service.errors import InputError
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.mapper.by_hand import pairs_of
 from service.mapper.refused_loops import WORDS
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map
@@ -29,7 +30,7 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
         "version": stored.number,
         "accepted": accepted,
         "refused": refused,
-        "pairs": pairs_of(graph),
+        "pairs": pairs_of(graph.by_hand, graph.map),
         "problems": stored.problems,
     }
 
@@ -110,23 +111,4 @@ def _told(
             "off_deg": round(abs(float(np.degrees(off[k, 2]))), 3),
         }
         for k, (of, to) in enumerate(ends.tolist())
-    ]
-
-
-def pairs_of(graph: SavedGraph) -> list[dict[str, Any]]:
-    """What a person says is one place, and how far apart it lies still."""
-    ends, seen = graph.by_hand.pair_ends, graph.by_hand.pair_xy
-    xy = se2.points_from(graph.map[ends], seen)
-    apart_m = np.hypot(*(xy[:, 0] - xy[:, 1]).T)
-    return [
-        {
-            "pair": k,
-            "keyframes": ends[k].tolist(),
-            "x_m": round(float(xy[k, 0, 0]), 2),
-            "y_m": round(float(xy[k, 0, 1]), 2),
-            "other_x_m": round(float(xy[k, 1, 0]), 2),
-            "other_y_m": round(float(xy[k, 1, 1]), 2),
-            "apart_mm": round(1e3 * float(apart_m[k]), 1),
-        }
-        for k in range(len(ends))
     ]

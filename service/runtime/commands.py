@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from service.encoding import Message, decode_event
 from service.encoding.steps import decode_step
 from service.errors import StorageError
+from service.mapper.edit_requests import Who
 from service.mapper.mapping_session import GraphRequest, LoadMap, SessionAction
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.recording.mcap_recorder import SessionChange
@@ -49,6 +50,13 @@ class PairRequest(Request):
 
 class PairNumberRequest(Request):
     pair: Annotated[int, Field(ge=0)]
+
+
+class EditRequest(Request):
+    """who: for the recording; change: what the graph of the profile takes, see edit_requests.py"""
+
+    who: Who = ""
+    change: dict[str, Any]
 
 
 class PoseRequest(Request):
@@ -139,6 +147,7 @@ class Commands:
             "add_landmark_pair": self._graph_verb("add_landmark_pair", PairRequest),
             "remove_landmark_pair": self._graph_verb("remove_landmark_pair", PairNumberRequest),
             "set_pose": self._graph_verb("set_pose", PoseRequest),
+            "edit_map": self._graph_verb("edit_map", EditRequest),
             "checkpoint": self._graph_verb("checkpoint"),
             "optimize": self._graph_verb("optimize"),
             "undo": self._graph_verb("undo"),

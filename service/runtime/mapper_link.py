@@ -331,7 +331,8 @@ class MapperLink:
         elif isinstance(message, ResultApplied):
             self._applied[message.number] = self._applied.get(message.number, 0) + 1
         elif isinstance(message, Mapped | PassedOver | Unusable | Answer):
-            self._done_number = self._taken_number = message.number
+            # The answer to an edit comes after those to later items.
+            self._done_number = self._taken_number = max(self._done_number, message.number)
             if isinstance(message, PassedOver):
                 self._passed_over.add(message.number)
         if isinstance(message, Answer):

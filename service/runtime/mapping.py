@@ -3,6 +3,7 @@
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -114,6 +115,7 @@ class MappingLoop:
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
         self._decided = Decisions({}, frozenset(), frozenset())
+        self._edits: deque[int] = deque()  # numbers of the items whose answers come with a result
         self.number = 0  # the last item taken
         self.has_tiles = False  # more may wait to be handed over: the next call of keep_up gives some
 
@@ -134,6 +136,7 @@ class MappingLoop:
         elif isinstance(item, SessionItem):
             if item.action == "reset_map":
                 self.hand_over_tiles()  # they are of the map before
+                self._give_up_edits("the map has ended before the change was made")
             self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
         elif isinstance(item, LoadItem):
             self.hand_over_tiles()  # they are of the map before
@@ -144,7 +147,11 @@ class MappingLoop:
             self.hand_over_tiles()  # they are of the map before
             self._tell(item.number, self._begin_anew(item, partial(self._prepare_profile, item.mapping)))
         elif isinstance(item, GraphItem):
-            self._tell(item.number, self._request(item))
+            answer = self._request(item)
+            if answer is None:
+                self._edits.append(item.number)
+            else:
+                self._tell(item.number, answer)
         else:
             self.hand_over_tiles()
             self._tell(item.number, Answer(item.number, None))
@@ -238,11 +245,11 @@ class MappingLoop:
 
     def _apply_results_before(self, item: Item) -> None:
         for _ in range(self._decided.applied.get(item.number, 0)):
-            self.mapper.apply_result()
+            self._apply_result()
         if is_sample(item):
             return  # a scan comes soon
         if item.number > self._done_number and self.mapper.work_ready:
-            self.mapper.apply_result()
+            self._apply_result()
             self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
             self._tell_graph()
         refused = self.mapper.pose_refused
@@ -250,6 +257,20 @@ class MappingLoop:
             self._told_refused = refused
             if refused is not None:
                 self._tell(item.number, PoseRefused(item.log_ns, *refused))
+
+    def _apply_result(self) -> None:
+        """The answer to an edit may be sent again after a mapper was lost: only the first is heard."""
+        self.mapper.apply_result()
+        if not self._edits:
+            return
+        for edited in self.mapper.take_edited():
+            self._send(Answer(self._edits.popleft(), edited.told, edited.error))
+        if self.mapper.graph_fault:
+            self._give_up_edits(f"the change is not made: {self.mapper.graph_fault}")
+
+    def _give_up_edits(self, why: str) -> None:
+        while self._edits:
+            self._send(Answer(self._edits.popleft(), None, why))
 
     def _take_frame(self, item: FrameItem) -> None:
         if item.number in self._decided.refused:
@@ -327,11 +348,14 @@ class MappingLoop:
             prepare()
         except CorridorError as error:
             return Answer(item.number, None, str(error))
+        self._give_up_edits("the map has ended before the change was made")
         return Answer(item.number, self.mapper.carry_out("reset_map"))
 
-    def _request(self, item: GraphItem) -> Answer:
+    def _request(self, item: GraphItem) -> Answer | None:
+        """None: the answer comes with a result."""
         try:
-            return Answer(item.number, self.mapper.request(item.name, item.payload))
+            result = self.mapper.request(item.name, item.payload)
+            return None if result is None else Answer(item.number, result)
         except GraphRequestError as error:
             return Answer(item.number, None, str(error))
 

@@ -70,7 +70,7 @@ class ResourceAsked(Section):
 
     type: Literal["resource"]
     n: Annotated[int, Field(ge=0, lt=2**53)]
-    action: Literal["list", "rename", "delete", "undo", "download", "look", "keyframe", "edit"]
+    action: Literal["list", "rename", "delete", "undo", "download", "look", "keyframe"]
     kind: Literal["session", "map"] = "session"
     name: Annotated[str, Field(max_length=255)] = ""
     to: Annotated[str, Field(max_length=255)] = ""

@@ -1,4 +1,4 @@
-"""Stored sessions and maps: list, rename, delete, take back, edit, export. Blocks, and knows no network.
+"""Stored sessions and maps: list, rename, delete, take back, look at, export. Blocks, and knows no network.
 
 What is deleted goes to `.deleted/` beside it, from where `undo` brings it back; `purge` erases it for good.
 """
@@ -57,7 +57,7 @@ class Resources:
         self._in_use = in_use
         self._scratch = scratch
         self._lock = threading.Lock()
-        self._working = threading.Lock()  # one export or edit at a time: the vehicle has other work
+        self._working = threading.Lock()  # one export at a time: the vehicle has other work
         self._deleted: dict[str, tuple[Kind, str]] = {}
         self._map_process = SessionMapProcess()
 
@@ -141,19 +141,13 @@ class Resources:
         """The points of a key frame of the map that was looked at. Raises ResourceError."""
         return self._map_process.ask("keyframe", self._own("map", name, is_changed=False), request)
 
-    def edit(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
-        """Change a stored map as `corridor map edit` does. Raises ResourceError."""
-        path = self._own("map", name)
-        with self._alone():
-            return self._map_process.ask("edit", path, request)
-
     def close(self) -> None:
         self._map_process.close()
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
         if not self._working.acquire(blocking=False):
-            raise ResourceError("another export or edit is being made; ask again when it is done")
+            raise ResourceError("another export is being made; ask again when it is done")
         try:
             yield
         finally:

@@ -70,8 +70,6 @@ class Shelf:
                 return lambda: {"undo": resources.delete(asked.kind, asked.name)}
             case "undo":
                 return lambda: {"name": resources.undo(asked.to)}
-            case "edit":
-                return lambda: resources.edit(asked.name, asked.request)
             case "look":
                 return lambda: resources.look(asked.name)
             case "keyframe":

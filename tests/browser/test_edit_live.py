@@ -1,159 +1,126 @@
-"""The map of a running session is changed on the page: a copy is saved, changed and loaded."""
+"""The map of a running session is changed on the page; a back end makes the changes as in the service."""
 
 import json
-import math
-import shutil
-import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from selenium.webdriver.support.ui import WebDriverWait
 
-from service.mapstore.files import load_map
-from service.offline.map_log import map_log
+from service.geometry import poses as se2
+from service.geometry.polygons import is_inside
+from service.mapper.edit_requests import EDIT_MAP
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.loop_batches import Batch
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapstore.files import save_map
 from service.publishing.commands import Answer
 from service.web.work import SessionMapProcess
 from tests.browser.conftest import PHONE
-from tests.browser.test_edit import EDITED_WITHIN_S, PAIRED, pick_pairs, residuals_m
-from tests.browser.test_page import asked, serious_faults
-from tests.in_background import in_background
+from tests.browser.test_edit import PAIRED, drag_map, optimise, pick_pairs, residuals_m
+from tests.browser.test_page import serious_faults
 from tests.service.offline.bent_maps import graph_in
 from tests.service.web.conftest import TOKEN
 
-VERBS = "['save_map', 'load_map', 'set_pose']"
-ERASED = [(10.5, 4.0), (13.5, 8.0)]  # corners of a rectangle, m, map frame
-BEFORE_S, SINCE_S = 1.0, 2.0  # of the scene: the last pose in the map before, and the first in the copy
+VERBS = ["save_map", "edit_map"]
+ERASED = np.array([(9.9, 9.5), (11.6, 9.9)])  # corners of a rectangle about a cabinet, m, map frame
 
 
-@pytest.fixture
-def maps(tmp_path, folder):
-    """What a session has stored, to be copied."""
-    (tmp_path / "maps").mkdir()
-    return tmp_path / "maps"
+@dataclass
+class Mapping:
+    """The graph of a running session, and its map as it is saved."""
+
+    back_end: LoopBackEnd
+    tiles: list
+    folder: Path
+    asked: list[tuple[str, dict]] = field(default_factory=list)
+
+    def answer(self, verb: str, payload: bytes) -> Answer:
+        request = json.loads(payload)
+        self.asked.append((verb, request))
+        if verb == "save_map":
+            return said(ok=True, folder=str(self.save()))
+        change = EDIT_MAP.validate_json(payload).change
+        edited = self.back_end.work(Batch([], "edit_map", change=change)).edited
+        return said(ok=False, error=edited.error) if edited.error else said(ok=True, **edited.told)
+
+    def save(self) -> Path:
+        graph = self.back_end.work(Batch([], "checkpoint")).saved
+        save_map(self.folder, self.tiles, time.time_ns(), graph=graph)
+        return self.folder
+
+    def graph(self):
+        return graph_in(self.save())
+
+
+def said(**body) -> Answer:
+    return Answer(body["ok"], json.dumps(body).encode())
 
 
 @pytest.fixture(scope="module")
 def map_process():
-    """Works on the maps of all sessions: a start of one takes more than a second of processor."""
+    """Looks at the maps of all sessions: a start of one takes more than a second of processor."""
     process = SessionMapProcess()
     yield SimpleNamespace(ask=process.ask, close=lambda: None)
     process.close()
 
 
 @pytest.fixture
-def session(page, serve, scene, dispatcher, folder, maps, map_process, monkeypatch):
-    """A running session, open with the token at its area Edit; its map is that of `folder`."""
+def mapping(bent, tmp_path):
+    shown = OccupancyTiles(OccupancyConfig(), 0.05)
+    return Mapping(
+        LoopBackEnd(LoopsConfig(), shown.renderer, bent.graph), bent.tiles, tmp_path / "maps" / "ring"
+    )
+
+
+@pytest.fixture
+def session(page, serve, scene, mapping, map_process, monkeypatch):
+    """A running session, open with the token at its area Edit."""
     monkeypatch.setattr("service.web.resources.SessionMapProcess", lambda: map_process)
+    maps = mapping.folder.parent
     server = serve(folders={"session": maps / "none", "map": maps})
-    poses, poses_come = {"told": scene.messages(BEFORE_S)[1]}, threading.Lock()
-
-    def answer(verb, payload):
-        dispatcher.asked.append((verb, payload))
-        request = json.loads(payload)
-        told = {"ok": True}
-        if verb == "save_map":
-            stored = maps / request.get("name", "ring")
-            shutil.copytree(folder, stored, symlinks=True, dirs_exist_ok=True)
-            told["folder"] = str(stored)
-        if verb == "load_map":
-            told["folder_before"] = f"/maps/before {request['map'].split('/')[-1]}"
-            with poses_come:
-                scene.store.begin_anew()
-                scene.map_all()
-                poses["told"] = scene.messages(SINCE_S)[1]
-        return Answer(True, json.dumps(told).encode())
-
-    monkeypatch.setattr(server, "_answer", answer)
-    for message in scene.messages(BEFORE_S):
+    monkeypatch.setattr(server, "_answer", mapping.answer)
+    for message in scene.messages(1.0):
         server.put(message)
     page.open(server.address, TOKEN)
     page.wait_for("const r = corridor.report(); return r.mayControl && r.pose && r.tiles > 0")
-    page.run(f"corridor.connection.on.verbs({{verbs: {VERBS}}})")
-    page.run("corridor.view.isHeld = true")  # a pose that comes late on a busy machine is of now, too
+    page.run("corridor.connection.on.verbs({verbs: arguments[0]})", VERBS)
     page.choose("edit")
-
-    def drive(ended):
-        while not ended.wait(0.1):
-            with poses_come:
-                server.put(poses["told"])
-
-    with in_background(drive):
-        yield server
+    return server
 
 
-def erase_by_mouse(page):
-    """A rectangle is drawn on the map, and the question answered."""
+def points_within(graph):
+    """Of the rectangle."""
     (x0, y0), (x1, y1) = ERASED
-    page.look_at((x0 + x1) / 2, (y0 + y1) / 2, 40.0)
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    of = np.repeat(np.arange(len(graph)), graph.point_count)
+    return int(is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners).sum())
+
+
+def test_an_area_is_erased_with_three_clicks_and_brought_back(page, session, mapping):
+    before = points_within(mapping.graph())
+    assert before > 50
+    page.look_at(*ERASED.mean(axis=0), 100.0)
     page.element("draw-rectangle").click()
-    page.run(
-        "const map = document.getElementById('map'), box = map.getBoundingClientRect();"
-        "for (const [kind, at] of [['pointerdown', [arguments[0], arguments[1]]],"
-        " ['pointermove', [arguments[2], arguments[3]]], ['pointerup', [arguments[2], arguments[3]]]]) {"
-        "const [x, y] = corridor.view.camera.toScreen(...at);"
-        "map.dispatchEvent(new PointerEvent(kind, {pointerId: 1, button: 0, buttons: 1, bubbles: true,"
-        " clientX: box.x + x, clientY: box.y + y})); }",
-        x0, y0, x1, y1,
-    )  # fmt: skip
+    drag_map(page, *ERASED)
     page.wait_for("return document.getElementById('confirm').open")
     page.element("confirm-yes").click()
-
-
-def test_an_area_is_erased_in_a_copy_in_which_the_mapping_goes_on(
-    page, session, dispatcher, scene, folder, maps
-):
-    erase_by_mouse(page)
-    wait_for_change(page, "the mapping goes on in edited-")
-    (saved, name), (loaded, copy), (posed, pose) = asked(dispatcher)
-    assert (saved, loaded, posed) == ("save_map", "load_map", "set_pose")
-    assert copy == {"map": name["name"]}
-    newest = map_log(maps / copy["map"])["versions"][-1]
-    assert newest["what"] == "erase"
-    assert occupied(load_map(maps / copy["map"])) < occupied(load_map(folder))
-    there = scene.pose(BEFORE_S) @ scene.pose(SINCE_S)
-    assert (pose["x_m"], pose["y_m"]) == pytest.approx((there.x_m, there.y_m))
-    assert math.remainder(pose["theta_rad"] - there.theta_rad, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    wait_for_change(page, "erased 0.6")
+    assert points_within(mapping.graph()) == 0
+    assert [verb for verb, _ in mapping.asked] == ["edit_map"]
+    assert mapping.asked[0][1]["change"]["becomes"] == "as_seen"
     page.element("edit-undo").click()
-    page.element("confirm-yes").click()
-    wait_for_change(page, "the mapping goes on in the map before")
-    assert asked(dispatcher)[3] == ("load_map", {"map": f"/maps/before {copy['map']}"})
+    wait_for_change(page, "took back: erased")
+    assert points_within(mapping.graph()) == before
+    assert not page.element("edit-undo").is_enabled()
 
 
-def test_a_pose_of_the_map_before_that_comes_late_is_not_taken_for_one_of_the_copy(page, session, scene):
-    """It may be on its way while the answer to load_map overtakes it."""
-    page.run(
-        "const {live} = corridor.edit, pose = {x_m: 0, y_m: 0, theta_rad: 0}; window.asked = [];"
-        "live.lastPose = () => ({x_m: 5, y_m: 1, theta_rad: 0}); live.putPose = () => {};"
-        "live.connection = {command: async (...told) => { asked.push(told); return {ok: true}; }};"
-        "live.before = 'ring'; const put = Object.getPrototypeOf(live).putPose.bind(live);"
-        "const undone = live.undo();"
-        "put({...pose, x_m: 9}); live.mapBegan(); put({...pose, x_m: 2}); put({...pose, x_m: 3});"
-        "undone.then(() => { window.isDone = true; });"
-    )
-    page.wait_for("return window.isDone")
-    loaded, posed = page.run("return asked")
-    assert loaded == ["load_map", {"map": "ring"}]
-    assert posed == ["set_pose", {"x_m": 7, "y_m": 1, "theta_rad": 0}]
-
-
-def occupied(stored):
-    """Cells of a wall within the rectangle."""
-    (x0, y0), (x1, y1) = ERASED
-    count = 0
-    for tile in stored.tiles:
-        rows, columns = np.nonzero(tile.cells > 50)
-        x_m = (tile.ix * tile.cells.shape[1] + columns + 0.5) * tile.cell_m
-        y_m = (tile.iy * tile.cells.shape[0] + rows + 0.5) * tile.cell_m
-        count += int(((x_m > x0) & (x_m < x1) & (y_m > y0) & (y_m < y1)).sum())
-    return count
-
-
-def test_a_change_that_is_refused_leaves_the_session_as_it_was(page, session, dispatcher):
-    page.run("corridor.edit.change({what: 'erase', corners: [[0, 0], [1, 0], [2, 0]], free: false}, 'Erase')")
-    wait_for_change(page, "no area")
-    assert "the map of the session is as it was" in page.text("edit-note")
-    assert [verb for verb, _ in asked(dispatcher)] == ["save_map"]
+def test_a_change_that_is_refused_is_said_and_another_can_be_made(page, session):
+    page.run("corridor.edit.change({what: 'undo'}, 'Undo')")
+    wait_for_change(page, "Undo: no change of this session is left to take back")
     page.wait_for("return !corridor.edit.all.disabled")
 
 
@@ -178,21 +145,30 @@ def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session,
     assert not page.element("tab-edit").is_displayed()
 
 
-def test_a_bent_map_is_straightened_while_the_session_runs(page, session, dispatcher, folder, maps, bent):
+def test_a_bent_map_is_straightened_once_pairs_that_are_far_apart_are_confirmed(page, session, mapping, bent):
+    """Key frames are told by their stamps, and points as these saw them: the map may move meanwhile."""
     fetch(page, bent)
     pick_pairs(page, bent, PAIRED[0])
     page.element("optimise").click()
-    wait_for_change(page, "the mapping goes on in edited-")
-    copy = next(request["map"] for verb, request in asked(dispatcher) if verb == "load_map")
-    assert bent.error_m(graph_in(folder)) > 0.5
-    assert bent.error_m(graph_in(maps / copy)) < 0.10
+    page.wait_for("return document.getElementById('confirm').open")
+    question = page.text("confirm-text")
+    far = [f"New {k}: {apart_m:.3f} m" for k, apart_m in enumerate(residuals_m(page), 1) if apart_m > 0.5]
+    assert far
+    assert f": {', '.join(far)}." in question
+    page.element("confirm-no").click()
+    page.wait_for("return !document.getElementById('confirm').open")
+    assert [verb for verb, _ in mapping.asked] == ["save_map"]
+    assert len(residuals_m(page)) == 3
+    optimise(page)
+    wait_for_change(page, "pairs 0 to 2; key frames moved by up to ")
+    assert bent.error_m(mapping.graph()) < 0.10
     assert len(residuals_m(page)) == 3
     assert max(residuals_m(page)) < 0.05
     assert page.element("show-before").is_displayed()
     assert page.faults() == []
 
 
-def test_a_time_span_is_cut_out_while_the_session_runs(page, session, dispatcher, maps, bent):
+def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, bent):
     fetch(page, bent)
     page.element("cut-from").send_keys("3")
     page.element("cut-to").send_keys("4")
@@ -200,22 +176,17 @@ def test_a_time_span_is_cut_out_while_the_session_runs(page, session, dispatcher
     page.element("cut-bridge").click()
     page.element("cut").click()
     page.wait_for("return document.getElementById('confirm').open")
-    assert "loses what was mapped since" in page.text("confirm-text")
     page.element("confirm-yes").click()
-    wait_for_change(page, "the mapping goes on in edited-")
-    copy = next(request["map"] for verb, request in asked(dispatcher) if verb == "load_map")
-    assert len(graph_in(maps / copy)) == len(bent.graph) - 11
-    page.wait_for("return corridor.edit.keyframes.count === arguments[0]", len(bent.graph) - 11)
+    wait_for_change(page, "cut 11 key frames out")
+    assert int((mapping.graph().point_count == 0).sum()) == 11
 
 
 def wait_for_change(page, words):
-    """Until that is said of it, or that it is refused; a process for it may have to be started."""
-    WebDriverWait(page.driver, EDITED_WITHIN_S).until(
-        lambda driver: driver.execute_script(
-            "const note = document.getElementById('edit-note');"
-            "return note.dataset.level === 'error' || note.textContent.includes(arguments[0])",
-            words,
-        )
+    """Until that is said of it, or that it is refused."""
+    page.wait_for(
+        "const note = document.getElementById('edit-note');"
+        "return note.dataset.level === 'error' || note.textContent.includes(arguments[0])",
+        words,
     )
     assert words in page.text("edit-note")
 

@@ -10,6 +10,7 @@ from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.test_edit import (
     PAIRED,
     opened,  # noqa: F401 - a fixture
+    optimise,
     unchanged,  # noqa: F401 - a fixture
     unchanged_view,  # noqa: F401 - a fixture
     view,  # noqa: F401 - a fixture
@@ -76,7 +77,7 @@ def test_a_bent_map_is_straightened_in_two_panes_in_either_order(page, view, fol
         pick(page, first, second, order)
     points = page.run("return corridor.edit.pairs.pairs.map((pair) => pair.points)")
     assert np.abs(np.array(points) - expected).max() < 0.15  # a point, or the corner that is near it
-    page.element("optimise").click()
+    optimise(page)
     wait_for_version(page, 2)
     assert bent.error_m(graph_in(folder)) < 0.10
     assert page.run("return corridor.edit.pairs.pane.isOpen")

@@ -165,6 +165,24 @@ class Canvas:
         self.set_walls(rendered_map.wall_cells)
         self.stand_walls()
 
+    def replace_part(self, part: RenderedMap) -> None:
+        """Only the cells that the part names; where it and this hold nothing no tile is made."""
+        assert part.is_part is not None
+        there = {(row, column) for row, column, _ in self.tiles.tiles()}
+        for row, column, evidence, is_part in zip(
+            part.tile_row.tolist(), part.tile_column.tolist(), part.evidence, part.is_part, strict=True
+        ):
+            if (row, column) not in there and not evidence[is_part].any():
+                continue
+            self.tiles.cover(TileRange(row, column, row, column))
+            slot = self._slot_of(row, column)
+            now, _, changed = self.pool.arrays
+            if (now[slot][is_part] != evidence[is_part]).any():
+                now[slot][is_part] = evidence[is_part]
+                changed[slot] = 1
+        self.set_walls(part.wall_cells)
+        self.stand_walls()
+
     def grid(self) -> OccupancyGrid:
         evidence, touched, changed = self.pool.arrays
         return OccupancyGrid(self.tiles.index(), evidence, touched, changed, self._cell_m)  # type: ignore[arg-type]
@@ -202,6 +220,23 @@ class OccupancyRenderer:
         canvas.draw_again(drawn)
         canvas.stand_walls()
         return canvas.rendered_map()
+
+    def render_part(self, drawn: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
+        whole = self.render(drawn)
+        cells = cells_inside(corners_map, self.cell_m)
+        low = cells.min(axis=0) >> TILE_BITS
+        rows, columns = (cells.max(axis=0) >> TILE_BITS) - low + 1
+        inside = np.zeros((rows * TILE_CELLS, columns * TILE_CELLS), np.bool_)
+        inside[tuple((cells - (low << TILE_BITS)).T)] = True
+        by_tile = inside.reshape(rows, TILE_CELLS, columns, TILE_CELLS).swapaxes(1, 2)
+        row, column = np.nonzero(by_tile.any(axis=(2, 3)))
+        evidence = np.zeros((rows, columns, TILE_CELLS, TILE_CELLS), np.int8)
+        at = np.column_stack((whole.tile_row, whole.tile_column)) - low
+        is_near = ((at >= 0) & (at < (rows, columns))).all(axis=1)
+        evidence[tuple(at[is_near].T)] = whole.evidence[is_near]
+        return RenderedMap(
+            row + low[0], column + low[1], evidence[row, column], whole.wall_cells, by_tile[row, column]
+        )
 
 
 def rendered_of(tiles: Sequence[TileUpdate], walls: Iterable[WallToRender] = ()) -> RenderedMap:
@@ -261,7 +296,11 @@ class OccupancyTiles:
 
         `since` is drawn with the next scans, a few with each, so that none of them has to wait.
         """
-        self._canvas.replace_by(rendered_map)
+        if rendered_map.is_part is not None:
+            self._canvas.draw_again(self._to_draw)  # they are of before the part was drawn
+            self._canvas.replace_part(rendered_map)
+        else:
+            self._canvas.replace_by(rendered_map)
         self._to_draw = deque(since)
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:

@@ -12,18 +12,21 @@ import { Keyframes } from "./keyframes.js";
 import { chooseTab } from "./tabs.js";
 
 const SHOWN = 8; // versions; the rest on demand
-const LIVE_VERBS = ["save_map", "load_map", "set_pose"]; // by which the map of a running session is changed
-const LIVE_WORDS = "A change is made in a copy of the map, in which the mapping then goes on. The vehicle is lost until it is found there, "
-  + "and what it maps while the copy is changed is not in it. Stop the vehicle first.";
+const LIVE_VERBS = ["save_map", "edit_map"]; // by which the map of a running session is changed
+const LIVE_WORDS = "Each change is made beside the mapping, which goes on; Undo takes the newest one back.";
 const FETCH_WORDS = "To join places and to cut, the map is saved, and its key frames are fetched: this takes some seconds. Later ones are not among them.";
 
+/** What the service of a stored map takes. */
+const asStored = (change) => (change.what !== "add-pair" ? change
+  : { ...change, pairs: change.pairs.map(({ points, places }) => ({ points, keyframes: places.map(({ keyframe }) => keyframe) })) });
+
 export class Edit {
-  /** setTool(tool): put a tool to work on the map, null: none. lastPose(): of the vehicle, null if not known now. */
-  constructor(root, connection, view, setTool, lastPose) {
+  /** setTool(tool): put a tool to work on the map, null: none. */
+  constructor(root, connection, view, setTool) {
     this.connection = connection;
     this.view = view;
     this.setTool = setTool;
-    this.live = new LiveEdit(connection, lastPose);
+    this.live = new LiveEdit(connection);
     this.isOffered = this.isLive = this.isBusy = this.showsAll = false;
     this.version = 0; // of the map that is shown; 0: not known yet
     this.versions = [];
@@ -145,38 +148,30 @@ export class Edit {
   /** Make a change; whether it was made. */
   change(change, label) {
     const who = this.who.value.trim();
-    if (!this.isLive) return this.#carryOut(label, () => this.connection.command("map_edit", { version: this.version, who, change }));
-    return this.#carryOut(label, (busy) => this.live.change(change, who, busy));
+    if (!this.isLive) return this.#carryOut(label, () => this.connection.command("map_edit", { version: this.version, who, change: asStored(change) }));
+    return this.#carryOut(label, () => this.live.change(change, who));
   }
 
-  /** make(busy): resolves to {ok, done?, error?, told?}; busy(words) says how far it is. */
+  /** make(): resolves to {ok, done?, error?, told?}. */
   async #carryOut(label, make) {
     this.endTool();
     this.isBusy = true;
     this.update();
     this.note.dataset.level = "none";
-    const busy = (words) => setText(this.note, `${label}: ${words} \u2026`);
-    busy("the map is being changed");
+    setText(this.note, `${label}: the map is being changed \u2026`);
     this.compare.keep();
-    const answer = await make(busy);
+    const answer = await make();
     if (answer.ok) this.compare.made();
     const isSeen = this.isLive || await this.look();
-    if (this.isLive && answer.ok) this.#take(answer.told);
+    if (answer.told) this.#take(answer.told);
     this.isBusy = false; // what came of it is said when the next change can be made, not before
     if (isSeen || !answer.ok) this.say(`${label}: ${answer.ok ? answer.done : answer.error}`, answer.ok ? "ok" : "error");
     this.update();
     return answer.ok;
   }
 
-  async undo() {
-    if (!this.isLive) return this.change({ what: "undo" }, "Undo");
-    const isSure = await confirmed("Undo the change?", "The mapping goes on in the map before the change; what was mapped since is not in it. Undo again goes on in the changed one.", "Undo");
-    return isSure && this.#carryOut("Undo", () => this.live.undo());
-  }
-
-  /** Of a question before a change: what Undo does. */
-  undoWords(what) {
-    return `Undo ${what}${this.isLive ? ", and loses what was mapped since" : ""}.`;
+  undo() {
+    return this.change({ what: "undo" }, "Undo");
   }
 
   /** On top of the area, until the next change; as a notice where the area is not shown. */
@@ -229,7 +224,7 @@ export class Edit {
   #showVersions() {
     const newest = [...this.versions].reverse(), shown = this.showsAll ? newest : newest.slice(0, SHOWN);
     setText(this.count, this.version ? `now ${this.version}` : "");
-    this.undoButton.disabled = this.isLive ? !this.live.before : !newest.some((version) => version.is_current && version.what !== "saved");
+    this.undoButton.disabled = this.isLive ? !this.live.undoable : !newest.some((version) => version.is_current && version.what !== "saved");
     this.list.replaceChildren(...shown.map((version) => this.#entry(version)));
     if (newest.length <= shown.length) return;
     const all = () => { this.showsAll = true; this.#showVersions(); };

@@ -6,6 +6,7 @@ import { counted, fixed } from "./format.js";
 
 const MOST_CORNERS = 500; // of one change; the service refuses more
 const SPAN_STEP_S = 0.01;
+const BECOMES = { as_seen: "free where scans see through", unknown: "unknown", free: "free" };
 
 export class EditDraw {
   constructor(edit) {
@@ -14,12 +15,13 @@ export class EditDraw {
     const choose = (kind, text) => element("button", { type: "button", id: `draw-${kind}`, "aria-pressed": "false", onclick: () => this.#choose(kind) }, text);
     this.choices = { rectangle: choose("rectangle", "Rectangle"), area: choose("area", "Area by corners"), wall: choose("wall", "Wall") };
     this.words = element("p", { className: "note", id: "draw-words", role: "status" });
-    this.free = element("input", { type: "checkbox", id: "erase-free" });
+    this.becomes = element("select", { id: "erase-becomes" },
+      ...Object.entries(BECOMES).map(([value, words]) => element("option", { value }, words)));
     this.erase = element("button", { type: "button", className: "danger", id: "erase", onclick: () => this.#erase() }, "Erase\u2026");
     this.wall = element("button", { type: "button", id: "wall", onclick: () => this.#wall() }, "Put up the wall\u2026");
     this.card = card("Erase and draw");
     this.card.node.append(element("div", { className: "row" }, ...Object.values(this.choices)), this.words,
-      element("label", { className: "check" }, this.free, "What is erased becomes free, not unknown"),
+      element("div", { className: "row" }, element("label", { for: "erase-becomes" }, "Then the area is"), this.becomes),
       element("div", { className: "row" }, this.erase, this.wall));
     this.update();
   }
@@ -56,16 +58,16 @@ export class EditDraw {
   }
 
   async #erase() {
-    const { corners } = this, free = this.free.checked;
+    const { corners } = this, becomes = this.becomes.value;
     const isSure = await confirmed("Erase the area?",
-      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. ${this.edit.undoWords("brings it back")}`, "Erase");
-    if (isSure) this.#change({ what: "erase", corners, free }, "Erase");
+      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. Undo brings it back.`, "Erase");
+    if (isSure) this.#change({ what: "erase", corners, becomes }, "Erase");
   }
 
   async #wall() {
     const { corners } = this;
     const isSure = await confirmed("Put up the wall?",
-      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. ${this.edit.undoWords("takes it down")}`, "Put up");
+      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. Undo takes it down.`, "Put up");
     if (isSure) this.#change({ what: "wall", corners }, "Wall");
   }
 
@@ -122,7 +124,7 @@ export class EditCut {
   async #cut() {
     const { span } = this;
     const isSure = await confirmed("Cut out the time span?",
-      `What was driven from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} is gone: about ${counted(this.#count(span), "key frame")}, with points and loops. ${this.edit.undoWords("brings them back")}`, "Cut out");
+      `What was driven from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} is gone: about ${counted(this.#count(span), "key frame")}, with points and loops. Undo brings them back.`, "Cut out");
     if (!isSure || !await this.edit.change({ what: "cut", ...span, bridge: this.bridge.checked }, "Cut")) return;
     this.from.input.value = this.to.input.value = "";
     this.update();

@@ -1,18 +1,19 @@
 // Manual optimisation: points of two places that are one, what is left between them, and the solution.
 
-import { byId, card, element, setText } from "./dom.js";
+import { byId, card, confirmed, element, setText } from "./dom.js";
 import { PairTool } from "./edit_tools.js";
 import { fixed } from "./format.js";
 import { PlacePane } from "./place_pane.js";
 import { PlacePicker } from "./place_picker.js";
 
 const MOST_PAIRS = 100; // in one change; the service refuses more
+const FAR_M = 0.5; // apart: then a person is asked whether the points are one place
 
 export class EditPairs {
   /** edit: of the area Edit. */
   constructor(edit) {
     this.edit = edit;
-    this.pairs = []; // not yet in the map: {points: [of A, of B], keyframes}
+    this.pairs = []; // not yet in the map: {points: [of A, of B], places: of each {keyframe, stamp_ns, pose}}
     this.stored = []; // of the map, as map_look tells them
     this.places = {
       a: new PlacePicker("a", edit, () => this.#placeChanged()),
@@ -109,7 +110,7 @@ export class EditPairs {
     }
     const tool = new PairTool(this.edit.view, this.places, this.pane, (ofA, ofB) => {
       if (this.pairs.length >= MOST_PAIRS) tool.note = `${MOST_PAIRS} new pairs at most; optimise first.`;
-      else this.pairs.push({ points: [ofA, ofB], keyframes: [this.places.a.keyframe, this.places.b.keyframe] });
+      else this.pairs.push({ points: [ofA, ofB], places: [this.places.a.as(), this.places.b.as()] });
       this.update();
     });
     this.edit.beginTool(tool);
@@ -140,6 +141,9 @@ export class EditPairs {
   }
 
   async #optimise() {
+    const far = this.pairs.flatMap((pair, i) => (apart_m(pair) > FAR_M ? [`New ${i + 1}: ${fixed(apart_m(pair), 3, " m")}`] : []));
+    if (far.length && !await confirmed("Join points that are far apart?",
+      `In the map as it is they are farther apart than ${FAR_M} m: ${far.join(", ")}. If they are one place, the map is bent by as much; if not, it is spoilt. Undo takes it back.`, "Optimise")) return;
     const { pairs } = this, change = pairs.length ? { what: "add-pair", pairs } : { what: "optimize" };
     this.pairs = [];
     this.edit.endTool();

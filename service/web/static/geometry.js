@@ -9,6 +9,12 @@ export const compose = (a, b) => {
   };
 };
 
+/** A point [x, y] of the map in the frame of pose_map_base [x_m, y_m, theta_rad]. */
+export const seenFrom = ([x_m, y_m, theta_rad], [x, y]) => {
+  const c = Math.cos(theta_rad), s = Math.sin(theta_rad);
+  return [c * (x - x_m) + s * (y - y_m), c * (y - y_m) - s * (x - x_m)];
+};
+
 export const wrapAngle = (rad) => rad - 2 * Math.PI * Math.round(rad / (2 * Math.PI));
 
 /** Between two poses: share 0 gives a, 1 gives b; beyond 1 it goes on as between them. */

@@ -57,10 +57,7 @@ const connection = new Connection({
   graph: (message) => { view.putGraph(message); explainLayers(); },
   standing: (message) => { view.putStanding(message); explainStanding(); },
   changes: (message) => { view.putStoredChanges(message); explainStoredChanges(); },
-  path: (message) => {
-    view.putPath(message);
-    if (!message.goesOn && !message.points.length) edit.live.mapBegan();
-  },
+  path: (message) => view.putPath(message),
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
   moment: (moment) => {
@@ -73,7 +70,6 @@ const connection = new Connection({
   moment_over: () => { view.endMoment(); past.clear(); },
   pose: (pose) => {
     view.putPose(pose);
-    edit.live.putPose(pose);
     if (poseTimer !== null) return; // the newest is said when its time has come
     poseTimer = setTimeout(() => {
       poseTimer = null;
@@ -101,7 +97,7 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
 const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: "Replay" }));
 const past = setUpPast(connection, (position_s) => control.ask("moment_go_to", { position_s }, { quietly: "Moment" }));
 const lastPose = () => (view.track.last && view.isLive ? view.track.last : null);
-const edit = new Edit(byId("edit"), connection, view, setTool, lastPose);
+const edit = new Edit(byId("edit"), connection, view, setTool);
 const resources = new Resources(byId("resources"), connection, lastPose);
 byId("tab-resources").addEventListener("click", () => resources.refresh());
 const gestures = new Gestures(byId("map"), view, () => tool, () => showFollow());

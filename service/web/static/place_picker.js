@@ -13,6 +13,7 @@ export class PlacePicker {
     this.changed = changed;
     this.keyframe = null;
     this.pose = null; // pose_map_base, [x_m, y_m, theta_rad]
+    this.stamp_ns = ""; // digits
     this.points = []; // map frame, [x_m, y_m, ...]
     this.loading = false;
     const label = LABELS[side], id = `place-${side}`;
@@ -33,6 +34,11 @@ export class PlacePicker {
     return this.keyframe !== null;
   }
 
+  /** The key frame, for who keeps a point of it. */
+  as() {
+    return { keyframe: this.keyframe, stamp_ns: this.stamp_ns, pose: this.pose };
+  }
+
   /** Load and show the points of a key frame; while one is loading, the newest request waits. */
   async choose(keyframe) {
     this.keyframe = keyframe;
@@ -48,7 +54,7 @@ export class PlacePicker {
         notice(`${LABELS[this.side]}: ${answer.error}.`, "error");
         break;
       }
-      if (this.keyframe === loaded) [this.points, this.pose] = [answer.points, answer.pose];
+      if (this.keyframe === loaded) [this.points, this.pose, this.stamp_ns] = [answer.points, answer.pose, answer.stamp_ns];
     }
     this.loading = false;
     if (!this.isChosen) this.clear();

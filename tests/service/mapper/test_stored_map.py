@@ -136,7 +136,7 @@ def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(fi
     at = SE2(*begin.graph.map[len(begin.graph) // 2].tolist())
     line = np.array([(pose.x_m, pose.y_m) for pose in (at @ SE2(0.0, -0.4), at @ SE2(0.0, 0.4))])
     area = begin.graph.map[5, :2] + np.array([(-1.5, -1.5), (1.5, -1.5), (1.5, 1.5), (-1.5, 1.5)])
-    graph, gone = with_area_erased(with_wall(begin.graph, line), area, is_free=False)
+    graph, gone = with_area_erased(with_wall(begin.graph, line), area, "unknown")
     assert gone > 0
     shown = replace(begin.shown, wall_cells=cells_of_wall(WallToRender(line), 0.05))
     mapper = new_mapper(BeginIn(graph, shown), "mapping")
@@ -154,7 +154,7 @@ def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(fi
 def test_nobody_is_found_by_what_was_erased(first, second):
     _, begin = first
     everywhere = 100.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-    graph, gone = with_area_erased(begin.graph, everywhere, is_free=True)
+    graph, gone = with_area_erased(begin.graph, everywhere, "free")
     assert gone == len(begin.graph.xy_base)
     mapper = new_mapper(BeginIn(graph.checked(), begin.shown))
     few = [frame for frame in second.frames if frame.stamp_ns < 3_000_000_000]

@@ -90,7 +90,7 @@ def test_pairs_of_points_straighten_the_map(folder, bent):
 
 def test_areas_walls_and_time_spans_are_changed_as_by_the_command(folder):
     asking = Asking(folder)
-    assert asking.edit(1, "erase", corners=SQUARE, free=True)["done"].startswith("erased 1.00 m2")
+    assert asking.edit(1, "erase", corners=SQUARE, becomes="free")["done"].startswith("erased 1.00 m2")
     assert asking.edit(2, "wall", corners=[[0, 0], [1, 0]])["done"].startswith("drew a wall of 1.00 m")
     assert "hang together by nothing" in asking.edit(3, "cut", from_s=3.0, to_s=4.05)["error"]
     told = asking.edit(3, "cut", from_s=3.0, to_s=4.05, bridge=True)

@@ -150,7 +150,7 @@ def test_an_edit_of_the_map_is_in_the_page(result: Path):
     before = page_of(result)
     walls = [of["href"] for name, of in before.tags if name == "image"]
     corners = (4.0, -4.0, 8.0, -4.0, 8.0, 4.0, 4.0, 4.0)
-    edit_map(result / "map", "erase", erase(corners, is_free=False), "me", now_ns=1)
+    edit_map(result / "map", "erase", erase(corners, "unknown"), "me", now_ns=1)
     after = page_of(result)
     assert [of["href"] for name, of in after.tags if name == "image"] != walls
     assert "map as edited: " in after.text

@@ -27,7 +27,7 @@ class InlineLink:
         self.items: list[Item] = []
         self._outputs = outputs
         self._is_deaf = is_deaf
-        self._answered: Answered | None = None
+        self._answered: dict[int, Answered] = {}
         self.loop = MappingLoop(mapper, self._hear, (), lambda: self.now_ns, prepare_map, prepare_profile)
 
     @property
@@ -39,7 +39,8 @@ class InlineLink:
 
     def submit(self, item: Item, answered: Answered | None = None) -> None:
         self.items.append(item)
-        self._answered = answered
+        if answered is not None:
+            self._answered[item.number] = answered
         if not self._is_deaf:
             self.loop.take(item)
             self.loop.keep_up(is_idle=True)
@@ -51,5 +52,5 @@ class InlineLink:
         self.said.append(message)
         if not isinstance(message, Answer):
             self._outputs.heard(message)
-        elif self._answered is not None:
-            self._answered(message)
+        elif (answered := self._answered.pop(message.number, None)) is not None:
+            answered(message)

@@ -3,7 +3,9 @@
 import json
 import math
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +20,11 @@ from service.encoding import (
     decode_pose,
     decode_step,
 )
+from service.mapper.components import EditAnswer
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.outputs import UNKNOWN, GraphPicture, Grid, TileUpdate
-from service.runtime.mapper_messages import Status, Tiles
+from service.runtime.mapper_messages import Answer, Status, Tiles
 from service.runtime.mapping import MOST_AGE_NS, MOST_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
 from tests.service.runtime.mapping_runs import (
     FRAMES,
@@ -381,3 +384,56 @@ def test_lost_work_is_not_recorded_as_applied():
     assert decode_step(event.payload, event.log_ns) is None
     assert "the process died" in decode_event(event.payload)
     assert run.outputs.graph_fault == "the process died"
+
+
+class GraphWithEdits(GraphAtWork):
+    """Makes every change when it is asked for its result; or ends."""
+
+    def __init__(self, lost: str = "") -> None:
+        super().__init__(lost)
+        self.ready = False
+
+    def request(self, name: str, payload: Mapping[str, Any]) -> None:
+        self.ready = True
+
+
+class EditedMapper(FakeMapper):
+    def __init__(self, graph: GraphWithEdits) -> None:
+        super().__init__(graph=graph)
+        self.edited: list[EditAnswer] = []
+
+    def apply_result(self) -> None:
+        super().apply_result()
+        if not self.graph.fault:
+            self.edited.append(EditAnswer({"done": "erased"}))
+
+
+def answers_to_an_edit(graph: GraphWithEdits, then: Callable[[Run], Any]) -> list[Answer]:
+    """None before what comes next, and these after it."""
+    run, answers = Run(EditedMapper(graph)), []
+    run.put(scan(10, 20, [1.0]))
+    run.intake.mark(
+        {"event": "edit_map"},
+        lambda event: run.intake.request_graph("edit_map", {}, event.log_ns, answers.append),
+    )
+    assert answers == []
+    then(run)
+    return answers
+
+
+def test_a_change_by_hand_is_answered_when_its_result_is_applied():
+    (answer,) = answers_to_an_edit(GraphWithEdits(), lambda run: run.put(scan(40, 60, [1.0])))
+    assert (answer.result, answer.error) == ({"done": "erased"}, "")
+
+
+def test_a_change_by_hand_fails_with_the_graph_or_the_map():
+    (answer,) = answers_to_an_edit(GraphWithEdits("killed"), lambda run: run.put(scan(40, 60, [1.0])))
+    assert answer.error == "the change is not made: killed"
+    slow = GraphWithEdits()
+
+    def reset(run: Run) -> None:
+        slow.ready = False
+        run.request("reset_map")
+
+    (answer,) = answers_to_an_edit(slow, reset)
+    assert "map has ended before" in answer.error

@@ -274,7 +274,7 @@ def test_a_map_that_a_session_goes_on_in_is_not_edited_meanwhile(tmp_path: Path)
     config = MapConfig.model_construct(directory=tmp_path, load=tmp_path / "office", checkpoint_s=30.0)
     saver = MapSaver(config, sink_context())
     saver.start()
-    change = erase([0.0, 0.0, 0.1, 0.0, 0.1, 0.1], is_free=False)
+    change = erase([0.0, 0.0, 0.1, 0.0, 0.1, 0.1], "unknown")
     try:
         with pytest.raises(StorageError, match="a session of veh1 uses this map"):
             edit_map(tmp_path / "office", "erase", change, "ada", 2)

@@ -96,11 +96,11 @@ def test_a_token_and_a_command_are_read():
     assert asked == CommandAsked(type="command", n=3, verb="mark", request={"text": "x"})
 
 
-def test_an_edit_is_read():
+def test_a_look_at_a_key_frame_is_read():
     asked = read_asked(
-        '{"type": "resource", "n": 1, "action": "edit", "name": "a", "request": {"who": "Ann"}}'
+        '{"type": "resource", "n": 1, "action": "keyframe", "name": "a", "request": {"keyframe": 3}}'
     )
-    assert (asked.action, asked.name, asked.request) == ("edit", "a", {"who": "Ann"})
+    assert (asked.action, asked.name, asked.request) == ("keyframe", "a", {"keyframe": 3})
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,8 @@ def test_an_edit_is_read():
         '{"type": "command", "n": 1, "verb": "mark", "request": []}',
         '{"type": "command", "n": 1, "verb": "mark", "more": 1}',
         "[" * 50_000,
-        '{"type": "resource", "n": 1, "action": "edit", "request": []}',
+        '{"type": "resource", "n": 1, "action": "keyframe", "request": []}',
+        '{"type": "resource", "n": 1, "action": "edit", "request": {}}',
         '{"type": "resource", "n": 1, "action": "buy"}',
     ],
 )

@@ -9,7 +9,6 @@ import pytest
 
 from service.mapstore.files import save_map
 from service.offline.export import Format
-from service.offline.map_log import map_log
 from service.outputs import TileUpdate
 from service.web.resources import DELETED, FORMATS, Resources
 from service.web.work import ResourceError
@@ -187,41 +186,27 @@ def test_a_format_that_there_is_not_is_refused(resources):
         resources.download("map", "office", "exe")
 
 
-AREA = {"who": "Ann", "change": {"what": "erase", "corners": [[0, 0], [1, 0], [1, 1]]}}
-LINE = {"change": {"what": "erase", "corners": [[0, 0], [1, 0], [2, 0]]}}
-
-
-def test_a_map_is_edited_as_by_the_command_and_only_looked_at_while_it_is_in_use(resources, folders, used):
-    assert resources.edit("office", AREA)["done"].startswith("erased 0.50 m2")
-    newest = map_log(folders["map"] / "office")["versions"][-1]
-    assert (newest["what"], newest["who"]) == ("erase", "Ann")
-    with pytest.raises(ResourceError, match="no area"):
-        resources.edit("office", LINE)
+def test_a_map_that_is_in_use_is_looked_at(resources, folders, used):
     used.append(folders["map"] / "office")
-    with pytest.raises(ResourceError, match="in use"):
-        resources.edit("office", AREA)
-    assert resources.look("office")["version"] == 2
+    assert resources.look("office")["version"] == 1
     with pytest.raises(ResourceError, match=r"there is no map '\.\./office'"):
         resources.look("../office")
 
 
-def test_one_edit_or_export_at_a_time(resources, monkeypatch):
+def test_one_export_at_a_time(resources, monkeypatch):
     began, go_on = threading.Event(), threading.Event()
 
-    def ask(process, verb, folder, request):
+    def run(*arguments):
         began.set()
         assert go_on.wait(20.0)
-        return {"done": "erased"}
+        raise ResourceError("ended")
 
-    monkeypatch.setattr("service.web.work.SessionMapProcess.ask", ask)
+    monkeypatch.setattr("service.web.resources.run", run)
     with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(resources.edit, "office", AREA)
+        first = pool.submit(resources.download, "map", "office", "png")
         assert began.wait(20.0)
-        for second in (
-            lambda: resources.edit("office", AREA),
-            lambda: resources.download("map", "office", "png"),
-        ):
-            with pytest.raises(ResourceError, match="another export or edit"):
-                second()
+        with pytest.raises(ResourceError, match="another export is being made"):
+            resources.download("map", "office", "png")
         go_on.set()
-        assert first.result(20.0) == {"done": "erased"}
+        with pytest.raises(ResourceError, match="ended"):
+            first.result(20.0)

@@ -12,8 +12,9 @@ from drivers.counted import counted
 from service.geometry import poses as se2
 from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
-from service.mapper.by_hand import ERASED, ERASED_TO_FREE, WALL, Drawing
+from service.mapper.by_hand import BECOMES, WALL, Drawing
 from service.mapper.components import MapRenderer, RenderedMap
+from service.mapper.edit_requests import Becomes, EditError
 from service.mapper.graph.groups import groups_of
 from service.mapper.graph.pose_graph import PoseGraph
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
@@ -24,10 +25,6 @@ from service.mapper.saved_graph import SavedGraph
 
 SEEN_WITHIN_M = 0.3  # of a point that a person points at, what saw it has a point
 SAME_PASS_M = 10.0  # of way: two points of one pass say nothing of two passes
-
-
-class EditError(ValueError):
-    """Why a change is not made, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,19 +42,21 @@ def with_wall(graph: SavedGraph, corners_map: Floats) -> SavedGraph:
     return replace(graph, by_hand=graph.by_hand.and_drawn(Drawing(WALL, 0, corners_map), graph.map))
 
 
-def with_area_erased(graph: SavedGraph, corners_map: Floats, is_free: bool) -> tuple[SavedGraph, int]:
+def with_area_erased(
+    graph: SavedGraph, corners_map: Floats, becomes: Becomes = "as_seen"
+) -> tuple[SavedGraph, int]:
     """Without the points within a polygon (C, 2) m of the map, and how many these were. What later key frames
     see there is new.
     """
     of = np.repeat(np.arange(len(graph)), graph.point_count)
     gone = is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners_map)
-    kind = ERASED_TO_FREE if is_free else ERASED
+    drawing = Drawing(BECOMES[becomes], len(graph), corners_map)
     erased = replace(
         graph,
         point_count=np.bincount(of[~gone], minlength=len(graph)).astype(np.int64),
         xy_base=graph.xy_base[~gone],
         normals=graph.normals[~gone],
-        by_hand=graph.by_hand.and_drawn(Drawing(kind, len(graph), corners_map), graph.map),
+        by_hand=graph.by_hand.and_drawn(drawing, graph.map),
     )
     return erased, int(gone.sum())
 
@@ -163,6 +162,13 @@ def solved(graph: SavedGraph, renderer: MapRenderer, config: LoopsConfig | None 
     assert rendered_map is not None
     off = saved.map[:, :2] - graph.map[:, :2]
     return Solved(saved, rendered_map, len(graph.loop_ends) - len(saved.loop_ends), np.hypot(*off.T))
+
+
+def drawn_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:
+    """What the graph shows within a polygon (C, 2) m of the map."""
+    drawn = LoopBackEnd(LoopsConfig(), renderer, graph).render(corners_map)
+    assert drawn is not None
+    return drawn
 
 
 def graph_of(graph: SavedGraph) -> PoseGraph:

@@ -1,6 +1,7 @@
 """Key frames: what the back end keeps of a drive."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import ByHand
+from service.mapper.components import Correction
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 
@@ -200,6 +202,16 @@ class KeyframeList:
         self.thinned.append(thinned)
         self.count += 1
 
+    def correction(self, k: int) -> Correction:
+        """Where key frame k lies."""
+        before = max(k % self.count - 1, 0)
+        return Correction(
+            self.stamps_ns[k],
+            SE2(*self.odom[k].tolist()),
+            SE2(*self.map[k].tolist()),
+            bool(self.piece[k] != self.piece[before]),
+        )
+
     def drop(self, first: int, last: int) -> None:
         """Take out the key frames first..last - 1; those behind move up."""
         for name in ARRAYS:
@@ -210,8 +222,16 @@ class KeyframeList:
 
     def forget(self, k: int) -> None:
         """Keep of a key frame no more than where it is."""
-        self.thinned[k] = ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m)
-        self._numbers[k, 3] = False
+        self.put_points(k, ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m))
+
+    def put_points(self, k: int, thinned: ThinnedScan) -> None:
+        """Other points of a key frame."""
+        self.thinned[k] = thinned
+        self._numbers[k, 3] = len(thinned.xy_base) > 0
+
+    def set_lost(self, keyframes: Iterable[int], is_lost: bool) -> None:
+        """Whether the poses of some key frames are predictions."""
+        self._numbers[list(keyframes), 2] = is_lost
 
     def forget_all(self, first: int, last: int) -> None:
         """Forget the key frames first..last - 1."""

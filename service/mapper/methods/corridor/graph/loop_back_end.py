@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.geometry.se2 import SE2
 from service.kernels.loops import path_lengths, thin_points
-from service.mapper.components import Correction, MapRenderer, PlaceNews, RenderedMap
+from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
+from service.mapper.edit_requests import EditError, LiveChange
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
@@ -21,10 +21,12 @@ from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, 
 from service.mapper.methods.corridor.graph.drawing import Drawing
 from service.mapper.methods.corridor.graph.hindsight import edges_in_hindsight, known_pose
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.methods.corridor.graph.live_edits import LiveEdits, Made, keyframes_near
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
+from service.mapper.methods.corridor.graph.old_passes import OldPasses
 from service.mapper.methods.corridor.graph.passes import worth_asking
 from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING, PieceSearch
 from service.mapper.methods.corridor.graph.refusals import Refusals
@@ -44,7 +46,6 @@ from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_S
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 from service.mapper.walls import walls_of
 
-SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
 LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
@@ -94,7 +95,8 @@ class LoopBackEnd:
         self.pieces = PieceSearch(config, self._keyframes)
         self._is_merging = False  # what is stored was put together, and no loop holds it yet
         self._placement = Placement(stored is not None)
-        self._looked_back = 0  # key frames whose context were asked for passes too many
+        self._old_passes = OldPasses(config, self._keyframes)
+        self._edits = LiveEdits(self._keyframes)
         self._anchoring = Anchoring()
         self._drawing = Drawing()
 
@@ -133,7 +135,7 @@ class LoopBackEnd:
             self.pieces.expect_at(np.array(batch.pose))
         joined = self._look_for_piece() if self._is_detached() else None
         every_m = self._config.keyframe_distance_m if batch.is_last else self._config.search_every_m
-        moved = joined is not None or self._look_for_loops(every_m)
+        moved = joined is not None or (batch.change is None and self._look_for_loops(every_m))
         moved |= self._anchoring.is_due and self._find_anchors()
         if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
@@ -141,6 +143,8 @@ class LoopBackEnd:
             self._refusals.add(gone, BY_HAND)
             moved = True
         has_pairs = len(self._keyframes.by_hand.pair_ends) > 0
+        made, edited = self._edit(batch.change)
+        moved |= made is not None and made.is_bent
         if batch.request == "optimize" and (self._loops or self._anchoring.reference or has_pairs):
             moved = True
         if batch.is_last:
@@ -148,16 +152,36 @@ class LoopBackEnd:
         if self._held:
             self._forget_session()
         elif not self._is_detached():  # else the search waits for it, and nothing new lies in the map
-            self._forget()
+            self._old_passes.forget(self._loops)
         if not moved:
-            return Result(len(self._loops), len(self._disabled))
+            drawn = None if made is None else self.render(made.about)
+            return Result(len(self._loops), len(self._disabled), rendered_map=drawn, edited=edited)
+        before = self._keyframes.map.copy()
+        disabled = len(self._disabled)
         self._solve()
+        if made is not None:
+            edited = self._edits.answer(made, self._known(), before, len(self._disabled) - disabled)
         graph = self._to_solve(is_in_hindsight=True)
         known = known_pose(self._keyframes, self._joined, graph, self._held)
         if joined is not None or batch.request:
             self._due.must_draw()
         drawn = self.render() if self._due.take_drawing() else None
-        return Result(len(self._loops), len(self._disabled), joined, self._correction(-1), known, drawn)
+        newest = self._keyframes.correction(-1)
+        return Result(len(self._loops), len(self._disabled), joined, newest, known, drawn, edited=edited)
+
+    def _edit(self, change: LiveChange | None) -> tuple[Made | None, EditAnswer | None]:
+        """What a person changes by hand; None: nothing, or it is refused."""
+        if change is None:
+            return None, None
+        try:
+            made = self._edits.make(change, self._known(), self._loops)
+        except EditError as error:
+            return None, EditAnswer(error=str(error))
+        self._loops, self._candidates = [*made.loops], []
+        self._accepted = [[loop for loop in batch if loop in self._loops] for batch in self._accepted]
+        self._submaps.clear()
+        self.pieces.forget_map()
+        return made, self._edits.answer(made, self._known(), self._keyframes.map)
 
     @property
     def loops(self) -> Sequence[Loop]:
@@ -174,12 +198,16 @@ class LoopBackEnd:
 
     def _find_anchors(self) -> bool:
         """Whether fixes are worth a solution now."""
-        is_known = ~self._keyframes.is_lost & np.isin(self._keyframes.piece, list(self._joined))
+        is_known = ~self._keyframes.is_lost & self._known()
         return self._anchoring.find(self._keyframes, self._steps().covariance, is_known)
+
+    def _known(self) -> npt.NDArray[np.bool_]:
+        """(N,) key frames whose place in the map is known."""
+        return np.isin(self._keyframes.piece, list(self._joined))
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be aligned with: matched, with points, in a place that is known."""
-        return self._keyframes.is_usable & np.isin(self._keyframes.piece, list(self._joined))
+        return self._keyframes.is_usable & self._known()
 
     def _look_for_piece(self) -> int | None:
         """Number of the newest piece, if its place was found now; else None."""
@@ -250,34 +278,6 @@ class LoopBackEnd:
         of_piece = self._keyframes.piece == piece
         self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
         self._candidates, self._accepted = [], []
-
-    def _forget(self) -> None:
-        """Drop the points of the oldest pass where enough newer ones keep theirs: time must not fill memory.
-
-        Only where loops hold the pass in its place: a drifted one would drive out another part of the map.
-        """
-        config, keyframes = self._config, self._keyframes
-        if not self._loops:
-            return
-        way = keyframes.way_m
-        looped_m = np.sort([way[loop.to] for loop in self._loops])
-        until = int(np.searchsorted(way, way[-1] - WITHIN_M))
-        for k in range(self._looked_back, until):
-            right = int(np.searchsorted(looped_m, way[k] - config.place_m))
-            if right == len(looped_m) or looped_m[right] > way[k] + config.place_m:
-                continue
-            away = se2.between(keyframes.map[k], keyframes.map[:k])
-            near = np.flatnonzero(
-                (np.hypot(away[:, 0], away[:, 1]) <= SAME_SPOT_M)
-                & (np.abs(away[:, 2]) <= SAME_VIEW_RAD)
-                & (way[:k] < way[k] - config.apart_m)
-                & keyframes.has_points[:k]
-            )
-            passes = np.split(near, np.flatnonzero(np.diff(way[near]) > config.apart_m) + 1)
-            for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
-                for old in oldest.tolist():
-                    keyframes.forget(old)
-        self._looked_back = max(until, self._looked_back)
 
     def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
         """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
@@ -432,7 +432,7 @@ class LoopBackEnd:
         if self._loops:
             self._solve()
         self._submaps.clear()
-        corrections = [self._correction(k) for k in range(keyframes.stored, keyframes.count)]
+        corrections = [self._keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
             len(self._loops),
             len(self._disabled),
@@ -466,10 +466,15 @@ class LoopBackEnd:
             if loop not in self._loops:
                 self._accept(loop)
 
-    def render(self) -> RenderedMap | None:
-        """The shown map, drawn anew; None where this was made to draw none."""
-        renderer = self._renderer
-        return None if renderer is None else renderer.render(to_render(self._keyframes, self._joined))
+    def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
+        """The shown map, or only a polygon (C, 2) m of it; None where this was made to draw none."""
+        keyframes, renderer, known = self._keyframes, self._renderer, self._known()
+        if renderer is None:
+            return None
+        if corners_map is None:
+            return renderer.render(to_render(keyframes, known))
+        near = keyframes_near(keyframes, corners_map, known)
+        return renderer.render_part(to_render(keyframes, near), corners_map)
 
     def _forget_session(self) -> None:
         """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
@@ -486,13 +491,3 @@ class LoopBackEnd:
         self._disabled, self._accepted = [], []
         self._refusals.clear()
         self._submaps = OrderedDict((k, one) for k, one in self._submaps.items() if k < held)
-
-    def _correction(self, k: int) -> Correction:
-        keyframes = self._keyframes
-        before = max(k % keyframes.count - 1, 0)
-        return Correction(
-            keyframes.stamps_ns[k],
-            SE2(*keyframes.odom[k].tolist()),
-            SE2(*keyframes.map[k].tolist()),
-            bool(keyframes.piece[k] != keyframes.piece[before]),
-        )

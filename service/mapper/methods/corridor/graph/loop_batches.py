@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from service.geometry.geo_reference import GeoReference
-from service.mapper.components import Correction, PlaceNews, RenderedMap
+from service.mapper.components import Correction, EditAnswer, PlaceNews, RenderedMap
+from service.mapper.edit_requests import LiveChange
 from service.mapper.known_pose import KnownPose
 from service.mapper.methods.corridor.graph.fix_track import PlacedFix
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
@@ -17,10 +18,11 @@ class Batch:
     """Key frames and fixes since the last batch, and what else is wanted."""
 
     frames: Sequence[KeyFrame]
-    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose"
+    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose", "edit_map"
     pose: Sequence[float] = ()  # (x m, y m, theta rad) in the map, of set_pose
     is_last: bool = False
     fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before
+    change: LiveChange | None = None  # of edit_map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,3 +47,4 @@ class Result:
     saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
     place: PlaceNews = field(default_factory=PlaceNews)
     picture: GraphPicture | None = None  # where one was due
+    edited: EditAnswer | None = None  # of a batch with a change

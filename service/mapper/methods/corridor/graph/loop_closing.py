@@ -1,5 +1,6 @@
 """Graph of the default profile: sends key frames to where loops are found, and brings corrections in."""
 
+import json
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -22,6 +23,15 @@ from service.mapper.components import (
     MapRenderer,
     ScanToRender,
 )
+from service.mapper.edit_requests import (
+    EDIT_MAP,
+    EditError,
+    Erase,
+    LiveChange,
+    Wall,
+    refuse_line,
+    refuse_outline,
+)
 from service.mapper.graph.background_graph import BackgroundGraph, add_counts
 from service.mapper.judgement import sigmas_of
 from service.mapper.methods.corridor.graph.fix_track import FixTrack
@@ -36,7 +46,7 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 # is to tell: each one after them comes twice as late as the one before.
 DETACHED_INTERVAL_NS, MOST_DOUBLED = 500_000_000, 4
 
-REQUESTS = ("optimize", "undo", "checkpoint", "set_pose")
+REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map")
 
 
 class PoseRequest(Section):
@@ -127,13 +137,16 @@ class LoopClosing(BackgroundGraph[Result]):
         antenna = self._mountings.get(antenna_of(fix.sensor), sensor)
         return self._fixes.add_fix(fix, (antenna.x_m, antenna.y_m))
 
-    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any] | None:
         if name not in REQUESTS:
             raise GraphRequestError(f"{name}: the graph of this profile knows {', '.join(REQUESTS)}")
         if self.fault:
             raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "set_pose":
             return self._set_pose(payload)
+        if name == "edit_map":
+            self._edit(payload)
+            return None
         if payload:
             raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
         if name == "undo" and not self._loops:
@@ -155,6 +168,23 @@ class LoopClosing(BackgroundGraph[Result]):
         self._submit("set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad))
         return {"looked_for_at": [asked.x_m, asked.y_m, asked.theta_rad]}
 
+    def _edit(self, payload: Mapping[str, Any]) -> None:
+        """What can be refused at once is; the rest is up to the back end."""
+        if self._is_localizing:
+            raise GraphRequestError("edit_map: the map stays as it is while the vehicle is only localised")
+        try:
+            change = EDIT_MAP.validate_json(json.dumps(payload)).change
+            if isinstance(change, Erase):
+                refuse_outline(np.array(change.corners).reshape(-1, 2))
+            elif isinstance(change, Wall):
+                refuse_line(np.array(change.corners).reshape(-1, 2))
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            raise GraphRequestError(f"edit_map: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+        except EditError as error:
+            raise GraphRequestError(f"edit_map: {error}") from error
+        self._submit("edit_map", change=change)
+
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
         self._apply_all(counts)
@@ -170,8 +200,14 @@ class LoopClosing(BackgroundGraph[Result]):
         )
         return FinishedGraph(last.all, last.g2o, last.keyframes, update)
 
-    def _submit(self, request: str = "", is_last: bool = False, pose: tuple[float, ...] = ()) -> None:
-        self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take()))
+    def _submit(
+        self,
+        request: str = "",
+        is_last: bool = False,
+        pose: tuple[float, ...] = (),
+        change: LiveChange | None = None,
+    ) -> None:
+        self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take(), change))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 
@@ -200,9 +236,10 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.newest is not None:
             self._pose_map_odom = _pose_map_odom(result.newest)
         since = [frame for batch in self._sent for frame in batch] + self._fresh
-        drawn = [
+        is_all = result.rendered_map is not None and result.rendered_map.is_part is None
+        drawn = [  # a part leaves them where they are drawn already
             ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
-            for frame in (since if result.rendered_map is not None else ())
+            for frame in (since if is_all else ())
         ]
         return GraphUpdate(
             counts,
@@ -214,6 +251,7 @@ class LoopClosing(BackgroundGraph[Result]):
             saved=result.saved,
             picture=result.picture,
             known=result.known,
+            edited=result.edited,
         )
 
     def _is_step(self, pose: SE2, last: SE2 | None) -> bool:

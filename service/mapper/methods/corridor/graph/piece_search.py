@@ -112,6 +112,10 @@ class PieceSearch:
         if len(known):
             self._map_of(known)
 
+    def forget_map(self) -> None:
+        """Other points are known from now on."""
+        self._known_map = None
+
     @property
     def found_once(self) -> FoundOnce | None:
         """Where a piece lies if the newest find is right; None: there is none, or the piece is placed.

@@ -11,7 +11,7 @@ from service.geometry.polygons import Cells, is_inside
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.components import ScanToRender
-from service.mapper.methods.corridor.graph.editing import EditError
+from service.mapper.edit_requests import EditError
 from service.mapper.methods.corridor.graph.keyframe_list import SESSION_APART_M
 from service.mapper.methods.corridor.graph.stored_graph import ANCHOR_COVARIANCE
 from service.mapper.saved_graph import SavedGraph

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
@@ -42,6 +43,9 @@ def saved_graph(
 ) -> SavedGraph:
     """The key frames whose place in the map is known, and the loops between them."""
     is_known = np.isin(keyframes.piece, list(joined))
+    by_hand = keyframes.by_hand
+    if not is_known.all():
+        by_hand = by_hand.without_keyframes(is_known, keyframes.map)
     kept = np.flatnonzero(is_known)
     number = np.cumsum(is_known) - 1
     between = [loop for loop in loops if is_known[loop.of] and is_known[loop.to]]
@@ -69,13 +73,13 @@ def saved_graph(
         loop_points=np.array([loop.points for loop in between], np.int64),
         loop_against=np.array([loop.against for loop in between], np.float64),
         refused=refusals.arrays(loops).renumbered(number, is_known),
-        by_hand=keyframes.by_hand,  # of the stored key frames, which stand first
+        by_hand=by_hand,
     )
 
 
-def to_render(keyframes: KeyframeList, joined: Collection[int]) -> Iterator[ToRender]:
-    """The scans whose place in the map is known, and what a person drew."""
-    known = np.flatnonzero(np.isin(keyframes.piece, list(joined)) & ~keyframes.is_lost)
+def to_render(keyframes: KeyframeList, among: npt.NDArray[np.bool_]) -> Iterator[ToRender]:
+    """The scans of some key frames (N,), without those that were not matched, and what a person drew."""
+    known = np.flatnonzero(among & ~keyframes.is_lost)
     scans = (
         (
             k,

@@ -61,7 +61,7 @@ def points_map(graph: SavedGraph) -> np.ndarray:
 
 def test_of_an_erased_area_no_point_is_left_and_all_others_are(ring: SavedGraph):
     within = is_inside(points_map(ring), CABINET)
-    erased, gone = with_area_erased(ring, CABINET, is_free=False)
+    erased, gone = with_area_erased(ring, CABINET, "unknown")
     assert gone == within.sum() > 100
     erased.checked()
     np.testing.assert_array_equal(points_map(erased), points_map(ring)[~within])

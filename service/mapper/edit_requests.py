@@ -1,0 +1,157 @@
+"""What a person may change in a map by hand, as JSON; all of it bounded."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
+
+from drivers.counted import counted
+from service.geometry.polygons import area_m2
+from service.geometry.poses import Floats
+
+MOST_CORNERS = 500  # of an area or a wall
+MOST_PAIRS = 100  # in one change
+LONGEST_NAME = 100  # letters
+LARGEST_M2 = 10_000.0  # of the rectangle around an area, or a piece of a wall: 4 million cells of 5 cm
+LEAST_M2 = 1e-4  # of an area
+FURTHEST_M = 100_000.0  # from the origin
+
+
+class EditError(ValueError):
+    """Why a change is not made, in words."""
+
+
+def at_most(most: int, what: str) -> AfterValidator:
+    def check(given: Sequence[Any]) -> Sequence[Any]:
+        if len(given) > most:
+            raise ValueError(f"{len(given)} {what}, at most {most} are taken at once; make several changes")
+        return given
+
+    return AfterValidator(check)
+
+
+class Asked(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+Metres = Annotated[float, Field(allow_inf_nan=False)]
+Point = tuple[Metres, Metres]  # x, y in the map
+Number = Annotated[int, Field(ge=0, lt=2**53)]
+Stamp = Annotated[str, Field(pattern=r"^\d{1,19}$")]
+Seconds = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]  # after the map's first key frame
+Corners = Annotated[list[Point], at_most(MOST_CORNERS, "points")]
+Who = Annotated[str, Field(max_length=LONGEST_NAME)]
+Becomes = Literal["as_seen", "unknown", "free"]  # as_seen: free where beams pass, else unknown
+
+
+class Erase(Asked):
+    """becomes: what the area is then"""
+
+    what: Literal["erase"]
+    corners: Corners
+    becomes: Becomes = "as_seen"
+
+
+class Wall(Asked):
+    what: Literal["wall"]
+    corners: Corners
+
+
+class Cut(Asked):
+    what: Literal["cut"]
+    from_s: Seconds
+    to_s: Seconds
+    bridge: bool = False
+
+
+class RemovePair(Asked):
+    what: Literal["remove-pair"]
+    pair: Number
+
+
+class Optimize(Asked):
+    what: Literal["optimize"]
+
+
+class SeenPair(Asked):
+    """Two points that are one place, in the base frames of the key frames that saw them.
+
+    stamps_ns   of these, in digits: JavaScript knows no whole numbers of this size
+    """
+
+    stamps_ns: tuple[Stamp, Stamp]
+    points_base: tuple[Point, Point]
+
+
+class AddSeenPairs(Asked):
+    what: Literal["add-pair"]
+    pairs: Annotated[list[SeenPair], Field(min_length=1), at_most(MOST_PAIRS, "pairs")]
+
+
+class UndoNewest(Asked):
+    what: Literal["undo"]
+
+
+LiveChange = Erase | Wall | Cut | AddSeenPairs | RemovePair | Optimize | UndoNewest
+
+
+class EditMap(Asked):
+    """One change of the map that is being made. who: for the recording"""
+
+    who: Who = ""
+    change: Annotated[LiveChange, Field(discriminator="what")]
+
+
+EDIT_MAP: TypeAdapter[EditMap] = TypeAdapter(EditMap)
+
+
+def refuse_outline(corners: Floats) -> None:
+    """Raises EditError where (C, 2) m are no outline of an area that is taken at once."""
+    if len(corners) < 3:
+        raise EditError(f"an area has 3 corners or more, not {len(corners)}")
+    _refuse_if_large(corners, "the area", "erase it in parts")
+    if area_m2(corners) < LEAST_M2:
+        raise EditError("the corners X Y X Y X Y... enclose no area")
+
+
+def refuse_line(corners: Floats) -> None:
+    """Raises EditError where (C, 2) m are no wall that is taken at once."""
+    if len(corners) < 2:
+        raise EditError(f"a wall goes through 2 points or more, not {len(corners)}")
+    for piece in pairwise(corners):
+        _refuse_if_large(np.array(piece), "a piece of the wall", "draw it through more points")
+
+
+def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
+    """What cells are looked for in: the rectangle around (C, 2) m."""
+    if (most_m := float(np.abs(points).max())) > FURTHEST_M:
+        raise EditError(
+            f"{what} reaches {most_m:.6g} m from the origin; at most {FURTHEST_M:.0f} m are taken"
+        )
+    width_m, height_m = np.ptp(points, axis=0).tolist()
+    if width_m * height_m > LARGEST_M2:
+        raise EditError(
+            f"{what} spans {width_m:.0f} m x {height_m:.0f} m, more than {LARGEST_M2:.0f} m2; {instead}"
+        )
+
+
+def at_words(xy: Floats) -> str:
+    """A point (2,) m of the map."""
+    return f"({xy[0]:.2f}, {xy[1]:.2f}) m"
+
+
+def erased_words(corners: Floats) -> str:
+    return f"erased {area_m2(corners):.2f} m2 about {at_words(corners.mean(axis=0))}"
+
+
+def wall_words(corners: Floats) -> str:
+    length_m = float(np.hypot(*np.diff(corners, axis=0).T).sum())
+    return f"drew a wall of {length_m:.2f} m about {at_words(corners.mean(axis=0))}"
+
+
+def moved_words(words: str, most_m: float, contradicted: int) -> str:
+    """Of a change after which the graph was solved. contradicted: loops"""
+    aside = f"; gone as the rest contradicts: {counted(contradicted, 'loop')}" if contradicted else ""
+    return f"{words}; key frames moved by up to {most_m:.3f} m{aside}"

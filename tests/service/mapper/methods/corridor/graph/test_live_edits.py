@@ -1,0 +1,169 @@
+"""Changes by hand in a back end that is at work: a ring of corridors, driven one and a half times."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.mapper.components import EditAnswer
+from service.mapper.edit_requests import EDIT_MAP
+from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.saved_graph import SavedGraph
+from tests.service.mapper.methods.corridor.graph.rings import key_frames
+from tests.service.mapper.methods.corridor.graph.test_editing import RENDERER, ROUND, seam_m
+
+FRAMES, TRUTH = key_frames(1.4)
+SPOTS = (8, 30, 52)  # key frames of the first round
+CUT = {"what": "cut", "from_s": 4.0, "to_s": 4.5}
+
+
+def fed(config: LoopsConfig) -> bytes:
+    back_end = LoopBackEnd(config, RENDERER)
+    for k in range(0, len(FRAMES), 7):
+        back_end.work(Batch(FRAMES[k : k + 7]))
+    return pickle.dumps(back_end)
+
+
+@pytest.fixture(scope="module")
+def open_ring() -> bytes:
+    """No loop was accepted: the second round lies beside the first."""
+    return fed(LoopsConfig(consensus_span_m=1000.0))
+
+
+@pytest.fixture(scope="module")
+def closed_ring() -> bytes:
+    return fed(LoopsConfig())
+
+
+def asked(back_end: LoopBackEnd, **change: Any) -> tuple[Result, EditAnswer]:
+    result = back_end.work(Batch([], "edit_map", change=EDIT_MAP.validate_python({"change": change}).change))
+    assert result.edited is not None
+    return result, result.edited
+
+
+def saved(back_end: LoopBackEnd) -> SavedGraph:
+    graph = back_end.work(Batch([], "checkpoint")).saved
+    assert isinstance(graph, SavedGraph)
+    return graph.checked()
+
+
+def pairs_of_both_rounds(graph: SavedGraph, off_m: float = 0.0) -> list[dict[str, Any]]:
+    """A point of the wall that both saw, off_m beside it in the second round."""
+    pairs = []
+    for k in SPOTS:
+        wall = graph.xy_base[graph.point_count[:k].sum()].astype(np.float64)
+        true_map = TRUTH[k] @ type(TRUTH[k])(float(wall[0]), float(wall[1]), 0.0)
+        later = TRUTH[k + ROUND].inverse() @ true_map
+        stamps = (str(FRAMES[k].stamp_ns), str(FRAMES[k + ROUND].stamp_ns))
+        points = (tuple(wall.tolist()), (later.x_m + off_m, later.y_m))
+        pairs.append({"stamps_ns": stamps, "points_base": points})
+    return pairs
+
+
+def test_pairs_close_a_ring_that_no_loop_has_closed_and_say_what_is_left_of_each(open_ring: bytes):
+    back_end = pickle.loads(open_ring)
+    before = saved(back_end)
+    assert seam_m(before, TRUTH).min() > 0.5
+    result, answer = asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
+    assert answer.told["done"].startswith("pairs 0 to 2; key frames moved by up to ")
+    assert [pair["apart_mm"] < 50.0 for pair in answer.told["pairs"]] == [True] * 3
+    assert result.newest is not None
+    assert result.rendered_map is not None
+    assert seam_m(saved(back_end), TRUTH).max() < 0.1
+    _, answer = asked(back_end, what="remove-pair", pair=1)
+    assert len(answer.told["pairs"]) == 2
+    for count in (3, 0):
+        _, answer = asked(back_end, what="undo")
+        assert len(answer.told["pairs"]) == count
+    np.testing.assert_allclose(saved(back_end).map, before.map, atol=2e-3)
+    assert "left to take back" in asked(back_end, what="undo")[1].error
+
+
+def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(closed_ring: bytes):
+    back_end = pickle.loads(closed_ring)
+    before = saved(back_end)
+    ends = before.loop_ends.tolist()
+    assert ends
+    span = {"what": "cut", "from_s": ends[0][1] / 10.0 - 0.2, "to_s": ends[0][1] / 10.0 + 0.2}
+    is_cut = np.abs(np.arange(len(before)) - ends[0][1]) <= 2
+    touched = int(is_cut[np.array(ends)].any(axis=1).sum())
+    _, answer = asked(back_end, **span, bridge=True)
+    gone = f"{touched} loop{'s' * (touched > 1)}"
+    assert answer.told["done"].startswith(f"cut 5 key frames out, and {gone} with them")
+    less = saved(back_end)
+    np.testing.assert_array_equal(less.point_count == 0, is_cut)
+    assert len(less.loop_ends) == len(ends) - touched
+    asked(back_end, what="undo")
+    again = saved(back_end)
+    np.testing.assert_array_equal(again.point_count, before.point_count)
+    assert sorted(again.loop_ends.tolist()) == sorted(ends)
+    np.testing.assert_allclose(again.map, before.map, atol=2e-3)
+
+
+def test_without_a_bridge_the_way_gives_where_it_is_cut(open_ring: bytes):
+    """Pairs ask for more than odometry errs by: it must give somewhere."""
+
+    def given_m(is_bridged: bool) -> float:
+        back_end = pickle.loads(open_ring)
+        asked(back_end, **CUT, bridge=is_bridged)
+        asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(saved(back_end), off_m=0.5))
+        graph = saved(back_end)
+        over_cut = slice(39, 46), slice(40, 47)
+        driven, lies = (se2.between(*(of[part] for part in over_cut)) for of in (graph.odom, graph.map))
+        return float(np.abs(lies - driven)[:, :2].sum())
+
+    assert given_m(is_bridged=False) > 5.0 * given_m(is_bridged=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"what": "remove-pair", "pair": 0}, "there is no pair 0"),
+        ({"what": "cut", "from_s": 1e6, "to_s": 1e7}, "no key frame lies in that time"),
+        ({"what": "cut", "from_s": 0.0, "to_s": 1e7}, "that is all of the map"),
+        (
+            {
+                "what": "add-pair",
+                "pairs": [{"stamps_ns": ("0", "7"), "points_base": ((0.0, 0.0), (0.0, 0.0))}],
+            },
+            "the key frame of 7 ns is not in the map",
+        ),
+        (
+            {
+                "what": "add-pair",
+                "pairs": [{"stamps_ns": ("0", "0"), "points_base": ((0.0, 0.0), (0.0, 0.0))}],
+            },
+            "of one key frame",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
+    open_ring: bytes, change: dict[str, Any], words: str
+):
+    back_end = pickle.loads(open_ring)
+    before = saved(back_end)
+    result, answer = asked(back_end, **change)
+    assert words in answer.error
+    assert result.rendered_map is None
+    after = saved(back_end)
+    np.testing.assert_array_equal(after.map, before.map)
+    np.testing.assert_array_equal(after.point_count, before.point_count)
+
+
+def test_a_drawing_is_held_by_a_key_frame_of_a_known_place(open_ring: bytes):
+    """The newest key frames are of a piece that nobody has found yet: they are not stored."""
+    back_end = pickle.loads(open_ring)
+    lost = [
+        type(f)(**{n: getattr(f, n) for n in f.__slots__} | {"piece": 1, "stamp_ns": f.stamp_ns + 10**12})
+        for f in FRAMES[40:43]
+    ]
+    back_end.work(Batch(lost))
+    at = se2.points_from(np.array(saved(back_end).map[-1]), np.zeros(2))
+    asked(back_end, what="wall", corners=[tuple(at.tolist()), (float(at[0]) + 1.0, float(at[1]))])
+    graph = saved(back_end)
+    assert len(graph) == len(FRAMES)
+    np.testing.assert_allclose(graph.by_hand.drawings(graph.map)[0].corners_map[0], at, atol=1e-9)
