@@ -1,4 +1,4 @@
-"""What a pretended UTM-30LX measures in one sweep, coded as the device codes it. No I/O, no protocol."""
+"""What a pretended Hokuyo laser measures in one sweep, coded as the device codes it. No I/O, no protocol."""
 
 import math
 
@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from drivers.hokuyo_utm30lx.scans import MAX_ECHOES, NO_ECHO, Ints, Scan, ScanRequest
 from simulators.device import Sweep, SweepSource
+from simulators.hokuyo_setup import Replies
 
-DISTANCE_MIN_MM, DISTANCE_MAX_MM = 23, 60_000
 NEAR_LIMIT_CODE = 4
 FULL_INTENSITY = 16_000  # raw; a recorded unit gave 1744 to 16219
 BEHIND_M = (0.3, 4.0)  # how far behind a pane, a branch or a drop the next echo lies
@@ -18,40 +18,35 @@ WEAKER = 0.6
 class Optics:
     """Casts the rays of a sweep and writes down what comes back."""
 
-    STEPS_PER_TURN = 1440
-
-    def __init__(
-        self, source: SweepSource, front_step: int, no_return_mm: int, further_echo_share: float, seed: int
-    ) -> None:
+    def __init__(self, source: SweepSource, replies: Replies, further_echo_share: float, seed: int) -> None:
         self._source = source
-        self._front_step = front_step
-        self._no_return_mm = no_return_mm
+        self._replies = replies
         self._further_echo_share = further_echo_share
         self._noise = np.random.default_rng(seed)
 
     def measure(self, request: ScanRequest, step_0_ns: int, step_ns: float, stamp_ms: int) -> Scan:
         """One sweep; step_0_ns is when the mirror passes step 0, host ns."""
-        step_rad = 2.0 * math.pi / self.STEPS_PER_TURN
+        step_rad = 2.0 * math.pi / self._replies.steps_per_turn
         sweep = self._source.sweep(
             step_0_ns + round(request.first_step * step_ns),
             round(step_ns),
-            (request.first_step - self._front_step) * step_rad,
+            (request.first_step - self._replies.front_step) * step_rad,
             step_rad,
             request.last_step - request.first_step + 1,
         )
         distance_mm, intensity = self._code(sweep)
         if request.multi_echo:
             distance_mm, intensity = self._further_echoes(distance_mm, intensity)
-        distance_mm, intensity = _clustered(distance_mm, intensity, max(request.cluster, 1))
+        distance_mm, intensity = self._clustered(distance_mm, intensity, max(request.cluster, 1))
         return Scan(request, stamp_ms, distance_mm, intensity if request.with_intensity else distance_mm[:0])
 
     def _code(self, sweep: Sweep) -> tuple[Ints, Ints]:
         """(1, N) distance in mm or an error code, and raw intensity."""
-        seen = ~np.isnan(sweep.range_m)
-        distance_mm = np.full(sweep.range_m.shape, self._no_return_mm, dtype=np.int32)
+        seen, replies = ~np.isnan(sweep.range_m), self._replies
+        distance_mm = np.full(sweep.range_m.shape, replies.no_return_mm, dtype=np.int32)
         distance_mm[seen] = np.rint(sweep.range_m[seen] * 1000.0)
-        distance_mm[seen & (distance_mm < DISTANCE_MIN_MM)] = NEAR_LIMIT_CODE
-        distance_mm[seen & (distance_mm >= DISTANCE_MAX_MM)] = self._no_return_mm
+        distance_mm[seen & (distance_mm < replies.distance_min_mm)] = NEAR_LIMIT_CODE
+        distance_mm[seen & (distance_mm >= replies.distance_max_mm)] = replies.no_return_mm
         intensity = np.where(seen, np.rint(sweep.intensity * FULL_INTENSITY), 0).astype(np.int32)
         return distance_mm[np.newaxis], intensity[np.newaxis]
 
@@ -60,7 +55,8 @@ class Optics:
         shape = (MAX_ECHOES, distance_mm.shape[1])
         distances, intensities = np.full(shape, NO_ECHO, np.int32), np.full(shape, NO_ECHO, np.int32)
         distances[0], intensities[0] = distance_mm[0], intensity[0]
-        through = (distance_mm[0] >= DISTANCE_MIN_MM) & (distance_mm[0] < DISTANCE_MAX_MM)
+        least_mm, most_mm = self._replies.distance_min_mm, self._replies.distance_max_mm
+        through = (distance_mm[0] >= least_mm) & (distance_mm[0] < most_mm)
         for echo in range(1, MAX_ECHOES):
             through &= self._noise.random(shape[1]) < self._further_echo_share
             behind_mm = np.rint(self._noise.uniform(*BEHIND_M, shape[1]) * 1000.0).astype(np.int32)
@@ -69,15 +65,16 @@ class Optics:
             intensities[echo, through] = weaker.astype(np.int32)[through]
         return distances, intensities
 
-
-def _clustered(distance_mm: Ints, intensity: Ints, cluster: int) -> tuple[Ints, Ints]:
-    """Of each `cluster` neighbours the nearest one with a distance, else the first one's code."""
-    if cluster == 1:
-        return distance_mm, intensity
-    beams = distance_mm.shape[1]
-    groups = -(-beams // cluster)
-    columns = np.minimum(np.arange(groups * cluster), beams - 1).reshape(groups, cluster)
-    first = distance_mm[0][columns]
-    nearest = np.where(first >= DISTANCE_MIN_MM, first, np.iinfo(np.int32).max).argmin(axis=1)
-    chosen = columns[np.arange(groups), nearest]
-    return distance_mm[:, chosen], intensity[:, chosen]
+    def _clustered(self, distance_mm: Ints, intensity: Ints, cluster: int) -> tuple[Ints, Ints]:
+        """Of each `cluster` neighbours the nearest one with a distance, else the first one's code."""
+        if cluster == 1:
+            return distance_mm, intensity
+        beams = distance_mm.shape[1]
+        groups = -(-beams // cluster)
+        columns = np.minimum(np.arange(groups * cluster), beams - 1).reshape(groups, cluster)
+        first = distance_mm[0][columns]
+        nearest = np.where(first >= self._replies.distance_min_mm, first, np.iinfo(np.int32).max).argmin(
+            axis=1
+        )
+        chosen = columns[np.arange(groups), nearest]
+        return distance_mm[:, chosen], intensity[:, chosen]

@@ -1,4 +1,4 @@
-"""A pretended UTM-30LX (USB) or UTM-30LX-EW (Ethernet): the other end of drivers.hokuyo_utm30lx. No I/O.
+"""A pretended Hokuyo laser of drivers.hokuyo_utm30lx.models: the other end of drivers.hokuyo_utm30lx. No I/O.
 
 It answers what third-party clients ask at their start-up (urg_library, hokuyo_node, MRPT, hokuyolx) in the
 order and form they need, and reproduces the behaviour of real ones: silence while booting, 0M until the motor
@@ -8,8 +8,7 @@ wraps.
 
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.protocol import (
@@ -30,50 +29,17 @@ from drivers.hokuyo_utm30lx.protocol import (
 from drivers.hokuyo_utm30lx.scans import ScanRequest, read_request, write_scan
 from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
 from simulators.hokuyo_optics import Optics
+from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
 
 LEAVES_AFTER_SWEEP_NS = 300_000
 REBOOT_WINDOW_NS = 1_000_000_000  # the second RB must come within
 TOO_SHORT, TOO_LONG = {"usb": "0C", "ethernet": "0H"}, {"usb": "0G", "ethernet": "0D"}
 STRING_TOO_LONG, NOT_SUPPORTED, ALREADY, INCOMPATIBLE, NOT_ADJUSTING = "0G", "0F", "02", "04", "04"
 LASER_BROKEN = "01"
-LENGTHS = {  # of a command with its parameters
-    **dict.fromkeys(("VV", "PP", "II", "BM", "QT", "RS", "RT", "RB"), 2),
-    **{"TM": 3, "SS": 8, "CR": 4, "HS": 3, "DB": 4},
-    **dict.fromkeys(("GD", "GS", "GE"), 12),
-    **dict.fromkeys(("MD", "MS", "ME"), 15),
-}
-ETHERNET_LENGTHS = {
-    **{"%ST": 3, "%SL": 3},
-    **dict.fromkeys(("HD", "HE"), 12),
-    **dict.fromkeys(("ND", "NE"), 15),
-}
+LOCKED_UP_NS = 1 << 62
 SCANS = ("GD", "GS", "GE", "HD", "HE", "MD", "MS", "ME", "ND", "NE")
 IN_ABNORMAL_STATE = ("VV", "PP", "II", "RB")
 IN_TIME_ADJUST = ("VV", "II", "TM", "%ST", "RB")
-
-
-@dataclass(frozen=True, slots=True)
-class Utm30lxSetup:
-    """Model, firmware, stored settings and faults of this unit."""
-
-    wire: Literal["usb", "ethernet"] = "usb"
-    serial_number: str = "00903971"
-    firmware: str = ""  # filled in by the wire where empty
-    first_step: int = 0
-    last_step: int = 1080
-    front_step: int = 540
-    boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet
-    warm_up_ns: int = 0  # after that: laser and scans are answered 0M
-    scip_1: bool = False  # until it is told SCIP2.0
-    clock_start_ms: int = 0  # at power-up; near 2**24 it soon wraps
-    clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
-    motor_speed: float = 1.0  # of nominal; one was seen to take 25.05 ms a turn
-    stamps_rear: bool = False  # the moment the mirror looks back, instead of step 0
-    no_return_mm: int = 1  # what a beam without echo says; 65533 by Ethernet
-    further_echo_share: float = 0.0  # of the beams, see through to something behind; Ethernet alone
-    sums_count_semicolons: bool = False
-    refused: frozenset[str] = frozenset()  # commands it does not know: ME, ND ...; also "cluster", "skip"
-    cuts_scan_on_quit: bool = False  # QT is answered in the middle of a scan
 
 
 class FakeUtm30lx:
@@ -88,9 +54,14 @@ class FakeUtm30lx:
         self.fault_status = ""
         self.stalled = False
         self.counters: Counter[str] = Counter()
-        self._optics = Optics(source, setup.front_step, setup.no_return_mm, setup.further_echo_share, seed)
+        given = {
+            name: value
+            for name in ("last_step", "front_step", "no_return_mm")
+            if (value := getattr(setup, name)) is not None
+        }
+        self._replies = REPLIES[setup.model, setup.wire]._replace(**given)
+        self._optics = Optics(source, self._replies, setup.further_echo_share, seed)
         self._decoder = CommandDecoder()
-        self._lengths = LENGTHS if setup.wire == "usb" else LENGTHS | ETHERNET_LENGTHS
         self._powered_on_ns: int | None = None
         self._answers_from_ns = 0
         self._steady_from_ns = 0
@@ -226,14 +197,14 @@ class FakeUtm30lx:
         self._single.clear()
 
     def _turn_ns(self) -> float:
-        return 25e6 / self.setup.motor_speed
+        return 60e9 / self._replies.speed_rpm / self.setup.motor_speed
 
     def _turn_after(self, now_ns: int) -> int:
         """The first turn that begins at now_ns or later."""
         return max(0, -int(-(now_ns - self._steady_from_ns) // self._turn_ns()))
 
     def _leaves_ns(self, turn: int, request: ScanRequest) -> int:
-        sweep_ns = self._turn_ns() * request.last_step / Optics.STEPS_PER_TURN
+        sweep_ns = self._turn_ns() * request.last_step / self._replies.steps_per_turn
         return self.first_ray_ns(turn) + round(sweep_ns) + LEAVES_AFTER_SWEEP_NS
 
     def _set_clock(self, now_ns: int, ms: int) -> None:
@@ -244,10 +215,11 @@ class FakeUtm30lx:
         return (self._clock_zero_ms + int(since_ms // 1)) % CLOCK_MODULUS
 
     def _scan_message(self, request: ScanRequest, echo: str, turn: int, status: str) -> bytes:
-        step_ns = self._turn_ns() / Optics.STEPS_PER_TURN
+        replies = self._replies
+        step_ns = self._turn_ns() / replies.steps_per_turn
         stamped_ns = self.first_ray_ns(turn)
         if self.setup.stamps_rear:
-            stamped_ns += round((self.setup.front_step - Optics.STEPS_PER_TURN / 2) * step_ns)
+            stamped_ns += round((replies.front_step - replies.steps_per_turn / 2) * step_ns)
         scan = self._optics.measure(request, self.first_ray_ns(turn), step_ns, self._clock_ms(stamped_ns))
         return write_scan(scan, echo, status)
 
@@ -257,7 +229,10 @@ class FakeUtm30lx:
             self._scip_1 = command != "SCIP2.0"
             return encode_reply(command, SCIP_1 if self._scip_1 else "0")
         name = command[:3] if command.startswith("%") else command[:2]
-        length = self._lengths.get(name)
+        if name in self._replies.locks_up_at:
+            self._answers_from_ns = LOCKED_UP_NS
+            return b""
+        length = self._replies.commands.get(name)
         if length is None:
             return self._refuse(command, NOT_DEFINED)
         text, string = command[:length], command[length:]
@@ -304,50 +279,45 @@ class FakeUtm30lx:
         return encode_reply(echo, OK, [f"{key}:{value};".encode("ascii") for key, value in pairs])
 
     def _version(self, text: str, echo: str, now_ns: int) -> bytes:
-        usb = self.setup.wire == "usb"
-        firmware = self.setup.firmware or ("P.1.05(17/Apr./2009)" if usb else "1.1.0 (2011-09-30)")
+        replies = self._replies
         return self._info(
             echo,
-            ("VEND", "Hokuyo Automatic Co.,Ltd." if usb else "Hokuyo Automatic Co., Ltd."),
-            ("PROD", "SOKUIKI Sensor TOP-URG UTM-30LX" if usb else "UTM-30LX-EW"),
-            ("FIRM", firmware),
-            ("PROT", "SCIP 2.0" if usb else "SCIP 2.2"),
+            ("VEND", replies.vendor),
+            ("PROD", self.setup.product or replies.product),
+            ("FIRM", self.setup.firmware or replies.firmware),
+            ("PROT", replies.protocol),
             ("SERI", self.setup.serial_number),
         )
 
     def _parameters(self, text: str, echo: str, now_ns: int) -> bytes:
-        usb = self.setup.wire == "usb"
+        replies = self._replies
+        ethernet = self.setup.wire == "ethernet"
+        speed_rpm = replies.speed_rpm * (self.setup.motor_speed if ethernet else 1.0)
         pairs = [
-            ("MODL", "UTM-30LX(Hokuyo Automatic Co.,Ltd.)" if usb else "UTM-30LX-EW"),
-            ("DMIN", "23"),
-            ("DMAX", "60000"),
-            *([] if usb else [("PROT", "SCIP 2.2")]),
-            ("ARES", str(Optics.STEPS_PER_TURN)),
-            ("AMIN", str(self.setup.first_step)),
-            ("AMAX", str(self.setup.last_step)),
-            ("AFRT", str(self.setup.front_step)),
-            ("SCAN", "2400" if usb else str(round(2400 * self.setup.motor_speed))),
+            ("MODL", replies.model),
+            ("DMIN", str(replies.distance_min_mm)),
+            ("DMAX", str(replies.distance_max_mm)),
+            *([("PROT", replies.protocol)] if ethernet else []),
+            ("ARES", str(replies.steps_per_turn)),
+            ("AMIN", str(replies.first_step)),
+            ("AMAX", str(replies.last_step)),
+            ("AFRT", str(replies.front_step)),
+            ("SCAN", str(round(speed_rpm))),
         ]
         return self._info(echo, *pairs)
 
     def _information(self, text: str, echo: str, now_ns: int) -> bytes:
-        usb = self.setup.wire == "usb"
-        well, ill = "Sensor works well.", "Trouble!! Error No. =[00->33]"
-        if not usb:
-            well, ill = "Stable 000 no error.", "Error 033"
-        mode = "CLASSIC" if usb else {"000": "000 Idle", "001": "001 Booting"}.get(self._state_code(now_ns))
-        mode = mode or {"003": "003 Single_scan", "004": "004 Multi_scan"}.get(
-            self._state_code(now_ns), "000 Idle"
-        )
+        usb, replies = self.setup.wire == "usb", self._replies
+        modes = {"001": "001 Booting", "003": "003 Single_scan", "004": "004 Multi_scan"}
         return self._info(
             echo,
-            ("MODL", "UTM-30LX(Hokuyo Automatic Co.,Ltd.)" if usb else "UTM-30LX-EW"),
+            ("MODL", replies.model),
             ("LASR", "ON" if self._laser_on else "OFF"),
-            ("SCSP", "Initial(2400[rpm])<-Default setting by user" if usb else "2400"),
-            ("MESM", mode),
+            ("SCSP", replies.speed),
+            ("MESM", "CLASSIC" if usb else modes.get(self._state_code(now_ns), "000 Idle")),
             ("SBPS", "USB Full Speed" if usb else "Ethernet 100 [Mbps]"),
             ("TIME", f"{self._clock_ms(now_ns):06X}"),
-            ("STAT", ill if self.abnormal else well),
+            ("STAT", replies.ill if self.abnormal else replies.well),
         )
 
     def _light(self, text: str, echo: str, now_ns: int) -> bytes:
@@ -461,7 +431,8 @@ class FakeUtm30lx:
         if "skip" in refused and text[12:13] not in ("", "0"):
             return self._refuse(echo, "06")
         first, last = int(text[2:6]), int(text[6:10])
-        if not self.setup.first_step <= first <= self.setup.last_step or last > self.setup.last_step:
+        replies = self._replies
+        if not replies.first_step <= first <= replies.last_step or last > replies.last_step:
             return self._refuse(echo, "04")
         if last <= first:
             return self._refuse(echo, "05")

@@ -106,6 +106,10 @@ UTM30LX = LaserModel(
     sigma_per_m=0.0007,
     divergence_rad=0.006,
 )
+# UST-10LX data sheet: 0.06 to 30 m, 4 m at 10 %, repeated accuracy 30 mm at most.
+UST = LaserModel(range_min_m=0.06, range_max_m=30.0, tenth_range_m=4.0, sigma_m=0.01, divergence_rad=0.006)
+# URG-04LX-UG01 data sheet: 0.02 to 5.6 m, accuracy 30 mm to 1 m and 3 % beyond; a third of it as noise.
+URG04LX = LaserModel(range_min_m=0.02, range_max_m=5.6, tenth_range_m=4.0, sigma_m=0.01, sigma_per_m=0.006)
 # IBEO LUX data sheet: 200 m, 50 m at 10 % remission, 4 cm in steps of a centimetre, beam 0.08 deg wide.
 IBEO_LUX = LaserModel(
     range_min_m=0.3,

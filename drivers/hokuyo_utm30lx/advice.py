@@ -1,17 +1,16 @@
-"""What `corridor doctor` knows of the UTM-30LX: its protocol, its product name, causes of silence."""
+"""What `corridor doctor` knows of Hokuyo lasers: their protocol, product names, causes of silence."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from drivers.advice import Advice
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
+from drivers.hokuyo_utm30lx.models import model_of
 from drivers.hokuyo_utm30lx.protocol import ReplyDecoder
-
-FULL_RATE_HZ = 40.0
-NAME = "UTM-30LX"
 
 
 def rate_hz(config: HokuyoUtm30lxConfig) -> float:
-    return FULL_RATE_HZ / (1 + config.skip_scans)
+    return config.limits.rate_hz / (1 + config.skip_scans)
 
 
 def recognise(data: bytes) -> str:
@@ -22,16 +21,22 @@ def recognise(data: bytes) -> str:
 def doubt(config: HokuyoUtm30lxConfig, identity: Mapping[str, str]) -> str:
     """PROD of the USB unit ends in UTM-30LX, that of the Ethernet unit is UTM-30LX-EW."""
     product = identity.get("product", "")
-    if not product or NAME in product:
+    if not product or model_of(product) == config.model:
         return ""
     where = config.device or config.host
-    return f"it calls itself {product}, expected a {NAME}; is {where} the right laser?"
+    return f"it calls itself {product}, expected a {config.limits.name}; is {where} the right laser?"
+
+
+def settings_of(identity: Mapping[str, str]) -> dict[str, Any]:
+    model = model_of(identity.get("product", ""))
+    return {"model": model} if model else {}
 
 
 ADVICE = Advice(
     rate_hz=rate_hz,
     recognise=recognise,
     doubt=doubt,
+    settings_of=settings_of,
     worries=("stopped", "fault", "Trouble", "error", "Error", "nstable"),
     start_up_s=15.0,
     silence="just switched on it needs some seconds; does it have 12 V and 1 A, does its lamp blink? another "

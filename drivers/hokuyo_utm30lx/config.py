@@ -1,20 +1,25 @@
-"""Settings of one UTM-30LX (USB) or UTM-30LX-EW (Ethernet), as they stand in config/*.yaml."""
+"""Settings of one UTM-30LX, UST or URG-04LX-UG01, as they stand in config/*.yaml."""
 
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from drivers.hokuyo_utm30lx.models import MODELS, Model, ModelName
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
-from drivers.section import Section
+from drivers.section import Section, with_defaults_of_model
 from drivers.wires import DeviceFile, Host
 
 
 class HokuyoUtm30lxConfig(Section):
-    """What the device shall do, and by which wire: `device` for USB, `host` for Ethernet, never both."""
+    """What the device shall do, and by which wire: `device` for USB, `host` for Ethernet, never both.
+
+    The defaults that depend on the model are shown for a UTM-30LX; see Model.defaults.
+    """
 
     type: Literal["hokuyo_utm30lx"] = "hokuyo_utm30lx"
     name: str = Field(min_length=1)
+    model: ModelName = "utm_30lx"  # UTM-30LX and UTM-30LX-EW
     device: DeviceFile | None = Field(default=None, min_length=1)  # UTM-30LX: path, or a pyserial URL
     host: Host | None = Field(default=None, min_length=1)  # UTM-30LX-EW; 192.168.0.10 from the factory
     port: int = Field(default=10940, ge=1, le=65535)  # with host alone
@@ -34,6 +39,11 @@ class HokuyoUtm30lxConfig(Section):
     map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _with_defaults_of_model(cls, given: Any) -> Any:
+        return with_defaults_of_model(given, MODELS)
+
     @model_validator(mode="after")
     def _one_wire_that_can_do_it(self) -> Self:
         if (self.device is None) == (self.host is None):
@@ -41,6 +51,13 @@ class HokuyoUtm30lxConfig(Section):
                 f"{self.name}: give either device (UTM-30LX on USB, such as /dev/ttyACM0) "
                 "or host (UTM-30LX-EW), and not both"
             )
+        wire = "device" if self.host is None else "host"
+        if wire not in self.limits.wires:
+            raise ValueError(f"{self.name}: model {self.model} has no {wire}; give {self.limits.wires[0]}")
+        if self.intensity and not self.limits.has_intensity:
+            raise ValueError(f"{self.name}: model {self.model} sends no intensity: leave it out")
+        if self.echo != "first" and not self.limits.has_echoes:
+            raise ValueError(f"{self.name}: echo {self.echo}: model {self.model} has one echo, the first")
         if self.host is None and self.echo != "first":
             raise ValueError(f"{self.name}: echo {self.echo} needs a UTM-30LX-EW (host); USB has echo: first")
         if self.first_angle_deg >= self.last_angle_deg:
@@ -53,6 +70,11 @@ class HokuyoUtm30lxConfig(Section):
                 f"{self.name}: range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}"
             )
         return self
+
+    @property
+    def limits(self) -> Model:
+        """What this model is."""
+        return MODELS[self.model]
 
     @property
     def scan_command(self) -> str:

@@ -1,4 +1,4 @@
-"""Start-up dialogue of a UTM-30LX: from the first byte to the stream. No I/O, no clock.
+"""Start-up dialogue of a Hokuyo laser: from the first byte to the stream. No I/O, no clock.
 
 The device may be booting (silent, or 0M), streaming for a client that died (on USB it goes on), left in
 time-adjust mode, asleep, in SCIP 1 or abnormal. Hence: end all that first, then ask who it is. Sources:
@@ -14,6 +14,7 @@ from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.hokuyo_utm30lx.geometry import Geometry
+from drivers.hokuyo_utm30lx.models import mismatch
 from drivers.hokuyo_utm30lx.protocol import (
     ABNORMAL,
     DENIED,
@@ -130,11 +131,14 @@ class UtmDialogue:
         self.phase = "reading identity"
         said = yield from self._understood("VV", dict)
         self.identity |= {key: said[name] for key, name in IDENTITY if said.get(name)}
+        where = self._config.device or self._config.host
+        if words := mismatch(self.identity.get("product", ""), self._config.model):
+            raise DeviceError(f"{words}; is {where} the right laser?")
         wanted, found = self._config.serial_number, said.get("SERI", "")
         if wanted is not None and wanted.strip().casefold() != found.casefold():
             raise DeviceError(
                 f"this is unit {found or '(without a number)'}, expected serial_number {wanted}; are two "
-                f"sensors swapped? look which one is at {self._config.device or self._config.host}"
+                f"sensors swapped? look which one is at {where}"
             )
 
     def _look_at_state(self) -> Dialogue[None]:
@@ -216,7 +220,8 @@ class UtmDialogue:
                 break
             setting, simpler = self._simpler(request, reply.status)
             if simpler is None:
-                words = SCAN_STATUS.get(reply.status, "it does not know the command; is this a UTM-30LX?")
+                question = f"it does not know the command; is this a {config.limits.name}?"
+                words = SCAN_STATUS.get(reply.status, question)
                 raise DeviceError(f"{request.text} refused (status {reply.status}): {words}")
             reason = f"{request.command} refused (status {reply.status})"
             self.refusals.append(f"configured {setting} not taken: {reason}")

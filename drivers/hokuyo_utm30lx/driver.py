@@ -1,4 +1,4 @@
-"""Session with one UTM-30LX or UTM-30LX-EW: its dialogue over one connection, and scans into frames. No I/O.
+"""Session with one Hokuyo laser: its dialogue over one connection, and scans into frames. No I/O.
 
 Time. Each scan is stamped in whole milliseconds with the moment its sweep began: step 0 by C-42-03320B,
 while ros-drivers/urg_node takes it for the moment the mirror looked straight back (stamp_moment: rear).
@@ -33,17 +33,9 @@ FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
 SENDING_NS = 300_000  # from the last beam to arrival, a guess until TM1 says better
 VERIFYING, HARDWARE_FAULTS = range(21, 50), range(50, 98)  # statuses in a stream
-# C-42-03320B, table 4; 0 was seen too.
-ERROR_CODES = {
-    1: "beams_no_return",
-    2: "beams_too_near",
-    3: "beams_interference",
-    4: "beams_near_limit",
-}
-OTHER_CODE = "beams_other_error"
 OTHER_REQUEST = DropReason(
     "of another request than was made",
-    "another program asks the same laser: stop it; if there is none, it answers as no UTM-30LX does",
+    "another program asks the same laser: stop it; if there is none, it answers as no Hokuyo laser does",
 )
 
 Rows = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]  # (N,) range in m, (N,) or (0,) intensity
@@ -255,7 +247,7 @@ class HokuyoUtm30lxSession:
     def _count_codes(self, first_mm: npt.NDArray[np.int32], geometry: Geometry) -> None:
         for code, count in enumerate(np.bincount(first_mm[first_mm < geometry.distance_min_mm])):
             if count:
-                self.counters[ERROR_CODES.get(code, OTHER_CODE)] += int(count)
+                self.counters["beams_" + self._config.limits.codes.get(code, "other_error")] += int(count)
         beyond = np.count_nonzero(first_mm >= geometry.distance_max_mm)
         if beyond:
             self.counters["beams_beyond_range"] += int(beyond)

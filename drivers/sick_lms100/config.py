@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
-from drivers.section import Section
+from drivers.section import Section, with_defaults_of_model
 from drivers.sick_lms100.models import MODELS, Model, ModelName
 from drivers.wires import Host
 
@@ -40,8 +40,7 @@ class Lms100Config(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_defaults_of_model(cls, given: Any) -> Any:
-        name = given.get("model") if isinstance(given, dict) else None
-        return {**MODELS[name].defaults, **given} if isinstance(name, str) and name in MODELS else given
+        return with_defaults_of_model(given, MODELS)
 
     @model_validator(mode="after")
     def _device_can_do_it(self) -> Self:

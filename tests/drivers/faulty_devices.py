@@ -15,7 +15,8 @@ from drivers.xsens_mtig.driver import XsensMtigSession
 from simulators.device import FakeDevice
 from simulators.fault_file import parse_faults
 from simulators.faults import Faulty
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100

@@ -13,7 +13,8 @@ from drivers.hokuyo_utm30lx.driver import MALFORMED_LIMIT, HokuyoUtm30lxSession
 from drivers.hokuyo_utm30lx.protocol import encode_reply
 from drivers.hokuyo_utm30lx.scans import Scan, ScanRequest, write_scan
 from simulators.device import Sweep
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.utm30lx import Room, config, talk
 from tests.drivers.virtual_time import Talk
 

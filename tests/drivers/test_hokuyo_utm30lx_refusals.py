@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import DeviceError
-from simulators.hokuyo_utm30lx import Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
 from tests.drivers.utm30lx import talk
 
 EW = {"host": "192.168.0.10"}

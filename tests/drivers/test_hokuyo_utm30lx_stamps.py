@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.utm30lx import LateTalk, Room, config
 from tests.soaked import every_other, in_soak
 

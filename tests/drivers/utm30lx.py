@@ -9,7 +9,8 @@ from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest
 from simulators.device import Sweep
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.virtual_time import SECOND_NS, TICK_NS, Talk
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from simulators.device import Sweep
 from simulators.hokuyo_optics import FULL_INTENSITY
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.wire import serve_tcp
 from tests.interop.programs import InteropError, Venv, run_client
 

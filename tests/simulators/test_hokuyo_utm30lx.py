@@ -17,7 +17,8 @@ from drivers.hokuyo_utm30lx.port import open_port
 from drivers.hokuyo_utm30lx.protocol import ReplyDecoder, checksum, decode_number, read_info
 from drivers.hokuyo_utm30lx.scans import read_scan
 from drivers.link import LinkHealth, run_link
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.wire import serve_pty, serve_tcp
 from tests.drivers.utm30lx import Room, config
 
@@ -284,11 +285,10 @@ def test_what_cannot_be_measured_has_a_code():
                 Room().sweep(*asked), range_m=np.array([np.nan, 0.01, 70.0, 5.0] * 100, np.float32)
             )
 
-    for setup in (USB, replace(ETHERNET, no_return_mm=65_533)):
+    for setup, none in ((USB, 1), (replace(ETHERNET, no_return_mm=65_533), 65_533)):
         bench = Bench(setup, Odd())
         bench.say("MD0000039901000")
         scan = read_scan(ReplyDecoder().receive_data(bench.let(60.0)[0][1])[0])
-        none = setup.no_return_mm
         assert scan.distance_mm[0, :4].tolist() == [none, 4, none, 5000]
 
 

@@ -44,7 +44,7 @@ MOUNTED = ("sick_lms100", "hokuyo_utm30lx", "ibeo_lux", "xsens_mtig")
     [
         ("sick_lms100", "expected NAME=TYPE"),
         ("front=sick", "TYPE one of sick_lms100, hokuyo_utm30lx, irobot_create"),
-        ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes host, port, x_m"),
+        ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes model, ident, host, port, x_m"),
         ("front=sick_lms100:port=high", "port: .*integer"),
         *((f"front={kind}:x_m=50.1", "x_m: .*less than or equal to 50") for kind in MOUNTED),
         *((f"front={kind}:yaw_deg=-361", "yaw_deg: .*greater than or equal to -360") for kind in MOUNTED),

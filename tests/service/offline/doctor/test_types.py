@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from service.sensor_kinds import SENSOR_KINDS
-from simulators.hokuyo_utm30lx import FakeUtm30lx, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.ibeo_lux import FakeIbeoLux
 from simulators.sick_lms100 import FakeLms100
 from simulators.wire import serve_pty, serve_tcp

@@ -1,0 +1,118 @@
+"""The Hokuyo lasers that this driver reads, a row each, and those that it does not. No I/O.
+
+Geometry, least and largest distance come from the device (PP); here stands what it does not tell. Sources:
+C-42-03320B, tables 3 and 4 (codes); C-42-04076 (UST); VV and PP of a UST-10LX, VV, PP and a scan of a
+URG-04LX-UG01, printed by public drivers; ros-drivers/urg_c, pull request 4 (a URG that is asked for
+intensities or further echoes answers nothing more until its power is cut).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+ModelName = Literal["utm_30lx", "ust", "urg_04lx_ug01"]
+
+UTM_CODES = {1: "no_return", 2: "too_near", 3: "interference", 4: "near_limit"}  # 0 was seen too
+URG_CODES = {
+    0: "no_return",
+    1: "too_weak",
+    2: "too_weak",
+    7: "unlike_neighbours",
+    8: "two_waves",
+    9: "error_twice",
+    18: "too_bright",
+    19: "not_measurable",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What PP does not tell, and what the settings are where nothing is written."""
+
+    name: str  # which PROD, in VV, contains
+    wires: tuple[Literal["device", "host"], ...]
+    rate_hz: float
+    first_angle_deg: float  # defaults of the settings
+    last_angle_deg: float
+    range_min_m: float
+    range_max_m: float
+    has_intensity: bool
+    has_echoes: bool  # further ones, by Ethernet
+    codes: Mapping[int, str]  # values below DMIN: why a beam has no distance
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """Of the settings that depend on the model."""
+        return {
+            "first_angle_deg": self.first_angle_deg,
+            "last_angle_deg": self.last_angle_deg,
+            "range_min_m": self.range_min_m,
+            "range_max_m": self.range_max_m,
+        }
+
+
+UTM_30LX = Model(
+    name="UTM-30LX",
+    wires=("device", "host"),
+    rate_hz=40.0,
+    first_angle_deg=-135.0,
+    last_angle_deg=135.0,
+    range_min_m=0.1,
+    range_max_m=30.0,
+    has_intensity=True,
+    has_echoes=True,
+    codes=UTM_CODES,
+)
+UST = Model(
+    name="UST-",
+    wires=("host",),
+    rate_hz=40.0,
+    first_angle_deg=-135.0,
+    last_angle_deg=135.0,
+    range_min_m=0.06,
+    range_max_m=30.0,
+    has_intensity=True,
+    has_echoes=False,
+    codes=UTM_CODES,
+)
+URG_04LX_UG01 = Model(
+    name="URG-04LX-UG01",
+    wires=("device",),
+    rate_hz=10.0,
+    first_angle_deg=-119.5,
+    last_angle_deg=119.9,
+    range_min_m=0.06,
+    range_max_m=4.095,
+    has_intensity=False,
+    has_echoes=False,
+    codes=URG_CODES,
+)
+MODELS: Mapping[str, Model] = {"utm_30lx": UTM_30LX, "ust": UST, "urg_04lx_ug01": URG_04LX_UG01}
+
+# What PROD contains, after the names above: what reading that laser would need.
+NOT_READ = {
+    "URG-04LX": "a VV reply with wrong sums accepted, and a recording of it",
+    "UBG-": "a recording of its replies to VV and PP and of one scan",
+    "UHG-": "a recording of its replies to VV and PP and of one scan",
+    "UTM-X00": "a recording of its replies to VV and PP and of one scan",
+    "UXM-": "a row for it (190 deg, 20 scans a second) and a recording of one scan with further echoes",
+    "UAM-": "the safety protocol's replies, and a recording of one scan",
+    "UGM-": "a recording of its replies to VV and PP and of one scan",
+    "YVT-": "one plane chosen of a laser of many, and another protocol (VSSP)",
+}
+
+
+def model_of(product: str) -> str | None:
+    """Key in MODELS of the laser with this product name; None for one that is not read, or is unknown."""
+    return next((key for key, model in MODELS.items() if model.name in product), None)
+
+
+def mismatch(product: str, configured: str) -> str:
+    """Why the laser with this product name is not the configured model; "" where it is, or is unknown."""
+    found = model_of(product)
+    if found is not None:
+        return "" if found == configured else f"this is a {product}: write model: {found}"
+    for name, need in NOT_READ.items():
+        if name in product:
+            return f"this is a {product}, which is not read: that would need {need}"
+    return ""

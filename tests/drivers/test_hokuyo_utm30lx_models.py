@@ -1,0 +1,180 @@
+"""Hokuyo lasers beside the UTM-30LX: real replies, the driver against a fake of each, refusals."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers.errors import DeviceError
+from drivers.hokuyo_utm30lx.advice import ADVICE
+from drivers.hokuyo_utm30lx.models import MODELS, NOT_READ, mismatch, model_of
+from drivers.hokuyo_utm30lx.protocol import ReplyDecoder, encode_info, read_info
+from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
+from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
+from tests.drivers.utm30lx import config, talk
+
+UST = {"model": "ust", "host": "192.168.0.10"}
+URG = {"model": "urg_04lx_ug01"}
+RECORDED = (Path(__file__).parent / "telegrams/urg_04lx_ug01.scip").read_bytes()
+
+
+def ust(**changes):
+    return Utm30lxSetup(wire="ethernet", model="ust", **changes)
+
+
+def urg(**changes):
+    return Utm30lxSetup(model="urg_04lx_ug01", **changes)
+
+
+def test_recorded_scan_of_a_urg_is_read_and_written_as_it_came():
+    [reply] = ReplyDecoder().receive_data(RECORDED)
+    scan = read_scan(reply)
+    assert scan.distance_mm.shape == (1, 682)
+    assert scan.distance_mm[0, 18:21].tolist() == [3505, 3351, 3505]  # "0fa0dG0fa"
+    assert np.unique(scan.distance_mm[scan.distance_mm < 20]).tolist() == [0, 6, 7]
+    assert write_scan(scan, status=reply.status) == RECORDED
+
+
+def test_recorded_identity_of_a_urg_is_read():
+    lines = (
+        b"VEND:Hokuyo Automatic Co.,Ltd.;[\nPROD:SOKUIKI Sensor URG-04LX-UG01(Simple-URG);[\n"
+        b"FIRM:3.4.03(17/Dec./2012);T\nPROT:SCIP 2.0;N\nSERI:H1510998;V\n"
+    )
+    [reply] = ReplyDecoder().receive_data(b"VV\n00P\n" + lines + b"\n")
+    identity = read_info(reply)
+    assert model_of(identity["PROD"]) == "urg_04lx_ug01"
+    assert encode_info("VV", list(identity.items())) == b"VV\n00P\n" + lines + b"\n"
+
+
+def test_codes_of_a_recorded_urg_scan_are_counted_by_its_own_table():
+    t = talk(urg(), **URG).run(2.0)
+    [reply] = ReplyDecoder().receive_data(RECORDED)
+    request, before = t.session._dialogue.request, t.session.counters.copy()
+    scan = read_scan(reply)
+    later_ms = t.device._clock_ms(t.now_ns) + 100
+    message = write_scan(type(scan)(request, later_ms, scan.distance_mm, scan.intensity))
+    [frame] = t.session.receive_data(message, t.now_ns + 200_000_000)
+    counted = t.session.counters - before
+    codes = {name: count for name, count in counted.items() if name.startswith("beams")}
+    assert set(codes) == {"beams_no_return", "beams_other_error", "beams_unlike_neighbours"}
+    assert sum(codes.values()) == np.count_nonzero(np.isnan(frame.range_m)) > 50
+
+
+@pytest.mark.parametrize(
+    ("setup", "changes", "rate_hz", "first_deg", "last_deg", "beams", "no_return"),
+    [
+        (ust(), UST, 40, -135.0, 135.0, 1081, "beams_beyond_range"),
+        (urg(), URG, 10, -340 * 360 / 1024, 341 * 360 / 1024, 682, "beams_no_return"),
+    ],
+)
+def test_driver_streams_from_the_fake_of_each_model(
+    setup, changes, rate_hz, first_deg, last_deg, beams, no_return
+):
+    t = talk(setup, **changes).run(6.0)
+    assert t.session.status == "streaming"
+    frame = t.frames[-1]
+    assert len(frame.range_m) == beams
+    assert math.degrees(frame.first_angle_rad) == pytest.approx(first_deg)
+    last_rad = frame.first_angle_rad + (beams - 1) * frame.angle_step_rad
+    assert math.degrees(last_rad) == pytest.approx(last_deg)
+    assert frame.scan_period_ns == pytest.approx(1e9 / rate_hz, rel=1e-3)
+    seen = np.delete(np.arange(beams), np.s_[::10])
+    np.testing.assert_array_equal(frame.range_m[seen], np.float32(1.0 + seen * 1e-3))
+    assert np.isnan(frame.range_m[::10]).all()
+    assert t.session.counters[no_return] == len(range(0, beams, 10)) * len(t.frames)
+    assert frame.range_max_m == MODELS[changes["model"]].range_max_m
+    late_ns = min(abs(frame.stamp_ns - first_ns) for first_ns in t.device._optics._source.first_rays_ns)
+    assert late_ns < 1_000_000
+    assert ADVICE.rate_hz(config(**changes)) == rate_hz
+
+
+def test_intensity_of_a_ust_is_read():
+    t = talk(ust(), **UST, intensity=True).run(3.0)
+    assert len(t.frames[-1].intensity) == 1081
+
+
+def test_urg_that_locks_up_at_intensities_is_never_asked_for_them():
+    t = talk(urg(), **URG).run(3.0)
+    assert b"ME" not in t.sent
+    assert t.device.receive_data(b"ME0044072501000\n", t.now_ns) == b""
+    assert t.device.receive_data(b"VV\n", t.now_ns) == b""  # until its power is cut
+
+
+@pytest.mark.parametrize(
+    ("product", "model"),
+    [
+        ("SOKUIKI Sensor TOP-URG UTM-30LX", "utm_30lx"),
+        ("UTM-30LX-EW", "utm_30lx"),
+        ("UST-10LX", "ust"),
+        ("UST-20LX", "ust"),
+        ("SOKUIKI Sensor URG-04LX-UG01(Simple-URG)", "urg_04lx_ug01"),
+    ],
+)
+def test_models_are_known_by_their_product_name(product, model):
+    assert model_of(product) == model
+    assert mismatch(product, model) == ""
+    assert ADVICE.settings_of({"product": product}) == {"model": model}
+    for other in MODELS.keys() - {model}:
+        assert mismatch(product, other) == f"this is a {product}: write model: {model}"
+
+
+@pytest.mark.parametrize(
+    ("setup", "changes", "model"),
+    [
+        (ust(), {"host": "192.168.0.10"}, "ust"),
+        (urg(), {}, "urg_04lx_ug01"),
+        (Utm30lxSetup(), URG, "utm_30lx"),
+    ],
+)
+def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(setup, changes, model):
+    with pytest.raises(DeviceError, match=rf"write model: {model}; is \S+ the right laser\?"):
+        talk(setup, **changes).run(5.0)
+
+
+@pytest.mark.parametrize(
+    "product",
+    [
+        "SOKUIKI Sensor TOP-URG UTM-X002S",
+        "SOKUIKI Sensor URG-04LX",
+        "UXM-30LX-EW",
+        "UAM-05LP",
+        "UBG-04LX-F01",
+    ],
+)
+def test_laser_that_is_not_read_is_refused_with_what_it_would_need(product):
+    assert model_of(product) is None
+    t = talk(Utm30lxSetup(product=product))
+    with pytest.raises(DeviceError, match="which is not read: that would need ") as refused:
+        t.run(5.0)
+    assert f"this is a {product}" in str(refused.value)
+    assert any(need in str(refused.value) for need in NOT_READ.values())
+    assert b"MD" not in t.sent
+    assert b"BM" not in t.sent
+
+
+def test_name_of_an_oem_is_taken():
+    t = talk(Utm30lxSetup(product="something of an OEM")).run(3.0)
+    assert t.session.status == "streaming"
+    assert ADVICE.settings_of({"product": "something of an OEM"}) == {}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"model": "utm_x002"}, "utm_30lx"),
+        ({"model": "ust", "device": "/dev/ttyACM0"}, "model ust has no device; give host"),
+        ({"model": "urg_04lx_ug01", "host": "h"}, "model urg_04lx_ug01 has no host; give device"),
+        ({**URG, "intensity": True}, "sends no intensity"),
+        ({**UST, "echo": "last"}, "has one echo, the first"),
+    ],
+)
+def test_what_the_model_cannot_do_is_refused(changes, words):
+    with pytest.raises(ValidationError, match=words):
+        config(**changes)
+
+
+def test_fake_has_the_wires_that_each_model_has():
+    wires = {"device": "usb", "host": "ethernet"}
+    assert set(REPLIES) == {(key, wires[wire]) for key, model in MODELS.items() for wire in model.wires}
