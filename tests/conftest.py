@@ -1,10 +1,13 @@
 """Fixtures that every test file may use."""
 
+import faulthandler
 import gc
 import logging
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +23,8 @@ gc.disable()  # until all is imported, which makes no garbage but would be looke
 ensure_cache_dir()  # before anything imports numba: what is compiled from now on is kept
 
 ROOT = Path(__file__).parents[1]
+THREADS_END_S = 10.0
+EXIT_S = 60.0
 YOUNG_OBJECTS = 20_000  # between searches for garbage: one each 700 takes a twentieth of the processor time
 
 # Without a deadline: a core may be busy with other things. Few examples are the same each time, so that a run
@@ -58,6 +63,12 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         subprocess.run([sys.executable, "-m", "service", "warmup"], cwd=ROOT, check=True)
 
 
+def pytest_unconfigure() -> None:
+    """End the process, with its threads' stacks, where a thread or a library keeps it alive."""
+    sys.stdout.flush()
+    faulthandler.dump_traceback_later(EXIT_S, exit=True, file=sys.__stderr__)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
     """A skip for want of what has to be there, see NEEDS, is a failure."""
@@ -76,6 +87,19 @@ def shared() -> Path:
     if not (SHARED / "captures").is_dir():
         pytest.skip(NO_RECORDINGS)
     return SHARED
+
+
+@pytest.fixture(autouse=True)
+def no_thread_stays() -> Iterator[None]:
+    """A thread that is no daemon keeps the process alive; Zenoh calls back in such threads, too."""
+    before = set(threading.enumerate())
+    yield
+    until_s = time.monotonic() + THREADS_END_S
+    stays = [one for one in threading.enumerate() if one not in before and not one.daemon]
+    for one in stays:
+        one.join(max(until_s - time.monotonic(), 0.0))
+    left = [one.name for one in stays if one.is_alive()]
+    assert not left, f"{THREADS_END_S:.0f} s after the test these threads still run: {left}"
 
 
 @pytest.fixture(autouse=True)

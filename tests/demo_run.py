@@ -17,6 +17,7 @@ from service.encoding import decode_frame
 from service.recording.mcap_reader import Recording
 from simulators.device import TURNS_SKIPPED
 from simulators.wire import DROPPED
+from tests.in_background import in_background
 
 HERE = Path(sys.executable).parent / "corridor"  # of the tree that is tested
 ENDS_WITHIN_S = 100.0  # beyond the time asked for: start, warm-up, the last loops
@@ -59,22 +60,18 @@ def run_demo(
     command += ["--seconds", str(seconds), "--out", str(folder)]
     if faults is not None:
         command += ["--faults", str(faults)]
-    ended = threading.Event()
+
+    def watch(ended: threading.Event) -> None:
+        while not ended.wait(LOOK_S):
+            look(process.pid)
+
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-
-        def watch() -> None:
-            while not ended.wait(LOOK_S):
-                look(process.pid)
-
-        watcher = threading.Thread(target=watch)
-        watcher.start()
         try:
-            said, log = process.communicate(timeout=seconds + ENDS_WITHIN_S)
+            with in_background(watch):
+                said, log = process.communicate(timeout=seconds + ENDS_WITHIN_S)
         finally:
-            ended.set()
-            watcher.join()
             process.kill()
     assert process.returncode == 0, log
     left_out: Counter[str] = Counter()

@@ -44,6 +44,7 @@ MAPPING = (
 )
 OFFLINE = ("tests/service/offline", *(f"--ignore={path}" for path in (DOCTOR, REMAP)))  # of other groups
 _SHARE = re.compile(r"\[ *(\d+)%\]")
+_FAILED = re.compile(r"^FAILED .+::.+$", re.MULTILINE)  # see tests/failures_at_once.py
 _SKIP = re.compile(r"^SKIPPED \[(\d+)\] (.*)$", re.MULTILINE)
 
 
@@ -81,7 +82,7 @@ class Running:
         self._file: IO[str] = self.log.open("w")
         # faulthandler: what it is aborted for is in its log
         command = [sys.executable, "-X", "faulthandler", "-m", "pytest"]
-        command += ["-q", "-rs", "-m", "not soak and not bench"]
+        command += ["-q", "-rs", "-p", "tests.failures_at_once", "-m", "not soak and not bench"]
         command += ["--durations=25"]  # its slowest tests stand at the end of its words
         self.process = subprocess.Popen(
             ["nice", "-n", str(group.niceness), *command, "-p", "no:cacheprovider", *group.arguments],
@@ -93,6 +94,7 @@ class Running:
         self._cpu_s = 0.0
         self._log_bytes = 0
         self._wrote_s = self._began_s
+        self._failures = 0  # that were given
 
     def wait(self, seconds: float) -> bool:
         """Whether it has ended within so long; the processor time of an ended one is read here."""
@@ -119,6 +121,12 @@ class Running:
     def percent(self) -> int:
         shares = _SHARE.findall(self.text)
         return int(shares[-1]) if shares else 0
+
+    def new_failures(self) -> list[str]:
+        """Of the tests that have failed since it was asked before a line each."""
+        lines = _FAILED.findall(self.text.partition(" short test summary info ")[0])
+        new, self._failures = lines[self._failures :], len(lines)
+        return new
 
     def end(self) -> str:
         """Its last word, once it has ended."""
@@ -148,6 +156,8 @@ def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
                     say(one.end())
             if time.monotonic() - told_s >= TELL_S:
                 told_s = time.monotonic()
+                for line in (line for one in running for line in one.new_failures()):
+                    say(line)
                 shares = ", ".join(f"{o.group.name} {o.percent} %" for o in running if not o.told)
                 if shares:
                     say(f"{told_s - began_s:4.0f} s: {shares}")

@@ -19,6 +19,13 @@ def wait_for_ever():
 def test_d():
     threading.Thread(target=wait_for_ever).start()
 """
+WAITS = """
+from pathlib import Path
+from tests.waiting import wait_until
+
+def test_e():
+    wait_until(Path("{path}").exists)
+"""
 SKIPS = "import pytest\n\ndef test_c():\n    pytest.skip('no laser here; plug one in')\n"
 
 
@@ -87,6 +94,23 @@ def test_a_group_that_hangs_after_its_tests_ends_with_the_stacks_of_its_threads(
     said = capsys.readouterr().out
     assert "h: exit code -6" in said
     assert "in wait_for_ever" in said
+
+
+def test_a_failure_is_named_while_its_group_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(groups, "TELL_S", 0.0)
+    monkeypatch.setattr(groups, "LOOK_S", 0.01)
+    heard, named = [], tmp_path / "named"
+
+    def say(words: str) -> None:
+        heard.append(words)
+        if words.startswith("FAILED "):
+            named.touch()
+
+    monkeypatch.setattr(groups, "say", say)
+    assert run([group(tmp_path, "b", FAILS + WAITS.format(path=named))], tmp_path / "logs") == 1
+    line = "FAILED test_b.py::test_b - AssertionError: it is broken"
+    assert heard.count(line) == 1
+    assert any("1 failed, 1 passed" in words for words in heard)
 
 
 def test_every_test_is_in_exactly_one_group():

@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from threading import Thread
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +50,7 @@ from simulators.worlds import build_world
 from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
-from tests.in_background import in_background
+from tests.in_background import in_background, started
 from tests.recorded_drive import record
 from tests.service.mapper.methods.corridor.graph.rings import HALF_M, LENGTH_M
 from tests.service.offline.bent_maps import ROUND, BentMap, bent_map, save_bent
@@ -115,8 +114,7 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
     """Half of the drive replayed, and halted there."""
     shown = ReplayPage("127.0.0.1:0", "veh1", 0.0, is_paused=True)
     session = record(frames, MOUNTINGS, folder, UNIX_NS)
-    working = Thread(target=lambda: replay_session([session], ReplayOptions(), watch=shown))
-    working.start()
+    working = started(lambda: replay_session([session], ReplayOptions(), watch=shown))
     try:
         page.driver.get(shown.address)
         page.wait_for("return window.corridor && corridor.report().mayControl && corridor.report().health")
@@ -138,7 +136,7 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
         page.resize(DESKTOP)
     finally:
         page.run("return corridor.connection.command('replay_resume')")
-        working.join()
+        working.result()
         shown.close()
 
 

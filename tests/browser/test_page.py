@@ -1,5 +1,4 @@
 import json
-import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import product
 
@@ -11,6 +10,7 @@ from service.encoding import Status, encode_diagnostics, encode_graph
 from service.outputs import GraphPicture
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.scene import event, stamp
+from tests.in_background import started
 from tests.service.web.conftest import TOKEN
 
 
@@ -255,8 +255,7 @@ class ForeignPage(BaseHTTPRequestHandler):
 
 def test_a_page_of_elsewhere_cannot_open_the_socket(page, live):
     with ThreadingHTTPServer(("127.0.0.1", 0), ForeignPage) as elsewhere:
-        serving = threading.Thread(target=elsewhere.serve_forever)
-        serving.start()
+        serving = started(elsewhere.serve_forever)
         try:
             page.driver.get(f"http://127.0.0.1:{elsewhere.server_port}/")
             ended = page.driver.execute_async_script(
@@ -266,7 +265,7 @@ def test_a_page_of_elsewhere_cannot_open_the_socket(page, live):
             )
         finally:
             elsewhere.shutdown()
-            serving.join()
+            serving.result()
     assert ended == "refused"
     assert int(live.health().values["refused"]) == 1
 

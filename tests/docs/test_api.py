@@ -19,6 +19,7 @@ from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from tests.docs.blocks import ROOT, written_in
 from tests.docs.test_shell import commands_of
+from tests.in_background import in_background
 from tests.service.api.rooms import driven, recorded
 from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import open_publisher, publisher, store
@@ -66,9 +67,8 @@ def served(publisher, store, monkeypatch) -> Iterator[str]:
     """The endpoint of a service that publishes; a subscription to it ends after some messages."""
     store.update([tile(0, 0, 1)])
     monkeypatch.setattr(subscription, "Subscription", Ending)
-    over = threading.Event()
 
-    def serve() -> None:
+    def serve(over: threading.Event) -> None:
         stamp_ns = 0
         while not over.wait(0.01):
             stamp_ns += 1
@@ -78,11 +78,8 @@ def served(publisher, store, monkeypatch) -> Iterator[str]:
             publisher.put(encode_pose(output, stamp_ns))
             publisher.put(encode_frame(corridor.scan([1.0, 2.0], 0.0, 0.1, stamp_ns, sensor="front")))
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield publisher.endpoints[0]
-    over.set()
-    thread.join()
+    with in_background(serve):
+        yield publisher.endpoints[0]
 
 
 def test_the_examples_of_the_api_run(folder, served, capsys):

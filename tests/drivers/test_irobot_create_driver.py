@@ -1,6 +1,7 @@
 import itertools
 import queue
-import threading
+from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from tests.drivers.irobot_bench import (
     largest_step_m,
 )
 from tests.drivers.virtual_time import Talk
+from tests.in_background import in_background
 from tests.soaked import examples
 
 HARMLESS = {
@@ -431,25 +433,16 @@ def test_wake_line_is_pulsed_once_and_then_every_minute(second: float, low: bool
 @pytest.fixture
 def read_from() -> Any:
     """Runs run_link on a config in a thread; returns (queue of frames, health). Always stopped."""
-    stop = threading.Event()
-    threads = []
 
     def start(config: IrobotCreateConfig) -> tuple["queue.Queue[Frame]", LinkHealth]:
         frames: queue.Queue[Frame] = queue.Queue()
         health = LinkHealth(config.name)
-        thread = threading.Thread(
-            target=run_link,
-            args=(health, lambda: open_port(config), session_maker(config), frames.put, stop),
-        )
-        threads.append(thread)
-        thread.start()
+        work = partial(run_link, health, lambda: open_port(config), session_maker(config), frames.put)
+        stopped.enter_context(in_background(work))
         return frames, health
 
-    yield start
-    stop.set()
-    for thread in threads:
-        thread.join(30.0)
-        assert not thread.is_alive()
+    with ExitStack() as stopped:
+        yield start
 
 
 @pytest.mark.parametrize("model", ["create2", "create1"])

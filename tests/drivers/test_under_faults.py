@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from tests.drivers import irobot_bench, lms100
 from tests.drivers.faulty_devices import BENCHES, ZERO_NS, faulty, linked
 from tests.drivers.virtual_link import VirtualLink
 from tests.drivers.virtual_time import SECOND_NS
+from tests.in_background import started
 from tests.soaked import in_soak
 
 PATIENCE_S = 60.0
@@ -185,8 +187,7 @@ class Linked:
         self._changed = threading.Condition()
         self._stop = threading.Event()
         arguments = (self.health, open_transport, new_session, self._take, self._stop)
-        self._thread = threading.Thread(target=run_link, args=arguments)
-        self._thread.start()
+        self._running = started(partial(run_link, *arguments))
 
     def _take(self, frame: Any) -> None:
         with self._changed:
@@ -202,8 +203,7 @@ class Linked:
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(PATIENCE_S)
-        assert not self._thread.is_alive()
+        self._running.result(PATIENCE_S)
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import itertools
 import math
 import queue
 import random
-import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -37,6 +37,7 @@ from tests.drivers.mtig import (
 )
 from tests.drivers.test_xsens_mtig_protocol import GOOD
 from tests.drivers.virtual_time import SECOND_NS, Talk
+from tests.in_background import in_background
 from tests.soaked import examples
 
 FORMATS = ("float32", "fp12.20", "fp16.32", "float64")
@@ -417,28 +418,14 @@ def test_decoding_a_message_is_cheap():
 @pytest.mark.parametrize("personality", ["mtdata2", "legacy"])
 def test_driver_reads_the_simulator_over_a_terminal(personality):
     kind = SENSOR_KINDS["xsens_mtig"]
-    stop, frames = threading.Event(), queue.Queue()
+    frames = queue.Queue()
     device = FakeMtiG(Swing(), MtigSetup(personality=personality))
     with serve_pty(device) as path:
         settings = kind.config(name="imu", device=str(path))
         health = LinkHealth("imu")
-        thread = threading.Thread(
-            target=run_link,
-            args=(
-                health,
-                lambda: kind.open_transport(settings),
-                kind.session_maker(settings),
-                frames.put,
-                stop,
-            ),
-        )
-        thread.start()
-        try:
+        ends = partial(kind.open_transport, settings), kind.session_maker(settings)
+        with in_background(partial(run_link, health, *ends, frames.put)):
             taken = [frames.get(timeout=30.0) for _ in range(300)]
-        finally:
-            stop.set()
-            thread.join(30.0)
-    assert not thread.is_alive()
     assert sum(isinstance(frame, ImuSample) for frame in taken) > 290
     assert len(fixes(taken)) >= 2
     assert health.identity["product"].startswith("MTi-G")

@@ -6,7 +6,9 @@ parses is stated here from its source (urg_sensor.c, CHokuyoURG.cpp, hokuyo.py o
 
 import json
 import threading
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.wire import serve_pty, serve_tcp
 from tests.drivers.utm30lx import Room, config
+from tests.in_background import in_background
 
 USB, ETHERNET = Utm30lxSetup(), Utm30lxSetup(wire="ethernet", serial_number="H0123456")
 START_NS = 5_000 * 10**9
@@ -414,7 +417,6 @@ def test_a_hardware_fault_stops_the_stream_with_its_status_and_98_goes_on():
 @pytest.fixture
 def linked():
     """Runs drivers.link against a fake device on a real wire, and always stops it."""
-    stop, threads = threading.Event(), []
 
     def run(cfg, wanted):
         health, frames, enough = LinkHealth("rear"), [], threading.Condition()
@@ -424,12 +426,8 @@ def linked():
                 frames.append(frame)
                 enough.notify_all()
 
-        thread = threading.Thread(
-            target=run_link,
-            args=(health, lambda: open_port(cfg), lambda: HokuyoUtm30lxSession(cfg), sink, stop),
-        )
-        threads.append(thread)
-        thread.start()
+        ends = lambda: open_port(cfg), lambda: HokuyoUtm30lxSession(cfg)
+        stopped.enter_context(in_background(partial(run_link, health, *ends, sink)))
 
         def wait_for(count, timeout_s=60.0):
             with enough:
@@ -439,11 +437,8 @@ def linked():
         wait_for(wanted)
         return health, wait_for
 
-    yield run
-    stop.set()
-    for thread in threads:
-        thread.join(30.0)
-        assert not thread.is_alive()
+    with ExitStack() as stopped:
+        yield run
 
 
 def test_driver_reads_from_a_usb_unit_over_a_terminal_again_after_it_was_unplugged(linked, tmp_path):

@@ -16,6 +16,7 @@ import yaml
 import zenoh
 
 from service.encoding import Message
+from tests.in_background import started
 
 START_TIMEOUT_S = 90.0  # a cold kernel cache is compiled first
 STOP_TIMEOUT_S = 30.0
@@ -81,8 +82,7 @@ class Systemd:
         self._socket.bind(self.address)
         self._changed = threading.Condition()
         self.words: list[str] = []
-        self._listener = threading.Thread(target=self._listen)
-        self._listener.start()
+        self._listening = started(self._listen)
 
     def _listen(self) -> None:
         while (word := self._socket.recv(4096).decode()) != "close":
@@ -101,7 +101,7 @@ class Systemd:
     def close(self) -> None:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
             own.sendto(b"close", self.address)
-        self._listener.join(STOP_TIMEOUT_S)
+        self._listening.result(STOP_TIMEOUT_S)
         self._socket.close()
 
 

@@ -10,6 +10,7 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN
+from tests.in_background import in_background
 from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
 
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
@@ -109,19 +110,14 @@ def test_tiles_of_another_cell_size_are_refused():
 
 def test_updates_and_pictures_from_two_threads_end_in_the_same_map():
     store = TileStore()
-    done = threading.Event()
 
-    def render() -> None:
-        while not done.is_set():
+    def render(ended: threading.Event) -> None:
+        while not ended.is_set():
             store.grid()
 
-    renderer = threading.Thread(target=render)
-    renderer.start()
-    for version in range(1, 400):
-        store.update([tile(version % 11 - 5, version % 7 - 3, version, value=version % 101)])
-    done.set()
-    renderer.join(timeout=10.0)
-    assert not renderer.is_alive()
+    with in_background(render):
+        for version in range(1, 400):
+            store.update([tile(version % 11 - 5, version % 7 - 3, version, value=version % 101)])
     grid = store.grid()
     assert grid is not None
     for t in store.since(0):

@@ -12,6 +12,7 @@ from service.mapstore.in_use import InUse
 from service.offline import map_edit
 from service.offline.map_commands import MapCommands
 from service.offline.view import View
+from tests.in_background import started
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.bent_maps import ROUND, graph_in
 from tests.service.web.conftest import TIMEOUT_S, talk
@@ -127,8 +128,7 @@ def test_changes_are_made_one_at_a_time(picture):
 
     commands = MapCommands(picture, load_map(picture), show)
     request = json.dumps({"version": 1, "change": {"what": "wall", "corners": [[0, 0], [1, 0]]}}).encode()
-    first = threading.Thread(target=commands.answer, args=("map_edit", request))
-    first.start()
+    first = started(lambda: commands.answer("map_edit", request))
     try:
         assert begun.wait(TIMEOUT_S)
         assert (
@@ -136,7 +136,7 @@ def test_changes_are_made_one_at_a_time(picture):
         )
     finally:
         go_on.set()
-        first.join()
+        first.result(TIMEOUT_S)
     assert commands.answer("map_look", b"{}").ok
 
 

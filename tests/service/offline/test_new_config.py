@@ -1,6 +1,5 @@
 import json
 import socketserver
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from service.config import load_config
 from service.errors import ConfigError, CorridorError, StorageError, UsageError
 from service.offline.discovery import Found, Wire
 from service.offline.new_config import named, render, write_new_config
+from tests.in_background import started
 from tests.system.machine import FakeVehicle, free_port
 
 ASK_S = 60.0  # a fake device on a busy machine; the first answer ends it
@@ -33,9 +33,10 @@ class WebServer(socketserver.BaseRequestHandler):
 @pytest.fixture
 def web_server() -> Iterator[int]:
     with socketserver.ThreadingTCPServer(("127.0.0.1", 0), WebServer) as server:
-        threading.Thread(target=server.serve_forever).start()
+        serving = started(server.serve_forever)
         yield server.server_address[1]
         server.shutdown()
+        serving.result()
 
 
 @pytest.mark.timeout(200)

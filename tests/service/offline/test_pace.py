@@ -2,6 +2,7 @@ import threading
 import time
 
 from service.offline.pace import Pace
+from tests.in_background import started
 
 S = 1_000_000_000
 TIMEOUT_S = 20.0
@@ -13,8 +14,7 @@ class Steps:
     def __init__(self, pace: Pace, count: int = 50) -> None:
         self.taken: list[int] = []
         self.held = threading.Event()  # the next step has to wait
-        self._thread = threading.Thread(target=self._run, args=(pace, count))
-        self._thread.start()
+        self._stepping = started(lambda: self._run(pace, count))
 
     def _run(self, pace: Pace, count: int) -> None:
         for tenth in range(count):
@@ -28,8 +28,7 @@ class Steps:
         return len(self.taken)
 
     def wait_ended(self) -> None:
-        self._thread.join(TIMEOUT_S)
-        assert not self._thread.is_alive()
+        self._stepping.result(TIMEOUT_S)
 
 
 def test_it_goes_as_fast_as_it_goes_or_keeps_log_time_and_clock_in_step() -> None:

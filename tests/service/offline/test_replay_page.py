@@ -2,7 +2,6 @@ import json
 import struct
 import subprocess
 import sys
-import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ from service.offline.replay import ReplayOptions, replay, write_replay
 from service.offline.replay_page import ReplayPage
 from service.outputs import UNKNOWN
 from service.recording.mcap_source import Session
+from tests.in_background import started
 from tests.service.offline.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
 from tests.service.web.conftest import TIMEOUT_S, talk
 
@@ -202,10 +202,9 @@ def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
     show: Callable[..., ReplayPage],
 ) -> None:
     """40 scans in 0.8 s of log time."""
-    page, done = show(is_paused=True), []
+    page = show(is_paused=True)
     session = record_drive()
-    working = threading.Thread(target=lambda: done.append(replay([session], ReplayOptions(), watch=page)))
-    working.start()
+    working = started(lambda: replay([session], ReplayOptions(), watch=page))
 
     async def steer(client: Any) -> None:
         async with client.socket() as socket:
@@ -243,14 +242,13 @@ def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
             assert "less than or equal to 10000" in (await command("replay_rate", rate=1e9))["error"]
             assert "reset_map" not in (await command("reset_map"))["error"]
             assert (await command("replay_rate", rate=100.0))["ok"]
-            assert not done
+            assert not working.done()
             assert (await command("replay_resume"))["ok"]
             assert float((await state_of("finished", 0.7))["rate"]) == 100.0
             assert "finished" in (await command("replay_pause"))["error"]
 
     talk(page._server, steer)
-    working.join(TIMEOUT_S)
-    assert len(done[0].outputs) == 40
+    assert len(working.result(TIMEOUT_S).outputs) == 40
 
 
 def test_two_recordings_are_shown_one_after_the_other(

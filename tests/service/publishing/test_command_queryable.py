@@ -2,6 +2,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 import zenoh
@@ -9,6 +10,7 @@ import zenoh
 from service.publishing import command_queryable, query_workers
 from service.publishing.commands import Answer, refusal
 from service.publishing.zenoh_publisher import ZenohPublisher
+from tests.in_background import started
 
 ROOT = "corridor/v1/veh1"
 
@@ -112,19 +114,14 @@ def test_a_slow_command_holds_up_no_other_and_a_flood_is_turned_away(
 ):
     monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 2)
     asked.go.clear()
-    answers: list[list[tuple[bool, str, str]]] = []
-    asking = [threading.Thread(target=lambda: answers.append(ask(client, "cmd/mark"))) for _ in range(2)]
-    for thread in asking:
-        thread.start()
+    asking = [started(partial(ask, client, "cmd/mark")) for _ in range(2)]
     for _ in asking:
         assert asked.entered.acquire(timeout=10.0)
     ((good, _, text),) = ask(client, "cmd/pause")
     assert not good
     assert "2 commands are being worked on" in text
     asked.go.set()
-    for thread in asking:
-        thread.join(10.0)
-    assert [good for ((good, _, _),) in answers] == [True, True]
+    assert [good for asked in asking for good, _, _ in asked.result(10.0)] == [True, True]
     assert ask(client, "cmd/pause")[0][0]
 
 
@@ -137,16 +134,12 @@ def test_what_was_taken_is_answered_before_the_session_closes(
     publisher.answer_commands(asked)
     session = open_client(publisher.endpoints[0])
     asked.go.clear()
-    answers: list[list[tuple[bool, str, str]]] = []
-    asking = threading.Thread(target=lambda: answers.append(ask(session, "cmd/mark")))
-    asking.start()
+    answer = started(partial(ask, session, "cmd/mark"))
     assert asked.entered.acquire(timeout=10.0)
-    closing = threading.Thread(target=publisher.close)
-    closing.start()
+    closing = started(publisher.close)
     asked.go.set()
-    closing.join(10.0)
-    asking.join(10.0)
-    assert answers == [[(True, "application/json", '{"ok": true}')]]
+    closing.result(10.0)
+    assert answer.result(10.0) == [(True, "application/json", '{"ok": true}')]
 
 
 def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
@@ -177,16 +170,16 @@ def test_commands_that_are_not_done_when_the_session_closes_are_in_the_log(
     monkeypatch.setattr(query_workers, "CLOSE_TIMEOUT_S", 0.05)
     publisher.answer_commands(asked)
     asked.go.clear()
-    asking = [threading.Thread(target=ask, args=(client, f"cmd/{verb}")) for verb in ("mark", "pause")]
-    for thread in asking:
-        thread.start()
+    asking = [started(partial(ask, client, f"cmd/{verb}")) for verb in ("mark", "pause")]
     for _ in asking:
         assert asked.entered.acquire(timeout=10.0)
     answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-command"]
     publisher.close()
     told = [record.getMessage() for record in caplog.records]
     asked.go.set()
-    for thread in asking + answering:
+    for asker in asking:
+        asker.result(20.0)
+    for thread in answering:
         thread.join(20.0)
     assert sorted(told) == [
         f"command '{verb}' is not done after 0 s; who asked hears no answer" for verb in ("mark", "pause")

@@ -1,5 +1,8 @@
 import json
+import queue
 import threading
+from concurrent.futures import Future
+from functools import partial
 from typing import Annotated, Any
 
 import pytest
@@ -7,6 +10,7 @@ from pydantic import Field
 
 from service.publishing import commands
 from service.publishing.commands import REMEMBER_S, CommandDispatcher, CommandError, Outcome, Request, Verb
+from tests.in_background import started
 
 
 class Paint(Request):
@@ -123,25 +127,16 @@ def test_what_takes_too_long_is_told_and_its_end_can_be_asked_for(workshop: Work
 
 
 def test_two_who_ask_at_once_with_one_id_share_one_outcome():
-    began, release = threading.Event(), threading.Event()
+    begun: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
 
     def start(request: Request, outcome: Outcome) -> None:
-        began.set()
-        threading.Thread(target=lambda: release.wait(10.0) and outcome.done(number=1)).start()
+        begun.put(outcome)
 
     dispatcher = CommandDispatcher({"wash": Verb(Request, start)})
-    answers = []
-    asking = [
-        threading.Thread(target=lambda: answers.append(dispatcher.answer("wash", b'{"id": "7"}')))
-        for _ in range(2)
-    ]
-    for thread in asking:
-        thread.start()
-    assert began.wait(5.0)
-    release.set()
-    for thread in asking:
-        thread.join(10.0)
-    assert [json.loads(a.body) for a in answers] == [{"ok": True, "id": "7", "number": 1}] * 2
+    asking = [started(partial(dispatcher.answer, "wash", b'{"id": "7"}')) for _ in range(2)]
+    begun.get(timeout=5.0).done(number=1)
+    answers = [json.loads(asked.result(10.0).body) for asked in asking]
+    assert answers == [{"ok": True, "id": "7", "number": 1}] * 2
     assert dispatcher.counts() == {"wash": 1}
 
 
@@ -155,28 +150,18 @@ def test_a_command_whose_begin_waits_for_a_disk_holds_up_neither_health_nor_anot
 
     verbs = {"load": Verb(Request, start_slowly), "wash": Verb(Request, lambda _, outcome: outcome.done())}
     dispatcher = CommandDispatcher(verbs, answer_timeout_s=5.0)
-    answers: list[bytes] = []
 
-    def ask(verb: str, payload: bytes) -> threading.Thread:
-        thread = threading.Thread(target=lambda: answers.append(dispatcher.answer(verb, payload).body))
-        thread.start()
-        return thread
+    def ask(verb: str, payload: bytes) -> Future[dict[str, object]]:
+        return started(lambda: json.loads(dispatcher.answer(verb, payload).body))
 
     slow = ask("load", b'{"id": "7"}')
     assert reads.wait(5.0)
-    quick = ask("wash", b"")
-    counted = threading.Thread(target=dispatcher.counts)
-    counted.start()
-    quick.join(5.0)
-    counted.join(5.0)
-    is_held_up = quick.is_alive() or counted.is_alive()
+    assert ask("wash", b"").result(5.0) == {"ok": True}
+    assert started(dispatcher.counts).result(5.0) == {"wash": 1}
     same = ask("load", b'{"id": "7"}')
     release.set()
-    for thread in (slow, quick, counted, same):
-        thread.join(10.0)
-    assert not is_held_up
     refused = {"ok": False, "id": "7", "error": "no such map"}
-    assert sorted(map(json.loads, answers), key=str) == [refused, refused, {"ok": True}]
+    assert [slow.result(10.0), same.result(10.0)] == [refused, refused]
     assert dispatcher.counts() == {"wash": 1, "refused": 2}
 
 

@@ -3,6 +3,7 @@ import time
 
 from service.encoding import Message
 from service.publishing.send_queues import BulkQueue, Sending, StreamQueue
+from tests.in_background import started
 from tests.service.mapstore.tile_makers import tile
 
 
@@ -83,9 +84,6 @@ def test_a_closed_bulk_queue_gives_out_what_is_left_at_once():
 
 def test_closing_wakes_who_waits():
     for queue, nothing in ((StreamQueue(3), []), (BulkQueue(1.0, 1.0), None)):
-        taken = []
-        waiter = threading.Thread(target=lambda queue=queue, taken=taken: taken.append(queue.take()))
-        waiter.start()
+        waiting = started(queue.take)
         queue.close()
-        waiter.join(timeout=5.0)
-        assert taken == [nothing]
+        assert waiting.result(5.0) == nothing

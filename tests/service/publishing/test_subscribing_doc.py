@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from service.mapstore.tiles import TileStore
+from tests.in_background import in_background
 from tests.service.mapstore.tile_makers import tile
+from tests.waiting import wait_until
 
 DOC = Path(__file__).parents[3] / "docs" / "subscribing.md"
 
@@ -68,10 +70,9 @@ def join(programs, publisher) -> Iterator[object]:
 @pytest.fixture
 def mapping(publisher, store) -> Iterator[object]:
     """Changes the map 200 times a second; finish() lets it change 50 times more, gives its last version."""
-    stop, version = threading.Event(), 0
-    last = sys.maxsize
+    version, last = 0, sys.maxsize
 
-    def drive() -> None:
+    def drive(stop: threading.Event) -> None:
         nonlocal version
         random = np.random.default_rng(5)
         while version < last and not stop.wait(0.005):
@@ -80,18 +81,14 @@ def mapping(publisher, store) -> Iterator[object]:
             store.update(changed)
             publisher.map_changed(changed, version, version)
 
-    driver = threading.Thread(target=drive)
-
     def finish() -> int:
         nonlocal last
         last = version + 50
-        driver.join(timeout=10.0)
-        return version
+        wait_until(lambda: version == last)
+        return last
 
-    driver.start()
-    yield finish
-    stop.set()
-    driver.join(timeout=10.0)
+    with in_background(drive):
+        yield finish
 
 
 def held_by(store: TileStore) -> dict[str, list[object]]:

@@ -1,6 +1,5 @@
 """Over loopback: a pretended node on a router, the link of all drivers, and the subscription."""
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -18,6 +17,7 @@ from service.ros2_sensors.scan import KIND
 from service.ros2_sensors.session import pack
 from simulators.ros2_node import FakeNode, NodeSetup
 from simulators.zenoh_wire import ZenohWire
+from tests.in_background import in_background
 from tests.service.publishing.conftest import TIMEOUT_S, Inbox, client_config, wait_for_subscriber
 from tests.service.ros2_sensors.nodes import config, scan
 from tests.system.machine import free_port
@@ -38,15 +38,10 @@ def router_of(wire: ZenohWire) -> str:
 
 @contextmanager
 def link(settings: object, heard: Inbox) -> Iterator[LinkHealth]:
-    health, stop = LinkHealth("laser"), threading.Event()
+    health = LinkHealth("laser")
     ends = partial(KIND.open_transport, settings), KIND.session_maker(settings)
-    thread = threading.Thread(target=run_link, args=(health, *ends, heard, stop))
-    thread.start()
-    try:
+    with in_background(partial(run_link, health, *ends, heard)):
         yield health
-    finally:
-        stop.set()
-        thread.join(TIMEOUT_S)
 
 
 def test_the_scans_of_a_node_arrive(wire: ZenohWire):

@@ -1,12 +1,12 @@
 """Messages between processes: whole, in order, without waiting, and with an end that is heard of."""
 
 import socket
-import threading
 
 import pytest
 
 from service.runtime import channel
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
+from tests.in_background import started
 
 
 def pair() -> tuple[Channel, Channel]:
@@ -74,15 +74,13 @@ def test_a_reader_that_stands_still_is_given_up_before_memory_is_full(monkeypatc
 
 def test_threads_that_send_do_not_mix_their_messages():
     ours, theirs = pair()
-    senders = [threading.Thread(target=lambda k=k: [ours.send((k, i)) for i in range(300)]) for k in range(4)]
-    for sender in senders:
-        sender.start()
+    senders = [started(lambda k=k: [ours.send((k, i)) for i in range(300)]) for k in range(4)]
     heard: list[tuple[int, int]] = []
     while len(heard) < 1200:
         wait_for([ours, theirs], 1.0)
         heard += theirs.receive()
     for sender in senders:
-        sender.join()
+        sender.result(10.0)
     for k in range(4):
         assert [i for who, i in heard if who == k] == list(range(300))
     ours.close()

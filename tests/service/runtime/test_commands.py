@@ -1,7 +1,6 @@
 """What commands do to real parts: intake, mapping loop, map saver and recorder."""
 
 import json
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -31,6 +30,7 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.sinks.map_saver import MOST_ASKED, MapSaver
 from service.sinks.mcap_sink import McapSink
+from tests.in_background import started
 from tests.service.mapstore.graphs import graph_of
 from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.mapping_runs import OFFSET_NS, FakeMapper, scan
@@ -458,13 +458,10 @@ def test_who_asks_while_the_service_stops_hears_so(machine: Machine):
 
 def test_nobody_is_left_waiting_when_the_mapper_does_not_answer(tmp_path: Path, free_bytes: list[int]):
     machine = Machine(tmp_path, free_bytes, is_deaf=True)
-    told: list[dict[str, Any]] = []
-    asking = threading.Thread(target=lambda: told.append(machine.ask("pause")))
-    asking.start()
+    asking = started(lambda: machine.ask("pause"))
     wait_until(lambda: machine.link.waiting)
     machine.commands.close()
-    asking.join(10.0)
-    assert told == [{"ok": False, "error": "the service is stopping"}]
+    assert asking.result(10.0) == {"ok": False, "error": "the service is stopping"}
 
 
 def test_events_are_ros_strings(machine: Machine):

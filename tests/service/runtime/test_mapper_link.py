@@ -77,7 +77,7 @@ class Drive:
         setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
         self.link = MapperLink(setup, self.heard)
         self.failure = ""
-        self.thread = threading.Thread(target=self._run)
+        self.thread = threading.Thread(target=self._run, daemon=True)
         self._scans = 0
         self._has_wheels = False
 
@@ -132,6 +132,7 @@ class Drive:
         self.link.close()
         if self.thread.ident is not None:
             self.thread.join(TIMEOUT_S)
+            assert not self.thread.is_alive()
         self.link.clean_up()
 
     def _run(self) -> None:

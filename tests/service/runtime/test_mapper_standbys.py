@@ -2,7 +2,6 @@
 
 import logging
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from service.runtime.mapper_messages import (
     Setup,
     TilesItem,
 )
+from tests.in_background import started
 from tests.service.runtime.test_mapper_link import Heard
 from tests.waiting import wait_until
 
@@ -67,11 +67,10 @@ class Acted:
 def link() -> Iterator[MapperLink]:
     setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
     link = MapperLink(setup, Heard())
-    thread = threading.Thread(target=link.run)
-    thread.start()
+    running = started(link.run)
     yield link
     link.close()
-    thread.join(TIMEOUT_S)
+    running.result(TIMEOUT_S)
     link.clean_up()
     while Acted.opened:
         Acted.opened.pop().close()

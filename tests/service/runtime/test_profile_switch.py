@@ -17,6 +17,7 @@ from service.mapstore.files import load_map
 from service.publishing.commands import CommandError
 from service.runtime import profile_switch
 from service.runtime.profile_switch import NICENESS, PresentMapping, compile_kernels, stand_back
+from tests.in_background import started
 from tests.service.runtime.test_commands import (  # noqa: F401 - fixtures
     Machine,
     events,
@@ -102,16 +103,13 @@ def test_a_switch_in_progress_is_waited_for(machine: Machine, monkeypatch: pytes
 
     monkeypatch.setattr(machine.commands._switch, "_prepare", compile_slowly)
     machine.scan()
-    told: list[bool] = []
-    asking = threading.Thread(target=lambda: told.append(machine.ask("switch_profile", profile="imle")["ok"]))
-    asking.start()
+    asking = started(lambda: machine.ask("switch_profile", profile="imle"))
     assert began.wait(20.0)
     machine.scan()  # mapped meanwhile
     assert machine.outputs.states["ok"] == 2
     assert "another switch is in progress" in machine.ask("switch_profile", profile="contour_lm")["error"]
     go_on.set()
-    asking.join(20.0)
-    assert told == [True]
+    assert asking.result(20.0)["ok"]
     assert machine.ask("switch_profile", profile="contour_lm")["ok"]
 
 

@@ -1,12 +1,12 @@
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
 
 import pytest
 
 from service.runtime.signals import STOP_SIGNALS, StopSignals
+from tests.in_background import started
 
 
 @pytest.fixture(autouse=True)
@@ -32,12 +32,11 @@ def test_without_a_signal_the_wait_ends_by_itself():
 
 def test_another_thread_can_wake_the_wait():
     with StopSignals() as signals:
-        waker = threading.Thread(target=signals.wake)
         began_s = time.monotonic()
-        waker.start()
+        waking = started(signals.wake)
         assert signals.wait(30.0) == ""
         assert time.monotonic() - began_s < 20.0
-        waker.join()
+        waking.result(10.0)
 
 
 def test_the_handlers_of_before_come_back():

@@ -17,6 +17,7 @@ import pytest
 from service.offline.doctor import verdict
 from service.offline.doctor.machine import KernelClock, Machine
 from simulators.wire import serve_tcp
+from tests.in_background import in_background
 
 PATIENCE_S = 60.0
 HOLD = """
@@ -128,22 +129,20 @@ class Line:
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         self.heard = bytearray()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
+        self._open = ExitStack()
 
     def __enter__(self) -> "Line":
-        self._thread.start()
+        for end in (self._master, self._slave):
+            self._open.callback(os.close, end)
+        self._open.enter_context(in_background(self._run, PATIENCE_S))
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        self._stop.set()
-        self._thread.join(PATIENCE_S)
-        os.close(self._slave)
-        os.close(self._master)
+        self._open.close()
 
-    def _run(self) -> None:
+    def _run(self, stop: threading.Event) -> None:
         bauds = {termios.B57600: 57_600, termios.B115200: 115_200, termios.B38400: 38_400}
-        while not self._stop.wait(0.01):
+        while not stop.wait(0.01):
             if select.select([self._master], [], [], 0.0)[0]:
                 self.heard += os.read(self._master, 4096)
             if words := self._says(bauds.get(termios.tcgetattr(self._master)[4], 0)):
