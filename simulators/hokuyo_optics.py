@@ -73,8 +73,7 @@ class Optics:
         groups = -(-beams // cluster)
         columns = np.minimum(np.arange(groups * cluster), beams - 1).reshape(groups, cluster)
         first = distance_mm[0][columns]
-        nearest = np.where(first >= self._replies.distance_min_mm, first, np.iinfo(np.int32).max).argmin(
-            axis=1
-        )
+        is_distance = first >= self._replies.distance_min_mm
+        nearest = np.where(is_distance, first, np.iinfo(np.int32).max).argmin(axis=1)
         chosen = columns[np.arange(groups), nearest]
         return distance_mm[:, chosen], intensity[:, chosen]

@@ -221,7 +221,10 @@ class FakeLms100:
         return self._turning_since_ns + round(index * self._period_ns())
 
     def _leaves_ns(self, index: int) -> int:
-        sweep_ns = self._period_ns() * (self._model.last_e4deg - self._model.first_e4deg) / FULL_TURN_E4DEG
+        """After the sweep; where the zero index comes before it, after the turn, as a recorded LMS511."""
+        sweep_e4deg = self._model.last_e4deg - self._model.first_e4deg
+        after_e4deg = sweep_e4deg if self._traits.zero_index_after_sweep else FULL_TURN_E4DEG
+        sweep_ns = self._period_ns() * after_e4deg / FULL_TURN_E4DEG
         return self._first_beam_ns(index) + round(sweep_ns) + LEAVES_AFTER_SWEEP_NS
 
     def _scans_complete(self, now_ns: int) -> int:

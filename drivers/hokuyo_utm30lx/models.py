@@ -29,7 +29,8 @@ URG_CODES = {
 class Model:
     """What PP does not tell, and what the settings are where nothing is written."""
 
-    name: str  # which PROD, in VV, contains
+    name: str
+    product: str  # what PROD, in VV, contains
     wires: tuple[Literal["device", "host"], ...]
     rate_hz: float
     first_angle_deg: float  # defaults of the settings
@@ -53,6 +54,7 @@ class Model:
 
 UTM_30LX = Model(
     name="UTM-30LX",
+    product="UTM-30LX",
     wires=("device", "host"),
     rate_hz=40.0,
     first_angle_deg=-135.0,
@@ -64,7 +66,8 @@ UTM_30LX = Model(
     codes=UTM_CODES,
 )
 UST = Model(
-    name="UST-",
+    name="UST",
+    product="UST-",
     wires=("host",),
     rate_hz=40.0,
     first_angle_deg=-135.0,
@@ -77,6 +80,7 @@ UST = Model(
 )
 URG_04LX_UG01 = Model(
     name="URG-04LX-UG01",
+    product="URG-04LX-UG01",
     wires=("device",),
     rate_hz=10.0,
     first_angle_deg=-119.5,
@@ -104,7 +108,7 @@ NOT_READ = {
 
 def model_of(product: str) -> str | None:
     """Key in MODELS of the laser with this product name; None for one that is not read, or is unknown."""
-    return next((key for key, model in MODELS.items() if model.name in product), None)
+    return next((key for key, model in MODELS.items() if model.product in product), None)
 
 
 def mismatch(product: str, configured: str) -> str:

@@ -75,4 +75,6 @@ def test_the_doctor_knows_the_rate_the_voice_and_the_name():
     ):
         assert ADVICE.recognise(stranger) == ""
     assert ADVICE.doubt(config(), {"product": "UTM-30LX-EW"}) == ADVICE.doubt(config(), {}) == ""
+    assert "UST-10LX, expected a UTM-30LX" in ADVICE.doubt(config(), {"product": "UST-10LX"})
+    assert ADVICE.doubt(config(host="h", model="ust"), {"product": "UST-10LX"}) == ""
     assert "URG-04LX, expected a UTM-30LX" in ADVICE.doubt(config(), {"product": "URG-04LX"})
