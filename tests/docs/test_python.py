@@ -22,12 +22,13 @@ from tests.service.publishing.conftest import (
     client,
     open_client,
     open_publisher,
+    open_session,
     publisher,
     store,
     wait_for_subscriber,
 )
 
-__all__ = ["client", "open_client", "open_publisher", "publisher", "store"]  # fixtures
+__all__ = ["client", "open_client", "open_publisher", "open_session", "publisher", "store"]  # fixtures
 
 RECIPES = ("own_laser", "live_plot", "batch", "map_elsewhere")
 ELSEWHERE = {  # pages whose programs have a test of their own

@@ -78,9 +78,21 @@ def publisher(open_publisher) -> ZenohPublisher:
 
 
 @pytest.fixture
-def open_client() -> Iterator[Callable[[str], zenoh.Session]]:
-    with ExitStack() as opened:
-        yield lambda endpoint: opened.enter_context(zenoh.open(client_config(endpoint)))
+def open_session() -> Iterator[Callable[[zenoh.Config], zenoh.Session]]:
+    """Closed by `close`: the `with` of a session that another thread uses raises, and leaves it open."""
+    with ExitStack() as closing:
+
+        def open_one(config: zenoh.Config) -> zenoh.Session:
+            session = zenoh.open(config)
+            closing.callback(session.close)
+            return session
+
+        yield open_one
+
+
+@pytest.fixture
+def open_client(open_session) -> Callable[[str], zenoh.Session]:
+    return lambda endpoint: open_session(client_config(endpoint))
 
 
 @pytest.fixture

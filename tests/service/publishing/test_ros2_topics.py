@@ -188,7 +188,7 @@ def test_who_comes_late_gets_the_mountings_and_the_map(open_topics, open_client,
 
 
 @pytest.fixture
-def open_node() -> Iterator[Callable[[str], zenoh.Session]]:
+def open_node(open_session) -> Callable[[str], zenoh.Session]:
     """As rmw_zenoh_cpp opens its session by default: a peer with gossip, connected to a router."""
 
     def open_one(endpoint: str) -> zenoh.Session:
@@ -199,10 +199,9 @@ def open_node() -> Iterator[Callable[[str], zenoh.Session]]:
             "scouting/gossip/enabled": True,
         }.items():
             settings.insert_json5(key, json.dumps(value))
-        return opened.enter_context(zenoh.open(settings))
+        return open_session(settings)
 
-    with ExitStack() as opened:
-        yield open_one
+    return open_one
 
 
 def test_nodes_find_each_other_by_this_router(open_topics, open_node):

@@ -373,11 +373,13 @@ def test_a_stalled_subscriber_takes_nothing_from_the_others(publisher, client):
         assert stalled.stdout.readline() == "ready\n"
         stalled.send_signal(signal.SIGSTOP)
         pause = threading.Event()
-        for number in range(100):
-            publisher.put(message("front/scan", number, payload=scan))
-            publisher.put(message("pose", number))
-            pause.wait(0.01)
-        arrived = inbox.wait_for(100)
-        stalled.kill()
+        try:
+            for number in range(100):
+                publisher.put(message("front/scan", number, payload=scan))
+                publisher.put(message("pose", number))
+                pause.wait(0.01)
+            arrived = inbox.wait_for(100)
+        finally:
+            stalled.kill()  # the block waits for its end, and one that is stopped ends by itself never
     assert [attachment_of(s).sequence for s in arrived] == list(range(1, 101))
     assert publisher.counts()["dropped"] == {}
