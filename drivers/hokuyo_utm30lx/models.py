@@ -115,7 +115,7 @@ def mismatch(product: str, configured: str) -> str:
     """Why the laser with this product name is not the configured model; "" where it is, or is unknown."""
     found = model_of(product)
     if found is not None:
-        return "" if found == configured else f"this is a {product}: write model: {found}"
+        return "" if found == configured else f"this is a {product}; write model: {found}"
     for name, need in NOT_READ.items():
         if name in product:
             return f"this is a {product}, which is not read: that would need {need}"

@@ -145,5 +145,5 @@ def mismatch(device: str, configured: str) -> str:
         return ""
     return (
         f"this is of the family {MODELS[found].name} (it calls itself {device}), expected "
-        f"{MODELS[configured].name}: write model: {found}"
+        f"{MODELS[configured].name}; write model: {found}"
     )

@@ -117,7 +117,7 @@ def test_models_are_known_by_their_product_name(product, model):
     assert mismatch(product, model) == ""
     assert ADVICE.settings_of({"product": product}) == {"model": model}
     for other in MODELS.keys() - {model}:
-        assert mismatch(product, other) == f"this is a {product}: write model: {model}"
+        assert mismatch(product, other) == f"this is a {product}; write model: {model}"
 
 
 @pytest.mark.parametrize(

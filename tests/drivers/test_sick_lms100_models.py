@@ -170,7 +170,7 @@ def test_families_are_known_by_the_device_s_own_name(ident):
     for other in MODELS.keys() - {own}:
         assert mismatch(ident, other) == (
             f"this is of the family {MODELS[own].name} (it calls itself {ident}), expected "
-            f"{MODELS[other].name}: write model: {own}"
+            f"{MODELS[other].name}; write model: {own}"
         )
 
 
@@ -213,7 +213,7 @@ def test_every_refusal_says_what_would_be_needed():
 
 @pytest.mark.parametrize("model", OTHERS)
 def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(model):
-    with pytest.raises(DeviceError, match=f"expected LMS1xx: write model: {model}; is host"):
+    with pytest.raises(DeviceError, match=f"expected LMS1xx; write model: {model}; is host"):
         talk(Lms100Setup(model=model)).run(5.0)
 
 
