@@ -4,6 +4,7 @@ import faulthandler
 import gc
 import logging
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -24,7 +25,7 @@ ensure_cache_dir()  # before anything imports numba: what is compiled from now o
 
 ROOT = Path(__file__).parents[1]
 THREADS_END_S = 10.0
-EXIT_S = 60.0
+EXIT_S = 60  # for the interpreter, after the last test
 YOUNG_OBJECTS = 20_000  # between searches for garbage: one each 700 takes a twentieth of the processor time
 
 # Without a deadline: a core may be busy with other things. Few examples are the same each time, so that a run
@@ -64,9 +65,14 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 
 def pytest_unconfigure() -> None:
-    """End the process, with its threads' stacks, where a thread or a library keeps it alive."""
+    """End the process, with its threads' stacks, where a thread or a library keeps it alive.
+
+    Python's watchdog goes with the interpreter; the alarm stands while libraries end, too.
+    """
     sys.stdout.flush()
     faulthandler.dump_traceback_later(EXIT_S, exit=True, file=sys.__stderr__)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(EXIT_S + 10)
 
 
 @pytest.hookimpl(wrapper=True)
