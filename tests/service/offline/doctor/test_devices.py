@@ -63,6 +63,7 @@ def only(findings: list[Finding], severity: str = "fault") -> Finding:
     return finding
 
 
+@pytest.mark.usefixtures("any_rate_will_do")
 def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
     finding = only(examine(lms100(on_tcp(fake_lms100())), WAITING), "ok")
     assert "device LMS10x_FieldEval" in finding.measured
@@ -72,6 +73,7 @@ def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
     assert float(finding.values["delay_ms_p50"]) > 3.0
 
 
+@pytest.mark.usefixtures("any_rate_will_do")
 def test_a_good_robot_is_named_with_rate_and_battery():
     with serve_pty(FakeCreate(STANDING, wakes_on_connect=True)) as path:
         finding = only(examine(create(path), WAITING), "ok")
@@ -131,6 +133,7 @@ def test_a_refusal_is_said_with_the_drivers_own_advice(on_tcp: OnTcp):
     assert "Set password_hash" in finding.remedy
 
 
+@pytest.mark.usefixtures("any_rate_will_do")
 def test_a_setting_that_the_device_does_not_take_is_a_note(on_tcp: OnTcp):
     at = on_tcp(fake_lms100(refused=frozenset({"LMPoutputRange"})))
     first, *others = examine(lms100(at, last_angle_deg=90.0), WAITING)
