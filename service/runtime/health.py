@@ -67,6 +67,7 @@ class SensorHealth:
                     f"{LATE_NS / 1e9:.1f} s), too old to be mapped; is its link, or this computer, too slow?"
                 ),
             )
+        offset_ns = link.clock_offset_ns
         values = {
             "state": link.state,
             "status": link.status,
@@ -78,7 +79,8 @@ class SensorHealth:
             "age_s": f"{silent_s:.2f}" if link.last_frame_ns else "",
             "delay_ms": f"{link.delay_ns / 1e6:.1f}" if link.last_frame_ns else "",
             "connects": str(link.connects),
-            "clock_offset_ms": "" if link.clock_offset_ns is None else f"{link.clock_offset_ns / 1e6:.3f}",
+            "device_clock_s": "" if offset_ns is None else f"{(now_ns - offset_ns) / 1e9:.0f}",
+            "clock_offset_ms": "" if offset_ns is None else f"{offset_ns / 1e6:.3f}",
             "clock_sigma_ms": "" if link.clock_sigma_ns is None else f"{link.clock_sigma_ns / 1e6:.3f}",
             "last_error": link.last_error,
         }

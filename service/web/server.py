@@ -310,6 +310,7 @@ class WebServer:
             profile=self._about.profile,
             profiles=list(self._about.profiles),
             verbs=self._verbs,
+            stores=self._shelf.stores,
             now_s=time.time(),
         )
 

@@ -28,6 +28,11 @@ class Shelf:
         self._resources = resources
         self._tickets: dict[str, Download] = {}
 
+    @property
+    def stores(self) -> bool:
+        """Whether there is anything to list."""
+        return self._resources is not None
+
     def purge(self, workers: Executor) -> None:
         """Erase what was deleted before this run."""
         if self._resources is not None:

@@ -173,6 +173,11 @@ def scene(store: Any) -> Scene:  # noqa: F811
     return made
 
 
+def stores(root: Path) -> dict[str, Path]:
+    """Where sessions and maps would be."""
+    return {"session": root / "sessions", "map": root / "maps"}
+
+
 def begin_live(server: Any, scene: Scene, page: Page) -> None:
     """The scene's second 1, open in the browser with the token."""
     for message in scene.messages(1.0):
@@ -182,9 +187,9 @@ def begin_live(server: Any, scene: Scene, page: Page) -> None:
 
 
 @pytest.fixture
-def live(serve: Callable[..., Any], scene: Scene, page: Page) -> Any:  # noqa: F811
+def live(serve: Callable[..., Any], scene: Scene, page: Page, tmp_path: Path) -> Any:  # noqa: F811
     """A service at the scene's second 1, open in the browser with the token."""
-    server = serve()
+    server = serve(folders=stores(tmp_path))
     begin_live(server, scene, page)
     return server
 
@@ -195,11 +200,11 @@ def still_dispatcher() -> FakeDispatcher:
 
 
 @pytest.fixture(scope="session")
-def still_server(still_dispatcher: FakeDispatcher) -> Iterator[Any]:
+def still_server(still_dispatcher: FakeDispatcher, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     scene = Scene()
     scene.map_all()
     with served(scene.store, still_dispatcher.answer) as start:
-        yield start()
+        yield start(folders=stores(tmp_path_factory.mktemp("stored")))
 
 
 @pytest.fixture

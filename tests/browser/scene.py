@@ -118,7 +118,7 @@ def statuses(state: str = "ok", reason: str = "") -> Sequence[Status]:
     recording = {"state": "recording", "file": "/tmp/veh1_20260101T000000Z_0001.mcap", "messages": "12345",
                  "free_gb": "41.2"}  # fmt: skip
     return [
-        Status("sensor/front", 0, "ok", {**sensor, "clock_offset_ms": "12.345"}),
+        Status("sensor/front", 0, "ok", {**sensor, "device_clock_s": "8130", "clock_sigma_ms": "0.21"}),
         Status("sensor/rear", 2, "no route to 192.168.0.10", {**sensor, "state": "down", "rate_hz": "0.0"}),
         Status("mapping", level, reason or state, mapping),
         Status("map", 0, "ok", {"folder": "/tmp/map", "saved_version": "7"}),

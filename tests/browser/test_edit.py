@@ -428,7 +428,7 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     )
 
 
-def test_what_cannot_load_a_map_offers_no_editing_and_says_how_it_is_done(still):
+def test_what_cannot_edit_a_map_offers_no_editing_and_says_how_it_is_done(still):
     assert not still.element("tab-edit").is_displayed()
     assert "corridor view shows a stored map, and edits it" in still.text("resources")
 

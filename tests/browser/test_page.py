@@ -55,7 +55,7 @@ def test_each_sensor_has_its_row_and_a_fault_its_words(still):
     cells = still.run(
         "return [...document.querySelectorAll('#information tbody tr')][0].innerText.split(/\\s+/)"
     )
-    assert cells == ["front", "50.0", "0.02", "5.0", "0", "12.3", "ms"]
+    assert cells == ["front", "50.0", "0.02", "5.0", "0", "2:15", "h"]
 
 
 def test_the_mapping_of_now_is_told_a_second_and_a_scan(still):
@@ -86,12 +86,32 @@ def test_no_zero_has_a_sign(still):
     assert said == ["0.000 m", "-0.001 m", "0.0\u00b0", "-0.6\u00b0"]
 
 
-def test_a_clock_that_counts_from_long_ago_is_said_in_days(still):
+def test_a_device_clock_is_shown_as_time_since_power_up_or_as_the_year_it_was_set_to(still):
     said = still.driver.execute_async_script(
-        "const offsets = ['', '12.34', '-40000', '7.2e6', '-4.0e8'], done = arguments[0];"
-        "import('./format.js').then((format) => done(offsets.map(format.offset)))"
+        "const told = ['', '95', '8130', '1.3e6', '852076800', '1795200000', '4004188800'];"
+        "const done = arguments[0];"
+        "import('./format.js').then((format) => done(told.map(format.deviceClock)))"
     )
-    assert said == ["\u2013", "12.3 ms", "-40.0 s", "7200.0 s", "-5 d"]
+    assert said == [
+        "\u2013",
+        "1:35 min",
+        "2:15 h",
+        "15 d",
+        "1997",
+        "2026",
+        "2026",
+    ]  # the last one as NTP
+
+
+def test_whether_a_device_clock_runs_right_is_said_below_its_name(page, scene, live):
+    front = {"device_clock_s": "8130", "clock_sigma_ms": "0.21"}
+    rear = {"device_clock_s": "4004188800", "clock_sigma_ms": "900.0"}
+    named = [Status(f"sensor/{name}", 0, "ok", values) for name, values in (("front", front), ("rear", rear))]
+    live.put(encode_diagnostics("diagnostics", named, stamp(2.0), stamp(2.0)))
+    for name in page.driver.find_elements("css selector", "#information button.name")[:2]:
+        name.click()
+    page.wait_for_text("information", "device clock: 2:15 h, runs right (\u00b1 0.2 ms)")
+    page.wait_for_text("information", "device clock: 2026, is being learnt (\u00b1 900.0 ms)")
 
 
 def test_the_token_leaves_the_address_bar(still):
@@ -199,8 +219,34 @@ def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispat
     assert asked(still_dispatcher) == [("reset_map", {})]
 
 
+def put_state(page, state):
+    page.run(
+        "corridor.connection.on.health({stamp_s: 1, latency_ms: {},"
+        " statuses: [{name: 'mapping', level: 0, message: 'ok', since_s: 0, values: {state: arguments[0]}}]"
+        "})",
+        state,
+    )
+
+
+def test_a_pose_that_is_known_is_not_set_and_the_page_says_why(control):
+    put_state(control, "ok")
+    assert not control.element("do-set_pose").is_enabled()
+    assert control.text("pose-words") == "The pose is known. It can be set while the vehicle is lost."
+    put_state(control, "lost")
+    assert control.element("do-set_pose").is_enabled()
+
+
+def test_cards_without_a_command_and_resources_without_a_store_are_not_shown(still):
+    still.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['map_edit'], stores: false})")
+    still.choose("control")
+    titles = "[...document.querySelectorAll('#control h2')].filter((title) => title.offsetParent)"
+    assert still.run(f"return {titles}.map((title) => title.firstChild.textContent)") == ["Access"]
+    assert not still.element("tab-resources").is_displayed()
+
+
 def test_the_pose_is_set_by_dragging(control, still_dispatcher):
     page = control
+    put_state(page, "lost")
     page.look_at(1.0, 2.0, 40.0)
     page.element("do-set_pose").click()
     canvas = page.element("map")
@@ -310,10 +356,10 @@ def test_a_session_is_renamed_deleted_and_taken_back(page, serve, tmp_path):
 def test_long_figures_of_sensors_stay_within_their_card_on_a_phone(page, live):
     page.resize(PHONE)
     page.choose("information")
-    values = {"rate_hz": "201.7", "age_s": "0.02", "dropped": "12345", "clock_offset_ms": "-4004380800000"}
+    values = {"rate_hz": "201.7", "age_s": "0.02", "dropped": "12345", "device_clock_s": "319999999"}
     named = [Status(f"sensor/{name}", 0, "ok", values) for name in ("front", "rear", "lux")]
     live.put(encode_diagnostics("diagnostics", named, stamp(2.0), stamp(2.0)))
-    page.wait_for_text("information", "-46347 d")
+    page.wait_for_text("information", "3703 d")
     for width in (PHONE[0], 320):
         page.resize((width, PHONE[1]))
         page.wait_for("return innerWidth === arguments[0]", width)

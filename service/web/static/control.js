@@ -10,7 +10,7 @@ export class Control {
     this.connection = connection;
     this.startPoseTool = startPoseTool;
     this.verbs = [];
-    this.isPaused = this.isRecording = false;
+    this.isPaused = this.isRecording = this.isLost = false;
     this.buttons = new Map();
 
     this.access = card("Access");
@@ -35,10 +35,12 @@ export class Control {
     element("form", { className: "row", onsubmit: (event) => this.#mark(event) },
       element("label", { for: "mark-text" }, "Mark"), this.mark, this.#button("mark", "Set mark", "", "", null, "submit")));
     this.pose = card("Pose");
-    this.pose.node.append(element("p", { className: "note" }, "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."),
+    this.poseWords = element("p", { className: "note", id: "pose-words" });
+    this.pose.node.append(this.poseWords,
       element("div", { className: "row" }, this.#button("set_pose", "Set pose on the map", "", "", () => this.#setPose())));
     this.profile = new ProfileCard((verb, request) => connection.command(verb, request));
-    root.append(this.access.node, mapping.node, recording.node, this.pose.node, this.profile.node);
+    this.cards = [mapping, recording, this.pose].map(({ node }) => node);
+    root.append(this.access.node, ...this.cards, this.profile.node);
     this.update();
   }
 
@@ -57,6 +59,7 @@ export class Control {
   putHealth({ statuses }) {
     const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
     this.isPaused = values("mapping").state === "paused";
+    this.isLost = values("mapping").state === "lost";
     this.isRecording = values("recording").state === "recording";
     this.profile.putProfile(values("mapping").profile);
     this.update();
@@ -77,7 +80,9 @@ export class Control {
       : "You may look. To give commands, enter the token of the service: `corridor demo` prints it, `corridor run` says at its start in which file it is.");
     this.tokenForm.hidden = may;
     const useless = { pause: this.isPaused, resume: !this.isPaused, start_recording: this.isRecording,
-      stop_recording: !this.isRecording, mark: !this.isRecording };
+      stop_recording: !this.isRecording, mark: !this.isRecording, set_pose: !this.isLost };
+    setText(this.poseWords, this.isLost ? "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."
+      : "The pose is known. It can be set while the vehicle is lost.");
     for (const [verb, button] of this.buttons) {
       button.hidden = !this.verbs.includes(verb);
       button.disabled = !may || Boolean(useless[verb]);
@@ -85,7 +90,7 @@ export class Control {
     this.saveAs.hidden = this.buttons.get("save_map").hidden;
     this.saveAs.disabled = !may;
     this.profile.update(may, this.verbs);
-    this.pose.node.hidden = !this.verbs.includes("set_pose");
+    for (const node of this.cards) node.hidden = [...node.querySelectorAll("button")].every((button) => button.hidden);
     this.mark.disabled = !may || !this.isRecording;
   }
 

@@ -21,6 +21,7 @@ const dot = (context, [x, y], radius) => {
 /** Corners one after the other. Closed: an area, done when the first is clicked again; else a wall, done at its last. */
 export class CornersTool {
   drags = false;
+  area = "edit";
 
   /** most: corners at most; changed(): the corners are others; done(): the person is content. */
   constructor(view, { isClosed, most, changed, done }) {
@@ -77,6 +78,7 @@ export class CornersTool {
 /** Press at one corner, let go at the one across; by keys two clicks. Its sides are those of the screen. */
 export class RectangleTool {
   drags = true;
+  area = "edit";
   hint = "Press at one corner, let go at the one across. With keys: Enter at both. Esc ends.";
 
   constructor(view, { changed, done }) {
@@ -143,6 +145,7 @@ export class RectangleTool {
 /** One key frame of the way. chosen(number) of the nearest to a click. */
 export class KeyframeTool {
   drags = false;
+  area = "edit";
 
   constructor(view, keyframes, what, chosen) {
     this.view = view;
@@ -169,6 +172,7 @@ export class KeyframeTool {
  */
 export class PairTool {
   drags = false;
+  area = "edit";
 
   /** places: {a, b}, each {points: [x_m, y_m, ...]}; see PlacePicker. pane: PlacePane of place B, open or not. */
   constructor(view, places, pane, picked) {

@@ -26,13 +26,17 @@ export const duration = (s) => {
   return h > 0 ? `${h}:${two(min)}:${two(whole % 60)} h` : `${min}:${two(whole % 60)} min`;
 };
 
-/** An offset between two clocks, given in ms as text: most devices count from when they were switched on. */
-export const offset = (text) => {
+const LONGEST_UP_S = 3.2e8; // 10 years: a device clock that is farther on was set
+const UNIX_END_S = 2.2e9; // 2039: one that is farther on counts from 1900, as NTP does
+const NTP_UNIX_S = 2_208_988_800;
+
+/** What a device's clock says, given in s as text: time since it began at 0, or the year that it was set to. */
+export const deviceClock = (text) => {
   if (text === undefined || text === "") return "\u2013";
-  const ms = Number(text), size = Math.abs(ms);
-  if (size < 1e3) return `${ms.toFixed(1)} ms`;
-  if (size < 1e7) return `${(ms / 1e3).toFixed(1)} s`;
-  return size < 3.6e8 ? `${(ms / 3.6e6).toFixed(1)} h` : `${Math.round(ms / 8.64e7)} d`;
+  const s = Number(text);
+  if (s < LONGEST_UP_S && s >= 3.6e5) return `${Math.floor(s / 86_400)} d`;
+  if (s < LONGEST_UP_S) return duration(Math.max(s, 0)).replace(/:\d\d h$/, " h");
+  return String(new Date(1000 * (s > UNIX_END_S ? s - NTP_UNIX_S : s)).getUTCFullYear());
 };
 
 /** 1 cell, 2 cells. */

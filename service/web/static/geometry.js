@@ -56,6 +56,8 @@ export const deviationsInMap = ({ theta_rad, covariance }) => {
   };
 };
 
+const MOST_AHEAD_S = 0.3; // of the last pose: farther on nobody knows where the vehicle is
+
 /** The poses of the last seconds, by stamp. */
 export class PoseTrack {
   constructor(kept_s = 3) {
@@ -79,12 +81,13 @@ export class PoseTrack {
     this.poses.length = 0;
   }
 
-  /** {pose, twist, isFinal} at a stamp; before a later pose has come it is the last one, moved on. */
+  /** {pose, twist, isFinal} at a stamp; before a later pose has come it is the last one, moved on. null: not known. */
   at(stamp_s) {
     const last = this.last;
     if (!last || stamp_s < this.poses[0].stamp_s) return null;
     if (stamp_s >= last.stamp_s) {
-      const ahead_s = Math.min(stamp_s - last.stamp_s, 0.5);
+      const ahead_s = stamp_s - last.stamp_s;
+      if (ahead_s > MOST_AHEAD_S) return null;
       return { pose: moved(last, last.twist, ahead_s), twist: last.twist, isFinal: stamp_s === last.stamp_s };
     }
     let i = this.poses.length - 2;

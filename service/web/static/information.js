@@ -2,17 +2,18 @@
 
 import { card, element, Facts, setText } from "./dom.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
-import { clockTime, degrees, duration, figure, fixed, offset } from "./format.js";
+import { clockTime, degrees, deviceClock, duration, figure, fixed } from "./format.js";
 import { LatencyPlot } from "./plot.js";
 
 export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/DiagnosticStatus
 const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the newest frame"],
   ["Delay ms", "from the measurement to its arrival"], ["Dropped", "scans not mapped: they had waited too long"],
-  ["Clock", "how far the host's clock is ahead of the device's"]];
+  ["Clock", "what the device's clock says: time since power-up, or since it last began at 0, or the year it was set to"]];
 const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "mark", pause: "mapping paused",
   resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", load_map: "map loaded",
   switch_profile: "profile switched", sensor: "sensor" };
 const MOST_EVENTS = 60;
+const MOST_SIGMA_MS = 5; // of a clock that is known
 
 export class Information {
   constructor(root, colourOf) {
@@ -146,11 +147,11 @@ export class Information {
       row.swatch.style.background = this.colourOf(name) ?? "transparent";
       const { values } = status;
       const figures = [figure(values.rate_hz, 1), figure(values.age_s, 2), fixed(health.latency_ms[name], 1),
-        values.dropped ?? "\u2013", offset(values.clock_offset_ms)];
+        values.dropped ?? "\u2013", deviceClock(values.device_clock_s)];
       figures.forEach((text, i) => setText(row.cells[i], text));
       row.words.hidden = status.level === 0;
       setText(row.words.firstChild, `${status.message} (for ${duration(health.stamp_s - status.since_s)})`);
-      row.details.put(status.message, values);
+      row.details.put([status.message, clockWords(values)].filter(Boolean).join("\n"), values);
     }
     setText(this.sensors.aside, `${streaming} of ${sensors.length} well`);
   }
@@ -200,6 +201,13 @@ export class Information {
     return this.parts.get(name);
   }
 }
+
+/** Whether a device's clock can be relied on. */
+const clockWords = ({ device_clock_s, clock_sigma_ms }) => {
+  if (!device_clock_s || !clock_sigma_ms) return "";
+  const runs = Number(clock_sigma_ms) < MOST_SIGMA_MS ? "runs right" : "is being learnt";
+  return `device clock: ${deviceClock(device_clock_s)}, ${runs} (\u00b1 ${figure(clock_sigma_ms, 1, " ms")})`;
+};
 
 /** All that is told of a sensor or a part, in a row of its own below it, while its name is pressed. */
 class Details {

@@ -42,6 +42,7 @@ const connection = new Connection({
     information.eventList.replaceChildren(); // all of them come again
     control.putHello(hello);
     resources.verbs = hello.verbs;
+    byId("tab-resources").hidden = !hello.stores;
     edit.putVerbs(hello);
   },
   verbs: (message) => { resources.verbs = message.verbs; control.putVerbs(message); edit.putVerbs(message); },
@@ -82,6 +83,7 @@ const connection = new Connection({
     control.putHealth(message);
     replay.putHealth(message);
     edit.putHealth(message);
+    resources.putHealth(message);
     view.isHeld = replay.state === "paused";
     showState();
   },
@@ -125,10 +127,17 @@ function setTool(next) {
   if (before !== next) before?.ended?.();
   byId("measure").setAttribute("aria-pressed", String(tool instanceof MeasureTool));
   byId("map").classList.toggle("pointing", tool !== null);
-  byId("hint").hidden = tool === null;
+  byId("hint-bar").hidden = tool === null;
   setText(byId("hint"), tool?.hint ?? "");
   if (tool) chooseTab("map", { onlyOnPhone: true });
   view.invalidate();
+}
+
+/** On a phone back to the area in which the tool was chosen. */
+function cancelTool() {
+  const area = tool?.area;
+  setTool(null);
+  if (area) chooseTab(area, { onlyOnPhone: true });
 }
 
 function showFollow() {
@@ -247,7 +256,8 @@ byId("map").addEventListener("keydown", (event) => {
   if (own) own();
   if (own || gestures.key(event.key)) event.preventDefault();
 });
-document.addEventListener("keydown", (event) => { if (event.key === "Escape" && tool && !byId("confirm").open) setTool(null); });
+document.addEventListener("keydown", (event) => { if (event.key === "Escape" && tool && !byId("confirm").open) cancelTool(); });
+byId("cancel-tool").addEventListener("click", cancelTool);
 for (const change of ["focus", "blur"]) byId("map").addEventListener(change, () => view.invalidate()); // the cross-hair
 
 byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));

@@ -14,6 +14,7 @@ const STALE_MS = 1500; // older scans and poses are not shown as live
 const PATH_STEP_M = 0.05, MOST_PATH_POINTS = 40_000;
 const JUMP_M = 1, FASTEST_MPS = 20; // farther than that no vehicle comes: its pose jumped
 const LASER_COLOURS = 5;
+const MOST_COMING = 50; // scans of a laser
 const VEHICLE_M = 0.5; // length of the arrow; never smaller than VEHICLE_PIXELS
 const VEHICLE_PIXELS = 22;
 
@@ -33,7 +34,8 @@ export class MapView {
     this.tiles = new TileMap();
     this.track = new PoseTrack();
     this.path = []; // [x_m, y_m, x_m, y_m ...]; NaN, NaN where the pose jumped
-    this.scans = new Map(); // sensor -> {scan, arrived_ms}
+    this.scans = new Map(); // sensor -> {scan}: the newest whose place is known
+    this.coming = new Map(); // sensor -> scans that wait for their poses, which come later where the service is busy
     this.sensors = []; // lasers in the order in which they were first seen: gives each its colour
     this.mountings = {};
     this.layers = { map: true, path: true, standing: false, graph: false, change: false, stored: true, scans: true, vehicle: true, grid: true };
@@ -98,6 +100,7 @@ export class MapView {
     this.tiles.clear();
     this.track.clear();
     this.scans.clear();
+    this.coming.clear();
     this.graph.clear();
     this.change.clear();
     this.standing.clear();
@@ -170,6 +173,7 @@ export class MapView {
     this.moment = null;
     this.track.clear();
     this.scans.clear();
+    this.coming.clear();
     this.invalidate();
   }
 
@@ -180,7 +184,11 @@ export class MapView {
       this.sensors.push(scan.sensor);
       this.sensors.sort();
     }
-    this.scans.set(scan.sensor, { scan, arrived_ms: performance.now() });
+    const coming = this.coming.get(scan.sensor) ?? [];
+    if (coming.length && scan.stamp_s < coming.at(-1).stamp_s) coming.length = 0; // another run
+    coming.push(scan);
+    if (coming.length > MOST_COMING) coming.shift();
+    this.coming.set(scan.sensor, coming);
     this.invalidate();
     return isNew;
   }
@@ -309,6 +317,7 @@ export class MapView {
   #drawScans() {
     const { context, camera } = this;
     const size_m = Math.max(3 / camera.scale, 0.02);
+    for (const [sensor, coming] of this.coming) this.#takeScan(sensor, coming);
     for (const [sensor, held] of this.scans) {
       if (!this.#isOfNow(held)) continue;
       if (!held.isFinal) this.#placeScan(held);
@@ -321,10 +330,19 @@ export class MapView {
     }
   }
 
-  /** Whether a scan is of now, or of the moment of the past that is shown. */
-  #isOfNow({ scan, arrived_ms }) {
-    const age_ms = this.moment ? 1000 * (this.moment.at_s - scan.stamp_s) : this.isHeld ? 0 : performance.now() - arrived_ms;
-    return age_ms >= 0 && age_ms <= STALE_MS;
+  /** The newest scan whose place is known, and no older one from then on. */
+  #takeScan(sensor, coming) {
+    const last = coming.findLastIndex(({ stamp_s }) => this.track.at(stamp_s) !== null);
+    if (last < 0) return;
+    this.scans.set(sensor, { scan: coming[last] });
+    coming.splice(0, last + 1);
+  }
+
+  /** Whether a scan is of the pose that is shown, or of the moment of the past. */
+  #isOfNow({ scan }) {
+    const { last } = this.track, now_s = this.moment?.at_s ?? last?.stamp_s;
+    const age_ms = 1000 * (now_s - scan.stamp_s);
+    return this.moment ? age_ms >= 0 && age_ms <= STALE_MS : this.isLive && Math.abs(age_ms) <= STALE_MS;
   }
 
   /** Lasers whose scans are drawn. */

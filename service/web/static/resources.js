@@ -14,6 +14,8 @@ export class Resources {
     this.formats = {};
     this.lists = {};
     this.verbs = [];
+    this.written = ""; // what the service writes to
+    this.root = root;
     const refresh = element("button", { type: "button", onclick: () => this.refresh() }, "Refresh");
     root.append(element("div", { className: "row" }, refresh,
       element("span", { className: "note" }, "Deleted things can be taken back until the service starts again.")));
@@ -25,6 +27,15 @@ export class Resources {
       root.append(node);
       this.lists[kind] = { list, aside };
     }
+  }
+
+  /** Another map is loaded, another recording begun. */
+  putHealth({ statuses }) {
+    const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
+    const written = `${values("map").folder} ${values("recording").file}`;
+    if (written === this.written) return;
+    this.written = written;
+    if (!this.root.hidden) this.refresh();
   }
 
   async refresh() {

@@ -52,6 +52,7 @@ export class MeasureTool {
 /** Press where the vehicle stands, drag to where it looks, let go. done(pose_map_base) */
 export class PoseTool {
   drags = true;
+  area = "control";
   hint = "Press where the vehicle stands, drag to where it looks, let go. Esc ends.";
 
   constructor(view, done) {

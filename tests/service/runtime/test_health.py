@@ -97,6 +97,7 @@ def test_rates_drops_offset_counters_and_identity_are_told():
     assert (values["rate_hz"], values["kilobytes_per_s"]) == ("50.0", "80.0")
     assert (values["dropped"], values["unusable"], values["clock_offset_ms"]) == ("3", "1", "1.500")
     assert (values["clock_sigma_ms"], values["delay_ms"]) == ("0.040", "20.0")
+    assert values["device_clock_s"] == "11"
     assert (values["count.resync"], values["identity.serial"]) == ("2", "123")
     assert sensor.mean_rate_hz == 50.0
 

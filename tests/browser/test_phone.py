@@ -1,0 +1,99 @@
+"""What a thumb meets: how much of the map is left, and a way out of every tool."""
+
+import pytest
+from selenium.webdriver.common.keys import Keys
+
+from tests.browser.conftest import DESKTOP, PHONE
+
+TOOLS = {  # by name: what puts it to work
+    "measure": "document.getElementById('measure').click()",
+    "pose": "const set = document.getElementById('do-set_pose'); set.disabled = false; set.click()",
+    "rectangle": "document.getElementById('draw-rectangle').click()",
+    "area": "document.getElementById('draw-area').click()",
+    "wall": "document.getElementById('draw-wall').click()",
+}
+LONG = (
+    "office is loaded, the map before is in /var/lib/corridor/maps/veh1_20260101T000000Z_0001. Is it a copy "
+    "of that one, and the vehicle where it was?"
+)
+VERBS = ["save_map", "edit_map", "set_pose", "mark"]
+
+
+@pytest.fixture
+def phone(still):
+    still.resize(PHONE)
+    still.run(
+        "corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: arguments[0], stores: true})", VERBS
+    )
+    still.choose("map")
+    yield still
+    still.resize(DESKTOP)
+    still.choose("information")
+
+
+def box(page, selector):
+    """Left, top, right, bottom, pixels."""
+    return page.run(
+        "const {left, top, right, bottom} = document.querySelector(arguments[0]).getBoundingClientRect();"
+        "return [left, top, right, bottom]",
+        selector,
+    )
+
+
+@pytest.mark.parametrize("strip", ["replay", "past"])
+def test_tools_and_strip_take_a_quarter_of_the_height_at_most(phone, strip):
+    phone.run(
+        "document.getElementById(arguments[0]).hidden = false;"
+        "document.getElementById('past-time').textContent = '12:34 of 45:06 min';"
+        "document.getElementById('past-note').textContent = 'the map as it was 10 s before';"
+        "document.getElementById('replay-note').textContent = 'half of the recording is mapped'",
+        strip,
+    )
+    _, top, _, bottom = box(phone, f"#{strip}")
+    _, tools_top, _, tools_bottom = box(phone, ".tools")
+    phone.run("document.getElementById(arguments[0]).hidden = true", strip)
+    assert bottom - top + tools_bottom - tools_top <= 0.25 * PHONE[1]
+
+
+def test_names_of_areas_stand_apart(phone):
+    gaps = phone.run(
+        "const range = document.createRange(), boxes = [...document.querySelectorAll('.tabs button')]"
+        ".filter((tab) => tab.offsetParent).map((tab) => {"
+        " range.selectNodeContents(tab); return range.getBoundingClientRect(); });"
+        "return boxes.slice(1).map((box, i) => box.left - boxes[i].right)"
+    )
+    assert len(gaps) == 4
+    assert min(gaps) >= 10.0
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_every_tool_is_ended_by_a_button(phone, name):
+    phone.run(TOOLS[name])
+    assert phone.run("return document.getElementById('map').classList.contains('pointing')")
+    assert phone.element("cancel-tool").is_displayed()
+    left, _, right, bottom = box(phone, "#hint-bar")
+    assert 0 <= left < right <= PHONE[0]
+    assert bottom <= box(phone, ".tabs")[1]
+    phone.element("cancel-tool").click()
+    assert not phone.element("cancel-tool").is_displayed()
+    assert not phone.run("return document.getElementById('map').classList.contains('pointing')")
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE])
+def test_notices_cover_no_instruction_and_keep_their_buttons_whole(phone, size):
+    phone.resize(size)
+    phone.choose("edit")
+    phone.run(TOOLS["area"])
+    phone.run(
+        "import('./dom.js').then(({notice}) => { for (const k of [1, 2, 3])"
+        " notice(`${k}: ${arguments[0]}`, 'ok', {text: 'Set its pose', act: () => {}}); })",
+        LONG,
+    )
+    phone.wait_for("return document.querySelectorAll('.notice').length === 3")
+    left, top, right, bottom = box(phone, "#hint-bar")
+    x0, y0, x1, y1 = box(phone, "#notices")
+    assert x1 <= left or x0 >= right or y1 <= top or y0 >= bottom
+    heights = phone.run("return [...document.querySelectorAll('.notice button')].map((b) => b.offsetHeight)")
+    assert max(heights) <= 40
+    phone.run("document.getElementById('notices').replaceChildren()")
+    phone.element("map").send_keys(Keys.ESCAPE)
