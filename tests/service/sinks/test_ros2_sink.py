@@ -1,6 +1,8 @@
 """The sink as the service opens it: what goes out, what is in health, and that nothing is encoded twice."""
 
 from collections.abc import Iterator
+from contextlib import closing
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +34,7 @@ from service.sinks.ros2_sink import Ros2Sink, open_sink
 from tests.service.publishing.conftest import Inbox, client_config
 from tests.service.publishing.test_ros2_topics import OUTPUT, SCAN
 from tests.service.sinks.contexts import sink_context
-from tests.service.sinks.test_zenoh_sink import put_until_heard
+from tests.service.web.conftest import repeating
 from tests.system.machine import free_port
 from tests.waiting import wait_until
 
@@ -86,16 +88,16 @@ def test_its_row_holds_what_was_sent_and_warns_of_what_was_not(sink: Ros2Sink):
 def test_its_row_warns_while_the_nodes_router_is_not_there():
     router = f"tcp/127.0.0.1:{free_port()}"
     by_router = {"enabled": True, "router": "connect"}
-    sink = open_sink(PublishingConfig(listen=LISTEN, connect=(router,), ros2=by_router), sink_context())
-    row = sink.health()
-    assert (row.level, row.message) == (
-        WARNING,
-        f"no router at {router}; start rmw_zenohd there, or change publishing.connect",
-    )
-    with open_session(PublishingConfig(listen=(router,))):
-        wait_until(lambda: sink.health().level == OK)
-    wait_until(lambda: sink.health().level == WARNING)
-    sink.close()
+    config = PublishingConfig(listen=LISTEN, connect=(router,), ros2=by_router)
+    with closing(open_sink(config, sink_context())) as sink:
+        row = sink.health()
+        assert (row.level, row.message) == (
+            WARNING,
+            f"no router at {router}; start rmw_zenohd there, or change publishing.connect",
+        )
+        with open_session(PublishingConfig(listen=(router,))):
+            wait_until(lambda: sink.health().level == OK)
+        wait_until(lambda: sink.health().level == WARNING)
 
 
 def test_zenoh_ros_and_recording_have_the_same_bytes_encoded_once(tmp_path: Path, monkeypatch):
@@ -104,27 +106,33 @@ def test_zenoh_ros_and_recording_have_the_same_bytes_encoded_once(tmp_path: Path
         encode_diagnostics("diagnostics", [Status("x", 0, "", {})], 1, LOG_NS),
     )
     messages = [scan, encode_pose(OUTPUT, LOG_NS), encode_tf(OUTPUT, LOG_NS), health]
+    context = sink_context(tiles=TileStore())
     sections = {
         "publishing": CONFIG,
         "recording": next(k for k in SINKS if k.section == "recording").load_model()(
             directory=tmp_path, keep_free_gb=0.0
         ),
     }
-    sinks, context = Sinks(), sink_context(tiles=TileStore())
-    sinks.open([kind for kind in SINKS if kind.section in sections], sections, context)
-    sinks.start()
+
+    def put() -> None:
+        for message in messages:
+            sinks.put(message)
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("a message was encoded again")
 
     monkeypatch.setattr(Typestore, "serialize_cdr", refuse)
-    native, ros = Inbox(), Inbox()
-    with zenoh.open(client_config(sinks.places()["zenoh"])) as client:
-        client.declare_subscriber("corridor/v1/veh1/**", native)
-        client.declare_subscriber("3/veh1/**", ros)
-        put_until_heard(lambda: [sinks.put(message) for message in messages], native, 4)
-        ros.wait_for(4)
-        assert sinks.close() == []
+    sinks, native, ros = Sinks(), Inbox(), Inbox()
+    with closing(sinks):
+        sinks.open([kind for kind in SINKS if kind.section in sections], sections, context)
+        sinks.start()
+        with zenoh.open(client_config(sinks.places()["zenoh"])) as client:
+            client.declare_subscriber("corridor/v1/veh1/**", native)
+            client.declare_subscriber("3/veh1/**", ros)
+            with repeating(put, 0.05):  # what is put before a subscription is known goes nowhere
+                for inbox, message in product((native, ros), messages):
+                    inbox.wait_for_one(lambda sample, m=message: sample.payload.to_bytes() == m.payload)
+            assert sinks.close() == []
     payloads = {message.payload for message in messages}
     assert {sample.payload.to_bytes() for sample in native.samples} == payloads
     assert {sample.payload.to_bytes() for sample in ros.samples} == payloads

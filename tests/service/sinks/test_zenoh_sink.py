@@ -1,5 +1,3 @@
-import threading
-import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -14,6 +12,7 @@ from service.sinks.zenoh_sink import ZenohSink
 from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import Inbox, client_config
 from tests.service.sinks.contexts import sink_context
+from tests.service.web.conftest import repeating
 
 ROOT = "corridor/v1/veh1"
 
@@ -47,14 +46,10 @@ def client(sink: ZenohSink) -> Iterator[zenoh.Session]:
         yield session
 
 
-def put_until_heard(put: Callable[[], None], inbox: Inbox, count: int = 1) -> list[zenoh.Sample]:
+def put_until_heard(put: Callable[[], None], inbox: Inbox) -> list[zenoh.Sample]:
     """A subscription takes a moment to come to the sender: what is put before that goes nowhere."""
-    deadline_s = time.monotonic() + 30.0
-    pause = threading.Event()
-    while len(inbox.samples) < count and time.monotonic() < deadline_s:
-        put()
-        pause.wait(0.05)
-    return inbox.wait_for(count)
+    with repeating(put, 0.05):
+        return inbox.wait_for(1)
 
 
 def test_only_what_subscribers_have_use_for_goes_out(sink: ZenohSink, client: zenoh.Session):
