@@ -1,5 +1,6 @@
 """Poses, scans and tiles of a running service, from Zenoh."""
 
+import atexit
 import json
 import logging
 import threading
@@ -13,6 +14,7 @@ import zenoh
 
 from drivers.frames import LaserScan
 from drivers.rmw_zenoh import Attachment
+from drivers.zenoh_callback import daemon_callback
 from service.api.poses import Pose, pose_in_message
 from service.encoding import LASER_SCAN, TILES, decode_frame, decode_grid
 from service.errors import CorridorError, InputError, StorageError, UsageError
@@ -52,9 +54,10 @@ class Subscription(Generic[UpdateT]):
         self._is_closed = False
         self._keys = {one: vehicle_key(vehicle, CHANNELS[one]) for one in what}
         self._ask_at_s = time.monotonic()
+        atexit.register(self.close)  # Zenoh's threads would call into an interpreter that ends
         self._subscribers = [
-            session.declare_subscriber(key, zenoh.handlers.Callback(self._take, indirect=True))
-            for key in self._keys.values()
+            session.declare_subscriber(key, daemon_callback(self._take, f"subscription-{what}"))
+            for what, key in self._keys.items()
         ]
 
     def __enter__(self) -> Self:
@@ -93,6 +96,7 @@ class Subscription(Generic[UpdateT]):
             was_closed, self._is_closed = self._is_closed, True
             self._changed.notify_all()
         if not was_closed:
+            atexit.unregister(self.close)
             self._session.close()  # type: ignore[no-untyped-call]
 
     def _next(self) -> UpdateT | None:
@@ -111,7 +115,7 @@ class Subscription(Generic[UpdateT]):
             try:
                 self._session.get(
                     f"{self._keys['tile']}?since=0",
-                    self._take_reply,
+                    daemon_callback(self._take_reply, "subscription-tiles"),
                     consolidation=zenoh.ConsolidationMode.NONE,
                 )
             except zenoh.ZError as error:
@@ -123,7 +127,7 @@ class Subscription(Generic[UpdateT]):
             self._take(reply.ok)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """Called by Zenoh's threads."""
+        """Called in threads of their own."""
         try:
             self._add(str(sample.key_expr), sample.payload.to_bytes(), sample.attachment)
         except (InputError, ValueError) as error:

@@ -6,6 +6,7 @@ from functools import partial
 
 import zenoh
 
+from drivers.zenoh_callback import daemon_callback
 from service.publishing.commands import Answer, refusal
 from service.publishing.keys import vehicle_key
 from service.publishing.query_workers import QueryWorkers
@@ -22,7 +23,8 @@ class CommandQueryable:
         self._answer = answer
         self._root = vehicle_key(vehicle, "cmd/")
         self._workers = QueryWorkers("zenoh")
-        self._queryable = session.declare_queryable(self._root + "*", self._take, complete=True)
+        taken = daemon_callback(self._take, "zenoh-commands")
+        self._queryable = session.declare_queryable(self._root + "*", taken, complete=True)
 
     def close(self) -> None:
         """Take no more, and let those be answered that were taken; what is not in time is said in the log."""
@@ -30,7 +32,7 @@ class CommandQueryable:
         self._workers.close()
 
     def _take(self, query: zenoh.Query) -> None:
-        """Zenoh's thread: hand the query on."""
+        """Hand the query on; the next waits until it is."""
         key = str(query.key_expr)
         if "*" in key:
             # Whoever asks for everything asks for no command; `corridor/v1/*/cmd/pause` does not say whom.

@@ -7,6 +7,7 @@ import zenoh
 import zenoh.ext
 
 from drivers.rmw_zenoh import NO_TYPE_HASH, Attachment, EndpointKind, Node, Qos, Topic, make_gid
+from drivers.zenoh_callback import daemon_callback
 from service.encoding import type_hash
 from service.encoding.ros_services import service_hash
 from service.publishing.config import Ros2Config
@@ -66,10 +67,11 @@ class Ros2Node:
         return topic.key(self._config.domain)
 
     def service(self, name: str, service_type: str, take: Callable[[zenoh.Query], None]) -> None:
-        """name: below the node, "pause". `take` is called in Zenoh's thread; `reply` answers."""
+        """name: below the node, "pause". `take` is called in a thread of its own; `reply` answers."""
         topic = self._topic(f"{NODE_NAME}/{name}", service_type, service_hash(service_type))
         key = topic.key(self._config.domain)
-        self._queryables.append(self._session.declare_queryable(key, take, complete=True))
+        taken = daemon_callback(take, f"ros2-service-{name}")
+        self._queryables.append(self._session.declare_queryable(key, taken, complete=True))
         self._declare("SS", topic, Qos())
 
     def take_no_more_requests(self) -> None:

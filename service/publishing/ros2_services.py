@@ -76,7 +76,7 @@ class Ros2Services:
         self._node.service(name, service_type, partial(self._take, name, respond, refuse))
 
     def _take(self, name: str, respond: _Respond, refuse: _Refuse, query: zenoh.Query) -> None:
-        """Zenoh's thread: hand the query on."""
+        """Hand the query on; the next waits until it is."""
         try:
             request = request_of(query)
         except ValueError as error:  # its client could not take a response

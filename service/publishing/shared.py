@@ -1,5 +1,6 @@
 """What the sinks that speak Zenoh share in one service: the session, and the whole map as one message."""
 
+import atexit
 import threading
 from typing import Protocol
 
@@ -57,6 +58,8 @@ class SharedZenoh:
         with self._lock:
             if self._session is None:
                 self._session = open_session(config)
+                # Who fails to close it: as the interpreter ends, a call from Zenoh's threads would abort it.
+                atexit.register(self._session.close)
             self._users += 1
             return self._session
 
@@ -67,6 +70,7 @@ class SharedZenoh:
             if self._users or self._session is None:
                 return
             session, self._session = self._session, None
+        atexit.unregister(session.close)
         session.close()  # type: ignore[no-untyped-call]
 
     def map_picture(self, source: GridSource) -> MapPicture:

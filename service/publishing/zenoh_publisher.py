@@ -16,6 +16,7 @@ import zenoh
 import zenoh.ext
 
 from drivers.rmw_zenoh import Attachment, make_gid
+from drivers.zenoh_callback import daemon_callback
 from service.encoding import (
     CHANGES,
     TILES,
@@ -263,8 +264,9 @@ class ZenohPublisher:
         answers |= {channel: partial(self._answer_picture, channel) for channel in PICTURES}
         answers |= {channel: partial(self._answer_last, channel) for channel in ANSWERED}
         for channel, answer in answers.items():
+            taken = daemon_callback(partial(self._answer, channel, answer), f"zenoh-answer-{channel}")
             queryable = self._session.declare_queryable(
-                vehicle_key(self._vehicle, channel), partial(self._answer, channel, answer), complete=True
+                vehicle_key(self._vehicle, channel), taken, complete=True
             )
             self._senders.opened.callback(queryable.undeclare)
 

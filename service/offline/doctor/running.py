@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import zenoh
 
+from drivers.zenoh_callback import daemon_callback
 from service.encoding import Status, decode_diagnostics
 from service.errors import InputError
 from service.offline.doctor.findings import Finding, Severity, fault, note
@@ -34,13 +35,11 @@ def ask_health(running: RunningService, vehicle: str, wait_s: float = HEALTH_WAI
         "scouting/multicast/enabled": False,
     }.items():
         settings.insert_json5(key, json.dumps(value))
-    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    heard: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     try:
         with zenoh.open(settings) as session:
-            session.declare_subscriber(
-                vehicle_key(vehicle, "health"), lambda sample: heard.put(sample.payload.to_bytes())
-            )
-            return decode_diagnostics(heard.get(timeout=wait_s))
+            session.declare_subscriber(vehicle_key(vehicle, "health"), daemon_callback(heard.put, "health"))
+            return decode_diagnostics(heard.get(timeout=wait_s).payload.to_bytes())
     except (zenoh.ZError, queue.Empty, InputError):
         return []
 

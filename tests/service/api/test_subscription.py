@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -120,6 +122,14 @@ def test_a_session_of_the_program_is_used(publisher, store):
     with corridor.subscribe(session, ["tile"], timeout_s=TIMEOUT_S) as updates:
         assert same(next(updates), tile(0, 0, 1))
     assert session.is_closed()
+
+
+def test_a_program_that_takes_what_it_needs_and_closes_nothing_ends(publisher, store):
+    store.update([tile(0, 0, 1)])
+    program = "import sys, corridor\nfor update in corridor.subscribe(sys.argv[1]):\n    break\nsys.exit(3)"
+    command = [sys.executable, "-c", program, publisher.endpoints[0]]
+    done = subprocess.run(command, timeout=TIMEOUT_S, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (3, b"")
 
 
 def test_where_nothing_answers_the_endpoint_is_named(monkeypatch):

@@ -351,6 +351,27 @@ def test_a_router_that_is_not_there_is_not_waited_for_and_found_when_it_comes(op
     wait_until(lambda: vehicle.counts()["sent"]["pose"] == 2)
 
 
+LEFT_OPEN = """
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer
+from service.publishing.ros2_topics import Ros2Topics
+from service.publishing.shared import SharedZenoh
+from service.publishing.zenoh_publisher import ZenohPublisher
+from tests.service.publishing.test_ros2_topics import config
+
+shared, store = SharedZenoh(), TileStore()
+for sink in (ZenohPublisher(config(), "veh1", store, shared=shared), Ros2Topics(config(), shared, store)):
+    answer = getattr(sink, "answer_commands", None) or (lambda command: sink.answer(command, None))
+    answer(lambda verb, payload: Answer(True, b"{}"))
+raise SystemExit(3)
+"""
+
+
+def test_a_process_that_closes_nothing_ends_all_the_same():
+    done = subprocess.run([sys.executable, "-c", LEFT_OPEN], timeout=60.0, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (3, b"")
+
+
 STALLED = """
 import sys, zenoh
 from tests.service.publishing.conftest import client_config
