@@ -197,7 +197,7 @@ class PlaceNews:
 
 @dataclass(frozen=True, slots=True)
 class EditAnswer:
-    """What became of a change of the map by hand.
+    """What became of a change of the map by hand, or of the mode.
 
     told    a JSON object: `done`, in words, and figures
     error   why it is not made, in words; "" where it is
@@ -221,7 +221,8 @@ class GraphUpdate:
     picture  the graph, for people to look at; None: that of before stands
     known    how well a key frame is known in the map; None: no news, and at first the motion model alone
              says how well
-    edited   the answer to a change by hand that `Graph.request` took; None: this was no such work
+    edited   the answer to a request that `Graph.request` took without one; None: this was no such work
+    is_localizing   the map stays as it is from now on, or not any more; None: as before
     """
 
     counts: Mapping[str, int]
@@ -234,6 +235,7 @@ class GraphUpdate:
     picture: GraphPicture | None = None
     known: KnownPose | None = None
     edited: EditAnswer | None = None
+    is_localizing: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -83,6 +83,7 @@ GRAPH_REQUESTS = (
     "set_pose",
     "checkpoint",
     "edit_map",
+    "set_mode",
 )
 
 
@@ -95,6 +96,7 @@ class FrameMapper(Protocol):
     graph_picture: GraphPicture | None
     changes_told: MapChanges | None
     edited: list[EditAnswer]
+    is_localizing: bool
 
     @property
     def map_changes(self) -> MapChanges | None: ...
@@ -234,6 +236,11 @@ class MappingSession:
     def changes_told(self) -> MapChanges | None:
         """map_changes as they were some seconds ago; to ask for them costs nothing."""
         return self._mapper.changes_told
+
+    @property
+    def is_localizing(self) -> bool:
+        """Whether the present map stays as it is."""
+        return self._mapper.is_localizing
 
     @property
     def graph_fault(self) -> str:

@@ -62,7 +62,7 @@ class Mapper(Generic[ReadableMap]):
         self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
         self._components = components
         self._localisation = Localisation(placed)
-        self._is_localizing = is_localizing
+        self.is_localizing = is_localizing
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
         self.edited: list[
@@ -189,6 +189,8 @@ class Mapper(Generic[ReadableMap]):
             self.graph_picture = update.picture
         if update.edited is not None:
             self.edited.append(update.edited)
+        if update.is_localizing is not None:
+            self.is_localizing = update.is_localizing
         if update.joined is not None:
             self._components.local_map.join(update.joined)
         if self._components.graph.fault:
@@ -245,7 +247,7 @@ class Mapper(Generic[ReadableMap]):
                 at_ns, still, match, change, covariance, prior, predicted.elapsed_s, is_way_unknown(predicted)
             )
         )
-        is_drawn = match.state != "lost" and self._localisation.is_found and not self._is_localizing
+        is_drawn = match.state != "lost" and self._localisation.is_found and not self.is_localizing
         match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)
         if is_drawn:  # nothing is where nobody knows the place
             s.free_space.insert(still, pose_map_odom @ match.motion.pose_odom_base)

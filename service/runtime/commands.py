@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -57,6 +57,10 @@ class EditRequest(Request):
 
     who: Who = ""
     change: dict[str, Any]
+
+
+class ModeRequest(Request):
+    mode: Literal["mapping", "localization"]
 
 
 class PoseRequest(Request):
@@ -148,6 +152,7 @@ class Commands:
             "remove_landmark_pair": self._graph_verb("remove_landmark_pair", PairNumberRequest),
             "set_pose": self._graph_verb("set_pose", PoseRequest),
             "edit_map": self._graph_verb("edit_map", EditRequest),
+            "set_mode": self._graph_verb("set_mode", ModeRequest),
             "checkpoint": self._graph_verb("checkpoint"),
             "optimize": self._graph_verb("optimize"),
             "undo": self._graph_verb("undo"),

@@ -209,6 +209,7 @@ class HealthReport:
         values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
             "profile": self._profile(),
+            "mode": "localization" if outputs.is_localizing else "mapping",
             "lasers": " ".join(outputs.lasers),
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
             "scans_dropped": str(self.scans_dropped),

@@ -258,6 +258,7 @@ class Status:
     graph_fault: str = ""
     geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start
+    is_localizing: bool = False  # the map stays as it is
     time_warnings: tuple[str, ...] = ()  # what is wrong with stamps and time fields, a sentence each
 
 

@@ -226,6 +226,7 @@ class MappingLoop:
                 geo_reference=self.mapper.geo_reference,
                 cpu_s=time.process_time(),
                 time_warnings=warnings,
+                is_localizing=self.mapper.is_localizing,
             )
         )
 

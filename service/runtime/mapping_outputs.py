@@ -74,6 +74,7 @@ class MappingOutputs:
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
         self.graph_fault = ""  # why no loop is closed any more, "" while all is well
         self.time_warnings: tuple[str, ...] = ()  # what is wrong with stamps and time fields
+        self.is_localizing = False  # the map stays as it is
         self.last: Mapped | None = None
         self.last_ns = 0  # when that came, host monotonic
         self.geo_reference: GeoReference | None = None
@@ -166,7 +167,7 @@ class MappingOutputs:
 
     def _take_status(self, status: Status) -> None:
         self.counters, self.graph_fault = status.counters, status.graph_fault
-        self.time_warnings = status.time_warnings
+        self.time_warnings, self.is_localizing = status.time_warnings, status.is_localizing
         self.cpu_s = self._cpu_before_s + status.cpu_s
         if status.geo_reference != self.geo_reference:
             self.geo_reference = status.geo_reference

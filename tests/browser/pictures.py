@@ -69,7 +69,7 @@ LASERS = (
 LIVE_EDIT = ("edit-live", "edit-live-dark", "edit-live-phone", "edit-live-phone-dark")
 VERBS = [
     *("pause", "resume", "save_map", "reset_map", "load_map", "switch_profile"),
-    *("start_recording", "stop_recording", "mark", "set_pose"),
+    *("start_recording", "stop_recording", "mark", "set_pose", "edit_map"),
 ]
 
 
@@ -274,11 +274,11 @@ def health(stamp_ns: int) -> Message:
     sensor = {"state": "streaming", "dropped": "0"}
     rows = [
         Status(
-            f"sensor/{name}", 0, "ok", {**sensor, "rate_hz": rate, "age_s": age, "clock_offset_ms": offset}
+            f"sensor/{name}", 0, "ok", {**sensor, "rate_hz": rate, "age_s": age, "device_clock_s": clock_s}
         )
-        for name, rate, age, offset in (
-            ("front", "25.0", "0.02", "4012.2"),
-            ("rear", "10.0", "0.06", "81.4"),
+        for name, rate, age, clock_s in (
+            ("front", "25.0", "0.02", "8130"),
+            ("rear", "10.0", "0.06", "8121"),
             ("base", "66.7", "0.01", ""),
         )
     ]

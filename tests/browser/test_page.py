@@ -236,6 +236,23 @@ def test_a_pose_that_is_known_is_not_set_and_the_page_says_why(control):
     assert control.element("do-set_pose").is_enabled()
 
 
+def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control, still_dispatcher):
+    control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'save_map', 'edit_map']})")
+    for mode, wanted in (("mapping", "localization"), ("localization", "mapping")):
+        control.run(
+            "corridor.connection.on.health({stamp_s: 1, latency_ms: {}, statuses: ["
+            " {name: 'mapping', level: 0, message: 'ok', since_s: 0, values: {mode: arguments[0]}}]})",
+            mode,
+        )
+        control.choose("control")
+        control.element("do-set_mode").click()
+        control.wait_for_answers()
+        assert asked(still_dispatcher)[-1] == ("set_mode", {"mode": wanted})
+    control.choose("edit")
+    assert not control.element("draw-wall").is_enabled()
+    assert "choose Map again under Control" in control.text("edit-note")
+
+
 def test_cards_without_a_command_and_resources_without_a_store_are_not_shown(still):
     still.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['map_edit'], stores: false})")
     still.choose("control")

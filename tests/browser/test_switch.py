@@ -107,6 +107,19 @@ def test_a_stored_map_is_loaded(page, serve, dispatcher, tmp_path):
     assert asked(dispatcher) == [("load_map", {"map": "office"})]
 
 
+def test_a_stored_map_is_loaded_to_be_localised_in_with_three_clicks(page, serve, dispatcher, tmp_path):
+    save_map(tmp_path / "office", [tile(1)], 1)
+    page.open(serve(folders={"session": tmp_path / "none", "map": tmp_path}).address, TOKEN)
+    page.wait_for("return corridor.report().mayControl")
+    page.run("corridor.connection.on.verbs({verbs: ['load_map', 'set_mode', 'set_pose']})")
+    page.choose("resources")
+    page.wait_for_text("resources", "office")
+    page.driver.find_element("css selector", '[aria-label="Load\u2026 office"]').click()
+    page.element("confirm-other").click()
+    page.wait_for_text("notices", "office is loaded")
+    assert asked(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
+
+
 def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, scene, dispatcher, tmp_path):
     save_map(tmp_path / "copy", [tile(1)], 1)
     server = serve(folders={"session": tmp_path / "none", "map": tmp_path})

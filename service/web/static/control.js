@@ -10,7 +10,7 @@ export class Control {
     this.connection = connection;
     this.startPoseTool = startPoseTool;
     this.verbs = [];
-    this.isPaused = this.isRecording = this.isLost = false;
+    this.isPaused = this.isRecording = this.isLost = this.isLocalizing = false;
     this.buttons = new Map();
 
     this.access = card("Access");
@@ -25,6 +25,7 @@ export class Control {
     mapping.node.append(element("div", { className: "row" },
       this.#button("pause", "Pause", "Scans are recorded, not mapped"),
       this.#button("resume", "Resume"),
+      this.#button("set_mode", "Localise only", "", "", () => this.#setMode()),
       this.#button("save_map", "Save map"),
       this.saveAs = element("button", { type: "button", id: "save-as", title: "Also under a name: a copy that can be edited", onclick: () => this.#saveAs() }, "Save as\u2026"),
       this.#button("reset_map", "Reset map\u2026", "", "danger", () => this.#reset())));
@@ -60,6 +61,7 @@ export class Control {
     const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
     this.isPaused = values("mapping").state === "paused";
     this.isLost = values("mapping").state === "lost";
+    this.isLocalizing = values("mapping").mode === "localization";
     this.isRecording = values("recording").state === "recording";
     this.profile.putProfile(values("mapping").profile);
     this.update();
@@ -87,6 +89,9 @@ export class Control {
       button.hidden = !this.verbs.includes(verb);
       button.disabled = !may || Boolean(useless[verb]);
     }
+    const mode = this.buttons.get("set_mode");
+    setText(mode, this.isLocalizing ? "Map again" : "Localise only");
+    mode.title = this.isLocalizing ? "The map is extended again" : "The map stays as it is";
     this.saveAs.hidden = this.buttons.get("save_map").hidden;
     this.saveAs.disabled = !may;
     this.profile.update(may, this.verbs);
@@ -114,6 +119,11 @@ export class Control {
   #showToken(event) {
     event.preventDefault();
     if (this.token.value.trim()) this.connection.showToken(this.token.value.trim());
+  }
+
+  /** What it is then is seen on the button. */
+  #setMode() {
+    return this.ask("set_mode", { mode: this.isLocalizing ? "mapping" : "localization" });
   }
 
   async #reset() {

@@ -79,15 +79,18 @@ export const notice = (text, level = "none", offer = null) => {
 
 let answered = Promise.resolve();
 
-/** Ask before something happens; resolves to true or false, or, where a name is to be changed, to the new one.
+/** Ask before something happens; resolves to true or false, or, where a name is to be changed, to the new one;
+ * where there is another way to do it, `other`, to "other" for that.
  * A question waits for the answer to the one before: `close` comes some time after the dialog has closed. */
 export const confirmed = (...question) => (answered = answered.then(() => ask(...question)));
 
-const ask = (title, text, yes, given = null) => new Promise((settle) => {
+const ask = (title, text, yes, given = null, other = "") => new Promise((settle) => {
   const dialog = byId("confirm");
   setText(byId("confirm-title"), title);
   setText(byId("confirm-text"), text);
   setText(byId("confirm-yes"), yes);
+  setText(byId("confirm-other"), other);
+  byId("confirm-other").hidden = !other;
   const input = byId("confirm-input");
   input.hidden = given === null;
   input.value = given ?? "";
@@ -95,7 +98,8 @@ const ask = (title, text, yes, given = null) => new Promise((settle) => {
   dialog.returnValue = "no";
   dialog.addEventListener("close", () => {
     const isYes = dialog.returnValue === "yes";
-    settle(given === null ? isYes : isYes && input.value);
+    if (dialog.returnValue === "other") settle("other");
+    else settle(given === null ? isYes : isYes && input.value);
   }, { once: true });
   dialog.showModal();
   if (given !== null) input.select();

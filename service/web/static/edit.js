@@ -27,7 +27,7 @@ export class Edit {
     this.view = view;
     this.setTool = setTool;
     this.live = new LiveEdit(connection);
-    this.isOffered = this.isLive = this.isBusy = this.showsAll = false;
+    this.isOffered = this.isLive = this.isLocalizing = this.isBusy = this.showsAll = false;
     this.version = 0; // of the map that is shown; 0: not known yet
     this.versions = [];
     this.keyframes = new Keyframes();
@@ -73,13 +73,18 @@ export class Edit {
 
   /** Somebody else may have changed the map. */
   putHealth({ statuses }) {
+    const isLocalizing = statuses.find(({ name }) => name === "mapping")?.values.mode === "localization";
+    if (isLocalizing !== this.isLocalizing) {
+      this.isLocalizing = isLocalizing;
+      this.update();
+    }
     const version = Number(statuses.find(({ name }) => name === "mapping")?.values.version ?? 0);
     if (this.version && version && version !== this.version && !this.isBusy) this.look();
   }
 
   update() {
     const may = this.connection.mayControl, isSeen = this.version > 0, hasKeyframes = this.keyframes.count > 0;
-    this.all.disabled = !may || this.isBusy || !(isSeen || this.isLive);
+    this.all.disabled = !may || this.isBusy || (this.isLive && this.isLocalizing) || !(isSeen || this.isLive);
     if (!this.isBusy) this.#showNote(may);
     this.versionsCard.hidden = this.isLive;
     this.fetched.node.hidden = !this.isLive;
@@ -183,6 +188,7 @@ export class Edit {
 
   #showNote(may) {
     const { words, level } = !may ? { level: "none", words: "You may look. To edit, enter the token under Control." }
+      : this.isLive && this.isLocalizing ? { level: "none", words: "The vehicle is only localised, and the map stays as it is. To edit it, choose Map again under Control." }
       : this.said ?? { level: "none", words: this.isLive ? LIVE_WORDS : "Each change is a new version of the stored map, and can be taken back." };
     this.note.dataset.level = level;
     setText(this.note, words);

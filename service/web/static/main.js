@@ -261,6 +261,7 @@ byId("cancel-tool").addEventListener("click", cancelTool);
 for (const change of ["focus", "blur"]) byId("map").addEventListener(change, () => view.invalidate()); // the cross-hair
 
 byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));
+byId("confirm-other").addEventListener("click", () => byId("confirm").close("other"));
 setUpTabs();
 setUpLayers();
 setUpTheme(() => {

@@ -93,11 +93,12 @@ export class Resources {
 
   /** The mapping goes on in a stored map. */
   async #load(name) {
-    const isSure = await confirmed(`Load ${name}?`, "The present map is saved and closed, and mapping goes on in this one. "
-      + "The vehicle is lost until it is found there; Set pose helps it. The recording goes on.", "Load map");
-    if (!isSure) return;
+    const way = await confirmed(`Load ${name}?`, "The present map is saved and closed. The vehicle goes on in this one: it maps there, or is only localised, and the map stays as it is. "
+      + "It is lost until it is found there; Set pose helps it. The recording goes on.", "Load and map", null, this.verbs.includes("set_mode") ? "Load and localise" : "");
+    if (!way) return;
     const pose = this.lastPose();
-    const answer = await this.connection.command("load_map", { map: name });
+    let answer = await this.connection.command("load_map", { map: name });
+    if (answer.ok && way === "other") answer = { ...answer, ...await this.connection.command("set_mode", { mode: "localization" }) };
     const before = answer.folder_before ? `, the map before is in ${answer.folder_before}` : "";
     if (!answer.ok) notice(`Load ${name}: ${answer.error}.`, "error");
     else if (!pose) notice(`${name} is loaded${before}.`, "ok");

@@ -81,6 +81,7 @@ class FakeMapper:
     graph_picture: GraphPicture | None = None
     pose_refused: tuple[float, float, float] | None = None
     changes_told: MapChanges | None = None
+    is_localizing = False
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         version, self._changed = self._changed, 0

@@ -148,8 +148,8 @@ def test_the_known_verbs(machine: Machine):
     assert told == {
         "ok": False,
         "error": "there is no command 'fly'; known: add_landmark_pair, checkpoint, edit_map, load_map, mark, "
-        "optimize, pause, remove_landmark_pair, reset_map, resume, save_map, set_pose, start_recording, "
-        "stop_recording, switch_profile, undo",
+        "optimize, pause, remove_landmark_pair, reset_map, resume, save_map, set_mode, set_pose, "
+        "start_recording, stop_recording, switch_profile, undo",
     }
 
 

@@ -32,6 +32,7 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
     """A report on parts that only have what it looks at."""
     outputs = SimpleNamespace(
         graph_fault="",
+        is_localizing=False,
         counters={"scans": 90, "scans_dropped_late": 2, "samples_dropped_late": 1},
         states=Counter(ok=90),
         unusable=Counter(),

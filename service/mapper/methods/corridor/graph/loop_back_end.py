@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.kernels.loops import path_lengths, thin_points
+from service.kernels.loops import thin_points
 from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.edit_requests import EditError, LiveChange
 from service.mapper.graph.point_clouds import Fit, PointCloud
@@ -25,7 +25,7 @@ from service.mapper.methods.corridor.graph.live_edits import LiveEdits, Made, ke
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.odometry_edges import doubtful_steps, lost_steps, odometry_edges
+from service.mapper.methods.corridor.graph.odometry_edges import odometry_edges
 from service.mapper.methods.corridor.graph.old_passes import OldPasses
 from service.mapper.methods.corridor.graph.passes import worth_asking
 from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING, PieceSearch
@@ -41,12 +41,11 @@ from service.mapper.methods.corridor.graph.stored_graph import (
     stored_loops,
     to_render,
 )
-from service.mapper.methods.corridor.graph.way_drift import WayDrift
+from service.mapper.methods.corridor.graph.way_drift import WayDrift, lengths_from
 from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 from service.mapper.walls import walls_of
 
-LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
 MOST_WINDOW_M, MOST_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
@@ -56,7 +55,6 @@ LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of
 MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
-LOOP_M = 1.0  # what going over a loop counts in the length of a path
 SUBMAPS_KEPT = 16
 PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
 MOST_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
@@ -78,9 +76,10 @@ class LoopBackEnd:
     ) -> None:
         self._keep_graph = keep_graph
         self._config = config
-        self._renderer = None if is_localizing else renderer
+        self._renderer = renderer
         self._keyframes = KeyframeList(stored)
         self._held = self._keyframes.stored if is_localizing else 0
+        self._is_switched = False  # to localisation, in a session that maps: the map is stored without it
         self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
         self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
         self._candidates: list[Loop] = []
@@ -118,7 +117,8 @@ class LoopBackEnd:
             ),
         )
         if batch.is_last or batch.request == "checkpoint":
-            saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals)
+            held = self._held if self._is_switched else None
+            saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals, held)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
@@ -133,6 +133,8 @@ class LoopBackEnd:
         self._anchoring.add(batch.fixes)
         if batch.request == "set_pose":
             self.pieces.expect_at(np.array(batch.pose))
+        if batch.request == "set_mode":
+            return self._set_mode(batch.is_localizing)
         joined = self._look_for_piece() if self._is_detached() else None
         every_m = self._config.keyframe_distance_m if batch.is_last else self._config.search_every_m
         moved = joined is not None or (batch.change is None and self._look_for_loops(every_m))
@@ -168,6 +170,18 @@ class LoopBackEnd:
         drawn = self.render() if self._due.take_drawing() else None
         newest = self._keyframes.correction(-1)
         return Result(len(self._loops), len(self._disabled), joined, newest, known, drawn, edited=edited)
+
+    def _set_mode(self, is_localizing: bool) -> Result:
+        """Hold all that is placed in the map, or let it be moved and extended again."""
+        known, counts = self._known(), (len(self._loops), len(self._disabled))
+        held = int(known.sum())
+        if is_localizing and not self._held and (not held or not known[:held].all()):
+            error = "a part of the map has not been placed in the rest yet" if held else "there is no map yet"
+            return Result(*counts, edited=EditAnswer(error=error))
+        self._held = (self._held or held) if is_localizing else 0
+        self._candidates, self._is_switched = [], is_localizing
+        told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self._keyframes.count}
+        return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing)
 
     def _edit(self, change: LiveChange | None) -> tuple[Made | None, EditAnswer | None]:
         """What a person changes by hand; None: nothing, or it is refused."""
@@ -289,7 +303,7 @@ class LoopBackEnd:
         if len(members) < 3:
             return []
         reference = members[len(members) // 2]
-        length_m = self._lengths_from(reference)
+        length_m = lengths_from(self._keyframes, self._loops, reference)
         if window is None:
             reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MOST_WINDOW_M)
             reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MOST_WINDOW_RAD)
@@ -329,17 +343,6 @@ class LoopBackEnd:
 
     def _is_good(self, fit: Fit) -> bool:
         return fit.share >= LEAST_SHARE * float(np.median(self._keyframes.score))
-
-    def _lengths_from(self, k: int) -> Floats:
-        way = self._keyframes.way_m
-        length_m = np.empty(len(way))
-        of = np.array([loop.of for loop in self._loops], np.int64)
-        to = np.array([loop.to for loop in self._loops], np.int64)
-        step_m = (
-            np.diff(way) + DOUBTFUL_M * doubtful_steps(self._keyframes) + LOST_M * lost_steps(self._keyframes)
-        )
-        path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
-        return length_m
 
     def _submap_about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""
@@ -467,9 +470,9 @@ class LoopBackEnd:
                 self._accept(loop)
 
     def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
-        """The shown map, or only a polygon (C, 2) m of it; None where this was made to draw none."""
+        """The shown map, or only a polygon (C, 2) m of it; None where none is drawn."""
         keyframes, renderer, known = self._keyframes, self._renderer, self._known()
-        if renderer is None:
+        if renderer is None or self._held:
             return None
         if corners_map is None:
             return renderer.render(to_render(keyframes, known))

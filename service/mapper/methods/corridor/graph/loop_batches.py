@@ -18,11 +18,12 @@ class Batch:
     """Key frames and fixes since the last batch, and what else is wanted."""
 
     frames: Sequence[KeyFrame]
-    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose", "edit_map"
+    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode"
     pose: Sequence[float] = ()  # (x m, y m, theta rad) in the map, of set_pose
     is_last: bool = False
     fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before
     change: LiveChange | None = None  # of edit_map
+    is_localizing: bool = False  # of set_mode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,4 +48,5 @@ class Result:
     saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
     place: PlaceNews = field(default_factory=PlaceNews)
     picture: GraphPicture | None = None  # where one was due
-    edited: EditAnswer | None = None  # of a batch with a change
+    edited: EditAnswer | None = None  # of a batch with a change or another mode
+    is_localizing: bool | None = None  # from now on; None: as before

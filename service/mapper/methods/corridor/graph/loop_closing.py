@@ -46,7 +46,7 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 # is to tell: each one after them comes twice as late as the one before.
 DETACHED_INTERVAL_NS, MOST_DOUBLED = 500_000_000, 4
 
-REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map")
+REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode")
 
 
 class PoseRequest(Section):
@@ -83,6 +83,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._keyframes = 0 if stored is None else len(stored)
         self._is_placed = stored is None
         self._is_localizing = is_localizing
+        self._is_held = is_localizing  # by the config: for as long as this lives
         self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
         self._fresh: list[KeyFrame] = []  # not yet sent
@@ -147,6 +148,9 @@ class LoopClosing(BackgroundGraph[Result]):
         if name == "edit_map":
             self._edit(payload)
             return None
+        if name == "set_mode":
+            self._set_mode(payload)
+            return None
         if payload:
             raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
         if name == "undo" and not self._loops:
@@ -185,6 +189,17 @@ class LoopClosing(BackgroundGraph[Result]):
             raise GraphRequestError(f"edit_map: {error}") from error
         self._submit("edit_map", change=change)
 
+    def _set_mode(self, payload: Mapping[str, Any]) -> None:
+        mode = payload.get("mode")
+        if mode not in ("mapping", "localization"):
+            raise GraphRequestError(f"set_mode: mode is {mode!r}; expected mapping or localization")
+        if mode == "mapping" and self._is_held:
+            raise GraphRequestError(
+                "set_mode: the config says mode: localization, so nothing of this map is saved; change the "
+                "config and start the service again"
+            )
+        self._submit("set_mode", is_localizing=mode == "localization")
+
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
         self._apply_all(counts)
@@ -206,8 +221,10 @@ class LoopClosing(BackgroundGraph[Result]):
         is_last: bool = False,
         pose: tuple[float, ...] = (),
         change: LiveChange | None = None,
+        is_localizing: bool = False,
     ) -> None:
-        self._jobs.submit(Batch(self._fresh, request, pose, is_last, self._fixes.take(), change))
+        fixes = self._fixes.take()
+        self._jobs.submit(Batch(self._fresh, request, pose, is_last, fixes, change, is_localizing))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 
@@ -230,6 +247,11 @@ class LoopClosing(BackgroundGraph[Result]):
         if refused not in (None, self._pose_refused):
             counts["set_pose_given_up"] = 1
         self._pose_refused = refused
+        if result.is_localizing is not None and result.edited is not None:
+            self._is_localizing = result.is_localizing
+            # The back end drops key frames while it only localises: they are counted anew.
+            self._keyframes = result.edited.told["keyframes"] + sum(map(len, self._sent)) + len(self._fresh)
+            self._fixes = FixTrack()
         self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:
             self._is_unmeasured = False
@@ -252,6 +274,7 @@ class LoopClosing(BackgroundGraph[Result]):
             picture=result.picture,
             known=result.known,
             edited=result.edited,
+            is_localizing=result.is_localizing,
         )
 
     def _is_step(self, pose: SE2, last: SE2 | None) -> bool:

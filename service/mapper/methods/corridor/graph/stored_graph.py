@@ -39,10 +39,19 @@ def stored_loops(stored: SavedGraph) -> list[Loop]:
 
 
 def saved_graph(
-    keyframes: KeyframeList, loops: Sequence[Loop], joined: Collection[int], refusals: Refusals
+    keyframes: KeyframeList,
+    loops: Sequence[Loop],
+    joined: Collection[int],
+    refusals: Refusals,
+    held: int | None = None,
 ) -> SavedGraph:
-    """The key frames whose place in the map is known, and the loops between them."""
+    """The key frames whose place in the map is known, and the loops between them.
+
+    held   only of the first so many; None: of all
+    """
     is_known = np.isin(keyframes.piece, list(joined))
+    if held is not None:
+        is_known[held:] = False
     by_hand = keyframes.by_hand
     if not is_known.all():
         by_hand = by_hand.without_keyframes(is_known, keyframes.map)

@@ -1,15 +1,23 @@
 """How far the way between two key frames can have drifted: it tells a loop from a place that looks alike."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.chi2 import CHI2_99_OF_3
 from service.geometry.poses import Floats
+from service.kernels.loops import path_lengths
 from service.mapper.known_pose import carried
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop
-from service.mapper.methods.corridor.graph.odometry_edges import UNKNOWN_COVARIANCE, odometry_edges
+from service.mapper.methods.corridor.graph.odometry_edges import (
+    UNKNOWN_COVARIANCE,
+    doubtful_steps,
+    lost_steps,
+    odometry_edges,
+)
 
 # Of three degrees of freedom, of a loop against the way between its ends: at most 20 in 1054 loops of seven
 # recordings, 390 and more of those between shelves that look alike.
@@ -21,6 +29,8 @@ UNMODELLED_SHARE = 0.003
 # would bend the map by no more than the way may have drifted by, and things that look alike lie farther apart
 # than 3.5 sigma.
 NEAR_SIGMA_M = 0.3
+LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
+LOOP_M = 1.0  # what going over a loop counts in the length of a path
 
 
 class WayDrift:
@@ -86,3 +96,14 @@ class WayDrift:
         self._before = edges.of
         self._covariance = edges.covariance
         self._covariance[~is_known] = UNKNOWN_COVARIANCE
+
+
+def lengths_from(keyframes: KeyframeList, loops: Sequence[Loop], k: int) -> Floats:
+    """(N,) m of the shortest path from key frame k to each, over odometry and loops."""
+    way = keyframes.way_m
+    length_m = np.empty(len(way))
+    of = np.array([loop.of for loop in loops], np.int64)
+    to = np.array([loop.to for loop in loops], np.int64)
+    step_m = np.diff(way) + DOUBTFUL_M * doubtful_steps(keyframes) + LOST_M * lost_steps(keyframes)
+    path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
+    return length_m

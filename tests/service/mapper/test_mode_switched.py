@@ -1,0 +1,100 @@
+"""A vehicle that maps is only localised for a while: the map stays as it is, and nothing jumps."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.frames import LaserScan
+from service.mapper.components import GraphRequestError
+from service.mapper.mapping_session import MappingSession
+from service.mapper.maps.occupancy import rendered_of
+from service.mapper.profiles import BeginIn, build_mapper, mapping_config
+from service.mapper.saved_graph import SavedGraph
+from service.outputs import MapperOutput, TileUpdate
+from tests.service.mapper.offices import through
+from tests.simulated import FORWARD, Drive
+
+HELD_NS, MAPPED_NS, SECONDS = 5_000_000_000, 10_000_000_000, 13.0
+
+
+@dataclass
+class Switched:
+    outputs: list[MapperOutput]
+    answers: list[tuple[int, dict[str, Any], list[TileUpdate], int]]  # stamp, answer, map, key frames stored
+    shown: list[TileUpdate]
+    stored: SavedGraph
+
+
+def stored_now(session: MappingSession) -> int:
+    """Key frames, were it stored now."""
+    session.request("checkpoint", {})
+    session.apply_result()
+    assert isinstance(session.saved, SavedGraph)
+    return len(session.saved)
+
+
+@pytest.fixture(scope="module")
+def drove() -> Drive:
+    return through("office", SECONDS, 3)
+
+
+@pytest.fixture(scope="module")
+def switched(drove: Drive) -> Switched:
+    session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"], None)
+    outputs, answers = [], []
+    due = [(HELD_NS, "localization"), (MAPPED_NS, "mapping")]
+    for frame in drove.frames:
+        if due and isinstance(frame, LaserScan) and frame.stamp_ns >= due[0][0]:
+            stored = stored_now(session)
+            assert session.request("set_mode", {"mode": due.pop(0)[1]}) is None
+            session.apply_result()
+            (edited,) = session.take_edited()
+            answers.append((frame.stamp_ns, dict(edited.told), session.tiles(), stored))
+        if (output := session.process(frame)) is not None:
+            outputs.append(output)
+        while session.work_ready:
+            session.apply_result()
+    finished = session.finish().update.saved
+    assert isinstance(finished, SavedGraph)
+    return Switched(outputs, answers, session.tiles(), finished)
+
+
+def cells(tiles: list[TileUpdate]) -> dict[tuple[int, int], bytes]:
+    return {(tile.ix, tile.iy): tile.cells.tobytes() for tile in tiles}
+
+
+def test_the_map_stays_as_it_is_until_it_is_mapped_again(switched: Switched):
+    (_, held, before, stored_before), (_, mapped, after, stored_after) = switched.answers
+    assert (held["mode"], mapped["mode"]) == ("localization", "mapping")
+    assert cells(before) == cells(after)
+    assert stored_before == stored_after > 10
+    assert cells(switched.shown) != cells(after)
+    assert len(switched.stored) > stored_after
+    switched.stored.checked()
+
+
+def test_the_vehicle_is_localised_all_along_and_no_pose_jumps(drove: Drive, switched: Switched):
+    assert {output.state for output in switched.outputs} == {"ok"}
+    map_odom = np.array([(o.pose_map_odom.x_m, o.pose_map_odom.y_m) for o in switched.outputs])
+    assert np.hypot(*np.diff(map_odom, axis=0).T).max() < 0.01
+    for output in switched.outputs:
+        true = drove.truth[output.stamp_ns]
+        off_m = math.hypot(output.pose_map_base.x_m - true.x_m, output.pose_map_base.y_m - true.y_m)
+        assert off_m < 0.05
+
+
+def test_a_mode_that_cannot_be_is_refused(switched: Switched):
+    session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"])
+    with pytest.raises(GraphRequestError, match="mode is 'flying'; expected mapping or localization"):
+        session.request("set_mode", {"mode": "flying"})
+    session.request("set_mode", {"mode": "localization"})
+    session.apply_result()
+    assert session.take_edited()[0].error == "there is no map yet"
+    assert not session.is_localizing
+    begin = BeginIn(switched.stored, rendered_of(switched.shown))
+    only = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
+    with pytest.raises(GraphRequestError, match="the config says mode: localization"):
+        only.graph.request("set_mode", {"mode": "mapping"})
