@@ -69,7 +69,13 @@ def drives(tmp_path, monkeypatch):
     """A folder with files of the names that the manual uses."""
     monkeypatch.chdir(tmp_path)
     messages = drive(60)
-    for name in ("session.mcap", "later.mcap", "any_ros2_recording.mcap", "veh1_20261121T101500Z_0001.mcap"):
+    for name in (
+        "session.mcap",
+        "later.mcap",
+        "drive.mcap",
+        "any_ros2_recording.mcap",
+        "veh1_20261121T101500Z_0001.mcap",
+    ):
         write_file(tmp_path / name, messages)
     write_ros1(tmp_path / "drive.bag", ros_drive(noetic()))
     for name in ("cut_off.mcap.active", "veh1_20261121T101500Z_0003.mcap.active"):

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from service.kernel_cache import ensure_cache_dir
 from tests.interop.programs import ROOT, InteropError, UnavailableError, Venv
@@ -28,12 +29,12 @@ class Check:
 
     program: str
     against: str
-    venv: Venv
-    run: Callable[[Venv, Path], str]
+    venv: Any  # Venv, or a Debian
+    run: Callable[[Any, Path], str]
 
 
 def _checks() -> list[Check]:
-    from tests.interop import create, hokuyo, recording, ros2, ros2_laser, trajectory
+    from tests.interop import create, debian, hokuyo, install, recording, ros2, ros2_laser, trajectory
 
     clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
     readers = Venv("readers", ("mcap-ros2-support",))
@@ -41,6 +42,8 @@ def _checks() -> list[Check]:
     scorer = Venv("evo", ("evo",))
     node = Venv("ros2-sdk", ("zenoh-ros2-sdk==0.1.8",))
     names = Venv("ros2-names", ("pamoja-ros2==0.2.0",))
+    fresh = debian.Debian("debian")
+    installers = Venv("installers", ("pip>=23.3", "pipx>=1.5", "uv"))
     return [
         Check("hokuyolx", "fake UTM-30LX-EW, TCP", clients, hokuyo.run_hokuyolx),
         Check("pycreate2", "fake Create 2, terminal", clients, create.run_pycreate2),
@@ -52,6 +55,13 @@ def _checks() -> list[Check]:
         Check("zenoh-ros2-sdk", "the same, other router", node, ros2.run_sdk_by_router),
         Check("zenoh-ros2-sdk", "its laser, ros2_scan", node, ros2_laser.run_sdk_laser),
         Check("pamoja-ros2", "keys of ros2", names, ros2.run_pamoja),
+        Check("pip", "wheels of dependencies", installers, install.run_wheels),
+        Check("uv", "uv tool install", installers, install.run_uv),
+        Check("pipx", "pipx install", installers, install.run_pipx),
+        Check("uv", "the lowest versions", installers, install.run_lowest),
+        Check("README", "first commands, Debian", fresh, debian.run_readme),
+        Check("deb", "installed and purged", fresh, debian.run_deb),
+        Check("Containerfile", "its steps, Debian", fresh, debian.run_containerfile),
     ]
 
 
@@ -59,7 +69,9 @@ def main() -> int:
     ensure_cache_dir()
     checks = _checks()
     parser = argparse.ArgumentParser(prog="python -m tests.interop", description=__doc__)
-    parser.add_argument("--only", action="append", choices=[check.program for check in checks], default=[])
+    parser.add_argument(
+        "--only", action="append", choices=sorted({check.program for check in checks}), default=[]
+    )
     parser.add_argument("--strict", action="store_true", help="a program that cannot be had is a failure")
     options = parser.parse_args()
     failed = skipped = 0

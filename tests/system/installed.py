@@ -8,6 +8,7 @@ import sysconfig
 from pathlib import Path
 
 from service.kernel_cache import DIGEST_NAME, KERNELS
+from tests.docs.blocks import blocks_of
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("service", "drivers", "simulators")
@@ -56,6 +57,12 @@ def install(wheel: Path, folder: Path) -> Path:
         for path in (compiled / DIGEST_NAME, *compiled.glob("*.nb[ci]")):
             shutil.copy2(path, installed / "__pycache__")
     return venv / "bin" / "corridor"
+
+
+def first_commands() -> list[str]:
+    """What README tells a newcomer to type, from a wheel to a map for nav2; without comments."""
+    block = next(one for one in blocks_of(ROOT / "README.md") if "pipx install" in one.text)
+    return [line.partition(" #")[0].strip() for line in block.text.splitlines()]
 
 
 def environment() -> dict[str, str]:

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from service.mapstore.ros_map import read_ros_map
+from service.outputs import OCCUPIED
 from service.version import VERSION
 from tests.demo_run import DemoRun
-from tests.system.installed import PACKAGES, ROOT, TIMEOUT_S, run
+from tests.system.installed import PACKAGES, ROOT, TIMEOUT_S, first_commands, run
 
 PROGRAM = Path(__file__).with_name("typed_program.py")  # of a user
 
@@ -59,6 +61,20 @@ def test_it_replays_what_its_demo_recorded(corridor: Path, demo_run: DemoRun, tm
     replayed = json.loads(run([str(corridor), "replay", told["session"], "--json", "--out", "r"], tmp_path))
     assert replayed["scans"] == told["scans"]
     assert (tmp_path / "r" / "map.png").exists()
+
+
+@pytest.mark.timeout(TIMEOUT_S)
+def test_the_first_commands_of_readme_lead_from_a_recording_to_a_map_for_nav2(
+    corridor: Path, demo_run: DemoRun, tmp_path: Path
+):
+    commands = first_commands()
+    assert len(commands) <= 6
+    shutil.copy(demo_run.summary["session"], tmp_path / "drive.mcap")
+    typed = [command.split() for command in commands if command.startswith("corridor ")]
+    assert [words[1] for words in typed] == ["replay", "export"]
+    for _, *arguments in typed:
+        run([str(corridor), *arguments], tmp_path)
+    assert (read_ros_map(tmp_path / "hall.yaml").cells == OCCUPIED).sum() > 100
 
 
 def test_it_sets_a_machine_up(corridor: Path, tmp_path: Path):
