@@ -3,7 +3,7 @@
 #
 # Expected: the session is closed at the end of the block, as by close(), which may be called meanwhile.
 # Found: RuntimeError "Already borrowed" while another thread is in a call of the session, put() here; the
-# session stays open, with the threads of its subscribers, which are no daemons: Python does not exit then.
+# session stays open.
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

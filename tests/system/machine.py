@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 import zenoh
 
+from drivers.zenoh_callback import daemon_callback
 from service.encoding import Message
 from tests.in_background import started
 
@@ -189,7 +190,8 @@ class Subscriber:
         self.heard: dict[str, list[tuple[float, bytes]]] = {}
         self.versions: dict[str, int] = {}  # of tiles, by channel
         self._root = f"corridor/v1/{VEHICLE}/"
-        self._subscriber = self._session.declare_subscriber(self._root + "**", self._hear)
+        hear = daemon_callback(self._hear, "subscriber")
+        self._subscriber = self._session.declare_subscriber(self._root + "**", hear)
 
     def _hear(self, sample: zenoh.Sample) -> None:
         channel = str(sample.key_expr).removeprefix(self._root)
