@@ -69,7 +69,7 @@ LASERS = (
 LIVE_EDIT = ("edit-live", "edit-live-dark", "edit-live-phone", "edit-live-phone-dark")
 VERBS = [
     *("pause", "resume", "save_map", "reset_map", "load_map", "switch_profile"),
-    *("start_recording", "stop_recording", "mark", "set_pose", "edit_map"),
+    *("start_recording", "stop_recording", "mark", "set_pose", "edit_map", "set_mode"),
 ]
 
 

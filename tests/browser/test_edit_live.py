@@ -118,7 +118,7 @@ def test_an_area_is_erased_with_three_clicks_and_brought_back(page, session, map
     assert not page.element("edit-undo").is_enabled()
 
 
-def test_a_change_that_is_refused_is_said_and_another_can_be_made(page, session):
+def test_a_change_that_is_refused_is_shown_and_another_can_be_made(page, session):
     page.run("corridor.edit.change({what: 'undo'}, 'Undo')")
     wait_for_change(page, "Undo: no change of this session is left to take back")
     page.wait_for("return !corridor.edit.all.disabled")

@@ -103,7 +103,7 @@ def test_a_device_clock_is_shown_as_time_since_power_up_or_as_the_year_it_was_se
     ]  # the last one as NTP
 
 
-def test_whether_a_device_clock_runs_right_is_said_below_its_name(page, scene, live):
+def test_whether_a_device_clock_runs_right_is_shown_below_its_name(page, scene, live):
     front = {"device_clock_s": "8130", "clock_sigma_ms": "0.21"}
     rear = {"device_clock_s": "4004188800", "clock_sigma_ms": "900.0"}
     named = [Status(f"sensor/{name}", 0, "ok", values) for name, values in (("front", front), ("rear", rear))]
@@ -112,6 +112,14 @@ def test_whether_a_device_clock_runs_right_is_said_below_its_name(page, scene, l
         name.click()
     page.wait_for_text("information", "device clock: 2:15 h, runs right (\u00b1 0.2 ms)")
     page.wait_for_text("information", "device clock: 2026, is being learnt (\u00b1 900.0 ms)")
+
+
+def test_an_event_that_comes_again_within_ten_seconds_stays_one_line(page, live):
+    for text, seconds in (("door", 2.0), ("lift", 3.0), ("door", 8.0), ("door", 17.0), ("lift", 40.0)):
+        live.put(event(f'{{"event": "mark", "text": "{text}"}}', seconds))
+    lines = "[...document.querySelectorAll('.events li span')].map((line) => line.textContent)"
+    page.wait_for(f"return {lines}.filter((line) => line.startsWith('mark')).length === 3")
+    assert page.run(f"return {lines}")[:3] == ["mark, lift", "mark, door (3 times)", "mark, lift"]
 
 
 def test_the_token_leaves_the_address_bar(still):
@@ -234,6 +242,24 @@ def test_a_pose_that_is_known_is_not_set_and_the_page_says_why(control):
     assert control.text("pose-words") == "The pose is known. It can be set while the vehicle is lost."
     put_state(control, "lost")
     assert control.element("do-set_pose").is_enabled()
+
+
+def test_what_another_profile_refuses_is_disabled_with_the_reason(control):
+    control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'set_pose', 'save_map', 'edit_map']})")
+    for profile, may in (("contour_lm", False), ("corridor", True)):
+        control.run(
+            "const values = {state: 'lost', profile: arguments[0]};"
+            "corridor.connection.on.health({stamp_s: 1, latency_ms: {},"
+            " statuses: [{name: 'mapping', level: 0, message: 'ok', since_s: 0, values}]})",
+            profile,
+        )
+        control.choose("control")
+        enabled = [control.element(name).is_enabled() for name in ("do-set_mode", "do-set_pose")]
+        assert enabled == [may, may]
+        assert ("contour_lm takes no pose" in control.text("pose-words")) is not may
+        control.choose("edit")
+        assert control.element("draw-wall").is_enabled() is may
+        assert ("contour_lm changes no map" in control.text("edit-note")) is not may
 
 
 def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control, still_dispatcher):

@@ -2,7 +2,7 @@
 
 import { card, confirmed, element, notice, setText } from "./dom.js";
 import { degrees, fixed } from "./format.js";
-import { ProfileCard } from "./profile_card.js";
+import { GRAPH_PROFILE, ProfileCard } from "./profile_card.js";
 
 export class Control {
   /** startPoseTool(done): have a pose drawn on the map; done({x_m, y_m, theta_rad}), map frame. */
@@ -81,9 +81,10 @@ export class Control {
       ? "Unlocked: this page may give commands."
       : "You may look. To give commands, enter the token of the service: `corridor demo` prints it, `corridor run` says at its start in which file it is.");
     this.tokenForm.hidden = may;
+    const hasGraph = [GRAPH_PROFILE, ""].includes(this.profile.profile);
     const useless = { pause: this.isPaused, resume: !this.isPaused, start_recording: this.isRecording,
-      stop_recording: !this.isRecording, mark: !this.isRecording, set_pose: !this.isLost };
-    setText(this.poseWords, this.isLost ? "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."
+      stop_recording: !this.isRecording, mark: !this.isRecording, set_pose: !this.isLost || !hasGraph, set_mode: !hasGraph };
+    setText(this.poseWords, !hasGraph ? `The profile ${this.profile.profile} takes no pose; ${GRAPH_PROFILE} does.` : this.isLost ? "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."
       : "The pose is known. It can be set while the vehicle is lost.");
     for (const [verb, button] of this.buttons) {
       button.hidden = !this.verbs.includes(verb);
@@ -91,7 +92,7 @@ export class Control {
     }
     const mode = this.buttons.get("set_mode");
     setText(mode, this.isLocalizing ? "Map again" : "Localise only");
-    mode.title = this.isLocalizing ? "The map is extended again" : "The map stays as it is";
+    mode.title = !hasGraph ? `Only with the profile ${GRAPH_PROFILE}` : this.isLocalizing ? "The map is extended again" : "The map stays as it is";
     this.saveAs.hidden = this.buttons.get("save_map").hidden;
     this.saveAs.disabled = !may;
     this.profile.update(may, this.verbs);

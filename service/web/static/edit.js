@@ -9,12 +9,19 @@ import { KeyframeTool, PairTool } from "./edit_tools.js";
 import { LiveEdit } from "./edit_live.js";
 import { clockTime, counted } from "./format.js";
 import { Keyframes } from "./keyframes.js";
+import { GRAPH_PROFILE } from "./profile_card.js";
 import { chooseTab } from "./tabs.js";
 
 const SHOWN = 8; // versions; the rest on demand
 const LIVE_VERBS = ["save_map", "edit_map"]; // by which the map of a running session is changed
 const LIVE_WORDS = "Each change is made beside the mapping, which goes on; Undo takes the newest one back.";
 const FETCH_WORDS = "To join places and to cut, the map is saved, and its key frames are fetched: this takes some seconds. Later ones are not among them.";
+
+/** Why the map of a running session takes no change; "": it does. */
+const whyNot = (mode, profile = GRAPH_PROFILE) => {
+  if (profile !== GRAPH_PROFILE) return `The profile ${profile} changes no map while it maps; ${GRAPH_PROFILE} does. A saved map can be edited with corridor view.`;
+  return mode === "localization" ? "The vehicle is only localised, and the map stays as it is. To edit it, choose Map again under Control." : "";
+};
 
 /** What the service of a stored map takes. */
 const asStored = (change) => (change.what !== "add-pair" ? change
@@ -27,7 +34,8 @@ export class Edit {
     this.view = view;
     this.setTool = setTool;
     this.live = new LiveEdit(connection);
-    this.isOffered = this.isLive = this.isLocalizing = this.isBusy = this.showsAll = false;
+    this.whyNot = ""; // the map of the running session is not changed
+    this.isOffered = this.isLive = this.isBusy = this.showsAll = false;
     this.version = 0; // of the map that is shown; 0: not known yet
     this.versions = [];
     this.keyframes = new Keyframes();
@@ -73,9 +81,9 @@ export class Edit {
 
   /** Somebody else may have changed the map. */
   putHealth({ statuses }) {
-    const isLocalizing = statuses.find(({ name }) => name === "mapping")?.values.mode === "localization";
-    if (isLocalizing !== this.isLocalizing) {
-      this.isLocalizing = isLocalizing;
+    const { mode, profile } = statuses.find(({ name }) => name === "mapping")?.values ?? {}, why = whyNot(mode, profile);
+    if (why !== this.whyNot) {
+      this.whyNot = why;
       this.update();
     }
     const version = Number(statuses.find(({ name }) => name === "mapping")?.values.version ?? 0);
@@ -84,7 +92,7 @@ export class Edit {
 
   update() {
     const may = this.connection.mayControl, isSeen = this.version > 0, hasKeyframes = this.keyframes.count > 0;
-    this.all.disabled = !may || this.isBusy || (this.isLive && this.isLocalizing) || !(isSeen || this.isLive);
+    this.all.disabled = !may || this.isBusy || (this.isLive && this.whyNot !== "") || !(isSeen || this.isLive);
     if (!this.isBusy) this.#showNote(may);
     this.versionsCard.hidden = this.isLive;
     this.fetched.node.hidden = !this.isLive;
@@ -188,7 +196,7 @@ export class Edit {
 
   #showNote(may) {
     const { words, level } = !may ? { level: "none", words: "You may look. To edit, enter the token under Control." }
-      : this.isLive && this.isLocalizing ? { level: "none", words: "The vehicle is only localised, and the map stays as it is. To edit it, choose Map again under Control." }
+      : this.isLive && this.whyNot ? { level: "none", words: this.whyNot }
       : this.said ?? { level: "none", words: this.isLive ? LIVE_WORDS : "Each change is a new version of the stored map, and can be taken back." };
     this.note.dataset.level = level;
     setText(this.note, words);

@@ -13,6 +13,7 @@ const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "ma
   resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", load_map: "map loaded",
   switch_profile: "profile switched", sensor: "sensor" };
 const MOST_EVENTS = 60;
+const GROUPED_S = 10; // the same event so soon again is one line
 const MOST_SIGMA_MS = 5; // of a clock that is known
 
 export class Information {
@@ -117,7 +118,11 @@ export class Information {
     } catch {
       // no JSON: then it is words already
     }
-    this.eventList.prepend(element("li", {}, element("time", {}, clockTime(stamp_s)), element("span", {}, words)));
+    const same = [...this.eventList.children].find((line) => line.words === words && Math.abs(stamp_s - line.stamp_s) < GROUPED_S);
+    const count = (same?.count ?? 0) + 1;
+    same?.remove();
+    const line = element("li", { words, count, stamp_s }, element("time", {}, clockTime(stamp_s)), element("span", {}, count > 1 ? `${words} (${count} times)` : words));
+    this.eventList.prepend(line);
     if (this.eventList.children.length > MOST_EVENTS) this.eventList.lastChild.remove();
   }
 

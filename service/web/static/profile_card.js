@@ -2,6 +2,8 @@
 
 import { card, confirmed, element, notice, setText } from "./dom.js";
 
+export const GRAPH_PROFILE = "corridor"; // the one whose graph takes poses, modes and edits
+
 const NEEDS = { corridor: "The default: needs a laser; wheels or a gyro improve it.", contour_lm: "Needs a laser.",
   owolm_eskf: "Needs a laser; an inertial unit improves it.", imle: "Needs a laser; keeps the map on disk.",
   submap_graph: "Needs a laser and wheels." };

@@ -20,7 +20,7 @@ class Asking:
         return self._commands.answer(line.encode())
 
 
-def test_key_frames_are_told_with_pose_points_and_stamp(folder, bent):
+def test_key_frames_come_with_pose_points_and_stamp(folder, bent):
     commands = Asking()
     told = commands.ask("look", folder)
     assert (told["version"], told["keyframes"]["count"]) == (1, len(bent.graph))

@@ -64,7 +64,7 @@ def pairs_of_both_rounds(graph: SavedGraph, off_m: float = 0.0) -> list[dict[str
     return pairs
 
 
-def test_pairs_close_a_ring_that_no_loop_has_closed_and_say_what_is_left_of_each(open_ring: bytes):
+def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_each(open_ring: bytes):
     back_end = pickle.loads(open_ring)
     before = saved(back_end)
     assert seam_m(before, TRUTH).min() > 0.5
@@ -104,7 +104,7 @@ def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(close
     np.testing.assert_allclose(again.map, before.map, atol=2e-3)
 
 
-def test_without_a_bridge_the_way_gives_where_it_is_cut(open_ring: bytes):
+def test_without_a_bridge_odometry_yields_where_it_is_cut(open_ring: bytes):
     """Pairs ask for more than odometry errs by: it must give somewhere."""
 
     def given_m(is_bridged: bool) -> float:
@@ -154,7 +154,7 @@ def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
     np.testing.assert_array_equal(after.point_count, before.point_count)
 
 
-def test_a_drawing_is_held_by_a_key_frame_of_a_known_place(open_ring: bytes):
+def test_a_drawing_goes_with_a_key_frame_of_a_known_place(open_ring: bytes):
     """The newest key frames are of a piece that nobody has found yet: they are not stored."""
     back_end = pickle.loads(open_ring)
     lost = [
