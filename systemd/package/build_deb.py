@@ -42,6 +42,7 @@ UNUSED = (
     "numba/np/ufunc/omppool*",
     "llvmlite/tests",
     "numpy/**/tests",
+    "zstandard/_cffi*",  # of PyPy
     "apsw/tests",
     "apsw/sqlite_extra_binaries",
     "pip/_vendor/distlib/*.exe",

@@ -28,7 +28,7 @@ from tests.simulated import drive as simulated_drive
 SHELL = written_in("sh")
 OF_THE_SYSTEM = {  # not ours, known to every reader; bash says whether the line can be one
     *("git", "cd", "cp", "man", "sudo", "systemctl", "journalctl", "python3", "pip", "source", "apt", "ros2"),
-    *("pipx", "uv"),
+    *("pipx", "uv", "podman"),
     "export",
 }  # fmt: skip
 PLACEHOLDER = re.compile(r"<[a-z ]+>")

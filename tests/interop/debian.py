@@ -67,9 +67,11 @@ class Machine:
 
     root: Path
 
-    def run(self, command: str, user: str = "root", timeout_s: float = INSTALL_TIMEOUT_S) -> str:
+    def run(
+        self, command: str, user: str = "root", timeout_s: float = INSTALL_TIMEOUT_S, home: str = ""
+    ) -> str:
         """stdout of a shell command of this user. Raises InteropError."""
-        home = "/root" if user == "root" else f"/home/{user}"
+        home = home or ("/root" if user == "root" else f"/home/{user}")
         clean = f"env -i HOME={home} PATH=/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin LC_ALL=C.UTF-8"
         settings = "DEBIAN_FRONTEND=noninteractive PIP_DISABLE_PIP_VERSION_CHECK=1"
         if CERTIFICATES in os.environ:
@@ -192,7 +194,7 @@ def run_containerfile(debian: Debian, folder: Path) -> str:
     """The steps of the Containerfile in a chroot, as no engine is asked for; then its program maps."""
     with machine(debian, folder) as fresh:
         text = (PACKAGE / "Containerfile").read_text(encoding="utf-8").replace("\\\n", " ")
-        environment, user = "", "root"
+        environment, user, folder_there = "", "root", ""
         for line in text.splitlines():
             instruction, _, words = line.partition(" ")
             match instruction:
@@ -206,11 +208,12 @@ def run_containerfile(debian: Debian, folder: Path) -> str:
                     environment = words
                 case "USER":
                     user = words
-                case "" | "#" | "FROM" | "WORKDIR" | "VOLUME" | "ENTRYPOINT" | "CMD":
+                case "WORKDIR":
+                    folder_there = words
+                case "" | "#" | "FROM" | "VOLUME" | "ENTRYPOINT" | "CMD":
                     pass  # judged by an engine only
                 case other:
                     raise InteropError(f"{other} of the Containerfile is not known here")
-        there = f"export {environment}; cd /var/lib/corridor; {DEMO_AND_REPLAY}"
-        fresh.run(there, user, KERNELS_TIMEOUT_S)
+        fresh.run(f"export {environment}; {DEMO_AND_REPLAY}", user, KERNELS_TIMEOUT_S, folder_there)
         size_mb = int(fresh.run("du -sxm / --exclude=/proc").split()[0])
         return f"its steps in a chroot, a demo mapped and replayed by {user}; {size_mb} MB with Debian"
