@@ -13,6 +13,10 @@ from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.encoding import LogClock, encode_frame, encode_tf_static
 from service.geometry.se2 import SE2
 from service.recording.mcap_recorder import McapRecorder
+from simulators.worlds import WORLDS
+from tests.service.recording.sessions import T0_NS, write_file
+from tests.simulated import FORWARD, LMS100_50HZ, Wheels
+from tests.simulated import drive as simulated_drive
 
 DAY_S = 86_400.0  # no drive lasts so long: one file each
 
@@ -72,3 +76,11 @@ def record(frames: Sequence[Frame], mountings: Mapping[str, SE2], folder: Path, 
         recorder.put(encode_frame(moved, log_ns=clock.next_ns(moved.arrived_ns)))
     (session,) = recorder.finish()
     return session
+
+
+def record_office(path: Path, seed: int) -> None:
+    """A recording of 15 s as a demo leaves it, but of one laser."""
+    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=25.0), 15.0, seed, Wheels())
+    messages = [encode_frame(frame, T0_NS) for frame in driven.frames]
+    path.parent.mkdir(exist_ok=True)
+    write_file(path, [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS), *messages])

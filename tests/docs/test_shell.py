@@ -7,23 +7,19 @@ import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from service.cli import main
 from service.cli.arguments import new_parser
-from service.encoding import encode_frame, encode_tf_static
 from simulators.run import _parse as parse_simulate
-from simulators.worlds import WORLDS
 from tests.docs.blocks import ROOT, written_in
+from tests.recorded_drive import record_office
 from tests.service.offline.test_carmen import flaser, odom
 from tests.service.offline.test_rosbag import drive as ros_drive
 from tests.service.offline.test_rosbag import noetic, write_ros1
-from tests.service.recording.sessions import T0_NS, drive, write_file
-from tests.simulated import FORWARD, LMS100_50HZ, Wheels
-from tests.simulated import drive as simulated_drive
+from tests.service.recording.sessions import drive, write_file
 
 SHELL = written_in("sh")
 OF_THE_SYSTEM = {  # not ours, known to every reader; bash says whether the line can be one
@@ -121,7 +117,7 @@ def test_stored_maps_are_worked_on_as_the_manual_says(tmp_path, monkeypatch, cap
                 (recording,) = tmp_path.glob(words[1])
                 shutil.copy(recording, words[2])
             elif words[1] == "demo":
-                record_office(Path(words[words.index("--out") + 1]), seed=len(ran) + 3)
+                record_office(Path(words[words.index("--out") + 1]) / "veh1.mcap", seed=len(ran) + 3)
             else:
                 assert main(words[1:]) == 0, f"{words}: {capsys.readouterr().err}"
             ran.append(words[1])
@@ -135,14 +131,6 @@ def test_stored_maps_are_worked_on_as_the_manual_says(tmp_path, monkeypatch, cap
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (told["cells_changed"], told["keyframes_gone"]) == (0, 0)
     assert (tmp_path / "diff.png").stat().st_size > 0
-
-
-def record_office(folder: Path, seed: int) -> None:
-    """A recording as a demo leaves it, but of one laser."""
-    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=25.0), 15.0, seed, Wheels())
-    messages = [encode_frame(frame, T0_NS) for frame in driven.frames]
-    folder.mkdir()
-    write_file(folder / "veh1.mcap", [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS), *messages])
 
 
 def test_the_drives_are_those_of_the_manual(drives: Path):

@@ -16,7 +16,7 @@ from service.outputs import OCCUPIED
 from tests.interop.install import KERNELS_TIMEOUT_S, wheel_of_the_tree
 from tests.interop.programs import INSTALL_TIMEOUT_S, InteropError, UnavailableError, run
 from tests.interop.programs import ROOT as VENVS
-from tests.interop.session import session
+from tests.recorded_drive import record_office
 from tests.system.installed import ROOT, first_commands
 
 SUITE = "bookworm"
@@ -177,7 +177,7 @@ def run_readme(debian: Debian, folder: Path) -> str:
     with machine(debian, folder) as fresh:
         home = fresh.add_user()
         shutil.copy(wheel_of_the_tree(folder), home)
-        shutil.copy(session(folder).mcap, home / "drive.mcap")
+        record_office(home / "drive.mcap", seed=3)
         for command in commands:
             if command.startswith("sudo "):
                 fresh.run(command.removeprefix("sudo ").replace("apt install", "apt-get install -y -q"))

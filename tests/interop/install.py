@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from tests.interop.programs import INSTALL_TIMEOUT_S, InteropError, UnavailableError, Venv, environment, run
-from tests.interop.session import session
+from tests.recorded_drive import record_office
 from tests.system.installed import NOT_OF_THE_CORE, ROOT, build_wheel
 
 PYTHONS = ("3.11", "3.12", "3.13")
@@ -56,7 +56,8 @@ def _look_at(home: Path, tool: Path, venv: Venv, folder: Path) -> str:
     result = folder / "replayed-for-install"
     if not result.exists():
         ours = Path(sys.executable).with_name("corridor")
-        run([str(ours), "replay", str(session(folder).mcap), "--out", str(result)])
+        record_office(folder / "office.mcap", seed=3)
+        run([str(ours), "replay", str(folder / "office.mcap"), "--out", str(result)])
     export = [str(program), "export", str(result), "--format", "geotiff", "--out", str(home / "map.tif")]
     refused = subprocess.run(
         export, capture_output=True, text=True, timeout=60, check=False, env=environment(home)
