@@ -116,6 +116,7 @@ def test_messages_that_are_not_read_in_time_are_no_silent_loss(wire: ZenohWire, 
     with Subscription(config(router=router_of(wire)), LASER_SCAN) as subscription:
         with subscription._changed:
             assert subscription._changed.wait_for(lambda: subscription._lost >= 3, TIMEOUT_S)
+        monkeypatch.undo()  # a busy machine loses no more of them between the two reads
         with pytest.raises(TransportError, match=r"/scan at tcp/.*: \d+ messages lost") as raised:
             subscription.read(1.0)
         assert int(str(raised.value).split()[3]) >= 5  # with the two that still waited
