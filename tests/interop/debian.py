@@ -63,7 +63,7 @@ class Debian:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """A copy of a Debian, in which commands run as in a container without a network of its own."""
+    """A copy of a Debian, in which commands run as in a container that has the network of its host."""
 
     root: Path
 
