@@ -373,6 +373,10 @@ class Matcher(Protocol[ReadableMap_contra]):
 
     def match(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match: ...
 
+    def compare(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match:
+        """The match of a scan without a say in pose and map; the default profile remembers nothing of it."""
+        ...
+
 
 class GraphRequestError(Exception):
     """Why a graph will not do what it is asked, in words for who asked."""

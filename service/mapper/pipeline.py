@@ -267,7 +267,7 @@ class Mapper(Generic[ReadableMap]):
 
     def _compared(self, points: Points, at_ns: int, looked_for: Prediction) -> MapperOutput:
         """A scan of a laser in doubt: aligned with the map, with no say in it."""
-        match = self._components.matcher.match(points, looked_for, self._components.local_map)
+        match = self._components.matcher.compare(points, looked_for, self._components.local_map)
         motion = self._components.motion_model.correct(None)
         state = self._checks.compare(match, at_ns, looked_for, self._state)
         return self._output(points.scan, at_ns, motion, state, match.inlier_ratio)

@@ -26,7 +26,7 @@ from service.mapper.judgement import (
     weakest_of,
 )
 from service.mapper.maps.known_ground import KnownGround
-from service.mapper.matchers.recovery import FIRST, GAIN, MOST, REST_S, agree, reach_of
+from service.mapper.matchers.recovery import FIRST, GAIN, MOST, REST_S, Confirmation, reach_of
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
@@ -97,7 +97,7 @@ class JudgedMatching:
         self._is_lost = False
         self._rest_until_ns = 0  # no search before
         self._widening = 1.0
-        self._hypothesis: SE2 | None = None  # odom of the prediction in that of the map, where a find put it
+        self._confirmation = Confirmation()
         self._lost_way_m = 0.0  # that was measured since the last match
         self._before: tuple[Points, SE2] | None = None  # the lost scan before, where it was predicted
 
@@ -120,7 +120,8 @@ class JudgedMatching:
             match = Match(predicted, points, match.inlier_ratio, "degraded", Reason("new_map", words))
         self._is_lost = match.state == "lost"
         if not self._is_lost:
-            self._rest_until_ns, self._widening, self._hypothesis = 0, 1.0, None
+            self._rest_until_ns, self._widening = 0, 1.0
+            self._confirmation.forget()
             self._lost_way_m, self._before = 0.0, None
         return match
 
@@ -225,10 +226,7 @@ class JudgedMatching:
         return None
 
     def _is_confirmed(self, aligned: Aligned, predicted: Prediction) -> bool:
-        """Whether the find before, carried on by the prediction, says the same."""
-        found, here = aligned.measured.pose_odom_base, predicted.pose_odom_base
-        last, self._hypothesis = self._hypothesis, found @ here.inverse()
-        return last is not None and agree(last @ here, found)
+        return self._confirmation.confirms(aligned.measured.pose_odom_base, predicted.pose_odom_base)
 
     def _begins_anew(self, points: Points, predicted: Prediction) -> bool:
         """Whether a lost vehicle has come far enough, and sees what stands: noise fits no scan before."""

@@ -1,7 +1,6 @@
 """Where a scan lies on a map when the prediction was far off: a whole window, by branch and bound."""
 
 import math
-from collections import deque
 
 import numpy as np
 
@@ -19,38 +18,24 @@ LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
 MOST = (8.0, math.pi)
 FIRST = (2.0, 1.6)  # of a scan that is lost though the prediction is good
 SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
-LEAST_STEP_NS, LONGEST_STEP_NS = 20_000_000, 1_000_000_000  # between poses that tell the motion
 
 
-class SteadyMotion:
-    """Where the vehicle would be had it gone on as between the last matches, whatever odometry says."""
+class Confirmation:
+    """A find far from the prediction is a hypothesis, since rooms look alike: the next must say the same."""
 
     def __init__(self) -> None:
-        # Stamps and poses; first and last are LEAST_STEP_NS apart, for lasers follow one another closely.
-        self._matched: deque[tuple[int, SE2]] = deque()
+        self._pose_map_odom: SE2 | None = None  # odom of the prediction in that of the map, by the last find
 
-    def matched(self, stamp_ns: int, pose: SE2) -> None:
-        """The scan of that stamp was matched there."""
-        self._matched.append((stamp_ns, pose))
-        while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= LEAST_STEP_NS:
-            self._matched.popleft()
+    def forget(self) -> None:
+        self._pose_map_odom = None
 
-    @property
-    def last(self) -> SE2 | None:
-        """Pose of the newest match; None: there was none."""
-        return self._matched[-1][1] if self._matched else None
-
-    def pose_at(self, stamp_ns: int) -> SE2 | None:
-        """None where that is not known, or for a moment too far ahead."""
-        if len(self._matched) < 2:
-            return None
-        (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
-        step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
-        if not (LEAST_STEP_NS <= step_ns <= LONGEST_STEP_NS and 0 < ahead_ns <= LONGEST_STEP_NS):
-            return None
-        steps = ahead_ns / step_ns
-        forward_m, left_m, turn_rad = (before.inverse() @ last).log()
-        return last @ SE2.exp(steps * forward_m, steps * left_m, steps * turn_rad)
+    def confirms(self, found: SE2, predicted: SE2) -> bool:
+        """Whether the find before, carried on by the prediction, says the same; both in one frame."""
+        last, self._pose_map_odom = self._pose_map_odom, found @ predicted.inverse()
+        if last is None:
+            return False
+        away = found.inverse() @ last @ predicted
+        return math.hypot(away.x_m, away.y_m) < SAME_FIND_M and abs(away.theta_rad) < SAME_FIND_RAD
 
 
 def search_around(
@@ -88,9 +73,3 @@ def reach_of(prior: tuple[float, float]) -> tuple[float, float]:
         min(max(3.0 * sigma, least), most) for sigma, least, most in zip(prior, LEAST, MOST, strict=True)
     )
     return reach_m, reach_rad
-
-
-def agree(last: SE2, found: SE2) -> bool:
-    """Whether two finds put the vehicle in the same place; both of the same moment."""
-    away = found.inverse() @ last
-    return math.hypot(away.x_m, away.y_m) < SAME_FIND_M and abs(away.theta_rad) < SAME_FIND_RAD

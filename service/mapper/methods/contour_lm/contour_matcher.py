@@ -93,6 +93,8 @@ class ContourLm:
     def match(self, points: Points, predicted: Prediction, local_map: ContourMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
 
+    compare = match  # what the matcher remembers of the scan before is of any laser
+
     def align(
         self, points: Points, predicted: Prediction, local_map: ContourMap, is_found: bool = False
     ) -> Aligned:

@@ -29,8 +29,8 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
 from service.mapper.judgement import LEAST_CONFIRMING, chi2_between, is_loose, sigmas_of
-from service.mapper.matchers.recovery import SteadyMotion
 from service.mapper.methods.corridor.attempt import Aligned, Attempt, Matrix, chi2_of
+from service.mapper.methods.corridor.steady_motion import SteadyMotion
 from service.mapper.methods.corridor.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
 

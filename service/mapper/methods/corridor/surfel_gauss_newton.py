@@ -36,20 +36,13 @@ from service.mapper.judgement import (
     sigmas_of,
     too_few,
 )
-from service.mapper.matchers.recovery import (
-    FIRST,
-    GAIN,
-    REST_S,
-    SteadyMotion,
-    agree,
-    reach_of,
-    search_around,
-)
+from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, Confirmation, reach_of, search_around
 from service.mapper.matchers.window_search import layer_of
 from service.mapper.methods.corridor.attempt import Aligned, Attempt, chi2_of
 from service.mapper.methods.corridor.moving_scene import MovingScene
 from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
+from service.mapper.methods.corridor.steady_motion import SteadyMotion
 from service.mapper.methods.corridor.submaps import (
     LEAST_NORMAL_COSINE,
     SURFEL_SIGMA_M,
@@ -129,7 +122,7 @@ class SurfelGaussNewton:
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
         self._detached: Submap | None = None  # the piece that `gap` belongs to
-        self._hypothesis: SE2 | None = None  # odom of the piece in that of the map, where a find put it
+        self._confirmation = Confirmation()  # of where the piece lies on the map
 
     def bias_m(self, sensor: str) -> Matrix:
         """(NODES,) by how much ranges of a laser are too long; see RangeBias."""
@@ -139,19 +132,45 @@ class SurfelGaussNewton:
         points = self._bias.without(points)
         if reason := too_few(points):
             return held(points, predicted, reason)
-        submap = local_map.matched_to
-        if submap is None:
+        if local_map.matched_to is None:
             return begun(points, predicted)
         if local_map.detached is None:
             self._gap = None
             self._detached = None
         elif local_map.detached is not self._detached:  # a piece that begins where the prediction puts it
             self._detached = local_map.detached
-            self._gap, self._hypothesis = self._began, None
-        usual = self._usual_ratios.get(points.scan.sensor, 1.0)
-        prior = _prior_of(predicted, self._gap)
+            self._gap = self._began
+            self._confirmation.forget()
+        match = self._matched(self._attempt(points, predicted, local_map), local_map, local_map.matched_to)
+        if match.measured is not None:
+            self._steady.matched(points.scan.stamp_ns, match.measured.pose_odom_base)
+        return match
+
+    def compare(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
+        """No farther from the prediction than that errs: of new ground, more lies on the map wherever walls
+        look alike.
+        """
+        points = self._bias.without(points)
+        if reason := too_few(points):
+            return held(points, predicted, reason)
+        if local_map.matched_to is None:
+            return begun(points, predicted)
+        attempt = self._attempt(points, predicted, local_map)
+        aligned = self._align(attempt, attempt.prior.pose, local_map.matched_to)
+        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
+            attempt = replace(attempt, usual_ratio=0.0)  # no other start is tried
+            aligned = self._align(attempt, attempt.prior.pose, local_map.matched_to)
+        if aligned.state == "lost":
+            return held(points, predicted, aligned.reason, aligned.result.share, aligned.is_contradicted)
+        return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+
+    def _attempt(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Attempt:
         on_walls, normals = local_map.on_walls(points)
-        attempt = Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
+        prior = _prior_of(predicted, self._gap)
+        usual = self._usual_ratios.get(points.scan.sensor, 1.0)
+        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
+
+    def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
         if local_map.pause_s:
             return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
@@ -162,7 +181,8 @@ class SurfelGaussNewton:
             aligned = self._scene.judge(aligned, attempt)
             if aligned.is_moving is not None:
                 return self._as_match(aligned, attempt, aligned.state, aligned.reason)
-            self._usual_ratios[points.scan.sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
+            sensor, usual = attempt.points.scan.sensor, attempt.usual_ratio
+            self._usual_ratios[sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt, local_map)
             self._was_contradicted = aligned.result.prior_weight < LEAST_PRIOR_WEIGHT
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
@@ -204,16 +224,12 @@ class SurfelGaussNewton:
             return False
         if not is_loose(sigmas_of(attempt.prior.covariance)):
             return True
-        found, predicted = SE2(*aligned.result.pose.tolist()), attempt.predicted.pose_odom_base
-        last, self._hypothesis = self._hypothesis, found @ predicted.inverse()
-        return last is not None and agree(last @ predicted, found)
+        return self._confirmation.confirms(aligned.pose, attempt.predicted.pose_odom_base)
 
     def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
         result = aligned.result
-        x_m, y_m, theta_rad = result.pose.tolist()
         forward, left, turn = result.twist.tolist()
-        pose = SE2(x_m, y_m, theta_rad)
-        self._steady.matched(attempt.points.scan.stamp_ns, pose)
+        pose = aligned.pose
         gap = None
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
@@ -334,7 +350,7 @@ class SurfelGaussNewton:
         share = aligned.result.share
         if share >= DOUBT_RATIO * attempt.usual_ratio and not self._was_contradicted:
             return aligned
-        start = self._steady.pose_at(attempt.points.scan.stamp_ns)
+        start = self._steady.pose_at(attempt.stamp_ns)
         if start is None:
             return aligned
         begun = np.array([start.x_m, start.y_m, start.theta_rad])

@@ -70,6 +70,8 @@ class IcpThenSearch:
             self._icp.remember(match)
         return match
 
+    compare = match  # what the matcher remembers of the scan before is of any laser
+
     def align(
         self, points: Points, predicted: Prediction, local_map: PatchMap, is_found: bool = False
     ) -> Aligned:

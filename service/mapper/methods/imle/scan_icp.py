@@ -121,3 +121,5 @@ class IcpScanToScan:
             match = judged_alone(aligned, predicted, round(step.share * len(points.xy_base)), self._config)
         self._icp.remember(match)
         return match
+
+    compare = match  # what the matcher remembers of the scan before is of any laser

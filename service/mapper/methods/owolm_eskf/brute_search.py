@@ -54,6 +54,8 @@ class BruteSearch:
     def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
 
+    compare = match  # what the matcher remembers of the scan before is of any laser
+
     def align(
         self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
     ) -> Aligned:

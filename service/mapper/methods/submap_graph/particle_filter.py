@@ -79,6 +79,8 @@ class ParticleFilter:
         self._last = match.motion.pose_odom_base
         return match
 
+    compare = match  # what the matcher remembers of the scan before is of any laser
+
     def align(
         self, points: Points, predicted: Prediction, local_map: CountedSubmaps, is_found: bool = False
     ) -> Aligned:

@@ -317,6 +317,40 @@ def test_a_vehicle_that_turned_while_its_wheels_were_silent_is_found_again() -> 
     np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=2e-3)
 
 
+@pytest.mark.parametrize("turn_rad", [-0.15, -0.05, 0.05, 0.15])
+def test_a_prediction_that_is_wrong_and_sure_of_it_does_not_keep_a_scan(turn_rad: float) -> None:
+    """As by odometry that stands still while the vehicle begins to turn; sigma 0.2 mm and 0.01 deg."""
+    result = new_matcher().match(nook(), predicted(SE2(0.0, 0.0, turn_rad), sigma=2e-4), mapped(nook()))
+    assert result.motion.pose_odom_base.theta_rad == pytest.approx(0.0, abs=2e-3)
+    assert result.measured is not None
+    assert result.measured.prior_weight < 0.01
+
+
+def test_a_compared_scan_of_new_ground_is_not_drawn_onto_walls_that_look_alike() -> None:
+    """A corridor of which the map knows one end, and the scan sees the other: moved along it, all of it lies
+    on the map.
+    """
+    known_m, seen_m = np.linspace(-4.0, 0.2, 150), np.linspace(0.2, 2.0, 150)
+    known, seen = (
+        points_of(np.vstack([np.column_stack((x_m, np.full(150, y_m))) for y_m in (1.0, -1.0)]))
+        for x_m in (known_m, seen_m)
+    )
+    result = new_matcher().compare(seen, predicted(SE2(), sigma=0.1), mapped(known))
+    assert abs(result.motion.pose_odom_base.x_m) < 0.05
+
+
+def test_a_scan_that_is_compared_leaves_the_matcher_as_it_was() -> None:
+    chain, laps = mapped(nook()), ([], [])
+    for compares, poses in zip((False, True), laps, strict=True):
+        matcher = new_matcher()
+        for k in range(4):
+            if compares:
+                away = predicted(SE2(0.5, 0.3, 0.4), sigma=0.1)
+                assert matcher.compare(square(6.0), away, chain).state in ("ok", "degraded", "lost")
+            poses.append(matcher.match(nook(), predicted(SE2(0.01 * k, 0.0, 0.0), sigma=0.02), chain))
+    assert [a.measured.pose_odom_base for a in laps[0]] == [b.measured.pose_odom_base for b in laps[1]]
+
+
 def aisle() -> Points:
     """Between two bookcases, 2 m apart, with a wall behind them that goes on past both."""
     wall_x_m, book_y_m = np.linspace(-4.0, 4.0, 240), np.linspace(0.5, 3.0, 60)

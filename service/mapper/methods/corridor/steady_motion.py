@@ -1,0 +1,38 @@
+"""Where the vehicle would be had it gone on as between the last matches."""
+
+from collections import deque
+
+from service.geometry.se2 import SE2
+
+MIN_STEP_NS, MAX_STEP_NS = 20_000_000, 1_000_000_000  # between poses that tell the motion
+
+
+class SteadyMotion:
+    """Where the vehicle would be had it gone on as between the last matches, whatever odometry says."""
+
+    def __init__(self) -> None:
+        # Stamps and poses; first and last are MIN_STEP_NS apart, for lasers follow one another closely.
+        self._matched: deque[tuple[int, SE2]] = deque()
+
+    def matched(self, stamp_ns: int, pose: SE2) -> None:
+        """The scan of that stamp was matched there."""
+        self._matched.append((stamp_ns, pose))
+        while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= MIN_STEP_NS:
+            self._matched.popleft()
+
+    @property
+    def last(self) -> SE2 | None:
+        """Pose of the newest match; None: there was none."""
+        return self._matched[-1][1] if self._matched else None
+
+    def pose_at(self, stamp_ns: int) -> SE2 | None:
+        """None where that is not known, or for a moment too far ahead."""
+        if len(self._matched) < 2:
+            return None
+        (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
+        step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
+        if not (MIN_STEP_NS <= step_ns <= MAX_STEP_NS and 0 < ahead_ns <= MAX_STEP_NS):
+            return None
+        steps = ahead_ns / step_ns
+        forward_m, left_m, turn_rad = (before.inverse() @ last).log()
+        return last @ SE2.exp(steps * forward_m, steps * left_m, steps * turn_rad)
