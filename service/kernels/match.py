@@ -280,7 +280,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
                                    aligned from there on, unless less than LEAST_FINE_SHARE of what lies on
                                    the map lies on walls in them that stand for LEAST_FINE_POINTS of it
     settings    MatchSettings
-    doubt_inlier_ratio float       with fewer points than that on the map, another start is tried
+    doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
@@ -292,9 +292,10 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     prior_information = np.zeros((3, 3))
     if invert_3x3(prior.covariance, rotated):
         rotate_information(rotated, prior.pose[2], prior_information)
-    # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there. What
-    # costs less is kept. The coarse map is held to the prediction no better than it tells places apart:
-    # odometry that errs and is sure of it would else hold the start where it is.
+    # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
+    # the predicted heading and from two beside it. What costs least is kept. The coarse map is held to the
+    # prediction no better than it tells places apart: odometry that errs and is sure of it would else hold
+    # each start where it is, and its own cost, which grows slowly, would never be asked.
     loose = prior.covariance.copy()
     loose[0, 0] += settings.coarse_m * settings.coarse_m
     loose[1, 1] += settings.coarse_m * settings.coarse_m
@@ -312,12 +313,14 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     cost = 0.0
     weight = 1.0
     used = inliers = 0
-    for trial in range(2):
+    for trial in range(4):
         if trial > 0:
             if inliers >= doubt_inlier_ratio * used:
                 break
             copy_matrix(predicted_xy, trial_xy)
             copy_vector(start, trial_pose)
+            side = 0.0 if trial == 1 else (1.0 if trial == 2 else -1.0)
+            trial_pose[2] += 2.0 * side * math.sqrt(prior.covariance[2, 2])
             thin, weights = thin_evenly(trial_xy, settings.coarse_beams, settings.coarse_sigma)
             align_points(
                 thin,
