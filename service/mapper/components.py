@@ -351,9 +351,7 @@ class FreeSpaceMap(Protocol):
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
     def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
-        """Show the rendered map in place of all there is, or of its part, and render `since` into it soon.
-        Versions rise.
-        """
+        """Show it in place of all there is, or of its part, and render `since` into it soon. Versions rise."""
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles that changed since the last call, each with a new version; at most so many, the rest with the
@@ -375,7 +373,6 @@ class Matcher(Protocol[ReadableMap_contra]):
 
     def compare(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match:
         """The match of a scan without a say in pose and map; the default profile remembers nothing of it."""
-        ...
 
 
 class GraphRequestError(Exception):
@@ -416,8 +413,7 @@ class Graph(Protocol):
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any] | None:
         """Do what a person asks for, such as "optimize"; what follows comes by apply_result.
 
-        payload and answer are JSON objects; None: the answer comes with a result, as `edited`. Raises
-        GraphRequestError.
+        Both are JSON objects; None: the answer comes with a result, as `edited`. Raises GraphRequestError.
         """
 
     def finish(self) -> FinishedGraph:

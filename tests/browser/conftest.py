@@ -1,5 +1,6 @@
 """Chromium without a window, on a page that a test feeds; skips with the command that provides it."""
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -192,6 +193,11 @@ def live(serve: Callable[..., Any], scene: Scene, page: Page, tmp_path: Path) ->
     server = serve(folders=stores(tmp_path))
     begin_live(server, scene, page)
     return server
+
+
+def asked(fake: FakeDispatcher) -> list[tuple[str, Any]]:
+    """Verb and request of each command that came."""
+    return [(verb, json.loads(payload)) for verb, payload in fake.asked]
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,139 @@
+"""The area Control of the page: what each control sends, and why one is disabled."""
+
+import pytest
+from selenium.webdriver.common.keys import Keys
+
+from tests.browser.conftest import asked
+
+
+@pytest.fixture
+def control(still, still_dispatcher):
+    """The shared page at its area Control, with all commands and no notice; no command was given."""
+    still.choose("control")
+    verbs = "['mark', 'save_map', 'reset_map', 'set_pose']"
+    still.run(f"corridor.connection.on.hello({{run_id: '', vehicle: 'v', verbs: {verbs}}})")
+    still.run("document.getElementById('notices').replaceChildren()")
+    still_dispatcher.asked.clear()
+    return still
+
+
+def test_commands_are_given_with_the_token(control, still_dispatcher):
+    page = control
+    page.element("do-save_map").click()
+    page.wait_for_text("notices", "Save map: done.")
+    page.element("mark-text").send_keys("a door", Keys.ENTER)
+    page.wait_for_text("notices", "Set mark: done.")
+    assert asked(still_dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
+
+
+def test_a_reset_asks_first(control, still_dispatcher):
+    page = control
+    page.element("do-reset_map").click()
+    page.element("confirm-no").click()
+    page.wait_for("return !document.getElementById('confirm').open")
+    page.element("do-reset_map").click()
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "Reset map: done.")
+    assert asked(still_dispatcher) == [("reset_map", {})]
+
+
+def test_a_name_that_cannot_be_is_refused_before_it_is_sent(control, still_dispatcher):
+    page = control
+    page.element("save-as").click()
+    name = page.element("confirm-input")
+    for wrong in ("../lap", "lap 1", ""):
+        name.clear()
+        name.send_keys(wrong, Keys.ENTER)
+        assert page.run("return document.getElementById('confirm').open")
+    name.send_keys("lap_1", Keys.ENTER)
+    page.wait_for_text("notices", "done")
+    assert asked(still_dispatcher) == [("save_map", {"name": "lap_1"})]
+
+
+def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispatcher):
+    page = control
+    page.run(
+        "const press = (name) => document.getElementById(name).click();"
+        "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
+        "  press('confirm-no'); press('do-reset_map'); });"
+    )  # asked again before the browser has told of the answer
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "Reset map: done.")
+    assert asked(still_dispatcher) == [("reset_map", {})]
+
+
+def put_state(page, state):
+    page.run(
+        "corridor.connection.on.health({stamp_s: 1, latency_ms: {},"
+        " statuses: [{name: 'mapping', level: 0, message: 'ok', since_s: 0, values: {state: arguments[0]}}]"
+        "})",
+        state,
+    )
+
+
+def test_a_pose_that_is_known_is_not_set_and_the_page_says_why(control):
+    put_state(control, "ok")
+    assert not control.element("do-set_pose").is_enabled()
+    assert control.text("pose-words") == "The pose is known. It can be set while the vehicle is lost."
+    put_state(control, "lost")
+    assert control.element("do-set_pose").is_enabled()
+
+
+def test_what_another_profile_refuses_is_disabled_with_the_reason(control):
+    control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'set_pose', 'save_map', 'edit_map']})")
+    for profile, may in (("contour_lm", False), ("corridor", True)):
+        control.run(
+            "const values = {state: 'lost', profile: arguments[0]};"
+            "corridor.connection.on.health({stamp_s: 1, latency_ms: {},"
+            " statuses: [{name: 'mapping', level: 0, message: 'ok', since_s: 0, values}]})",
+            profile,
+        )
+        control.choose("control")
+        enabled = [control.element(name).is_enabled() for name in ("do-set_mode", "do-set_pose")]
+        assert enabled == [may, may]
+        assert ("contour_lm takes no pose" in control.text("pose-words")) is not may
+        control.choose("edit")
+        assert control.element("draw-wall").is_enabled() is may
+        assert ("contour_lm changes no map" in control.text("edit-note")) is not may
+
+
+def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control, still_dispatcher):
+    control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'save_map', 'edit_map']})")
+    for mode, wanted in (("mapping", "localization"), ("localization", "mapping")):
+        control.run(
+            "corridor.connection.on.health({stamp_s: 1, latency_ms: {}, statuses: ["
+            " {name: 'mapping', level: 0, message: 'ok', since_s: 0, values: {mode: arguments[0]}}]})",
+            mode,
+        )
+        control.choose("control")
+        control.element("do-set_mode").click()
+        control.wait_for_answers()
+        assert asked(still_dispatcher)[-1] == ("set_mode", {"mode": wanted})
+    control.choose("edit")
+    assert not control.element("draw-wall").is_enabled()
+    assert "choose Map again under Control" in control.text("edit-note")
+
+
+def test_cards_without_a_command_and_resources_without_a_store_are_not_shown(still):
+    still.run("corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: ['map_edit'], stores: false})")
+    still.choose("control")
+    titles = "[...document.querySelectorAll('#control h2')].filter((title) => title.offsetParent)"
+    assert still.run(f"return {titles}.map((title) => title.firstChild.textContent)") == ["Access"]
+    assert not still.element("tab-resources").is_displayed()
+
+
+def test_the_pose_is_set_by_dragging(control, still_dispatcher):
+    page = control
+    put_state(page, "lost")
+    page.look_at(1.0, 2.0, 40.0)
+    page.element("do-set_pose").click()
+    canvas = page.element("map")
+    page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
+    page.wait_for("return document.getElementById('confirm').open")
+    page.element("confirm-yes").click()
+    page.wait_for_text("notices", "done.")
+    ((verb, request),) = asked(still_dispatcher)
+    assert verb == "set_pose"
+    assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
