@@ -351,7 +351,7 @@ class FreeSpaceMap(Protocol):
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
     def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
-        """Show it in place of all there is, or of its part, and render `since` into it soon. Versions rise."""
+        """Show it in place of all, or of its part, and render `since` into it soon. Versions rise."""
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles that changed since the last call, each with a new version; at most so many, the rest with the

@@ -8,9 +8,9 @@ from selenium.webdriver.common.keys import Keys
 from service.encoding import Status, encode_diagnostics
 from service.mapstore.files import save_map
 from service.publishing.commands import Answer
-from tests.browser.conftest import PHONE
+from tests.browser.conftest import PHONE, asked
 from tests.browser.scene import stamp
-from tests.browser.test_page import asked, serious_faults
+from tests.browser.test_page import serious_faults
 from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import TOKEN
 
