@@ -16,8 +16,8 @@ UNKNOWN_NS = 1_000_000_000  # standard deviation of an offset that rests on one 
 MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
 # A hull this long with more skew than that is begun anew, lest its offset grow stale.
 RUNAWAY_NS = 10_000_000_000
-MOST_RUNAWAY = 0.01  # no oscillator is worse: a sender that falls behind is
-MOST_BEND = 0.25  # of what clocks that run apart have gained: how far messages may lie from their line
+MAX_RUNAWAY = 0.01  # no oscillator is worse: a sender that falls behind is
+MAX_BEND = 0.25  # of what clocks that run apart have gained: how far messages may lie from their line
 
 
 @dataclass(slots=True)
@@ -72,11 +72,11 @@ class _Hull:
     def is_straight(self) -> bool:
         """Whether the messages hug one line: clocks that run apart, not a sender that falls behind."""
         (x0, y0), (x1, y1) = self.points[0], self.points[-1]
-        skew, most_ns = (y1 - y0) / (x1 - x0), MOST_BEND * abs(y1 - y0)
+        skew, most_ns = (y1 - y0) / (x1 - x0), MAX_BEND * abs(y1 - y0)
         below_ns = max(y0 + skew * (x - x0) - y for x, y in self.points)
         middle_ns = self.sum_device_ns / self.count
         above_ns = self.sum_offset_ns / self.count - (y0 + skew * (middle_ns - x0))
-        return abs(skew) <= MOST_RUNAWAY and below_ns <= most_ns and above_ns <= most_ns
+        return abs(skew) <= MAX_RUNAWAY and below_ns <= most_ns and above_ns <= most_ns
 
 
 class ClockMap:

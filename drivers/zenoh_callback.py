@@ -11,7 +11,7 @@ import zenoh
 
 log = logging.getLogger(__name__)
 
-MOST_WAITING = 256  # as in Zenoh's own channel; then its reader of the link waits
+MAX_WAITING = 256  # as in Zenoh's own channel; then its reader of the link waits
 
 T = TypeVar("T")
 
@@ -23,7 +23,7 @@ def daemon_callback(take: Callable[[T], object], name: str) -> "zenoh.handlers.C
     never ends. What `take` raises is logged.
     """
     waiting: queue.SimpleQueue[T | None] = queue.SimpleQueue()
-    room = threading.Semaphore(MOST_WAITING)
+    room = threading.Semaphore(MAX_WAITING)
 
     def put(came: T) -> None:
         room.acquire()

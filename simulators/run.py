@@ -26,7 +26,7 @@ from simulators.worlds import WORLDS, build_world
 log = logging.getLogger("simulators")
 
 DONE, FAILED, USAGE, IO_ERROR = 0, 1, 64, 74
-MOST_STAND_S = 1e6
+MAX_STAND_S = 1e6
 LOOK_S = 0.05  # how often the truth is written and the parent looked for
 TELL_S = 10.0  # how often losses are told
 TRUTH_STEP_NS = 5_000_000
@@ -44,8 +44,8 @@ def _seconds(text: str) -> float:
         seconds = float(text)
     except ValueError:
         seconds = math.nan
-    if not 0.0 <= seconds <= MOST_STAND_S:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected seconds from 0 to {MOST_STAND_S:g}")
+    if not 0.0 <= seconds <= MAX_STAND_S:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected seconds from 0 to {MAX_STAND_S:g}")
     return seconds
 
 

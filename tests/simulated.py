@@ -28,7 +28,7 @@ ODOMETRY_NS = 15_000_000
 IMU_NS = 5_000_000
 ORIGIN = SE2()
 FORWARD = SE2(0.2, 0.0, 0.0)
-MOST_PHASE_M = 0.1  # no cell of a profile is wider
+MAX_PHASE_M = 0.1  # no cell of a profile is wider
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,8 @@ def begun_at(world: World, heading_rad: float) -> World:
 
 
 def phase_m(seed: int) -> tuple[float, float]:
-    """In x and y, 0 to MOST_PHASE_M: the same for a seed in every world."""
-    x_m, y_m = noise_of(seed, "phase", 0).uniform(0.0, MOST_PHASE_M, 2)
+    """In x and y, 0 to MAX_PHASE_M: the same for a seed in every world."""
+    x_m, y_m = noise_of(seed, "phase", 0).uniform(0.0, MAX_PHASE_M, 2)
     return float(x_m), float(y_m)
 
 

@@ -26,7 +26,7 @@ WINDOW_NS = 4_800_000_000  # shorter than a motor's speed wanders, long enough f
 LINE_AFTER_NS = 1_500_000_000  # a shorter window says too little of the period
 PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # so measured it outlives a restart of the device's clock
 FIT_EVERY = 8  # scans
-MOST_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be on their way
+MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be on their way
 NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 said
 
 Stamps = npt.NDArray[np.int64]
@@ -71,7 +71,7 @@ class ScanClock:
         self.delay_ns = delay_ns  # within what TM1 allows, once it was asked
         self.contradictions = 0  # of TM1 with itself, or with the scans: then the delay stays as it is
         self.too_close = 0  # stamps within half a sweep behind another
-        self._most_delay_ns = delay_ns + MOST_DELAY_OFF_NS
+        self._most_delay_ns = delay_ns + MAX_DELAY_OFF_NS
         self._clock = ClockMap(TICK_NS, CLOCK_MODULUS)
         self._sync: tuple[int, int, int] | None = None  # device ms, bounds of its host time
         self._window: deque[tuple[int, int, int]] = deque()  # sweep, stamp in ms, arrived_ns; two unwrapped

@@ -9,8 +9,8 @@ from drivers.clock import ClockMap
 
 FINE_TICK_NS = 100_000
 FINE_MODULI = (864_000_000, 1 << 32)
-MOST_BACK_TICKS = 10_000  # 1 s
-MOST_AHEAD_TICKS = 600_000  # over a wrap; 1 min without a message is a dead link anyway
+MAX_BACK_TICKS = 10_000  # 1 s
+MAX_AHEAD_TICKS = 600_000  # over a wrap; 1 min without a message is a dead link anyway
 COUNTER_MODULUS = 1 << 16
 
 
@@ -53,11 +53,11 @@ class FineClock:
         if self._last is None:
             return ticks
         step = ticks - self._last
-        if -MOST_BACK_TICKS <= step <= MOST_AHEAD_TICKS:
+        if -MAX_BACK_TICKS <= step <= MAX_AHEAD_TICKS:
             return self._wraps_ticks + ticks
         for modulus in FINE_MODULI:
             for turned in (step + modulus, step - modulus):  # over the wrap, or back over it
-                if -MOST_BACK_TICKS <= turned <= MOST_AHEAD_TICKS:
+                if -MAX_BACK_TICKS <= turned <= MAX_AHEAD_TICKS:
                     return self._wraps_ticks + self._last + turned
         return self._wraps_ticks + ticks
 

@@ -38,12 +38,12 @@ PACKET_MODULUS = 1 << 16
 GAP_IS_A_RESTART = 2_000  # messages; 10 s at 200 Hz
 GNSS_PERIOD_MS = 1000 // GNSS_HZ
 WEEK_MS = 604_800_000
-MOST_MISSED_FIXES = 240
+MAX_MISSED_FIXES = 240
 UTC_ALL_VALID = 0b111
 LEGACY_UTC_VALID = 1
 NO_ACCURACY = 0xFFFF_FFFF
 USABLE_FIXES = (2, 3, 4)
-MOST_PERIODS_OLD = 2.5  # of the slower of rate of turn and acceleration, where it goes with the faster one
+MAX_PERIODS_OLD = 2.5  # of the slower of rate of turn and acceleration, where it goes with the faster one
 PERIOD_SHOWS_AFTER = 20  # steps between samples
 NO_PLACE = (math.nan, math.nan, math.nan)
 UNKNOWN_COVARIANCE = (0.0,) * 9
@@ -198,7 +198,7 @@ class Mtdata2Stream(_Stream):
                 "with each of the faster goes the newest of the slower"
             )
         self._sample_period_ns = 1e9 / max(force_hz, rate_hz, 1)
-        self._most_old_ns = MOST_PERIODS_OLD * 1e9 / max(min(force_hz, rate_hz), 1)
+        self._most_old_ns = MAX_PERIODS_OLD * 1e9 / max(min(force_hz, rate_hz), 1)
         self._newest: dict[Kind, tuple[int, Reals]] = {}  # stamp and value of rate of turn and acceleration
         self._clock = FineClock(self._latency_ns)
         self._last_packet: int | None = None
@@ -331,7 +331,7 @@ class Mtdata2Stream(_Stream):
         self._counters["fixes_received"] += 1
         if self._last_itow_ms is not None:
             missed = (pvt.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
-            if 0 < missed <= MOST_MISSED_FIXES:
+            if 0 < missed <= MAX_MISSED_FIXES:
                 self._counters["fixes_missed"] += missed
         self._last_itow_ms = pvt.itow_ms
         good = bool(pvt.flags & 1)
@@ -464,7 +464,7 @@ class LegacyStream(_Stream):
             return []
         if self._last_itow_ms is not None:
             missed = (gps.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
-            if 0 < missed <= MOST_MISSED_FIXES:
+            if 0 < missed <= MAX_MISSED_FIXES:
                 self._counters["fixes_missed"] += missed
         self._last_itow_ms = gps.itow_ms
         self._counters["fixes_received"] += 1

@@ -29,7 +29,7 @@ UpdateT = TypeVar("UpdateT", bound=Update)
 
 CHANNELS: dict[What, str] = {"pose": "pose", "scan": "*/scan", "tile": f"{TILES}/**"}
 CONNECT_S = 10.0
-MOST_WAITING = 1000  # poses and scans, the oldest are dropped; 10 s of three lasers
+MAX_WAITING = 1000  # poses and scans, the oldest are dropped; 10 s of three lasers
 ASK_AGAIN_S = 5.0  # for tiles that a congested link has dropped
 
 
@@ -142,7 +142,7 @@ class Subscription(Generic[UpdateT]):
         if update is None:
             raise InputError("a scan without content that can be used")
         with self._changed:
-            if len(self._stream) >= MOST_WAITING:
+            if len(self._stream) >= MAX_WAITING:
                 self._stream.popleft()
                 self.dropped += 1
             self._stream.append(update)

@@ -21,7 +21,7 @@ COVARIANCE_UNKNOWN, COVARIANCE_DIAGONAL, COVARIANCE_KNOWN = 0, 2, 3  # sensor_ms
 _FRAME_ID_AT = 12  # its length, after 4 bytes of CDR and the stamp
 # Values beyond these are damage and not measurements: a gyroscope reads at most 70 rad/s, an accelerometer
 # 4000 m/s^2; metres, m/s and the variances of odometry stay far below.
-MOST_RATE_RADPS, MOST_FORCE_MPS2, MOST_ODOMETRY = 1e3, 1e5, 1e12
+MAX_RATE_RADPS, MAX_FORCE_MPS2, MAX_ODOMETRY = 1e3, 1e5, 1e12
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
 NO_ROTATION, NO_COVARIANCE = "no rotation", "no covariance"
@@ -198,7 +198,7 @@ def _imu_sample(sensor: str, log_ns: int, stamp_ns: int, values: Sequence[float]
     fx, fy, fz = values[25:28]
     if is_turning == -1.0 or not wire.all_finite(rx, ry, rz, fx, fy, fz):
         return None
-    if max(abs(rx), abs(ry), abs(rz)) > MOST_RATE_RADPS or max(abs(fx), abs(fy), abs(fz)) > MOST_FORCE_MPS2:
+    if max(abs(rx), abs(ry), abs(rz)) > MAX_RATE_RADPS or max(abs(fx), abs(fy), abs(fz)) > MAX_FORCE_MPS2:
         return None
     orientation = (w, x, y, z)
     measured = is_oriented != -1.0 and wire.all_finite(*orientation) and any(orientation)
@@ -247,7 +247,7 @@ def _odometry_sample(
     twist = (values[43], values[44], values[48])
     if not wire.all_finite(x_m, y_m, theta_rad, *twist):
         return None
-    if max(map(abs, (x_m, y_m, *twist))) > MOST_ODOMETRY:
+    if max(map(abs, (x_m, y_m, *twist))) > MAX_ODOMETRY:
         return None
     covariance = _planar_covariance(values)
     return OdometrySample(
@@ -267,7 +267,7 @@ def _planar_covariance(values: Sequence[float]) -> tuple[float, ...]:
 
 
 def _is_covariance(values: Sequence[float]) -> bool:
-    return wire.all_finite(*values) and max(map(abs, values)) <= MOST_ODOMETRY
+    return wire.all_finite(*values) and max(map(abs, values)) <= MAX_ODOMETRY
 
 
 def _fix_ros(fix: GnssFix, stamp_ns: int) -> object:

@@ -44,7 +44,7 @@ from service.outputs import NO_REASON, Reason
 log = logging.getLogger(__name__)
 
 CAPACITY = 4096
-MOST_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and newest quarter are dropped
+MAX_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and newest quarter are dropped
 # Times the variance of its model, 30 sigmas: that is no noise but a fault, the same in all samples. fr079's
 # odometry reaches 580, csail's 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
@@ -54,13 +54,13 @@ FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
 TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 PAUSE_NS = 1_000_000_000  # of odometry; shorter ones are bridged without a word
-MOST_SPEED_MPS, MOST_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
-LEAST_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
+MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
+MIN_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
 NODE_S = 0.01  # of a sweep, from one moment at which the motion is asked to the next
-MOST_NODES = 65
+MAX_NODES = 65
 TELL_AGAIN_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, where odometry does not say
-LEAST_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
+MIN_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
 
 
 class EstimatorConfig(Section):
@@ -143,8 +143,8 @@ class _Samples:
     def _make_room(self) -> None:
         first, end = self.track.span.tolist()
         old = self.track
-        if end - first >= MOST_SAMPLES:  # the laser may be silent for a day
-            rows = np.r_[first : first + MOST_SAMPLES // 4, end - MOST_SAMPLES // 4 : end]
+        if end - first >= MAX_SAMPLES:  # the laser may be silent for a day
+            rows = np.r_[first : first + MAX_SAMPLES // 4, end - MAX_SAMPLES // 4 : end]
             old = Track(old.stamp_ns[rows], old.value[rows], np.array([0, len(rows)]))
             self.dropped += end - first - len(rows)
             first, end = 0, len(rows)
@@ -179,7 +179,7 @@ class Estimator:
         self._is_unwitnessed = False  # as in Standstill, since the last scan
         self._consistent = ConsistentCovariance()
         sigma = np.zeros(STATES)
-        sigma[LOCAL_BLOCK] = LEAST_SIGMA
+        sigma[LOCAL_BLOCK] = MIN_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
         sigma[SCALE] = sigma[TURN_SCALE] = config.odometry_scale_sigma
         sigma[LAG], sigma[BIAS] = config.odometry_lag_sigma_s, config.gyro_bias_sigma_radps
@@ -290,7 +290,7 @@ class Estimator:
         return Reckoned(SE2(x_m, y_m, turn_rad), way_m2 * max(way, 1.0), turn_rad2)
 
     def _deviation(self, begin_s: float, end_s: float) -> Matrix | None:
-        nodes = min(2 + int((end_s - begin_s) / NODE_S), MOST_NODES)
+        nodes = min(2 + int((end_s - begin_s) / NODE_S), MAX_NODES)
         deviation = np.empty((nodes, 3))
         tracks = self._odometry.track, self._gyro.track
         is_known = sweep_deviation(self._packed, *tracks, begin_s, end_s, self._settings, deviation)
@@ -423,15 +423,15 @@ class Estimator:
         elapsed_s = (sample.stamp_ns - int(self._odometry.track.stamp_ns[last])) * 1e-9
         jump_m = math.hypot(sample.x_m - x_m, sample.y_m - y_m)
         jump_rad = abs(wrap_angle(sample.theta_rad - theta_rad))
-        within_s = max(elapsed_s, LEAST_ELAPSED_S)
-        if jump_m <= MOST_SPEED_MPS * within_s and jump_rad <= MOST_TURN_RADPS * within_s:
+        within_s = max(elapsed_s, MIN_ELAPSED_S)
+        if jump_m <= MAX_SPEED_MPS * within_s and jump_rad <= MAX_TURN_RADPS * within_s:
             return False
         if sample.stamp_ns >= self._jump_told_ns:
             self._jump_told_ns = sample.stamp_ns + TELL_AGAIN_NS
             log.warning(
                 "%s: odometry jumps by %.1f m and %.0f deg within %.3f s (expected at most %.0f m/s and "
                 "%.0f rad/s); it counts as begun anew. Has the base restarted?",
-                sample.sensor, jump_m, math.degrees(jump_rad), elapsed_s, MOST_SPEED_MPS, MOST_TURN_RADPS,
+                sample.sensor, jump_m, math.degrees(jump_rad), elapsed_s, MAX_SPEED_MPS, MAX_TURN_RADPS,
             )  # fmt: skip
         return True
 

@@ -18,7 +18,7 @@ from service.kernels.tracks import Track
 
 # Speed of a vehicle that stands, 1 sigma, and by how many sigmas one that drives is faster; what it brakes.
 STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
-MOST_BRAKING_MPS2, MOST_TURN_BRAKING_RADPS2 = 5.0, 20.0
+MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0
 # So long, or so far, odometry stands while the vehicle drives; then it counts only once it moves again.
 STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
 MISSED_SCANS = 5  # and more than STUCK_NS: the laser is silent
@@ -104,8 +104,8 @@ def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleS
         elapsed_s = (int(track.stamp_ns[k + 1]) - int(track.stamp_ns[k])) * 1e-9
         stopped_s = max(last_ns - int(track.stamp_ns[k]), stamp_ns - last_ns) * 1e-9
         speed_mps, turn_radps = math.hypot(x_m, y_m) / elapsed_s, abs(wrap_angle(theta_rad)) / elapsed_s
-        brakes = speed_mps <= MOST_BRAKING_MPS2 * stopped_s
-        brakes_turn = turn_radps <= MOST_TURN_BRAKING_RADPS2 * stopped_s
+        brakes = speed_mps <= MAX_BRAKING_MPS2 * stopped_s
+        brakes_turn = turn_radps <= MAX_TURN_BRAKING_RADPS2 * stopped_s
         if brakes and brakes_turn:
             continue
         lead_s = max((last_ns - int(state.stamp_ns[0])) * 1e-9, 0.0)

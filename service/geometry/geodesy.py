@@ -25,7 +25,7 @@ B_M = A_M * (1.0 - F)
 UTM_SCALE = 0.9996
 UTM_EAST_M = 500_000.0  # of the central meridian
 UTM_SOUTH_M = 10_000_000.0  # added in the grid of the south
-UTM_MOST_LATITUDE_DEG = 84.0
+UTM_MAX_LATITUDE_DEG = 84.0
 
 _N = F / (2.0 - F)  # third flattening
 # Karney 2011, eq. 12, 14 and 35.
@@ -119,9 +119,9 @@ def to_utm(latitude_deg: float, longitude_deg: float, zone: int, is_south: bool)
 
     Raises ValueError beyond 84 degrees of latitude, where UTM ends.
     """
-    if not abs(latitude_deg) <= UTM_MOST_LATITUDE_DEG:
+    if not abs(latitude_deg) <= UTM_MAX_LATITUDE_DEG:
         raise ValueError(
-            f"UTM ends at {UTM_MOST_LATITUDE_DEG:g} degrees of latitude; this is {latitude_deg:.6f}"
+            f"UTM ends at {UTM_MAX_LATITUDE_DEG:g} degrees of latitude; this is {latitude_deg:.6f}"
         )
     latitude = math.radians(latitude_deg)
     longitude = math.radians((longitude_deg - (6.0 * zone - 183.0) + 180.0) % 360.0 - 180.0)

@@ -11,7 +11,7 @@ from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
 
-MOST_SEEN = 65_535
+MAX_SEEN = 65_535
 INTERPOLATION_SIGMAS = 3.0  # how far a cell is interpolated from
 
 
@@ -143,7 +143,7 @@ def store(level, slot, r, q, likelihood, scans):
     """Put a new likelihood into a cell, keep the highest, and count so many scans."""
     level.likelihood[slot, r, q] = np.float32(likelihood)
     level.highest[slot, r, q] = max(level.highest[slot, r, q], np.float32(likelihood))
-    level.seen[slot, r, q] = np.uint16(min(level.seen[slot, r, q] + scans, MOST_SEEN))
+    level.seen[slot, r, q] = np.uint16(min(level.seen[slot, r, q] + scans, MAX_SEEN))
 
 
 @inner_kernel

@@ -29,7 +29,7 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, find_tile
 
-LEAST_COSINE = 0.6  # between the normal of a point and that of its wall
+MIN_COSINE = 0.6  # between the normal of a point and that of its wall
 WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map and of the pose
 POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of points as such; they are kept in cells
 # Densities of where a beam ends, 1/m. People, chairs and doors stand where nothing stood. Where the map knows
@@ -40,7 +40,7 @@ ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on what the map has
 AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # other side of a wall, which is about so thick
 THROUGH_REACH_M = 0.07  # how far from the middle of a surfel it still is the wall
 BEHIND_M = 0.3  # a beam that ends so far behind a wall went through it
-LEAST_OPEN = 0.02  # a wall that stood at all times is gone this often
+MIN_OPEN = 0.02  # a wall that stood at all times is gone this often
 FULL_RATIO = 1.5  # nats: mean of beams that all end on walls
 AGAINST_RATIO = 0.5 * math.log(IN_FREE / NOT_KNOWN)  # nats: a beam below it contradicts the map
 
@@ -197,7 +197,7 @@ def openness(u, v, du, dv, known, number):
                         open_share = min(open_share, (through + 0.5) / (hits + through + 1.0))
                 if open_share < 1.0:
                     known.asked[slot, r, q] = number
-                    total += math.log(max(open_share, LEAST_OPEN))
+                    total += math.log(max(open_share, MIN_OPEN))
         is_column = next_column < next_row
         column += step_column if is_column else 0
         row += 0 if is_column else step_row
@@ -233,8 +233,8 @@ def weigh_ends(xy, normals, pose, known, at_end):
     count = xy.shape[0]
     front, back, turned = np.empty((count, 6)), np.empty((count, 6)), normals.copy()
     turned[:, :2] *= -1.0
-    find_surfels(xy, normals, pose, known.walls, LEAST_COSINE, front)
-    find_surfels(xy, turned, pose, known.walls, LEAST_COSINE, back)
+    find_surfels(xy, normals, pose, known.walls, MIN_COSINE, front)
+    find_surfels(xy, turned, pose, known.walls, MIN_COSINE, back)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     on_wall = ON_WALL / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
     on_point = ON_POINT / (math.sqrt(2.0 * math.pi) * POINT_SIGMA_M * 255.0)

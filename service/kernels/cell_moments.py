@@ -17,8 +17,8 @@ import numpy.typing as npt
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.normals import (
     ANGLE_SIGMA_RAD,
-    LEAST_COS_INCIDENCE,
-    MOST_ANGLE,
+    MAX_ANGLE,
+    MIN_COS_INCIDENCE,
     ROUGH_WEIGHT,
     THICK_SIGMAS,
     WALL_M,
@@ -35,8 +35,8 @@ HALVES = 2
 # about it; squares of the beams' directions, which noise adds to those. Their trace counts the points.
 WEIGHT, MEAN_X, MEAN_Y, XX, XY, YY, NOISE_XX, NOISE_XY, NOISE_YY = range(9)
 MOMENTS = 9
-LEAST_POINTS = 6.0  # that a direction is taken from
-MOST_POINTS = 200.0  # then a half counts half: it forgets
+MIN_POINTS = 6.0  # that a direction is taken from
+MAX_POINTS = 200.0  # then a half counts half: it forgets
 OFF_SIGMAS = 2.5  # a point farther from the plane of its cell lies beside it: behind a corner, or in the air
 RESTART_POINTS = 12.0  # a cell that is no plane with so many points begins anew without those behind a corner
 
@@ -144,7 +144,7 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
             )
             if not is_thin(across, expected, count):
                 cell[:] = 0.0
-            elif count > MOST_POINTS:
+            elif count > MAX_POINTS:
                 for k in range(MOMENTS):
                     if k != MEAN_X and k != MEAN_Y:
                         cell[k] *= np.float32(0.5)
@@ -152,8 +152,8 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
 
 @inner_kernel
 def is_known(across, expected, along, count):
-    """Whether so many points show the direction of their plane, as MOST_ANGLE asks; see normal_of."""
-    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    """Whether so many points show the direction of their plane, as MAX_ANGLE asks; see normal_of."""
+    most_rad2 = (MAX_ANGLE * ANGLE_SIGMA_RAD) ** 2
     return max(across, expected) <= most_rad2 * along * count
 
 
@@ -246,7 +246,7 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
             if only_planes:
                 near = 1.0
                 count = cell[NOISE_XX] + cell[NOISE_YY]
-                if count < LEAST_POINTS:
+                if count < MIN_POINTS:
                     continue
                 nx, ny, across, expected, along = normal_of(
                     cell[XX], cell[XY], cell[YY], cell[NOISE_XX], cell[NOISE_XY], cell[NOISE_YY], cell[WEIGHT]
@@ -305,11 +305,11 @@ def direct_by_moments(
         length = math.sqrt(bx * bx + by * by)
         ux = (c * bx - s * by) / length  # to the sensor, in the frame of the grid
         uy = (s * bx + c * by) / length
-        if pool_cells(grid, half, x, y, ux, uy, noise_m2, False, pooled) < LEAST_POINTS:
+        if pool_cells(grid, half, x, y, ux, uy, noise_m2, False, pooled) < MIN_POINTS:
             continue
         nx, ny, is_plane, knows_direction, _ = plane_near(pooled)
         if not is_plane:
-            if pool_cells(grid, half, x, y, ux, uy, noise_m2, True, pooled) < LEAST_POINTS:
+            if pool_cells(grid, half, x, y, ux, uy, noise_m2, True, pooled) < MIN_POINTS:
                 continue
             nx, ny, is_plane, knows_direction, along_m2 = plane_near(pooled)
             if not is_within(nx, ny, along_m2, pooled, ux, uy, noise_m2):
@@ -321,7 +321,7 @@ def direct_by_moments(
         if off_m * off_m > most_off_m2(cosine, noise_m2):
             normals[i, 2] = weight_off_plane
             continue
-        if abs(cosine) < LEAST_COS_INCIDENCE:
+        if abs(cosine) < MIN_COS_INCIDENCE:
             continue
         sign = 1.0 if cosine >= 0.0 else -1.0
         square = cosine * cosine

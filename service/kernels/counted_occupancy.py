@@ -14,7 +14,7 @@ from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
-MOST_COUNT = 65_535
+MAX_COUNT = 65_535
 
 
 class CountedGrid(NamedTuple):
@@ -96,7 +96,7 @@ def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_n
         q = column & TILE_MASK
         if touched[slot, r, q] != scan_number:
             touched[slot, r, q] = scan_number
-            passed = min(np.int64(passes[slot, r, q]) + 1, MOST_COUNT)
+            passed = min(np.int64(passes[slot, r, q]) + 1, MAX_COUNT)
             passes[slot, r, q] = passed
             if hits[slot, r, q] > 0:
                 field[slot, r, q] = occupied_probability(hits[slot, r, q], passed, weights)
@@ -136,7 +136,7 @@ def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_str
         if touched[slot, r, q] == scan_number:
             continue
         touched[slot, r, q] = scan_number
-        hit = min(np.int64(hits[slot, r, q]) + 1, MOST_COUNT)
+        hit = min(np.int64(hits[slot, r, q]) + 1, MAX_COUNT)
         hits[slot, r, q] = hit
         field[slot, r, q] = occupied_probability(hit, passes[slot, r, q], weights)
     u = (pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]) / cell_m

@@ -48,7 +48,7 @@ STANDING_M, STANDING_RAD = 0.003, 0.002
 GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
 GATE_CHI2_GYRO = 6.6  # 99 % of one
 MEAN_S = 0.5  # over which the twist is averaged that an error of scale is multiplied by; [25]
-LEAST_CHANGE_SIGMAS = 3.0  # a change of speed that noise explains says nothing of a lag; [26]
+MIN_CHANGE_SIGMAS = 3.0  # a change of speed that noise explains says nothing of a lag; [26]
 
 
 @inner_kernel
@@ -251,7 +251,7 @@ def change_of_speed(state, odometry, dt, of_step, settings, change):
                 2.0 * said * dt / window_s**3,
                 6.0 * state.covariance[LOCAL + i, LOCAL + i] * dt**2 / window_s**4,
             )
-            least = LEAST_CHANGE_SIGMAS**2 * noise
+            least = MIN_CHANGE_SIGMAS**2 * noise
             if seen * seen > least:
                 change[i] += (1.0 - of_step) * (seen - least / seen)
 

@@ -10,7 +10,7 @@ from service.kernels.likelihood import read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, fill_symmetric, solve_3x3
 from service.kernels.pose_information import add_prior
 
-LEAST_DAMPING = 1e-6
+MIN_DAMPING = 1e-6
 
 
 class LmSettings(NamedTuple):
@@ -142,7 +142,7 @@ def align_points(
         copy_matrix(trial_system, system)
         copy_vector(trial_g, g)
         cost = trial_cost
-        damping = max(0.1 * damping, LEAST_DAMPING)
+        damping = max(0.1 * damping, MIN_DAMPING)
         steps += 1
         is_settled = math.hypot(step[0], step[1]) < settings.settled_m and abs(step[2]) < settings.settled_rad
         if is_settled or steps == most_steps:

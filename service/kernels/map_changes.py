@@ -13,9 +13,9 @@ from service.kernels.rays import begin_ray
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 BEHIND_M = 0.3  # a beam that ends so far behind a cell went through it
-LEAST_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it
+MIN_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it
 LONG = 4.0  # times as long as wide: what stands around a cell has a direction
-MOST_VOTES = 200  # of either side; then both are halved, and what is newer counts more
+MAX_VOTES = 200  # of either side; then both are halved, and what is newer counts more
 
 
 class ChangeVotes(NamedTuple):
@@ -163,7 +163,7 @@ def _crosses(row, column, du, dv, votes):
         return True
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
     sine = abs(math.cos(angle) * dv - math.sin(angle) * du) / max(math.hypot(du, dv), 1e-9)
-    return sine >= LEAST_SINE
+    return sine >= MIN_SINE
 
 
 @inner_kernel
@@ -173,13 +173,13 @@ def _contradict(row, column, votes, moment):
     votes.last_ms[row, column] = moment.now_ms
     if votes.last_pose[row, column] != moment.pose:
         votes.last_pose[row, column] = moment.pose
-        votes.poses[row, column] = min(votes.poses[row, column] + 1, MOST_VOTES)
+        votes.poses[row, column] = min(votes.poses[row, column] + 1, MAX_VOTES)
     _add_vote(votes.changed, votes.same, row, column)
 
 
 @inner_kernel
 def _add_vote(mine, other, row, column):
     mine[row, column] += 1
-    if mine[row, column] >= MOST_VOTES:
+    if mine[row, column] >= MAX_VOTES:
         mine[row, column] //= 2
         other[row, column] //= 2

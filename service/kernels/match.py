@@ -23,10 +23,10 @@ from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_cost, surfel_normal_equations
 from service.kernels.surfels import find_surfels_again, forget_around, nothing_around
 
-MOST_HALVINGS = 4  # of a step that raises the cost; [12]
-LEAST_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
-LEAST_FINE_POINTS = 2.0  # of this laser, that a wall of half cells stands for; [32]
-LEAST_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
+MAX_HALVINGS = 4  # of a step that raises the cost; [12]
+MIN_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
+MIN_FINE_POINTS = 2.0  # of this laser, that a wall of half cells stands for; [32]
+MIN_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
 
 
 class Prior(NamedTuple):
@@ -217,8 +217,8 @@ def align_on_surfels(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
         )
         weight_here = prior_weight_at(pose, prior.pose, prior_information, settings.degrees_of_freedom)
-        is_doubted = inliers < doubt_inlier_ratio * used or weight_here < LEAST_PRIOR_WEIGHT
-        if is_doubted and 0 < k < settings.iterations and halvings < MOST_HALVINGS:
+        is_doubted = inliers < doubt_inlier_ratio * used or weight_here < MIN_PRIOR_WEIGHT
+        if is_doubted and 0 < k < settings.iterations and halvings < MAX_HALVINGS:
             before = cost_at(
                 xy_base, normals, last, prior, prior_information, grid, settings, least_count, around, found
             )
@@ -227,11 +227,11 @@ def align_on_surfels(
             )
             if after > before:
                 halvings += 1
-                part = 0.5 if halvings < MOST_HALVINGS else 0.0
+                part = 0.5 if halvings < MAX_HALVINGS else 0.0
                 for i in range(3):
                     pose[i] = last[i] + part * (pose[i] - last[i])
                 continue
-        is_stuck = halvings == MOST_HALVINGS
+        is_stuck = halvings == MAX_HALVINGS
         halvings = 0
         copy_vector(pose, last)
         scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
@@ -277,8 +277,8 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     grid        SurfelGrid         what lies within its reach draws the scan near, and tells how much of it is
                                    on the map
     fine_grid   SurfelGrid         of the same points in smaller cells, or `grid` again: by them the scan is
-                                   aligned from there on, unless less than LEAST_FINE_SHARE of what lies on
-                                   the map lies on walls in them that stand for LEAST_FINE_POINTS of it
+                                   aligned from there on, unless less than MIN_FINE_SHARE of what lies on
+                                   the map lies on walls in them that stand for MIN_FINE_POINTS of it
     settings    MatchSettings
     doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
@@ -361,7 +361,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
             copy_matrix(less_chance_of_trial, less_chance)
     least_fine_count = 0.0
     if fine_grid.cell_m < grid.cell_m:
-        least_fine_count = LEAST_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
+        least_fine_count = MIN_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
     fine_pose = pose.copy()
     fine_xy = xy_base.copy()
     forget_around(around)
@@ -381,7 +381,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         of_trial,
         less_chance_of_trial,
     )
-    if fine_inliers >= LEAST_FINE_SHARE * inliers:
+    if fine_inliers >= MIN_FINE_SHARE * inliers:
         weight = fine_weight
         copy_vector(fine_pose, pose)
         copy_matrix(fine_xy, xy_base)

@@ -7,26 +7,26 @@ import numpy as np
 from service.kernels.compiled import inner_kernel, kernel
 
 WALL_M = 0.004  # how even a wall is, at best
-BEAMS_EACH_SIDE, MOST_BEAMS_EACH_SIDE = 4, 32  # of a window
+BEAMS_EACH_SIDE, MAX_BEAMS_EACH_SIDE = 4, 32  # of a window
 # Points farther apart than noise explains, GAP_M at least, and so many steps between beams: a gap. Noise that
 # parted a wall seen aslant would part it where the next point is farther, and turn what is left of it.
 GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 3.5
 # Beams that graze a wall hit it in steps so long, each longer than the one before by at most so much.
-MOST_STEP_M, MOST_GROWTH = 1.0, 1.5
+MAX_STEP_M, MAX_GROWTH = 1.0, 1.5
 IN_LINE_SIGMAS = 3.0
 THICK_SIGMAS = 2.0  # of its spread: a piece thicker than noise by more is no plane
 ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so well
-MOST_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
-LEAST_COS_INCIDENCE = 0.05  # beams that graze more see nothing that can be relied on
+MAX_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
+MIN_COS_INCIDENCE = 0.05  # beams that graze more see nothing that can be relied on
 ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
 # Beside an edge, where the window around a point holds two walls: a window to one side of the point.
-LEAST_SIDE = 2  # points in it besides the point itself
-LEAST_REACH_M = 0.12  # windows that reach less far fit on the side of a door by themselves
-LEAST_WIDTH_M = 0.6  # of a run with edges; a narrower one is a post, a trunk or a person, and round
-MOST_SPACING_M = 0.1  # of its points: of few and far ones, each on another wall, any three make a plane
-LEAST_COS_BESIDE_EDGE = 0.5  # of the incidence: what lies between two walls lies along the beams
+MIN_SIDE = 2  # points in it besides the point itself
+MIN_REACH_M = 0.12  # windows that reach less far fit on the side of a door by themselves
+MIN_WIDTH_M = 0.6  # of a run with edges; a narrower one is a post, a trunk or a person, and round
+MAX_SPACING_M = 0.1  # of its points: of few and far ones, each on another wall, any three make a plane
+MIN_COS_BESIDE_EDGE = 0.5  # of the incidence: what lies between two walls lies along the beams
 CLEAN = 1.0  # spread across, at most, over what noise explains
-LEAST_RUNS, MOST_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
+MIN_RUNS, MAX_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
 
 
 @kernel
@@ -81,7 +81,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
             end = i + 1
         spacing_m = angle_step_rad * range_beside(range_m, first, i, end)
         spacing_m2 = spacing_m * spacing_m
-        while reach < MOST_BEAMS_EACH_SIDE and (reach + 1) ** 3 * spacing_m2 <= wanted_m2:
+        while reach < MAX_BEAMS_EACH_SIDE and (reach + 1) ** 3 * spacing_m2 <= wanted_m2:
             reach += 1  # from that of the point beside: no cube root
         while reach > BEAMS_EACH_SIDE and reach**3 * spacing_m2 > wanted_m2:
             reach -= 1
@@ -90,7 +90,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         nx, ny, weight, _, aside_m[i] = plane_at(
             xy_base, sensor_xy_m, range_m[i], sums, i, low, high, square_m2, grazing_weight
         )
-        is_edge = reach * spacing_m > LEAST_REACH_M and (end - first[i]) * spacing_m > LEAST_WIDTH_M
+        is_edge = reach * spacing_m > MIN_REACH_M and (end - first[i]) * spacing_m > MIN_WIDTH_M
         if weight == ROUGH_WEIGHT and is_edge:
             ex, ey, of_side, aside = plane_beside_edge(
                 xy_base, sensor_xy_m, range_m[i], sums, i, first[i], end, reach, square_m2, grazing_weight
@@ -147,7 +147,7 @@ def is_in_line(xy_base, sensor_xy_m, k, angle_step_rad, square_m2):
     by = xy_base[k + 1, 1] - xy_base[k, 1]
     before = ax * ax + ay * ay
     after = bx * bx + by * by
-    if max(before, after) > min(MOST_STEP_M * MOST_STEP_M, MOST_GROWTH * MOST_GROWTH * min(before, after)):
+    if max(before, after) > min(MAX_STEP_M * MAX_STEP_M, MAX_GROWTH * MAX_GROWTH * min(before, after)):
         return False
     if not is_beside(x, y, x + ax, y + ay, angle_step_rad) or not is_beside(
         x, y, x + bx, y + by, angle_step_rad
@@ -181,13 +181,13 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
     first, end   the run of the point
     reach        points of the longest window besides the point
     The outermost point of a window may lie beyond the next edge, within noise: it is left out of a window
-    of more than LEAST_SIDE.
+    of more than MIN_SIDE.
     """
     nx = 1.0
     ny = 0.0
     weight = ROUGH_WEIGHT
     aside_m = 0.0
-    for side in range(reach, LEAST_SIDE - 1, -1):
+    for side in range(reach, MIN_SIDE - 1, -1):
         least = CLEAN
         for k in range(2):
             low = i - k * side
@@ -196,16 +196,16 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
                 continue
             x = xy_base[low, 0] - xy_base[high - 1, 0]
             y = xy_base[low, 1] - xy_base[high - 1, 1]
-            if x * x + y * y > MOST_SPACING_M * MOST_SPACING_M * side * side:
+            if x * x + y * y > MAX_SPACING_M * MAX_SPACING_M * side * side:
                 continue
             ex, ey, of_window, excess, aside = plane_at(
                 xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight
             )
             ahead_m = ex * (sensor_xy_m[0] - xy_base[i, 0]) + ey * (sensor_xy_m[1] - xy_base[i, 1])
-            is_facing = ahead_m > LEAST_COS_BESIDE_EDGE * range_m
+            is_facing = ahead_m > MIN_COS_BESIDE_EDGE * range_m
             if of_window == ROUGH_WEIGHT or not is_facing or excess >= least:
                 continue
-            if side > LEAST_SIDE:
+            if side > MIN_SIDE:
                 low += k
                 high -= 1 - k
                 ex, ey, of_window, _, aside = plane_at(
@@ -227,7 +227,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
     """Unit normal (2,) of point i by the points low to high - 1, its weight, their spread across in units of
     what noise explains, and how far point i is to be moved along the wall, m; see estimate_normals.
     """
-    most_rad2 = (MOST_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    most_rad2 = (MAX_ANGLE * ANGLE_SIGMA_RAD) ** 2
     n = high - low
     nx = 1.0
     ny = 0.0
@@ -282,7 +282,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
             is_direction_known = expected < most_rad2 * (mean + root)
             if thin and is_direction_known:
                 weight = 0.0
-                if cosine >= LEAST_COS_INCIDENCE:
+                if cosine >= MIN_COS_INCIDENCE:
                     square = cosine * cosine
                     weight = 1.0 / (square + (1.0 - square) / grazing_weight)
                     # [24] what noise explains of how far the point is off the line
@@ -327,7 +327,7 @@ def range_noise(xy_raw, beam, sensor_xy_m):
         range_m[i] = math.hypot(xy_raw[i, 0] - sensor_xy_m[0], xy_raw[i, 1] - sensor_xy_m[1])
     histogram = np.zeros(bins, np.int64)
     total = 0
-    for gap in range(1, MOST_BEAM_GAP + 1):
+    for gap in range(1, MAX_BEAM_GAP + 1):
         histogram[:] = 0
         total = 0
         for i in range(1, xy_raw.shape[0] - 1):
@@ -337,9 +337,9 @@ def range_noise(xy_raw, beam, sensor_xy_m):
             if k < bins:
                 histogram[k] += 1
                 total += 1
-        if total >= LEAST_RUNS:
+        if total >= MIN_RUNS:
             break
-    if total < LEAST_RUNS:
+    if total < MIN_RUNS:
         return 0.0
     below = 0
     for k in range(bins):

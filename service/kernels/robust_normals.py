@@ -7,11 +7,11 @@ import numpy as np
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import kth_smallest
 
-MOST_NEIGHBOURS = 21
+MAX_NEIGHBOURS = 21
 CONCENTRATION_STEPS = 4
 CHI2_975 = 7.378  # of two degrees of freedom: what lies beyond is an outlier
 CHI2_MEDIAN = 1.386
-LEAST_VARIANCE_M2 = 1e-12  # keeps a perfect line from having no covariance
+MIN_VARIANCE_M2 = 1e-12  # keeps a perfect line from having no covariance
 
 
 @kernel
@@ -24,7 +24,7 @@ def estimate_orientations(
     sensor_xy_m       (2,)   float64   where the beams start
     angle_step_rad    float            between neighbouring beams, > 0
     beams_each_side   int              neighbours on each side at least; near walls as many as lie within
-    half_length_m     float            ... this way, MOST_NEIGHBOURS in all
+    half_length_m     float            ... this way, MAX_NEIGHBOURS in all
     thin_m            float            neighbours that spread no wider than this across their line have no
                                        outlier worth a robust estimate
     angle             (N,)   float64   out: rad in [0, pi), base axes; NaN where fewer than 3 points are there
@@ -32,12 +32,12 @@ def estimate_orientations(
     covariance determinant: outliers beyond the 97.5 % quantile of the robust distance are left out, then PCA.
     """
     count = xy_base.shape[0]
-    window = np.empty((MOST_NEIGHBOURS, 2))
-    distance = np.empty(MOST_NEIGHBOURS)
-    chosen = np.empty(MOST_NEIGHBOURS, np.bool_)
+    window = np.empty((MAX_NEIGHBOURS, 2))
+    distance = np.empty(MAX_NEIGHBOURS)
+    chosen = np.empty(MAX_NEIGHBOURS, np.bool_)
     for i in range(count):
         range_m = math.hypot(xy_base[i, 0] - sensor_xy_m[0], xy_base[i, 1] - sensor_xy_m[1])
-        reach = MOST_NEIGHBOURS // 2
+        reach = MAX_NEIGHBOURS // 2
         wanted = half_length_m / max(angle_step_rad * range_m, 1e-9)
         if wanted < reach:
             reach = max(beams_each_side, int(wanted))
@@ -80,7 +80,7 @@ def moments(window, chosen, n):
             a += x * x
             b += x * y
             d += y * y
-    return mx, my, a / size + LEAST_VARIANCE_M2, b / size, d / size + LEAST_VARIANCE_M2
+    return mx, my, a / size + MIN_VARIANCE_M2, b / size, d / size + MIN_VARIANCE_M2
 
 
 @inner_kernel

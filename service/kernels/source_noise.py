@@ -14,9 +14,9 @@ from service.kernels.se2 import between, compose
 
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
 WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
-LEAST_NOISE, MOST_NOISE = 0.25, 1e6
+MIN_NOISE, MAX_NOISE = 0.25, 1e6
 # Speeds then change by 0.14 m/s and 0.63 rad/s within a second, 1 sigma: a turn begins more suddenly.
-LEAST_MOTION_NOISE = (0.02, 0.02, 0.1)
+MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 
 
 @inner_kernel
@@ -113,7 +113,7 @@ def learn_motion(state, settings):
         sample = ((state.twist[i] - w[14 + i]) ** 2 + alone) / model
         noise = state.motion_noise[i]
         noise += moved * share * share * (sample - noise) / NOISE_WINDOWS
-        state.motion_noise[i] = min(max(noise, LEAST_MOTION_NOISE[i]), 1.0)
+        state.motion_noise[i] = min(max(noise, MIN_MOTION_NOISE[i]), 1.0)
 
 
 @inner_kernel
@@ -140,4 +140,4 @@ def innovation(off, model, noise, alone):
 @inner_kernel
 def adapt(noise, k, weight, total):
     noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
-    noise[k] = min(max(noise[k], LEAST_NOISE), MOST_NOISE)
+    noise[k] = min(max(noise[k], MIN_NOISE), MAX_NOISE)

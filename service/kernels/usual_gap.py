@@ -4,7 +4,7 @@ import numpy as np
 
 from service.kernels.compiled import kernel
 
-MOST_GAP = 64  # beams; returns farther apart are no neighbours
+MAX_GAP = 64  # beams; returns farther apart are no neighbours
 
 
 @kernel
@@ -16,10 +16,10 @@ def usual_gap(beam):
 
     beam   (N,) int32   of each return, rising
     """
-    counts = np.zeros(MOST_GAP, np.int64)
+    counts = np.zeros(MAX_GAP, np.int64)
     for i in range(1, beam.shape[0]):
         gap = beam[i] - beam[i - 1]
-        if gap < MOST_GAP:
+        if gap < MAX_GAP:
             counts[gap] += 1
     most = counts.argmax()
     return most if counts[most] > 0 else 1

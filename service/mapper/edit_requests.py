@@ -11,11 +11,11 @@ from drivers.counted import counted
 from service.geometry.polygons import area_m2
 from service.geometry.poses import Floats
 
-MOST_CORNERS = 500  # of an area or a wall
-MOST_PAIRS = 100  # in one change
+MAX_CORNERS = 500  # of an area or a wall
+MAX_PAIRS = 100  # in one change
 LONGEST_NAME = 100  # letters
 LARGEST_M2 = 10_000.0  # of the rectangle around an area, or a piece of a wall: 4 million cells of 5 cm
-LEAST_M2 = 1e-4  # of an area
+MIN_M2 = 1e-4  # of an area
 FURTHEST_M = 100_000.0  # from the origin
 
 
@@ -41,7 +41,7 @@ Point = tuple[Metres, Metres]  # x, y in the map
 Number = Annotated[int, Field(ge=0, lt=2**53)]
 Stamp = Annotated[str, Field(pattern=r"^\d{1,19}$")]
 Seconds = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]  # after the map's first key frame
-Corners = Annotated[list[Point], at_most(MOST_CORNERS, "points")]
+Corners = Annotated[list[Point], at_most(MAX_CORNERS, "points")]
 Who = Annotated[str, Field(max_length=LONGEST_NAME)]
 Becomes = Literal["as_seen", "unknown", "free"]  # as_seen: free where beams pass, else unknown
 
@@ -87,7 +87,7 @@ class SeenPair(Asked):
 
 class AddSeenPairs(Asked):
     what: Literal["add-pair"]
-    pairs: Annotated[list[SeenPair], Field(min_length=1), at_most(MOST_PAIRS, "pairs")]
+    pairs: Annotated[list[SeenPair], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
 
 
 class UndoNewest(Asked):
@@ -112,7 +112,7 @@ def refuse_outline(corners: Floats) -> None:
     if len(corners) < 3:
         raise EditError(f"an area has 3 corners or more, not {len(corners)}")
     _refuse_if_large(corners, "the area", "erase it in parts")
-    if area_m2(corners) < LEAST_M2:
+    if area_m2(corners) < MIN_M2:
         raise EditError("the corners X Y X Y X Y... enclose no area")
 
 

@@ -13,22 +13,22 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.outputs import NO_REASON, Reason, State
 
-LEAST_RETURNS = 5  # with fewer a scan is not matched: three unknowns, and two to contradict
-LEAST_CONFIRMING = 20  # `ok`: so many returns of the scan
-MOST_SIGMA_M, MOST_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: the pose against the map is known so well
+MIN_RETURNS = 5  # with fewer a scan is not matched: three unknowns, and two to contradict
+MIN_CONFIRMING = 20  # `ok`: so many returns of the scan
+MAX_SIGMA_M, MAX_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: the pose against the map is known so well
 # `ok`: the pose in the map is known so well, with all drift since known ground was seen last
-MOST_DRIFT_M, MOST_DRIFT_RAD = 0.5, math.radians(10.0)
+MAX_DRIFT_M, MAX_DRIFT_RAD = 0.5, math.radians(10.0)
 LOST_SIGMA_M, LOST_SIGMA_RAD = 0.75, 0.35  # worse: lost, for a match within so much may be any of several
 TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction so good carries the pose onto new ground
 # Share of the returns, of those on ground that the map knows, that lie on its walls: over 8 recorded and 10
 # simulated drives it is 0.90 to 1.00 where the pose is right; people close by lower it.
-LEAST_AGREEMENT = 0.5
-LEAST_AGREEMENT_FAR = 0.85  # where the match is not where the prediction was
-LEAST_KNOWN = 0.02  # share of the returns on the map, and at least LEAST_RETURNS, below which it says nothing
+MIN_AGREEMENT = 0.5
+MIN_AGREEMENT_FAR = 0.85  # where the match is not where the prediction was
+MIN_KNOWN = 0.02  # share of the returns on the map, and at least MIN_RETURNS, below which it says nothing
 CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by chance
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
 GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
-MOST_BLANK_S = GAP_S  # without a scan that has returns, after which nothing vouches for the pose
+MAX_BLANK_S = GAP_S  # without a scan that has returns, after which nothing vouches for the pose
 NOT_KNOWN_M, NOT_KNOWN_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
 CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
 
@@ -133,12 +133,12 @@ def held(
 
 def too_few(points: Points) -> Reason:
     """Why a scan has too few returns to be matched, NO_REASON where it has enough."""
-    if len(points.xy_base) >= LEAST_RETURNS:
+    if len(points.xy_base) >= MIN_RETURNS:
         return NO_REASON
     return Reason(
         "few_returns",
         f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "
-        f"(at least {LEAST_RETURNS}); is the window covered, or is there nothing in range?",
+        f"(at least {MIN_RETURNS}); is the window covered, or is there nothing in range?",
     )
 
 
@@ -151,7 +151,7 @@ def judge_blank(few: Reason, prior: tuple[float, float], blank_s: float) -> tupl
     prior    (m, rad) sigma of the prediction against the map
     blank_s  since the newest scan with enough returns
     """
-    state: State = "lost" if is_loose(prior) or blank_s > MOST_BLANK_S else "degraded"
+    state: State = "lost" if is_loose(prior) or blank_s > MAX_BLANK_S else "degraded"
     most = TIGHT_SIGMA_M, TIGHT_SIGMA_RAD
     words = f"{few} The pose follows the prediction for {blank_s:.2f} s, {_uncertain(prior, most)}"
     return state, few.reworded(words)
@@ -167,7 +167,7 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
     ratio = evidence.inlier_ratio
     # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
     is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
-    least_on_map = max(LEAST_KNOWN * evidence.used, LEAST_RETURNS)
+    least_on_map = max(MIN_KNOWN * evidence.used, MIN_RETURNS)
     can_contradict = evidence.behind is not None and not evidence.is_doubted
     if is_carried and can_contradict and evidence.on_map < least_on_map:
         return _on_unknown_ground(evidence)
@@ -175,10 +175,10 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
     if evidence.is_doubted:
         known += evidence.behind or 0.0
     agreement = evidence.on_map / known if known else 0.0
-    if known and agreement < (LEAST_AGREEMENT_FAR if evidence.is_far else LEAST_AGREEMENT):
+    if known and agreement < (MIN_AGREEMENT_FAR if evidence.is_far else MIN_AGREEMENT):
         return "lost", _contradicted(evidence)
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
-    if ratio < least and not (is_carried and ratio >= LEAST_KNOWN):
+    if ratio < least and not (is_carried and ratio >= MIN_KNOWN):
         words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
         return "lost", Reason("off_map", words)
     is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_borne_out(evidence)
@@ -196,13 +196,13 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
             "has changed much",
         )
-    if evidence.sigma[0] > MOST_SIGMA_M or evidence.sigma[1] > MOST_SIGMA_RAD:
-        most = MOST_SIGMA_M, MOST_SIGMA_RAD
+    if evidence.sigma[0] > MAX_SIGMA_M or evidence.sigma[1] > MAX_SIGMA_RAD:
+        most = MAX_SIGMA_M, MAX_SIGMA_RAD
         return "degraded", _pose_uncertain(evidence, most)
-    if evidence.used < LEAST_CONFIRMING:
+    if evidence.used < MIN_CONFIRMING:
         return "degraded", Reason(
             "few_confirming",
-            f"{evidence.used} returns (expected at least {LEAST_CONFIRMING}) confirm no place; "
+            f"{evidence.used} returns (expected at least {MIN_CONFIRMING}) confirm no place; "
             "is the window covered, or is there little in range?",
         )
     sigma_m, direction_rad = evidence.weakest
@@ -229,12 +229,12 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
 
 def _is_borne_out(evidence: Evidence) -> bool:
     """Whether the returns on the map confirm the pose, and those that are not on it lie on new ground."""
-    return evidence.on_map >= LEAST_CONFIRMING and not is_contradicted(evidence)
+    return evidence.on_map >= MIN_CONFIRMING and not is_contradicted(evidence)
 
 
 def is_contradicted(evidence: Evidence) -> bool:
     """Whether more returns than chance explains lie where nothing stands, or behind walls of the map."""
-    used, usual = evidence.used, 1.0 - LEAST_AGREEMENT_FAR
+    used, usual = evidence.used, 1.0 - MIN_AGREEMENT_FAR
     chance = CHANCE_SIGMAS * math.sqrt(usual * (1.0 - usual) * used)
     return evidence.in_free + (evidence.behind or 0.0) > usual * used + chance
 
@@ -244,12 +244,12 @@ def drift_of(covariance: npt.NDArray[np.float64]) -> Reason:
     is.
     """
     sigma_m, sigma_rad = sigmas_of(covariance)
-    if sigma_m <= MOST_DRIFT_M and sigma_rad <= MOST_DRIFT_RAD:
+    if sigma_m <= MAX_DRIFT_M and sigma_rad <= MAX_DRIFT_RAD:
         return NO_REASON
     return Reason(
         "drift",
         "the pose has drifted without loop closures: in the map it is "
-        f"{_uncertain((sigma_m, sigma_rad), (MOST_DRIFT_M, MOST_DRIFT_RAD))}; drive past a place that is "
+        f"{_uncertain((sigma_m, sigma_rad), (MAX_DRIFT_M, MAX_DRIFT_RAD))}; drive past a place that is "
         "mapped already",
     )
 

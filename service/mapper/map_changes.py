@@ -19,9 +19,9 @@ WALL_EVIDENCE, FREE_EVIDENCE = 13, -20  # log-odds in steps of 0.05: 66 %; and t
 FARTHEST_M = 12.0
 STEP_M, STEP_RAD = 0.3, 0.2  # from one pose to the next that counts as another
 USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000
-LEAST_POSES, LEAST_VOTES, LEAST_MS = 3, 5, 1000  # that contradict the map before a cell is told
-LEAST_SHARE = 0.8  # of the scans that spoke of a cell since then
-LEAST_CELLS = 4  # together: one alone is the rim of something that stands where it was
+MIN_POSES, MIN_VOTES, MIN_MS = 3, 5, 1000  # that contradict the map before a cell is told
+MIN_SHARE = 0.8  # of the scans that spoke of a cell since then
+MIN_CELLS = 4  # together: one alone is the rim of something that stands where it was
 NOTHING_CHANGED = Grid(0, COARSER * 0.05, 0.0, 0.0, np.empty((0, 0), np.int8))
 
 
@@ -125,19 +125,19 @@ class ChangeWatch:
     def changes(self) -> MapChanges:
         """What is sure by now."""
         votes = self._votes
-        at = np.flatnonzero(votes.poses >= LEAST_POSES)  # few cells; all else is asked of these alone
+        at = np.flatnonzero(votes.poses >= MIN_POSES)  # few cells; all else is asked of these alone
         changed, same = (of.ravel()[at].astype(np.int64) for of in (votes.changed, votes.same))
         is_sure = (
-            (changed >= LEAST_VOTES)
-            & (votes.last_ms.ravel()[at] - votes.first_ms.ravel()[at] >= LEAST_MS)
-            & (changed >= LEAST_SHARE * (changed + same))
+            (changed >= MIN_VOTES)
+            & (votes.last_ms.ravel()[at] - votes.first_ms.ravel()[at] >= MIN_MS)
+            & (changed >= MIN_SHARE * (changed + same))
         )
         at, changed = at[is_sure], changed[is_sure]
         row, column = np.divmod(at, votes.stored.shape[1])
         is_new = votes.stored.ravel()[at] == FREE
         is_told = np.zeros(len(at), np.bool_)
         for alike in (is_new, ~is_new):
-            is_told[alike] = group_sizes(row[alike], column[alike]) >= LEAST_CELLS
+            is_told[alike] = group_sizes(row[alike], column[alike]) >= MIN_CELLS
         at, row, column = at[is_told], row[is_told], column[is_told]
         began_ns = self._began_ns or 0
         cells = np.column_stack((column + votes.first_column, row + votes.first_row)).astype(np.float64)

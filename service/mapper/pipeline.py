@@ -30,7 +30,7 @@ from service.mapper.maps.standing import draw_standing
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 
-MOST_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
+MAX_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
 CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
 POINT_ARRAYS = ("xy_base", "xy_raw", "beam_time_s", "beam")  # of Points
 
@@ -131,7 +131,7 @@ class Mapper(Generic[ReadableMap]):
         at_ns = self._components.deskew.moment_of(scan)
         if self._last_ns is None or at_ns > self._last_ns:
             return at_ns
-        return self._last_ns + 1 if self._last_ns - at_ns <= MOST_BEHIND_NS else None
+        return self._last_ns + 1 if self._last_ns - at_ns <= MAX_BEHIND_NS else None
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call; at most so many."""

@@ -17,7 +17,7 @@ WAY, AXIS_X, AXIS_Y, INK = 1, 2, 3, 4
 PALETTE = {WAY: (31, 111, 180), AXIS_X: (200, 40, 30), AXIS_Y: (30, 140, 50), INK: (0, 0, 0)}
 MARGIN = 12  # pixels around what is known
 FOOT = 24  # pixels below, for the scale bar
-LEAST_WIDTH = 96  # room for a bar and its words
+MIN_WIDTH = 96  # room for a bar and its words
 BAR_SHARE = 0.25  # of the width: about how long the bar is
 AXIS_M = 1.0  # of the origin's two arms: x red, y green
 
@@ -72,7 +72,7 @@ def annotated(picture: Picture, ways: Sequence[Floats] = ()) -> Picture:
     ways    (N, 2) m in the map each, N > 0: where the base was, in the order driven. A line each
     """
     left, right, top, bottom = _known(picture)
-    width = max(right - left + 2 * MARGIN, LEAST_WIDTH)
+    width = max(right - left + 2 * MARGIN, MIN_WIDTH)
     first_row, rows = top - MARGIN, bottom - top + 2 * MARGIN + FOOT
     first_column = left - MARGIN
     cell_m = picture.cell_m

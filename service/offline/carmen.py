@@ -46,7 +46,7 @@ LASERS = {
 }
 PLACE_PARAM = re.compile(r"robot_(front|rear)laser_(|side_|angular_)offset")  # a mounting
 FARTHEST_M = 1e6  # from where a log began; farther away nobody drove
-MOST_STAMP_S = 2**31  # ROS messages count seconds in int32
+MAX_STAMP_S = 2**31  # ROS messages count seconds in int32
 CORRECTED_MARKS = {"NEFF": "GMapping's NEFF lines", "SM_UPDATE": "GMapping's SM_UPDATE lines"}
 
 
@@ -352,7 +352,7 @@ def _finite(text: str) -> float:
 def _ns(text: str) -> int:
     """Seconds as text to ns, exactly: a double holds today's Unix time to 0.2 us only."""
     seconds = Decimal(text)
-    if not seconds.is_finite() or not 0 <= seconds < MOST_STAMP_S:
+    if not seconds.is_finite() or not 0 <= seconds < MAX_STAMP_S:
         raise ValueError(f"time {text}")
     return int(seconds.scaleb(9))
 

@@ -9,7 +9,7 @@ from service.encoding import BASE_FRAME, MAP_FRAME, Pose
 from service.geometry.poses import Floats, between
 from service.geometry.se2 import SE2, wrap_angle
 from service.offline.moments import Moment, thinned
-from service.web.live_view import MOST_PATH_POINTS, PATH_STEP_M
+from service.web.live_view import MAX_PATH_POINTS, PATH_STEP_M
 
 MAP_WORDS = "map as it is in the end"
 NOT_KNOWN = float("nan")
@@ -21,7 +21,7 @@ class DrivenMoments:
     def __init__(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
         self._stamp_ns = stamp_ns
         self._poses = poses
-        self._rows = thinned(poses[:, :2], PATH_STEP_M, MOST_PATH_POINTS)
+        self._rows = thinned(poses[:, :2], PATH_STEP_M, MAX_PATH_POINTS)
         self.path_map: Floats = poses[self._rows, :2]
 
     @property

@@ -6,7 +6,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from service.errors import InputError
 from service.mapper.edit_requests import (
-    MOST_PAIRS,
+    MAX_PAIRS,
     Asked,
     Cut,
     Erase,
@@ -40,7 +40,7 @@ class Pair(Asked):
 
 class AddPairs(Asked):
     what: Literal["add-pair"]
-    pairs: Annotated[list[Pair], Field(min_length=1), at_most(MOST_PAIRS, "pairs")]
+    pairs: Annotated[list[Pair], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
 
 
 class Undo(Asked):

@@ -20,8 +20,8 @@ from service.offline import map_edit
 from service.offline.map_log import map_log
 from service.publishing.commands import Answer, refusal
 
-MOST_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
-MOST_VERSIONS = 50
+MAX_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
+MAX_VERSIONS = 50
 
 
 class MapCommands:
@@ -57,7 +57,7 @@ class MapCommands:
 
     def _look(self) -> dict[str, Any]:
         log = map_log(self._folder)
-        versions = {"versions": log["versions"][-MOST_VERSIONS:], "problems": log["problems"]}
+        versions = {"versions": log["versions"][-MAX_VERSIONS:], "problems": log["problems"]}
         return {**look(self._stored), **versions, "user": self._user}
 
     def _keyframe(self, asked: asked_for.LookAtKeyframe) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
 
 def _keyframes(graph: SavedGraph) -> dict[str, Any]:
     """Where and when: lists by rising number, of each `every`-th key frame."""
-    every = -(-len(graph) // MOST_KEYFRAMES) or 1
+    every = -(-len(graph) // MAX_KEYFRAMES) or 1
     seconds = (graph.stamp_ns - graph.stamp_ns.min()) / 1e9 if len(graph) else np.zeros(0)
     return {
         "count": len(graph),

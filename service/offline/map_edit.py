@@ -42,7 +42,7 @@ from service.mapstore.in_use import InUse
 from service.offline.replay_result import rewrite_result
 from service.outputs import UNKNOWN
 
-MOST_NAMED = 3  # places of pairs in the words of an edit
+MAX_NAMED = 3  # places of pairs in the words of an edit
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +187,8 @@ def add_pairs(pairs: Sequence[tuple[Sequence[float], Sequence[int]]]) -> Change:
             graph = with_pair(graph, points, keyframes)
         first = len(before.by_hand.pair_ends)
         named = f"pair {first}" if len(spots) == 1 else f"pairs {first} to {first + len(spots) - 1}"
-        about = ", ".join(at_words(points.mean(axis=0)) for points, _ in spots[:MOST_NAMED])
-        words = f"{named} about {about}{' ...' * (len(spots) > MOST_NAMED)}"
+        about = ", ".join(at_words(points.mean(axis=0)) for points, _ in spots[:MAX_NAMED])
+        words = f"{named} about {about}{' ...' * (len(spots) > MAX_NAMED)}"
         return _solved(stored, graph, words, {"pairs": len(spots)})
 
     return change

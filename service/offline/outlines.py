@@ -7,7 +7,7 @@ from service.mapstore.picture import BLACK_OCCUPIED, Picture
 
 Points = npt.NDArray[np.float64]  # (N, 2) x, y; m, map frame
 TOLERANCE_CELLS = 1.0  # a slanting wall is a staircase of cells, whose corners lie less than one off its line
-LEAST_AREA = 0.5  # of a loop, that thinning has to leave: a wall of one cell would collapse
+MIN_AREA = 0.5  # of a loop, that thinning has to leave: a wall of one cell would collapse
 
 
 def occupied_cells(picture: Picture) -> npt.NDArray[np.bool_]:
@@ -75,7 +75,7 @@ def _walk(
 def _simplified(loop: Points) -> Points:
     corners = _thinned(loop, 1e-9)
     simple = _thinned(corners, TOLERANCE_CELLS)
-    return simple if abs(_area(simple)) >= LEAST_AREA * abs(_area(corners)) else corners
+    return simple if abs(_area(simple)) >= MIN_AREA * abs(_area(corners)) else corners
 
 
 def _area(loop: Points) -> float:

@@ -46,7 +46,7 @@ from service.mapstore.tiles import tiles_of_grid
 from service.offline.moments import STALE_NS, Moment, thinned
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
 from service.recording.opening import name_of, open_recording
-from service.web.live_view import MOST_EVENTS, MOST_PATH_POINTS, PATH_STEP_M, UNTOLD
+from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNTOLD
 
 TOPICS = {
     "/pose": ODOMETRY,
@@ -99,7 +99,7 @@ class RecordedMoments:
         xy_map: list[tuple[float, float]] = []
         self._read(held, xy_map, progress)
         way = np.array(xy_map, np.float64).reshape(-1, 2)
-        rows = thinned(way, PATH_STEP_M, MOST_PATH_POINTS)
+        rows = thinned(way, PATH_STEP_M, MAX_PATH_POINTS)
         self.path_map: Floats = way[rows]
         self._path_log_ns = [self._pose_log_ns[row] for row in rows]
         self._tiles_of = lru_cache(KEPT_TILINGS)(self._read_tiles)
@@ -137,7 +137,7 @@ class RecordedMoments:
             standing=self._grid(STANDING, self._standing_log_ns, at_ns, since_ns),
             changes=self._changes(at_ns, since_ns),
             statuses=self._statuses(at_ns),
-            events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MOST_EVENTS:],
+            events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MAX_EVENTS:],
         )
 
     def tiles_at(self, at_ns: int) -> Sequence[TileUpdate]:

@@ -55,7 +55,7 @@ log = logging.getLogger(__name__)
 PICTURE_S = 0.1  # pose and scans
 STATUS_S = 0.5
 TILES_S = 0.5
-LEAST_REST = 20.0  # looking at all tiles may take a share of 1 / LEAST_REST of the time
+MIN_REST = 20.0  # looking at all tiles may take a share of 1 / MIN_REST of the time
 VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
 
 
@@ -219,7 +219,7 @@ class ReplayPage:
         self._server.put_ready({STANDING: encode_standing(self._mapper.standing())})
         self._show_changes(self._mapper.changes_told)
         now_s = time.monotonic()
-        self._tiles_due_s = now_s + max(TILES_S, LEAST_REST * (now_s - began_s))
+        self._tiles_due_s = now_s + max(TILES_S, MIN_REST * (now_s - began_s))
 
     def _show_changes(self, changes: MapChanges | None) -> None:
         if changes is not None and not changes.says_as(self._changes):

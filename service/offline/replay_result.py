@@ -13,7 +13,7 @@ import numpy as np
 from service.encoding import pose_on_wire
 from service.errors import StorageError, words_of
 from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import UTM_MOST_LATITUDE_DEG
+from service.geometry.geodesy import UTM_MAX_LATITUDE_DEG
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import SavedGraph
@@ -140,7 +140,7 @@ def _write_files(
     write_png(out / "map.png", shown, PALETTE)
     if geo is not None:
         write_geo(out / GEO_FILE, geo)
-        if abs(geo.origin.latitude_deg) < UTM_MOST_LATITUDE_DEG:
+        if abs(geo.origin.latitude_deg) < UTM_MAX_LATITUDE_DEG:
             write_world_file(out / "map.png", shown, geo)
     (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="ascii")
 

@@ -17,7 +17,7 @@ from service.offline.writing import refuse_unwritable_file
 from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_source import Session, open_session
 
-MOST_STAMP_NS = 2**31 * 1_000_000_000  # ROS messages count seconds in int32
+MAX_STAMP_NS = 2**31 * 1_000_000_000  # ROS messages count seconds in int32
 SEVERAL = {  # kinds of frames
     LaserScan: "scans",
     OdometrySample: "odometry samples",
@@ -85,7 +85,7 @@ def _usable(session: Session) -> Iterator[Frame]:
     for step in session.steps():
         if isinstance(step, Step):
             continue
-        if 0 <= step.stamp_ns < MOST_STAMP_NS and 0 <= step.arrived_ns < MOST_STAMP_NS:
+        if 0 <= step.stamp_ns < MAX_STAMP_NS and 0 <= step.arrived_ns < MAX_STAMP_NS:
             yield step
         else:
             session.counters[f"{step.sensor} stamps unusable"] += 1

@@ -33,7 +33,7 @@ NEAR_NS = 120_000_000  # "near": both stamps of a relation this close to a pose 
 MAX_GAP_NS = 1_000_000_000  # a hole in the truth that is not bridged
 SAME_NS = 1_000_000  # stamps this close are the same moment, written by two programs
 RPE_STEP_M = 1.0
-MOST_SHIFT = 4e9  # s or m; from 1970 to a stamp of today and more
+MAX_SHIFT = 4e9  # s or m; from 1970 to a stamp of today and more
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,10 +139,8 @@ def score(
     Raises InputError with file and line, UsageError for a shift or an offset that is no number of a drive.
     """
     for option, value in (("--shift-s", shift_s), ("--offset-x", offset_x_m)):
-        if not abs(value) <= MOST_SHIFT:
-            raise UsageError(
-                f"{option} {value}: expected a number between -{MOST_SHIFT:g} and {MOST_SHIFT:g}"
-            )
+        if not abs(value) <= MAX_SHIFT:
+            raise UsageError(f"{option} {value}: expected a number between -{MAX_SHIFT:g} and {MAX_SHIFT:g}")
     read = read_trajectory(estimate)
     pose = compose(read.pose, np.array([[offset_x_m, 0.0, 0.0]])) if offset_x_m else read.pose
     shifted = Trajectory(read.stamp_ns + round(shift_s * NS_PER_S), pose)

@@ -10,7 +10,7 @@ from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 
 KINDS = {LaserScan: "scan", ImuSample: "imu", OdometrySample: "odom", GnssFix: "fix"}
 GAP_PERIODS = 3.0  # of the usual one: a longer interval is a gap
-MOST_GAPS = 50  # that are listed of each, the longest
+MAX_GAPS = 50  # that are listed of each, the longest
 
 
 class SensorRates:
@@ -38,7 +38,7 @@ def _told(stamps_ns: np.ndarray, begin_ns: int) -> dict[str, Any]:
     interval_ns = np.diff(at_ns)
     period_ns = float(np.median(interval_ns))
     gaps = np.flatnonzero(interval_ns > GAP_PERIODS * period_ns)
-    longest = np.sort(gaps[np.argsort(-interval_ns[gaps], kind="stable")][:MOST_GAPS])
+    longest = np.sort(gaps[np.argsort(-interval_ns[gaps], kind="stable")][:MAX_GAPS])
     return told | {
         "rate_hz": round(1e9 / period_ns, 3),
         "gaps": len(gaps),

@@ -13,7 +13,7 @@ from service.publishing.query_workers import QueryWorkers
 
 log = logging.getLogger(__name__)
 
-MOST_LOGGED_BYTES = 300  # of a request and of its answer
+MAX_LOGGED_BYTES = 300  # of a request and of its answer
 
 
 class CommandQueryable:
@@ -75,5 +75,5 @@ def _refuse(query: zenoh.Query, error: str) -> None:
 
 def _shown(text: bytes) -> str:
     """For the log: on one line, and cut where it is long."""
-    shown = text[:MOST_LOGGED_BYTES].decode(errors="replace")
-    return repr(shown) + ("..." if len(text) > MOST_LOGGED_BYTES else "")
+    shown = text[:MAX_LOGGED_BYTES].decode(errors="replace")
+    return repr(shown) + ("..." if len(text) > MAX_LOGGED_BYTES else "")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 log = logging.getLogger(__name__)
 
-MOST_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
+MAX_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
 CLOSE_TIMEOUT_S = 10.0
 
 
@@ -31,8 +31,8 @@ class QueryWorkers:
 
         thread = threading.Thread(target=run, name=f"{self._owner}-command", daemon=True)
         with self._lock:
-            if len(self._threads) >= MOST_AT_ONCE:
-                return f"{MOST_AT_ONCE} commands are being worked on; ask again in a moment"
+            if len(self._threads) >= MAX_AT_ONCE:
+                return f"{MAX_AT_ONCE} commands are being worked on; ask again in a moment"
             self._threads[thread] = name
             try:
                 thread.start()  # to leave the others it needs the lock

@@ -36,7 +36,7 @@ from service.recording.sources import ENDINGS, FRAME_TYPES, SCAN_TYPES
 from service.recording.vehicle import Converter, Vehicle
 
 # A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
-MOST_INSTANT_DEG = 200.0
+MAX_INSTANT_DEG = 200.0
 INSTANT = "instant"  # scans that say so all the same
 
 
@@ -134,7 +134,7 @@ class Session:
                 )
             if instant := self.counters[f"{topic} {INSTANT}"]:
                 lines.append(
-                    f"{topic}: {counted(instant, 'scan')} (of {read}) of more than {MOST_INSTANT_DEG:.0f} "
+                    f"{topic}: {counted(instant, 'scan')} (of {read}) of more than {MAX_INSTANT_DEG:.0f} "
                     "deg with a time_increment of 0, or with points that have no times: all beams count as "
                     "measured at once; if this laser rotates, turns bend its scans and the map. Does its "
                     "driver set them?"
@@ -209,7 +209,7 @@ class Session:
 def _is_instant(scan: LaserScan) -> bool:
     """Whether beams all around claim to be of one moment."""
     span_rad = (len(scan.range_m) - 1) * abs(scan.angle_step_rad)
-    return scan.beam_interval_ns == 0 and span_rad > math.radians(MOST_INSTANT_DEG)
+    return scan.beam_interval_ns == 0 and span_rad > math.radians(MAX_INSTANT_DEG)
 
 
 def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:

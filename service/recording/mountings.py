@@ -13,7 +13,7 @@ from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.recording.mcap_reader import Topic
 
-MOST_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
+MAX_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
 
 Matrix = npt.NDArray[np.float64]
 
@@ -129,9 +129,9 @@ def planar_mounting(tree: StaticTree, bases: Sequence[str], sensor_frame: str) -
     matrix = above[base]
     up = float(np.clip(matrix[2, 2], -1.0, 1.0))
     tilt_deg = math.degrees(math.acos(abs(up)))
-    if tilt_deg > MOST_TILT_DEG:
+    if tilt_deg > MAX_TILT_DEG:
         raise MountingError(
-            f"tilted by {tilt_deg:.0f} deg against {base}; at most {MOST_TILT_DEG:.0f} can be mapped"
+            f"tilted by {tilt_deg:.0f} deg against {base}; at most {MAX_TILT_DEG:.0f} can be mapped"
         )
     yaw_rad = math.atan2(matrix[1, 0], matrix[0, 0])
     return Mounting(SE2(float(matrix[0, 3]), float(matrix[1, 3]), yaw_rad), upside_down=up < 0.0)

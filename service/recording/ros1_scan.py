@@ -28,7 +28,7 @@ from drivers.counted import counted
 from service.recording.unpacking import decompressor_of
 
 _SIZE = struct.Struct("<I")
-_MOST_HEADER_BYTES = 1 << 20
+_MAX_HEADER_BYTES = 1 << 20
 Bytes = bytes | mmap.mmap
 
 
@@ -100,7 +100,7 @@ def _record(data: Bytes, at: int) -> tuple[Header, int, int] | None:
     if begin > len(data):
         return None
     (size,) = _SIZE.unpack_from(data, at)
-    if size > _MOST_HEADER_BYTES or begin + size + _SIZE.size > len(data):
+    if size > _MAX_HEADER_BYTES or begin + size + _SIZE.size > len(data):
         return None
     try:
         header = Header.read(BytesIO(data[at : begin + size]))

@@ -19,7 +19,7 @@ from service.errors import InputError, StorageError, words_of
 MCAP, ROS1, SQLITE = "MCAP", "ROS 1", "SQLite"
 _KINDS = {b"\x89MCAP0\r\n": MCAP, b"#ROSBAG V": ROS1, b"SQLite format 3\0": SQLITE}
 _SUFFIXES = {MCAP: ".mcap", ROS1: ".bag", SQLITE: ".db3"}  # rosbags goes by them
-_MOST_MAGIC_BYTES = 16
+_MAX_MAGIC_BYTES = 16
 _BLOCK_BYTES = 1 << 20
 _SPECIAL_IN_URI = frozenset("?#%")  # rosbags opens a db3 by a URI in which it quotes nothing
 
@@ -136,6 +136,6 @@ def plain(payload: bytes) -> bytes:
 def _magic(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
-            return stream.read(_MOST_MAGIC_BYTES)
+            return stream.read(_MAX_MAGIC_BYTES)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error

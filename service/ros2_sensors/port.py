@@ -14,7 +14,7 @@ from service.ros2_sensors.config import Ros2SensorConfig
 from service.ros2_sensors.session import pack
 
 CONNECT_TIMEOUT_MS = 3_000
-MOST_WAITING = 1000  # messages; 5 s of an IMU
+MAX_WAITING = 1000  # messages; 5 s of an IMU
 
 
 class Subscription:
@@ -92,7 +92,7 @@ class Subscription:
                 self._foreign_hash = hash_text
                 self._changed.notify()
                 return
-            if len(self._waiting) >= MOST_WAITING:
+            if len(self._waiting) >= MAX_WAITING:
                 self._waiting.popleft()
                 self._lost += 1
             self._waiting.append(sample.payload.to_bytes())

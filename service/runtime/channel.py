@@ -16,7 +16,7 @@ from typing import Any, Protocol
 _SIZE = struct.Struct("<I")
 _READ_BYTES = 1 << 18
 BUFFER_BYTES = 1 << 20  # asked of the system, which may give less
-MOST_WAITING_BYTES = 256 << 20  # of a reader that stands still
+MAX_WAITING_BYTES = 256 << 20  # of a reader that stands still
 
 
 class ChannelClosedError(Exception):
@@ -63,7 +63,7 @@ class Channel:
             body = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
             parts += [_SIZE.pack(len(body)), body]
         with self._lock:
-            if len(self._waiting) > MOST_WAITING_BYTES:
+            if len(self._waiting) > MAX_WAITING_BYTES:
                 raise ChannelClosedError(f"{len(self._waiting)} bytes wait; the other side stands still")
             if self._waiting:
                 self._waiting += b"".join(parts)

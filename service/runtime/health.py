@@ -18,7 +18,7 @@ LATE_NS = 500_000_000  # from a measurement to its arrival: no device and no lin
 POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
 FIRST_POSE_NS = 5_000_000_000  # so long devices may take to log in
 RESTARTS_WITHIN_NS = 60_000_000_000
-MOST_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
+MAX_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
 
 LINE_NS = 10_000_000_000  # at least, from one line about a passing state to the next
 _PASSING = {"ok", "degraded", "overloaded"}  # states between which a mapping may go to and fro
@@ -246,7 +246,7 @@ class HealthReport:
             return Status("mapping", max(level, WARNING), words, values)
         if level == OK and outputs.graph_fault:
             level, words = WARNING, f"no loops are closed: {outputs.graph_fault}"
-        if level == OK and len(self._restarted_ns) > MOST_RESTARTS:
+        if level == OK and len(self._restarted_ns) > MAX_RESTARTS:
             level, words = (
                 WARNING,
                 (

@@ -53,11 +53,11 @@ log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
 STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
-MOST_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
-MOST_DEATHS = 4  # without an item done in between: then the service ends with an error
+MAX_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
+MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
-MOST_HELD = 64  # samples; then they go without one
-MOST_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
+MAX_HELD = 64  # samples; then they go without one
+MAX_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 
 
@@ -110,7 +110,7 @@ class MapperLink:
         self._heard_s = 0.0
         self._taken_number = 0  # as the mapper said last
         self._deaths = (0, 0)  # how many since the item that was done last
-        self._back_ends_died_s: deque[float] = deque(maxlen=MOST_BACK_END_DEATHS)  # host monotonic
+        self._back_ends_died_s: deque[float] = deque(maxlen=MAX_BACK_END_DEATHS)  # host monotonic
         self._orphaned: tuple[str, float] | None = None  # why there is no mapper, and since when
         self._is_finishing = False
         self._finished = threading.Event()
@@ -171,7 +171,7 @@ class MapperLink:
         Raises OverflowError where so many items wait that the mapper must be stuck.
         """
         with self._lock:
-            if len(self._kept) >= MOST_KEPT:
+            if len(self._kept) >= MAX_KEPT:
                 raise OverflowError(f"{len(self._kept)} items wait for the mapper; it is stuck")
             self._number = item.number
             if self._keeps_items:
@@ -182,7 +182,7 @@ class MapperLink:
                 return
             if is_sample(item):
                 self._held.append(item)
-                if item.arrived_ns - self._held[0].arrived_ns > HOLD_NS or len(self._held) > MOST_HELD:
+                if item.arrived_ns - self._held[0].arrived_ns > HOLD_NS or len(self._held) > MAX_HELD:
                     self._send_held()
             else:
                 self._send_held(item)
@@ -411,9 +411,9 @@ class MapperLink:
             raise MapperLostError(f"the mapper's process {how} before it was ready; its log stands above")
         deaths, at_number = self._deaths
         self._deaths = (deaths + 1 if at_number == self._done_number else 1, self._done_number)
-        if self._deaths[0] >= MOST_DEATHS:
+        if self._deaths[0] >= MAX_DEATHS:
             raise MapperLostError(
-                f"the mapper's process {how}, {MOST_DEATHS} times after item {self._done_number}"
+                f"the mapper's process {how}, {MAX_DEATHS} times after item {self._done_number}"
             )
         self.restarts += 1
         self._orphaned = (how, time.monotonic())
@@ -452,7 +452,7 @@ class MapperLink:
 
     def _back_end_dies_again_and_again(self) -> bool:
         died_s = self._back_ends_died_s
-        return len(died_s) == MOST_BACK_END_DEATHS and died_s[-1] - died_s[0] < BACK_END_DEATHS_WITHIN_S
+        return len(died_s) == MAX_BACK_END_DEATHS and died_s[-1] - died_s[0] < BACK_END_DEATHS_WITHIN_S
 
     def _end_active(self) -> None:
         with self._lock:

@@ -63,7 +63,7 @@ log = logging.getLogger(__name__)
 
 IDLE_S = 0.2  # how long to wait for an item before the loop looks after tiles anyway
 CONNECT_S = 10.0
-MOST_AT_ONCE = 100  # samples taken without a look at what else there is to do
+MAX_AT_ONCE = 100  # samples taken without a look at what else there is to do
 
 
 class MapperProcess:
@@ -149,7 +149,7 @@ class MapperProcess:
             self._back_end.stop()
 
     def _take_up_to_scan(self) -> None:
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(MAX_AT_ONCE):
             if not self._items:
                 return
             item = self._items.popleft()

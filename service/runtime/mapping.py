@@ -48,11 +48,11 @@ from service.timing.words import kind_of
 TILE_INTERVAL_NS = 200_000_000
 TILES_OVERDUE_NS = 1_000_000_000  # then they are handed over though items wait
 # Handed over between two items, which takes 1 to 2 ms. A loop that closes may change all tiles of a map.
-MOST_TILES = 64
+MAX_TILES = 64
 STATUS_INTERVAL_NS = 200_000_000
 STANDING_INTERVAL_NS = 2_000_000_000
 STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
-MOST_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
+MAX_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
 
 log = logging.getLogger(__name__)
 
@@ -161,7 +161,7 @@ class MappingLoop:
         """Hand over tiles and tell the status where they are due; between two items."""
         now_ns = self._monotonic_ns()
         if self.is_up_to_date and now_ns >= self._tiles_due_ns + (0 if is_idle else TILES_OVERDUE_NS):
-            self.hand_over_tiles(MOST_TILES)
+            self.hand_over_tiles(MAX_TILES)
             self._tiles_due_ns = now_ns + (0 if self.has_tiles else TILE_INTERVAL_NS)
         if now_ns >= self._standing_due_ns + (0 if is_idle else STANDING_OVERDUE_NS):
             self._standing_due_ns = now_ns + STANDING_INTERVAL_NS
@@ -322,7 +322,7 @@ class MappingLoop:
         if item.number <= self._done_number:
             return item.number in self._decided.passed_over
         age_ns = self._monotonic_ns() - item.arrived_ns
-        if age_ns <= max(MOST_AGE_NS, 2 * scan.scan_period_ns) or not self.mapper.maps(scan):
+        if age_ns <= max(MAX_AGE_NS, 2 * scan.scan_period_ns) or not self.mapper.maps(scan):
             return False
         self._send(PassedOver(item.number, item.log_ns, item.sensor, age_ns))
         return True

@@ -9,7 +9,7 @@ _GROWTH = 1.02  # a bucket is 2 % wide, so a percentile is good to 1 %
 _LOG_GROWTH = math.log(_GROWTH)
 _BUCKETS = math.ceil(math.log(1e12 / _SMALLEST_NS) / _LOG_GROWTH)  # up to 1000 s
 
-LEAST_INTERVAL_NS = 500_000_000  # of a rate: one more or less then matters little
+MIN_INTERVAL_NS = 500_000_000  # of a rate: one more or less then matters little
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class RateMeter:
         before where that is too short ago.
         """
         if self._last is not None:
-            if now_ns - self._last[1] < LEAST_INTERVAL_NS:
+            if now_ns - self._last[1] < MIN_INTERVAL_NS:
                 return self.rate_hz
             self.rate_hz = (count - self._last[0]) * 1e9 / (now_ns - self._last[1])
         self._last = (count, now_ns)

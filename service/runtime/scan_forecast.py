@@ -3,7 +3,7 @@
 from collections import deque
 
 ARRIVALS = 9  # of each laser: the median of the eight times between them is its period
-MOST_PERIODS = 3  # without a scan; then a laser is silent, and nothing is expected of it
+MAX_PERIODS = 3  # without a scan; then a laser is silent, and nothing is expected of it
 
 
 class ScanForecast:
@@ -25,6 +25,6 @@ class ScanForecast:
             times_ns = sorted(b - a for a, b in zip(arrivals, list(arrivals)[1:], strict=False))
             period_ns = times_ns[len(times_ns) // 2]
             silent_ns = now_ns - arrivals[-1]
-            if silent_ns <= MOST_PERIODS * period_ns:
+            if silent_ns <= MAX_PERIODS * period_ns:
                 pauses_ns.append(max(period_ns - silent_ns, 0))
         return min(pauses_ns, default=None)

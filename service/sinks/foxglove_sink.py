@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-MOST_WAITING = 2000  # messages, a few seconds of five devices; then the oldest goes
+MAX_WAITING = 2000  # messages, a few seconds of five devices; then the oldest goes
 BACKLOG = 1024  # messages for one client that reads slowly; then its oldest goes
 MAP_PERIOD_S = 1.0
 RETRY_S = 5.0
@@ -82,7 +82,7 @@ class FoxgloveSink(Sink):
             opened = self._channels.get(message.channel)
             if opened is not None and not opened.has_sinks():
                 return
-            if len(self._waiting) >= MOST_WAITING:
+            if len(self._waiting) >= MAX_WAITING:
                 self._waiting.popleft()
                 self._dropped += 1
             self._waiting.append(message)

@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 
 EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
 GRAPH_S = 5.0  # that the graph may take to be put away when somebody asks for the map
-MOST_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
-MOST_ASKED = 64
+MAX_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
+MAX_ASKED = 64
 # A graph folder that has not changed for so long, while checkpoints come, is of a session that was killed.
 ABANDONED_S = 3600.0
 
@@ -162,14 +162,14 @@ class MapSaver(Sink):
         with_graph   the graph is put away before, as it is now; within GRAPH_S, else as it was last
 
         A map that has ended before it is saved so is saved in its folder alone, and `saved` hears of that.
-        Where MOST_ASKED wait already, it hears so at once, in the caller's thread.
+        Where MAX_ASKED wait already, it hears so at once, in the caller's thread.
         """
         if refused := self._take(_Asked(saved, name, with_graph, self._tiles.number)):
             saved(None, f"not saved: {refused}")
 
     def put_graph_away(self, then: Callable[[], None]) -> None:
         """Have the graph of the present map put away soon, as it is now, for the map to end. `then` is called
-        in the sink's thread: when it is, or not within GRAPH_S. Raises StorageError where MOST_ASKED wait
+        in the sink's thread: when it is, or not within GRAPH_S. Raises StorageError where MAX_ASKED wait
         already; then it is never called.
         """
         if refused := self._take(_GraphAsked(then)):
@@ -178,9 +178,9 @@ class MapSaver(Sink):
     def _take(self, asked: _Asked | _GraphAsked) -> str:
         """Why it is not taken, "" if it is."""
         with self._wake:
-            if len(self._asked) >= MOST_ASKED:
+            if len(self._asked) >= MAX_ASKED:
                 return (
-                    f"{MOST_ASKED} requests wait for the disk of {self.folder.parent}; look whether it is "
+                    f"{MAX_ASKED} requests wait for the disk of {self.folder.parent}; look whether it is "
                     "full, slow or gone, and ask again"
                 )
             self._asked.append(asked)
@@ -252,11 +252,11 @@ class MapSaver(Sink):
         self._unsaved += ended
         self._present = present
         self._remove_overtaken_graphs(present)
-        while len(self._unsaved) > MOST_UNSAVED:
+        while len(self._unsaved) > MAX_UNSAVED:
             lost = self._unsaved.pop(0)
             self._let_go_of(lost.number)
             self._given_up = (
-                f"map {lost.number} of this run is not saved: more than {MOST_UNSAVED} ended maps wait to be "
+                f"map {lost.number} of this run is not saved: more than {MAX_UNSAVED} ended maps wait to be "
                 f"saved under {self._folder.parent}; make room there, or change map.directory"
             )
             self._ended[lost.number] = (None, self._given_up)

@@ -11,15 +11,15 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-MOST_AHEAD_NS = 50_000_000  # of the log: two computers that keep each other's time
-MOST_LATENCY_NS = 1_000_000_000  # from a measurement to its log time
-MOST_CHANGE_NS = 250_000_000  # of the delay, from the first half of the messages to the second
-LEAST_SHARE = 0.6  # of the messages, whose delays agree
-LEAST_ORDINARY = 0.3  # of the messages, where the newest are: the others were stamped by a clock that was set
-LEAST_MESSAGES = 3
+MAX_AHEAD_NS = 50_000_000  # of the log: two computers that keep each other's time
+MAX_LATENCY_NS = 1_000_000_000  # from a measurement to its log time
+MAX_CHANGE_NS = 250_000_000  # of the delay, from the first half of the messages to the second
+MIN_SHARE = 0.6  # of the messages, whose delays agree
+MIN_ORDINARY = 0.3  # of the messages, where the newest are: the others were stamped by a clock that was set
+MIN_MESSAGES = 3
 FASTEST_SHARE = 0.05  # of the delays are passed over in search of the fastest: single stamps may be ahead
 SHORTEST_WAY_NS = 2_000_000  # of a message to the log; 0.3 to 3 ms by device, docs/decisions/0003-time.md
-LEAST_SIGMA_NS = 5_000_000  # of an offset, as log times do not tell that
+MIN_SIGMA_NS = 5_000_000  # of an offset, as log times do not tell that
 
 Verdict = Literal["ordinary", "offset", "coarse", "inconsistent"]
 Stamps = npt.NDArray[np.int64]
@@ -43,19 +43,19 @@ class Clock:
 
 def is_ordinary(delay_ns: int) -> bool:
     """Whether a stamp may be of the clock of the log."""
-    return -MOST_AHEAD_NS <= delay_ns <= MOST_LATENCY_NS
+    return -MAX_AHEAD_NS <= delay_ns <= MAX_LATENCY_NS
 
 
 def clock_of(stamp_ns: Sequence[int], log_ns: Sequence[int]) -> Clock:
     """Of messages in the order of their log times; one or more."""
     stamps, logs = np.array(stamp_ns, np.int64), np.array(log_ns, np.int64)
     delays = logs - stamps
-    near = delays[np.abs(delays - _middle(delays)) <= MOST_LATENCY_NS]
-    ordinary = (delays >= -MOST_AHEAD_NS) & (delays <= MOST_LATENCY_NS)
-    if is_kept := ordinary.mean() >= LEAST_ORDINARY and bool(ordinary[-LEAST_MESSAGES:].all()):
+    near = delays[np.abs(delays - _middle(delays)) <= MAX_LATENCY_NS]
+    ordinary = (delays >= -MAX_AHEAD_NS) & (delays <= MAX_LATENCY_NS)
+    if is_kept := ordinary.mean() >= MIN_ORDINARY and bool(ordinary[-MIN_MESSAGES:].all()):
         near = delays[ordinary]
     fastest_ns = int(np.sort(near)[int(FASTEST_SHARE * len(near))])
-    sigma_ns = max(int((near - fastest_ns).mean()), LEAST_SIGMA_NS)
+    sigma_ns = max(int((near - fastest_ns).mean()), MIN_SIGMA_NS)
     distinct = len(np.unique(stamps))
     return Clock(
         _verdict(stamps, logs, near, is_kept), fastest_ns - SHORTEST_WAY_NS, sigma_ns, len(stamps), distinct
@@ -65,11 +65,11 @@ def clock_of(stamp_ns: Sequence[int], log_ns: Sequence[int]) -> Clock:
 def _verdict(stamps: Stamps, logs: Stamps, near: Stamps, is_kept: bool) -> Verdict:
     """near: delays that agree, in their order; is_kept: they are those of the clock of the log."""
     count = len(stamps)
-    if count >= LEAST_MESSAGES and len(np.unique(stamps)) <= LEAST_SHARE * count < len(np.unique(logs)):
+    if count >= MIN_MESSAGES and len(np.unique(stamps)) <= MIN_SHARE * count < len(np.unique(logs)):
         return "coarse"
     if is_kept:
         return "ordinary"
-    if count < LEAST_MESSAGES or len(near) < LEAST_SHARE * count or _changes(near):
+    if count < MIN_MESSAGES or len(near) < MIN_SHARE * count or _changes(near):
         return "inconsistent"
     return "ordinary" if is_ordinary(_middle(near)) else "offset"
 
@@ -77,7 +77,7 @@ def _verdict(stamps: Stamps, logs: Stamps, near: Stamps, is_kept: bool) -> Verdi
 def _changes(delays: Stamps) -> bool:
     """Whether stamps run at another pace than the log."""
     half = len(delays) // 2
-    return half >= 2 and abs(_middle(delays[half:]) - _middle(delays[:half])) > MOST_CHANGE_NS
+    return half >= 2 and abs(_middle(delays[half:]) - _middle(delays[:half])) > MAX_CHANGE_NS
 
 
 def _middle(values: Stamps) -> int:

@@ -11,7 +11,7 @@ from drivers.frames import LaserScan
 
 TOLERANCE = 0.1  # of two durations that are the same: motors, rounded fields
 SHORTEST_TURN_S = 0.009  # no planar laser turns more than 100 times a second
-MOST_SWEEPS = 1.05  # of the period: a mirror that swings measures all the time
+MAX_SWEEPS = 1.05  # of the period: a mirror that swings measures all the time
 # Lasers of which logs have other scan_times than their turn: degrees from beam to beam -> s that a turn takes
 # by the fields, for SICK LMS2xx (75 Hz; a scan of 0.5 deg is of two turns, of 0.25 deg of four) and LMS1xx
 # (25 and 50 Hz).
@@ -80,7 +80,7 @@ def judge(scan: LaserScan, period_s: float | None) -> SweepTime:
         if told_s == 0.0 or _are_same(told_s, period):
             return BELIEVED
         return SweepTime(None, period, f"{what}, so scan_time is wrong and the measured period is used")
-    if turn > period and abs(sweep_s / period - 1.0) <= MOST_SWEEPS - 1.0:
+    if turn > period and abs(sweep_s / period - 1.0) <= MAX_SWEEPS - 1.0:
         if _are_same(turn, told_s):
             return BELIEVED  # sectors of a turn, each a message
         return SweepTime(None, None, f"{what}, which the sweep of {_time(sweep_s)} fills though {_FILLS}")

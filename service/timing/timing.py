@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 from drivers.counted import counted
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
-from service.timing.delays import LEAST_MESSAGES, MOST_LATENCY_NS, Clock, is_ordinary
+from service.timing.delays import MAX_LATENCY_NS, MIN_MESSAGES, Clock, is_ordinary
 from service.timing.topic import CERTAIN, EARLY, FAR, LATE, NO_CLOCK, SAME, Topic
 from service.timing.words import seconds
 
 WAIT_NS = 1_000_000_000  # log time from the first scan, in which doubtful topics are looked at
-MOST_WAIT_NS = 5_000_000_000  # ... where they have few messages
-MOST_WAITING = 5_000  # frames after the first scan: log times may stand still
-MOST_SAMPLES = 200_000  # before the first scan
+MAX_WAIT_NS = 5_000_000_000  # ... where they have few messages
+MAX_WAITING = 5_000  # frames after the first scan: log times may stand still
+MAX_SAMPLES = 200_000  # before the first scan
 LONG_BEFORE_NS = 5_000_000_000  # the first scan: then a topic has ended
 ELSEWHERE_NS = 60_000_000_000  # between stamps that are of one drive, where log times say nothing
-LEAST_MESSAGES_LIVE = 100  # of a topic, before the share that is dropped is a warning
+MIN_MESSAGES_LIVE = 100  # of a topic, before the share that is dropped is a warning
 
 KINDS: dict[type[Frame], str] = {
     LaserScan: "scan",
@@ -113,7 +113,7 @@ class Timing:
     @property
     def warnings(self) -> list[str]:
         """A sentence each, by topic."""
-        least = 1 if self._is_finished else LEAST_MESSAGES_LIVE
+        least = 1 if self._is_finished else MIN_MESSAGES_LIVE
         lines = [line for topic in self._topics.values() for line in topic.warnings(least)]
         if self._is_finished and self._has_begun:
             lines += [
@@ -150,7 +150,7 @@ class Timing:
     def _can_begin(self, first: LaserScan, now_ns: int) -> bool:
         doubtful = [topic for topic in self._topics.values() if topic.is_doubtful]
         waited_ns = now_ns - first.arrived_ns
-        if not doubtful or waited_ns >= MOST_WAIT_NS or len(self._waiting) >= MOST_WAITING:
+        if not doubtful or waited_ns >= MAX_WAIT_NS or len(self._waiting) >= MAX_WAITING:
             return True
         return waited_ns >= WAIT_NS and all(topic.waiting >= CERTAIN for topic in doubtful)
 
@@ -171,7 +171,7 @@ class Timing:
         clocks = {topic: topic.clock for topic in here}
         self._log_offset_ns = _log_offset_ns(clocks)
         # those with hardly a message go on waiting, unless nothing speaks against them
-        few = [t for t in here if t.is_doubtful and t.waiting < LEAST_MESSAGES and not t.is_scan]
+        few = [t for t in here if t.is_doubtful and t.waiting < MIN_MESSAGES and not t.is_scan]
         return self._settled([topic for topic in here if topic not in few])
 
     def _settled(self, topics: Collection[Topic]) -> list[Timed]:
@@ -195,9 +195,9 @@ class Timing:
         self._waiting = [one for one in self._waiting if one.topic is not topic]
 
     def _forget_oldest(self) -> None:
-        if len(self._waiting) > MOST_SAMPLES:
-            half = self._waiting[: MOST_SAMPLES // 2]
-            del self._waiting[: MOST_SAMPLES // 2]
+        if len(self._waiting) > MAX_SAMPLES:
+            half = self._waiting[: MAX_SAMPLES // 2]
+            del self._waiting[: MAX_SAMPLES // 2]
             for one in half:
                 one.topic.dropped[EARLY] += 1
             self._counters[_COUNTED[False, EARLY]] += len(half)
@@ -212,9 +212,9 @@ def _log_offset_ns(clocks: Mapping[Topic, Clock]) -> int | None:
     if any(clock.verdict == "ordinary" for clock in clocks.values()):
         return 0
     for of_scans in scans:
-        if of_scans.verdict == "offset" or of_scans.messages < LEAST_MESSAGES:
+        if of_scans.verdict == "offset" or of_scans.messages < MIN_MESSAGES:
             offsets = [clock.offset_ns for clock in clocks.values() if clock.verdict == "offset"]
-            near = [d for d in offsets if abs(d - of_scans.offset_ns) <= MOST_LATENCY_NS]
+            near = [d for d in offsets if abs(d - of_scans.offset_ns) <= MAX_LATENCY_NS]
             return min([*near, of_scans.offset_ns])
     return 0 if any(clock.verdict == "coarse" for clock in scans) else None
 
@@ -238,14 +238,14 @@ def _choose_source(
             f"{counted(clock.distinct, 'stamp')} in {clock.messages} messages do not tell them apart; their "
             f"log times are used instead{sweep}. Does its driver set header.stamp?"
         )
-    elif clock.verdict == "inconsistent" and clock.messages >= LEAST_MESSAGES:
+    elif clock.verdict == "inconsistent" and clock.messages >= MIN_MESSAGES:
         topic.source = "log" if topic.is_scan else "none"
         used = "their log times are used instead" if topic.is_scan else "it is left out"
         topic.findings.append(
             f"its stamps neither keep to the log times nor have a constant offset to them ({clock.messages} "
             f"messages, fastest delay {seconds(clock.offset_ns)}); {used}"
         )
-    elif clock.messages >= LEAST_MESSAGES and not is_ordinary(clock.offset_ns - log_offset_ns):
+    elif clock.messages >= MIN_MESSAGES and not is_ordinary(clock.offset_ns - log_offset_ns):
         topic.shift_ns = clock.offset_ns - log_offset_ns - topic.sweep_ns
         behind = "behind" if topic.shift_ns > 0 else "ahead of"
         topic.findings.append(

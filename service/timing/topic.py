@@ -9,8 +9,8 @@ from typing import Literal
 from drivers.counted import counted
 from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.timing.delays import (
-    MOST_AHEAD_NS,
-    MOST_LATENCY_NS,
+    MAX_AHEAD_NS,
+    MAX_LATENCY_NS,
     SHORTEST_WAY_NS,
     Clock,
     clock_of,
@@ -24,18 +24,18 @@ NEW_CLOCK = 10  # messages in a row whose delay has changed by the same: then th
 SAME_CHANGE_NS = 250_000_000  # between two of their delays
 FASTEST_FADES_NS = 5_000_000  # a message
 FARTHEST_AHEAD_NS = 1_000_000_000  # that a clock may drift to: then it counts as set
-MOST_STEP_NS = 60_000_000_000  # from stamp to stamp, where log times say nothing
+MAX_STEP_NS = 60_000_000_000  # from stamp to stamp, where log times say nothing
 PERIOD_SCANS = 20  # by which the period of scans is known well
 COARSE_NS = 1_000_000_000
-LEAST_SAME, MOST_SAME = 5, 0.3  # messages with the stamp of the one before, and their share, of coarse stamps
-CERTAIN, MOST_ODD = 5, 0.4  # messages, and the share of them that single odd stamps may be
-MOST_DROPPED = 0.05  # of a topic's messages; more is a warning
+MIN_SAME, MAX_SAME = 5, 0.3  # messages with the stamp of the one before, and their share, of coarse stamps
+CERTAIN, MAX_ODD = 5, 0.4  # messages, and the share of them that single odd stamps may be
+MAX_DROPPED = 0.05  # of a topic's messages; more is a warning
 PACE_MESSAGES = 20  # at the beginning and at the end, by whose fastest delays a drift is known
-MOST_DRIFT_NS = 200_000_000
+MAX_DRIFT_NS = 200_000_000
 EVEN_STEPS, EVEN = 10, 0.2  # log times from message to message, and by which share of them they differ
-MOST_USUAL_DELAY_NS = 250_000_000  # of the fastest messages, to the log
+MAX_USUAL_DELAY_NS = 250_000_000  # of the fastest messages, to the log
 SAME_TURN = 0.1
-LEAST_LAG_S, LAG_SIGMAS = 0.045, 5.0  # by the rates of turn; less the motion model finds by itself
+MIN_LAG_S, LAG_SIGMAS = 0.045, 5.0  # by the rates of turn; less the motion model finds by itself
 
 FAR, LATE, SAME = "with a stamp far from those around it", "out of order", "with the stamp of the one before"
 NO_CLOCK, EARLY = "of a topic that is left out", "long before the first scan"
@@ -86,7 +86,7 @@ class Topic:
         """Whether more of its messages have to be seen before one is used."""
         if self._scan is not None and not agree_by_themselves(self._scan):
             return True
-        has_odd = self._odd > (MOST_ODD * len(self._looked) if len(self._looked) >= CERTAIN else 0)
+        has_odd = self._odd > (MAX_ODD * len(self._looked) if len(self._looked) >= CERTAIN else 0)
         return self._is_coarse or has_odd
 
     @property
@@ -157,7 +157,7 @@ class Topic:
         Where log times have told an offset, it is refined. Stamps that keep to the log are used as they are.
         """
         lag = self._turns.add_scan(stamp_ns, heading_rad)
-        if lag is None or self._has_lag or abs(lag.lag_s) < max(LEAST_LAG_S, LAG_SIGMAS * lag.sigma_s):
+        if lag is None or self._has_lag or abs(lag.lag_s) < max(MIN_LAG_S, LAG_SIGMAS * lag.sigma_s):
             return
         self._has_lag = True
         used = "they are used as they are"
@@ -185,19 +185,19 @@ class Topic:
                 f"its clock was set {counted(len(self._sets), 'time')}, first by {seconds(-self._sets[0])}, "
                 f"by {seconds(-sum(self._sets))} in all; its stamps go on as before"
             )
-        if (drift_ns := self._drift_ns) is not None and abs(drift_ns) > MOST_DRIFT_NS:
+        if (drift_ns := self._drift_ns) is not None and abs(drift_ns) > MAX_DRIFT_NS:
             pace = "slower" if drift_ns > 0 else "faster"
             lines.append(
                 f"its stamps run {pace} than the log, by {seconds(abs(drift_ns))} since the beginning; they "
                 "are used. Is its clock right, or is its link too slow?"
             )
-        if (delay_ns := self._least_delay_ns) is not None and delay_ns > MOST_USUAL_DELAY_NS:
+        if (delay_ns := self._least_delay_ns) is not None and delay_ns > MAX_USUAL_DELAY_NS:
             lines.append(
                 f"its messages come at least {seconds(delay_ns)} after their stamps by the log; the stamps "
                 "are used as they are. Is its clock behind, or its link slow?"
             )
         count = self.dropped.total()
-        if self.messages >= least_messages and count > MOST_DROPPED * self.messages:
+        if self.messages >= least_messages and count > MAX_DROPPED * self.messages:
             causes = ", ".join(f"{n} {cause}" for cause, n in self.dropped.most_common())
             lines.append(f"{share(count, self.messages)} messages are dropped: {causes}")
         return [f"{self.name}: {line}" for line in lines]
@@ -238,7 +238,7 @@ class Topic:
         assert self.first_ns is not None
         usual_ns = (self.newest_ns - self.first_ns) / self.messages
         self._same += log_ns - self._newest_log_ns > 0.5 * usual_ns  # a copy comes at once
-        if self._same < LEAST_SAME or self._same <= MOST_SAME * self.messages:
+        if self._same < MIN_SAME or self._same <= MAX_SAME * self.messages:
             return False
         self.source = "log"
         self.findings.append(
@@ -252,11 +252,11 @@ class Topic:
         stamp_ns = frame.stamp_ns + self.shift_ns
         if log_offset_ns is None:
             log_ns = stamp_ns if self._stamp_ns is None else self._stamp_ns
-            is_near = abs(log_ns - stamp_ns) <= MOST_STEP_NS
+            is_near = abs(log_ns - stamp_ns) <= MAX_STEP_NS
         else:
             log_ns = frame.arrived_ns - log_offset_ns
-            ahead_ns = max(min(self._fastest_ns - MOST_AHEAD_NS, 0), -FARTHEST_AHEAD_NS)
-            is_near = ahead_ns <= log_ns - stamp_ns <= max(self._delay_ns, 0) + MOST_LATENCY_NS
+            ahead_ns = max(min(self._fastest_ns - MAX_AHEAD_NS, 0), -FARTHEST_AHEAD_NS)
+            is_near = ahead_ns <= log_ns - stamp_ns <= max(self._delay_ns, 0) + MAX_LATENCY_NS
         delay_ns = log_ns - stamp_ns
         is_set_right = self.shift_ns and log_offset_ns is not None and is_ordinary(delay_ns + self.shift_ns)
         if not is_near and is_set_right:
@@ -307,7 +307,7 @@ class Topic:
         did this one. One that is late comes unevenly; after a stall each comes less late than the one before.
         """
         steps, delays = self._log_steps_ns, list(self._last_delays)[-EVEN_STEPS:]
-        if abs(delay_ns - self._delay_ns) <= MOST_AHEAD_NS or len(delays) < EVEN_STEPS:
+        if abs(delay_ns - self._delay_ns) <= MAX_AHEAD_NS or len(delays) < EVEN_STEPS:
             return False
         return max(max(steps) - min(steps), max(delays) - min(delays)) <= EVEN * max(steps)
 

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-MOST_LAG_S, STEP_S = 1.2, 0.03
+MAX_LAG_S, STEP_S = 1.2, 0.03
 LONGEST_GAP_S = 0.6  # between two scans
 SCANS, SAMPLES = 400, 8192  # the newest count
-FIRST_JUDGED, MOST_BETWEEN = 40, 1600  # scans; judged at twice as many each time, at last each so many
-LEAST_PAIRS = 25
-LEAST_RATE_RADPS = 0.05  # standard deviation of the rate of turn: below, nothing tells the lag
-LEAST_CORRELATION = 0.9
-MOST_UNEXPLAINED = 0.35  # of the variance that a lag of 0 leaves unexplained: an offset explains the rest
+FIRST_JUDGED, MAX_BETWEEN = 40, 1600  # scans; judged at twice as many each time, at last each so many
+MIN_PAIRS = 25
+MIN_RATE_RADPS = 0.05  # standard deviation of the rate of turn: below, nothing tells the lag
+MIN_CORRELATION = 0.9
+MAX_UNEXPLAINED = 0.35  # of the variance that a lag of 0 leaves unexplained: an offset explains the rest
 SAME_LAG_S = 0.05  # by each half of the turns
 SAME_ERRORS = 4.0  # scans whose headings have the same error
 
@@ -56,7 +56,7 @@ class TurnLag:
         self._count += 1
         if self._count < self._judged_at:
             return None
-        self._judged_at += min(self._judged_at, MOST_BETWEEN)
+        self._judged_at += min(self._judged_at, MAX_BETWEEN)
         return self._judged()
 
     def _judged(self) -> Lag | None:
@@ -66,7 +66,7 @@ class TurnLag:
         began_ns = scans[0, 0]
         times, heading = (scans[:, 0] - began_ns) * 1e-9, scans[:, 1]
         sampled, turn = (samples[:, 0] - began_ns) * 1e-9, np.unwrap(samples[:, 1])
-        is_known = (times > sampled[0] + MOST_LAG_S) & (times < sampled[-1] - MOST_LAG_S)
+        is_known = (times > sampled[0] + MAX_LAG_S) & (times < sampled[-1] - MAX_LAG_S)
         gap = np.diff(times)
         pairs = (
             is_known[1:]
@@ -75,12 +75,12 @@ class TurnLag:
             & (gap <= LONGEST_GAP_S)
             & np.isfinite(np.diff(heading))
         )
-        if pairs.sum() < LEAST_PAIRS:
+        if pairs.sum() < MIN_PAIRS:
             return None
         turned = (np.diff(heading)[pairs] + math.pi) % math.tau - math.pi
-        if np.std(turned / gap[pairs]) < LEAST_RATE_RADPS:
+        if np.std(turned / gap[pairs]) < MIN_RATE_RADPS:
             return None
-        lags = np.arange(-MOST_LAG_S, MOST_LAG_S + 0.5 * STEP_S, STEP_S)
+        lags = np.arange(-MAX_LAG_S, MAX_LAG_S + 0.5 * STEP_S, STEP_S)
         told = np.diff(np.interp(times[None, :] + lags[:, None], sampled, turn), axis=1)[:, pairs]
         half = int(np.searchsorted(np.cumsum(np.abs(turned)), 0.5 * np.abs(turned).sum()))
         halves = [best_lag(turned[part], told[:, part], lags) for part in (slice(half), slice(half, None))]
@@ -106,7 +106,7 @@ def best_lag(
     correlation = (y @ x) / np.sqrt(power * (x @ x))
     best = int(correlation.argmax())
     none = len(lags_s) // 2
-    if best in (0, none, len(lags_s) - 1) or correlation[best] < LEAST_CORRELATION:
+    if best in (0, none, len(lags_s) - 1) or correlation[best] < MIN_CORRELATION:
         return None
     left, top, right = correlation[best - 1 : best + 2]
     if (curvature := left - 2.0 * top + right) == 0.0:
@@ -114,7 +114,7 @@ def best_lag(
     shift = 0.5 * (left - right) / curvature
     lag_s = float(lags_s[best] + shift * (lags_s[1] - lags_s[0]))
     left_over = max(1.0 - correlation[best] ** 2, 0.0)
-    if left_over > MOST_UNEXPLAINED * (1.0 - max(correlation[none], 0.0) ** 2):
+    if left_over > MAX_UNEXPLAINED * (1.0 - max(correlation[none], 0.0) ** 2):
         return None
     scale = (y[best] @ x) / power[best]
     slope = scale * (y[best + 1] - y[best - 1]) / (lags_s[2] - lags_s[0])

@@ -24,9 +24,9 @@ log = logging.getLogger(__name__)
 SEND_TIMEOUT_S = 10.0  # a browser that has not read for so long is let go; it comes back by itself
 CLOSE_TIMEOUT_S = 1.0
 TILE_PERIOD_S = 0.5
-MOST_WRONG_TOKENS = 5
-MOST_COMMANDS = 4  # of one browser, being carried out
-MOST_ASKED_PER_S = 20.0
+MAX_WRONG_TOKENS = 5
+MAX_COMMANDS = 4  # of one browser, being carried out
+MAX_ASKED_PER_S = 20.0
 ASKED_BURST = 40.0
 
 CarryOut = Callable[[CommandAsked | ResourceAsked], Awaitable[dict[str, Any]]]  # -> the answer's body
@@ -117,7 +117,7 @@ class Browser:
 
     def _is_allowed_one_more(self) -> bool:
         now_s = asyncio.get_running_loop().time()
-        earned = (now_s - self._asked_s) * MOST_ASKED_PER_S
+        earned = (now_s - self._asked_s) * MAX_ASKED_PER_S
         self._asked_s = now_s
         self._allowance = min(ASKED_BURST, self._allowance + earned) - 1.0
         return self._allowance >= 0.0
@@ -130,7 +130,7 @@ class Browser:
         if not self.may_control:
             self._wrong_tokens += 1
             log.warning("web: wrong token from %s", self._name)
-        if self._wrong_tokens < MOST_WRONG_TOKENS:
+        if self._wrong_tokens < MAX_WRONG_TOKENS:
             return True
         await self.let_go(WSCloseCode.POLICY_VIOLATION, "too many wrong tokens")
         return False
@@ -139,8 +139,8 @@ class Browser:
         is_looking = isinstance(asked, ResourceAsked) and asked.action == "list"
         if not self.may_control and not is_looking:
             self._answer(asked.n, {"ok": False, "error": "this needs the token; you may only look"})
-        elif len(self._commands) >= MOST_COMMANDS:
-            words = f"{MOST_COMMANDS} commands of this page are being carried out; wait for one to end"
+        elif len(self._commands) >= MAX_COMMANDS:
+            words = f"{MAX_COMMANDS} commands of this page are being carried out; wait for one to end"
             self._answer(asked.n, {"ok": False, "error": words})
         else:
             task = asyncio.create_task(self._command(asked))

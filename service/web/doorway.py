@@ -12,7 +12,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
 CONNECTIONS_A_BROWSER = 4  # one is its websocket; more to fetch the page faster
-LEAST_CONNECTIONS = 32
+MIN_CONNECTIONS = 32
 IDLE_S = 15.0  # without a whole request; a websocket is one that lasts
 HANDSHAKE_S = 10.0  # of TLS
 AT_ONCE = 16  # connections that asyncio accepts before any of them counts: so many may be too many
@@ -32,7 +32,7 @@ class Doorway:
     """refused(): called for each connection too many, and for each request that breaks HTTP."""
 
     def __init__(self, most_browsers: int, refused: Callable[[], None]) -> None:
-        self._most = max(LEAST_CONNECTIONS, CONNECTIONS_A_BROWSER * most_browsers)
+        self._most = max(MIN_CONNECTIONS, CONNECTIONS_A_BROWSER * most_browsers)
         self._refused = refused
         self._log = logging.Logger(f"{__name__}.http")  # of this page alone: it counts for its health
         self._log.parent = log

@@ -51,18 +51,18 @@ SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive 
 GRAPH_PERIOD_NS = 2_000_000_000  # at most 25 kB
 LATENCY_PERIOD_NS = 1_000_000_000
 KEPT_LATENCIES = 300  # five minutes
-MOST_EVENTS = 100
+MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
 UNTOLD = (
     APPLY_RESULT,
     "scan_passed_over",
     "frame_refused",
 )  # events that are counted in health, many a second
-MOST_WAYS = 200  # that wait to be shown
+MAX_WAYS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
 # A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins anew there.
 JUMP_M, FASTEST_MPS = 1.0, 20.0  # map_view.js has them, too
-MOST_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
+MAX_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class DrivenPath:
     where the pose jumped, between two stretches.
     """
 
-    def __init__(self, step_m: float = PATH_STEP_M, most: int = MOST_PATH_POINTS) -> None:
+    def __init__(self, step_m: float = PATH_STEP_M, most: int = MAX_PATH_POINTS) -> None:
         self._first_step_m = self._step_m = step_m
         self._most = most
         self._points: list[tuple[float, float]] = []
@@ -110,10 +110,10 @@ class _Streams:
     """What came and is not shown yet; guarded by the view's lock."""
 
     newest: dict[str, Message] = field(default_factory=dict)
-    events: deque[Message] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
+    events: deque[Message] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
     latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
     path: FloatArray | None = None  # in place of the path so far
-    way: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MOST_WAYS))  # behind it
+    way: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MAX_WAYS))  # behind it
     ready: dict[str, Payload] = field(default_factory=dict)  # by key
 
 
@@ -133,7 +133,7 @@ class LiveView:
         self._due_ns: dict[str, int] = {}  # by channel that is shown seldom
         self._latency_due_ns = 0
         self._latencies: deque[tuple[float, float, float, int]] = deque(maxlen=KEPT_LATENCIES)
-        self._events: deque[str] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[str] = deque(maxlen=MAX_EVENTS)
         self._kept: dict[str, Payload] = {}  # by key, for a browser that comes late
         self._path = DrivenPath()
         self._pose_before: Pose | None = None

@@ -5,7 +5,7 @@ from collections import deque
 
 Payload = str | bytes
 
-MOST_NOTES = 64  # the oldest goes
+MAX_NOTES = 64  # the oldest goes
 
 
 class Mailbox:
@@ -34,7 +34,7 @@ class Mailbox:
 
     def note(self, payload: Payload) -> None:
         """Something that happened; the newest are sent."""
-        if len(self._notes) >= MOST_NOTES:
+        if len(self._notes) >= MAX_NOTES:
             self._notes.popleft()
             self.dropped += 1
         self._notes.append(payload)

@@ -24,7 +24,7 @@ FORMATS: Mapping[Kind, tuple[str, ...]] = {  # the first is what is stored; the 
     "map": ("zip", "png", "pgm", "geotiff", "svg", "dxf", "ply", "pcd", "geojson"),
 }
 SUFFIXES = {"geotiff": "tif"}  # of formats that are called otherwise than their files
-MOST_LISTED = 500  # of a kind, newest first
+MAX_LISTED = 500  # of a kind, newest first
 DELETED = ".deleted"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
@@ -68,7 +68,7 @@ class Resources:
         for kind in self._folders:
             entries = [self._entry(path, in_use) for path in self._paths(kind)]
             entries.sort(key=lambda entry: (-entry["changed_s"], entry["name"]))
-            found[kind] = entries[:MOST_LISTED]
+            found[kind] = entries[:MAX_LISTED]
         return found
 
     def rename(self, kind: Kind, name: str, to: str) -> str:

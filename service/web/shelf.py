@@ -18,7 +18,7 @@ from service.web.resources import Download, Resources
 from service.web.work import ResourceError
 
 TICKET_S = 60.0
-MOST_TICKETS = 16
+MAX_TICKETS = 16
 
 
 class Shelf:
@@ -93,7 +93,7 @@ class Shelf:
 
     def _issue(self, ticket: str, download: Download) -> None:
         self._tickets[ticket] = download
-        while len(self._tickets) > MOST_TICKETS:
+        while len(self._tickets) > MAX_TICKETS:
             self._withdraw(next(iter(self._tickets)))
         asyncio.get_running_loop().call_later(TICKET_S, self._withdraw, ticket)
 

@@ -9,7 +9,7 @@ from typing import Protocol
 from service.outputs import TileUpdate
 from service.web.protocol import encode_tiles
 
-MOST_CELLS = 2**20  # in one message, 1 MiB before deflating: what a pose may have to wait for
+MAX_CELLS = 2**20  # in one message, 1 MiB before deflating: what a pose may have to wait for
 KEPT_BATCHES = 8
 
 
@@ -69,7 +69,7 @@ class TileFeed:
 def _batch_size(tiles: Sequence[TileUpdate]) -> int:
     """How many of the tiles, oldest change first, make a message: of one shape, and no version in two."""
     shape, cell_m = tiles[0].cells.shape, tiles[0].cell_m
-    most = max(1, MOST_CELLS // tiles[0].cells.size)
+    most = max(1, MAX_CELLS // tiles[0].cells.size)
     count = 1
     while count < len(tiles) and tiles[count].cells.shape == shape and tiles[count].cell_m == cell_m:
         if count >= most and tiles[count].version != tiles[count - 1].version:

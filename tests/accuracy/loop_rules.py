@@ -96,7 +96,7 @@ RULES = (
     Rule("nothing"),
     Rule("several loops, over 5 m of path", settings={"consensus_span_m": 1e-9}),
     Rule("one loop where the path leads to it", f"{GRAPH}.way_drift", {"CHI2_99_OF_3": -1.0}),
-    Rule("limit of drift", f"{GRAPH}.way_drift", {"MOST_DRIFT_CHI2": math.inf}),
+    Rule("limit of drift", f"{GRAPH}.way_drift", {"MAX_DRIFT_CHI2": math.inf}),
     Rule("unmatched steps as the motion model says", frame=unmatched_unknown),
     Rule(
         "more variance for steps with a low inlier ratio",
@@ -109,15 +109,15 @@ RULES = (
         {"align_with_shared_errors": SurfelSet.align},
     ),
     Rule("less what chance gives ([22])", f"{GRAPH}.candidate_submap", {"CHANCE_CHI2": 0.0}),
-    Rule("open directions as expected", f"{GRAPH}.candidate_submap", {"MOST_MOVES": 0}),
+    Rule("open directions as expected", f"{GRAPH}.candidate_submap", {"MAX_MOVES": 0}),
     Rule(
         "noise of the laser itself",
         f"{GRAPH}.candidate_submap",
         {"cloud_with_noise": lambda xy, normals, _: cloud_with_noise(xy, normals, LMS100.sigma_m)},
     ),
     Rule("unknown ground neutral", f"{GRAPH}.candidate_submap", {"UNKNOWN_LIKELIHOOD": 0.0}),
-    Rule("points in free space count", f"{GRAPH}.loop_back_end", {"MOST_AGAINST": 2.0}),
-    Rule("least inlier ratio", f"{GRAPH}.loop_back_end", {"LEAST_SHARE": 0.0}),
+    Rule("points in free space count", f"{GRAPH}.loop_back_end", {"MAX_AGAINST": 2.0}),
+    Rule("least inlier ratio", f"{GRAPH}.loop_back_end", {"MIN_SHARE": 0.0}),
     Rule("contradicted loops disabled", f"{GRAPH}.loop_back_end", {"CONTRADICTION_CHI2": math.inf}),
     Rule(
         "tolerance that grows with the path",

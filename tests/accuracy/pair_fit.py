@@ -18,7 +18,7 @@ NEIGHBOURS = 5  # of a return, itself among them: its line
 WIDEST_M = 0.6  # from a return to the farthest of them
 FLATTEST = 0.05  # variance across the line by that along it, at most
 REACH_M = 1.0  # from a return to the nearest of the other scan, which it lies beside then
-MOST_M = 0.3  # that a return counts: what moved meanwhile lies anywhere
+MAX_M = 0.3  # that a return counts: what moved meanwhile lies anywhere
 FEWEST = 20  # returns beside a line
 NEAR_NS = 200_000_000  # from the stamp of a relation to that of its scan
 
@@ -83,7 +83,7 @@ def mean_distance_m(here: FloatArray, there: FloatArray, pose_here_there: FloatA
     if used.sum() < FEWEST:
         return float("nan")
     across_m = np.abs(np.sum((moved - here[beside]) * axes[beside, :, 0], axis=1))
-    return float(np.minimum(across_m[used], MOST_M).mean())
+    return float(np.minimum(across_m[used], MAX_M).mean())
 
 
 def _covariances(groups: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ STAND_S = 0.5
 BEFORE_S, AFTER_S = 12.0, 10.0  # still, before and after
 KNOT_M = 0.05  # of the spline through the way of a lap
 LEGS = Limits(acceleration_mps2=0.8, lateral_mps2=0.8, turn_rate_radps=1.2)
-MOST_PEOPLE = 14
+MAX_PEOPLE = 14
 TRAINS_M = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0)
 TILT_RAD, LASER_HEIGHT_M = radians(3.0), 0.25
 RAMP_M = 2.6
@@ -99,7 +99,7 @@ def _people(
     beyond_m: float,
     speed: float | None,
     stage: Stage,
-    counts: Sequence[int] = range(1, MOST_PEOPLE + 1),
+    counts: Sequence[int] = range(1, MAX_PEOPLE + 1),
 ) -> Stage:
     """As many of these as it takes for their share of the returns.
 

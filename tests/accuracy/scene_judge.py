@@ -19,7 +19,7 @@ NORMED = 3.76  # of three coordinates a distance of so many is as rare as SIGMAS
 RIGHT_M = 0.1
 ALLOWED_PERCENT = 2.0  # of the way, where the sources that are left are good
 MAP_NS = 2_000_000_000  # before the fault: where the map has the vehicle then is right
-LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
+MIN_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def normed(errors: Floats, outputs: Sequence[MapperOutput]) -> Floats:
     """(N,) each error (3,) in standard deviations of its covariance."""
     return np.array(
         [
-            np.sqrt(error @ np.linalg.solve(output.covariance + LEAST_COVARIANCE, error))
+            np.sqrt(error @ np.linalg.solve(output.covariance + MIN_COVARIANCE, error))
             for error, output in zip(errors, outputs, strict=True)
         ]
     )

@@ -31,7 +31,7 @@ BROWSERS = 8
 WINDOW_S = 4.0
 SETTLE_S = 1.0  # at the begin of a window: browsers get the whole map first, or are gone
 SAMPLE_PERIOD_S = 0.1
-LEAST_SCANS = 100  # of a window: its 99th percentile means nothing below
+MIN_SCANS = 100  # of a window: its 99th percentile means nothing below
 PAGE_THREAD = "web-serve"
 READ = """
 import base64, json, os, socket, sys, time
@@ -162,7 +162,7 @@ def measure(seconds: float = SECONDS) -> dict[str, Any]:
     pairs = []
     for windows in watched.pairs():
         inside = [rows[(rows[:, 0] >= begin_s) & (rows[:, 0] < end_s), 1] for begin_s, end_s in windows]
-        if min(map(len, inside)) >= LEAST_SCANS:
+        if min(map(len, inside)) >= MIN_SCANS:
             pairs.append((windows, inside))
     watched_ms, alone_ms = (np.concatenate([inside[i] for _, inside in pairs]) for i in (0, 1))
     cost: dict[str, list[float]] = {"page": [], "ingest": [], "mapper": []}

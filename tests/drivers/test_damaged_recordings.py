@@ -42,7 +42,7 @@ FLUSHES = 4  # good messages after which one has been read, whatever came before
 SLOWEST_S = 0.25  # of a thread's own time, for one message: nothing hangs
 GROWTH_MB = 40
 PATIENCE_S = 60  # a new LMS100 session waits 45 s for its first scan
-MOST_COUNTERS = 120  # names, which garbage must not invent; a LUX has one for each bit of four registers
+MAX_COUNTERS = 120  # names, which garbage must not invent; a LUX has one for each bit of four registers
 STARTED_FOR_S = (0.0, 0.06, 0.3, 1.0, 3.0)  # how long a session has talked with a real one before
 
 
@@ -267,7 +267,7 @@ def pour(recorded: Recorded, count: int, seed: int) -> Figures:
     assert figures.most_held <= recorded.most
     assert figures.slowest_s < SLOWEST_S
     figures.grown_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb) / 1024
-    assert len(figures.counters) < MOST_COUNTERS, figures.counters
+    assert len(figures.counters) < MAX_COUNTERS, figures.counters
     return figures
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.device_text import MOST_CHARS, one_line
+from drivers.device_text import MAX_CHARS, one_line
 
 
 @pytest.mark.parametrize(
@@ -13,7 +13,7 @@ from drivers.device_text import MOST_CHARS, one_line
         ("LMS10x\nfront: a forged line", "LMS10x?front: a forged line"),
         ("\x1b[2J\rUTM-30LX\x9b1m", "?[2J?UTM-30LX?1m"),
         ("", ""),
-        ("x" * 30_000, "x" * MOST_CHARS),
+        ("x" * 30_000, "x" * MAX_CHARS),
     ],
 )
 def test_a_text_of_a_device_is_one_plain_line(said: str, shown: str):

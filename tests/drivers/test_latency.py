@@ -6,10 +6,10 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.ibeo_lux.config import IbeoLuxConfig
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.latency import LEAST_LATENCY_MS, MOST_LATENCY_MS
+from drivers.latency import MAX_LATENCY_MS, MIN_LATENCY_MS
 from drivers.sick_lms100.config import Lms100Config
 from drivers.xsens_mtig.config import XsensMtigConfig
-from service.mapper.pipeline import MOST_BEHIND_NS
+from service.mapper.pipeline import MAX_BEHIND_NS
 
 SLOWEST_SWEEP_MS = 80.0  # of a LUX at 12.5 Hz
 
@@ -20,13 +20,13 @@ SLOWEST_SWEEP_MS = 80.0  # of a LUX at 12.5 Hz
 def test_a_latency_is_between_50_ms_early_and_200_late(config: type[BaseModel]) -> None:
     field = config.model_fields["latency_ms"]
     adapter: TypeAdapter[float] = TypeAdapter(field.rebuild_annotation())
-    for value in (LEAST_LATENCY_MS, 0.0, MOST_LATENCY_MS):
+    for value in (MIN_LATENCY_MS, 0.0, MAX_LATENCY_MS):
         assert adapter.validate_python(value) == value
-    for value in (LEAST_LATENCY_MS - 1.0, MOST_LATENCY_MS + 1.0):
+    for value in (MIN_LATENCY_MS - 1.0, MAX_LATENCY_MS + 1.0):
         with pytest.raises(ValidationError):
             adapter.validate_python(value)
     assert field.default == 0.0
 
 
 def test_a_scan_of_the_greatest_latency_is_mapped() -> None:
-    assert (MOST_LATENCY_MS + SLOWEST_SWEEP_MS) * 1e6 <= MOST_BEHIND_NS
+    assert (MAX_LATENCY_MS + SLOWEST_SWEEP_MS) * 1e6 <= MAX_BEHIND_NS

@@ -275,13 +275,13 @@ def _ok_and_off(ran: Run) -> float:
 
 
 def _shares(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
-    """What LEAST_SHARE and NEAR_AXIS_RAD of across_walls.py do."""
+    """What MIN_SHARE and NEAR_AXIS_RAD of across_walls.py do."""
     lines = ["| setting | ATE of fgi_s1 | ATE of corridor100d_s1 |", "|---|---|---|"]
     for name, constant, value in (
-        ("as it is: 0.2, 15°", "LEAST_SHARE", across_walls.LEAST_SHARE),
-        ("least share 0", "LEAST_SHARE", 0.0),
-        ("least share 0.1", "LEAST_SHARE", 0.1),
-        ("least share 0.4", "LEAST_SHARE", 0.4),
+        ("as it is: 0.2, 15°", "MIN_SHARE", across_walls.MIN_SHARE),
+        ("least share 0", "MIN_SHARE", 0.0),
+        ("least share 0.1", "MIN_SHARE", 0.1),
+        ("least share 0.4", "MIN_SHARE", 0.4),
         ("near an axis: 0°", "NEAR_AXIS_RAD", 0.0),
         ("near an axis: 30°", "NEAR_AXIS_RAD", math.radians(30.0)),
     ):

@@ -17,7 +17,7 @@ import yaml
 from tests.shared_data import NO_RECORDINGS, SHARED
 from tests.soaked import in_soak
 
-MOST_CPU_S = 1.0  # that it may still take; a kernel that is compiled to its end takes up to 3
+MAX_CPU_S = 1.0  # that it may still take; a kernel that is compiled to its end takes up to 3
 SPAN_S = 5.0  # imports, the first compiled kernels, the start of the process that helps
 PATIENCE_S = 60.0
 CODES = {
@@ -98,7 +98,7 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
     more_s = children_cpu_s() - before_s  # of its own; nobody waits for the processes that it killed
     where = f"{command}, {name} after {at_s:.2f} s said {said.decode()}"
     assert process.returncode == CODES[command, name], where
-    assert more_s < MOST_CPU_S, where
+    assert more_s < MAX_CPU_S, where
     assert b"Traceback" not in said, where
     assert b"Exception ignored" not in said, where
     until(

@@ -11,7 +11,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service import encoding
 from service.encoding import decode_frame, encode_frame
-from service.encoding.frames import MOST_FORCE_MPS2, MOST_ODOMETRY, MOST_RATE_RADPS
+from service.encoding.frames import MAX_FORCE_MPS2, MAX_ODOMETRY, MAX_RATE_RADPS
 from service.errors import InputError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -71,9 +71,9 @@ times = st.integers(min_value=0, max_value=2**31 * 1_000_000_000 - 1)
 durations = st.integers(min_value=0, max_value=2_000_000_000)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 metres = st.floats(-1e6, 1e6)
-rates = st.tuples(*[st.floats(-MOST_RATE_RADPS, MOST_RATE_RADPS)] * 3)
-forces = st.tuples(*[st.floats(-MOST_FORCE_MPS2, MOST_FORCE_MPS2)] * 3)
-of_odometry = st.floats(-MOST_ODOMETRY, MOST_ODOMETRY)
+rates = st.tuples(*[st.floats(-MAX_RATE_RADPS, MAX_RATE_RADPS)] * 3)
+forces = st.tuples(*[st.floats(-MAX_FORCE_MPS2, MAX_FORCE_MPS2)] * 3)
+of_odometry = st.floats(-MAX_ODOMETRY, MAX_ODOMETRY)
 names = st.sampled_from(["front", "rear_left", "l"])
 
 

@@ -24,7 +24,7 @@ from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
 STEP_M, STEP_RAD = 0.4, 0.15  # one of both ends a step
-LEAST_TURN_RAD = 0.1  # of a step that tells where the laser sits: in less, noise of headings looks the same
+MIN_TURN_RAD = 0.1  # of a step that tells where the laser sits: in less, noise of headings looks the same
 LONGEST_STEP_NS = 3_000_000_000
 LONGEST_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
 SAMPLES = 512  # of odometry that are kept
@@ -34,8 +34,8 @@ JUDGED_EACH = 25  # steps
 MATCH_M, WALK_M, TURN_M = 0.01, 0.02, 0.02
 MEDIAN_CHI2 = math.log(4.0)  # of two degrees of freedom
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
-LEAST_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
-LEAST_SCALE, MOST_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
+MIN_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
+MIN_SCALE, MAX_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
 TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
 KNOWN_SIGMA_M = 1.0  # of the point the vehicle turns around: a way without turns does not show it
 
@@ -145,11 +145,11 @@ def turns_are_opposed(steps: Floats) -> bool:
     upside down maps a mirror image of the place, and the map agrees with itself.
     """
     matched, driven = steps[:, 2], steps[:, 5]
-    does_turn = np.abs(matched) > LEAST_TURN_RAD
-    if np.abs(matched[does_turn]).sum() < LEAST_OPPOSED_RAD:
+    does_turn = np.abs(matched) > MIN_TURN_RAD
+    if np.abs(matched[does_turn]).sum() < MIN_OPPOSED_RAD:
         return False
     ratio = float(np.median(driven[does_turn] / matched[does_turn]))
-    return LEAST_SCALE <= -ratio <= MOST_SCALE
+    return MIN_SCALE <= -ratio <= MAX_SCALE
 
 
 def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
@@ -158,7 +158,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     None where odometry does not show it: it is dead, or its scale is nowhere near 1.
     """
     x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:5]
-    turned = np.where(np.abs(turn) < LEAST_TURN_RAD, 0.0, turn)
+    turned = np.where(np.abs(turn) < MIN_TURN_RAD, 0.0, turn)
     c, s = np.cos(turned), np.sin(turned)
     # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale
     jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
@@ -174,7 +174,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
         excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     inverse_scale = math.hypot(unknown[0], unknown[1])
-    if not LEAST_SCALE <= inverse_scale <= MOST_SCALE:
+    if not MIN_SCALE <= inverse_scale <= MAX_SCALE:
         return None
     yaw_rad = math.atan2(unknown[1], unknown[0])
     offset = np.array([*(unknown[2:] / inverse_scale), yaw_rad])

@@ -20,7 +20,7 @@ from service.mapper.checks.mounting_check import SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 LONGEST_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
-LEAST_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
+MIN_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
 SCANS = 400  # the newest count
 JUDGED_EACH = 25  # scans
 TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
@@ -84,7 +84,7 @@ def lag_of(scans: npt.NDArray[np.float64]) -> tuple[float, float]:
     if spread == 0.0:
         return 0.0, math.inf
     slope = float(rate @ off) / spread
-    noise = (off - slope * rate) ** 2 + LEAST_NOISE_RAD**2
+    noise = (off - slope * rate) ** 2 + MIN_NOISE_RAD**2
     return -slope, math.sqrt(SAME_ERRORS * float(rate**2 @ noise)) / spread
 
 

@@ -18,7 +18,7 @@ from service.kernels.sweep import bend_returns
 from service.mapper.components import Points
 
 NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
-LEAST_NOISE_M = 0.003
+MIN_NOISE_M = 0.003
 UNKNOWN_NOISE_M = 0.03  # of a laser that has shown none yet
 
 
@@ -104,7 +104,7 @@ class DeskewByTwist:
         count, mean_m = self._noise.get(sensor, (0, UNKNOWN_NOISE_M))
         if shown_m > 0.0:
             count = min(count + 1, NOISE_SCANS)
-            mean_m += (max(shown_m, LEAST_NOISE_M) - mean_m) / count
+            mean_m += (max(shown_m, MIN_NOISE_M) - mean_m) / count
             self._noise[sensor] = count, mean_m
         return mean_m
 

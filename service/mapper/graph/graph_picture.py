@@ -9,9 +9,9 @@ from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import GraphPicture
 
-MOST_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out
-MOST_LOOPS = 500  # of each kind
-MOST_BORDERS = 200
+MAX_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out
+MAX_LOOPS = 500  # of each kind
+MAX_BORDERS = 200
 PERIOD_NS = 2_000_000_000  # of the drive, from one picture to the next
 SESSION_APART_M = 100.0  # way that counts between two sessions; see KeyframeList
 
@@ -35,7 +35,7 @@ def draw(
     borders    outlines of sub-maps, (K, 2) m each, map frame
     """
     xy = xy_map.astype(np.float32)
-    every = -(-len(xy) // MOST_KEYFRAMES)
+    every = -(-len(xy) // MAX_KEYFRAMES)
     ways = []
     for number in np.unique(stretch[stretch >= 0]).tolist():
         members = np.flatnonzero(stretch == number)
@@ -47,7 +47,7 @@ def draw(
         ways,
         _ends(xy, accepted, known),
         _ends(xy, refused, known),
-        [border.astype(np.float32) for border in borders[-MOST_BORDERS:]],
+        [border.astype(np.float32) for border in borders[-MAX_BORDERS:]],
     )
 
 
@@ -72,6 +72,6 @@ def draw_saved(graph: SavedGraph) -> GraphPicture:
 def _ends(xy: npt.NDArray[np.float32], ends: Ints, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
     ends = ends.reshape(-1, 2)
     ends = ends[known[ends].all(axis=1)]
-    if len(ends) > MOST_LOOPS:
-        ends = ends[np.linspace(0, len(ends) - 1, MOST_LOOPS).round().astype(np.int64)]
+    if len(ends) > MAX_LOOPS:
+        ends = ends[np.linspace(0, len(ends) - 1, MAX_LOOPS).round().astype(np.int64)]
     return xy[ends]

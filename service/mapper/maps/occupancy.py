@@ -48,13 +48,13 @@ class OccupancyConfig(Section):
 
 HIT_LOG_ODDS = 1.2  # of an end point: one is 77 %, so that thin legs show
 MISS_LOG_ODDS = 0.5  # of a beam that passes: weaker, since beams graze cells whose walls they do not meet
-MOST_LOG_ODDS = 3.5  # of both signs, 97 %: after seven beams through it no wall stands any more
+MAX_LOG_ODDS = 3.5  # of both signs, 97 %: after seven beams through it no wall stands any more
 STEP_LOG_ODDS = 0.05  # so that +-6 fits in a byte
 EVIDENCE = Evidence(
     round(HIT_LOG_ODDS / STEP_LOG_ODDS),
     -round(MISS_LOG_ODDS / STEP_LOG_ODDS),
-    -round(MOST_LOG_ODDS / STEP_LOG_ODDS),
-    round(MOST_LOG_ODDS / STEP_LOG_ODDS),
+    -round(MAX_LOG_ODDS / STEP_LOG_ODDS),
+    round(MAX_LOG_ODDS / STEP_LOG_ODDS),
 )
 SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent: what the most evidence of both signs shows
 NO_CELLS: Cells = np.zeros((0, 2), np.int64)

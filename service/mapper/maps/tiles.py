@@ -20,7 +20,7 @@ from service.kernels.tiles import NO_TILE, TileIndex, farthest_m2, take_slot
 log = logging.getLogger(__name__)
 
 MAP_NORESERVE = getattr(mmap, "MAP_NORESERVE", 0x4000)  # Linux; in the mmap module from Python 3.13 on
-LEAST_CAPACITY = 64
+MIN_CAPACITY = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class TilePool:
                 wanted >> 20,
                 error,
             )
-            capacity = LEAST_CAPACITY
+            capacity = MIN_CAPACITY
             self.arrays = [np.zeros((capacity, *layer.shape), layer.dtype) for layer in layers]
         self.free = np.empty(capacity, np.int32)
         self.counts = np.zeros(2, np.int64)

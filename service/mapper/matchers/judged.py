@@ -13,7 +13,7 @@ from service.mapper.components import KnownMap, Match, Points
 from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
-    LEAST_AGREEMENT,
+    MIN_AGREEMENT,
     Evidence,
     JudgementConfig,
     begun,
@@ -33,10 +33,10 @@ Matrix = npt.NDArray[np.float64]
 
 FOUND_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
 
-LEAST_COVARIANCE = 1e-12 * np.eye(3)
+MIN_COVARIANCE = 1e-12 * np.eye(3)
 CONFIRM_S = 0.1  # from a find to the search that is to confirm it
-MOST_WIDENING = 16.0
-MOST_REST_S = 1.0  # wide searches take longer, so they rest longer
+MAX_WIDENING = 16.0
+MAX_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = Reason(
     "prediction_stands",
     "the scan fits where the prediction is, and nowhere beside it; the prediction holds it",
@@ -204,7 +204,7 @@ class JudgedMatching:
         stamp_ns = points.scan.stamp_ns
         if stamp_ns < self._rest_until_ns:
             return None
-        self._rest_until_ns = stamp_ns + round(min(REST_S * self._widening, MOST_REST_S) * 1e9)
+        self._rest_until_ns = stamp_ns + round(min(REST_S * self._widening, MAX_REST_S) * 1e9)
         reach_m, reach_rad = (
             min(max(reach, first) * self._widening, most)
             for reach, first, most in zip(
@@ -217,12 +217,12 @@ class JudgedMatching:
             aligned = aligner.align(points, there, local_map, is_found=True)
             verdict = self._judged(aligned, predicted, local_map, is_found=True)
             if verdict.state != "lost" and verdict.inlier_ratio >= ratio + GAIN:
-                chi2 = _chi2(aligned, predicted, LEAST_COVARIANCE)
+                chi2 = _chi2(aligned, predicted, MIN_COVARIANCE)
                 if chi2 > JUMP_CHI2 and not self._is_confirmed(aligned, predicted):
                     self._rest_until_ns = stamp_ns + round(CONFIRM_S * 1e9)
                     return None
                 return _matched(_alone(aligned, chi2), predicted, verdict)
-        self._widening = min(2.0 * self._widening, MOST_WIDENING)
+        self._widening = min(2.0 * self._widening, MAX_WIDENING)
         return None
 
     def _is_confirmed(self, aligned: Aligned, predicted: Prediction) -> bool:
@@ -240,7 +240,7 @@ class JudgedMatching:
         overlap = seen.overlap(points.xy_base, predicted.pose_odom_base)
         return (
             overlap.on_map >= self._limits.lost_ratio * len(points.xy_base)
-            and overlap.agreement >= LEAST_AGREEMENT
+            and overlap.agreement >= MIN_AGREEMENT
         )
 
 

@@ -9,7 +9,7 @@ from service.kernels.branch_and_bound import MaxPyramid, build_pyramid, search_b
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_search import LikelihoodLayer, SearchResult, SearchWindow, cells_asked
 
-MOST_LEVELS = 4  # of the pyramid: blocks of at most 8 x 8 candidates
+MAX_LEVELS = 4  # of the pyramid: blocks of at most 8 x 8 candidates
 
 
 def layer_of(field: LikelihoodField) -> LikelihoodLayer:
@@ -38,7 +38,7 @@ def search_bounded(
     Score -inf and the centre where nothing reaches least_score.
     """
     first_row, last_row, first_column, last_column = cells_asked(xy_base, window, layer.cell_m)
-    level_count = min((2 * window.half_x).bit_length() + 1, MOST_LEVELS)  # a block is the whole window
+    level_count = min((2 * window.half_x).bit_length() + 1, MAX_LEVELS)  # a block is the whole window
     shape = (level_count, last_row - first_row + 1, last_column - first_column + 1)
     pyramid = build_pyramid(layer, first_row, first_column, np.empty(shape, layer.cells.dtype))
     found: SearchResult = search_branch_and_bound(xy_base, pyramid, window, least_score)

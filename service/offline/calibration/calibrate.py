@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
-from drivers.latency import LEAST_LATENCY_MS, MOST_LATENCY_MS
+from drivers.latency import MAX_LATENCY_MS, MIN_LATENCY_MS
 from service.config import ServiceConfig, load_config, parse_config
 from service.errors import ConfigError, InputError, UsageError
 from service.geometry.poses import Floats
@@ -325,12 +325,12 @@ def _add(
     offset = found.get("stamps late by")
     if offset is not None and offset.is_known:
         latency = float(getattr(_sensor(before, name), "latency_ms", 0.0)) + offset.value
-        if LEAST_LATENCY_MS <= latency <= MOST_LATENCY_MS:
+        if MIN_LATENCY_MS <= latency <= MAX_LATENCY_MS:
             new["latency_ms"] = round(latency, 2)
         else:
             said.append(
-                f"a latency of {latency:.1f} ms is none that a config takes ({LEAST_LATENCY_MS:g} to "
-                f"{MOST_LATENCY_MS:g} ms)"
+                f"a latency of {latency:.1f} ms is none that a config takes ({MIN_LATENCY_MS:g} to "
+                f"{MAX_LATENCY_MS:g} ms)"
             )
     if new:
         changes.setdefault(name, {}).update(new)

@@ -20,11 +20,11 @@ from service.geometry.poses import Floats
 from service.offline.calibration.tracks import GyroTrack, LaserTrack, WheelTrack
 
 KNOT_NS = 400_000_000  # a step; shorter ones are spoilt by the smoothing that a mapper's motion model does
-LEAST_KNOTS = 40  # 16 s
+MIN_KNOTS = 40  # 16 s
 ROUNDS = 12  # of Gauss and Newton, each with weights by what the last one left
 DONE = 1e-4  # of its sigma: a change so small ends the rounds
-MOST_OFFSET_S = 0.25
-MOST_SIGMAS = 4.0  # a step that lies further off counts less (Huber)
+MAX_OFFSET_S = 0.25
+MAX_SIGMAS = 4.0  # a step that lies further off counts less (Huber)
 JACOBIAN_STEPS = {"m": 1e-4, "rad": 1e-4, "s": 1e-3, "1": 1e-4, "rad/s": 1e-4, "rad/m": 1e-4}
 # One sigma of what is thought before: so weak that a drive outweighs it; what a drive leaves open stays put
 BELIEVED = {"m": 1.0, "rad": 3.0, "s": 0.1, "1": 0.3, "rad/s": 0.1, "rad/m": 0.05}
@@ -144,16 +144,16 @@ def fit_lasers(laser: LaserTrack, other: LaserTrack) -> Fit:
 
 def _knots(laser: LaserTrack, other_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Stamps of scans KNOT_NS apart, where the other one was awake, with room for a time offset."""
-    room_ns = round(MOST_OFFSET_S * 1e9)
+    room_ns = round(MAX_OFFSET_S * 1e9)
     inside = (laser.stamp_ns > other_ns[0] + room_ns) & (laser.stamp_ns < other_ns[-1] - room_ns)
     knots: list[int] = []
     for stamp_ns in laser.stamp_ns[inside].tolist():
         if not knots or stamp_ns - knots[-1] >= KNOT_NS:
             knots.append(stamp_ns)
-    if len(knots) < LEAST_KNOTS:
+    if len(knots) < MIN_KNOTS:
         raise InputError(
             f"{laser.sensor}: {len(knots) * KNOT_NS / 1e9:.0f} s together with the sensor it is compared "
-            f"with; expected {LEAST_KNOTS * KNOT_NS / 1e9:.0f} s or more"
+            f"with; expected {MIN_KNOTS * KNOT_NS / 1e9:.0f} s or more"
         )
     return np.array(knots, dtype=np.int64)
 
@@ -220,7 +220,7 @@ def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], w
             raise InputError("what both sensors saw of the drive does not fit together") from error
         change = -covariance @ pull
         p = p + change
-        weigh = np.where(off > MOST_SIGMAS, off / MOST_SIGMAS, 1.0)
+        weigh = np.where(off > MAX_SIGMAS, off / MAX_SIGMAS, 1.0)
         if (np.abs(change) < DONE * np.sqrt(np.diag(covariance))).all():
             break
     left = residuals(p)
@@ -251,7 +251,7 @@ def _whiten(jacobian: Floats, r: Floats, way: Floats, weigh: Floats) -> tuple[Fl
 def _noise(r: Floats, way: Floats) -> tuple[float, float]:
     """Variance of a pose, and variance a unit of way, by the scatter of steps and of their neighbours."""
     spread = float(np.median(np.abs(r))) / 0.6745
-    core = np.clip(r, -MOST_SIGMAS * spread, MOST_SIGMAS * spread) if spread else r
+    core = np.clip(r, -MAX_SIGMAS * spread, MAX_SIGMAS * spread) if spread else r
     core = core - core.mean()
     variance = float(core @ core) / len(core)
     pose_variance = min(max(-float(core[1:] @ core[:-1]) / (len(core) - 1), 1e-3 * variance), 0.5 * variance)

@@ -19,8 +19,8 @@ from service.outputs import MapperOutput
 
 Stamps = npt.NDArray[np.int64]
 
-MOST_LOST = 0.05  # of a laser's scans that may fit nowhere; with more its way is not to be trusted
-LEAST_SCANS = 100
+MAX_LOST = 0.05  # of a laser's scans that may fit nowhere; with more its way is not to be trusted
+MIN_SCANS = 100
 SMALL_RAD = 1e-6  # below it the chord of an arc is its length
 
 
@@ -93,16 +93,16 @@ class LaserMapping:
     def finish(self) -> LaserTrack:
         """Raises InputError where there are too few scans, or where they do not hold a map by themselves."""
         outputs, sensor = self._outputs, self._sensor
-        if len(outputs) < LEAST_SCANS:
+        if len(outputs) < MIN_SCANS:
             raise InputError(
-                f"{sensor}: {counted(len(outputs), 'scan')}; expected {LEAST_SCANS} or more to calibrate by"
+                f"{sensor}: {counted(len(outputs), 'scan')}; expected {MIN_SCANS} or more to calibrate by"
             )
         lost = sum(output.state == "lost" for output in outputs)
-        if lost > MOST_LOST * len(outputs):
+        if lost > MAX_LOST * len(outputs):
             raise InputError(
                 f"{sensor}: {lost} of {counted(len(outputs), 'scan')} fit nowhere on the map "
                 f"that it makes alone (at "
-                f"most {MOST_LOST:.0%}); drive where it sees walls in several directions, and slower"
+                f"most {MAX_LOST:.0%}); drive where it sees walls in several directions, and slower"
             )
         poses = corrected(outputs, self._mapper.finish().corrections)
         pose = np.array([(p.x_m, p.y_m, p.theta_rad) for p in poses])

@@ -12,7 +12,7 @@ from service.offline.doctor.processes import Process, listeners, running_service
 from service.offline.doctor.running import RunningService
 from service.web.config import split_listen
 
-LEAST_FREE_PORT = 1024  # below, binding takes a right
+MIN_FREE_PORT = 1024  # below, binding takes a right
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,5 +112,5 @@ def _finding(machine: Machine, door: _Door, error: OSError | None) -> Finding:
         words, remedy = "this machine has no such address", f"{remedy}; host [::] takes every address"
     elif error.errno == errno.EACCES:
         words = f"{machine.user} may not bind port {door.port}"
-        remedy += f" to a port from {LEAST_FREE_PORT} on, or give the service CAP_NET_BIND_SERVICE"
+        remedy += f" to a port from {MIN_FREE_PORT} on, or give the service CAP_NET_BIND_SERVICE"
     return fault(door.who, f"cannot listen at {door.text}: {words}", "a place to listen at", remedy)

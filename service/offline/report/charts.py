@@ -17,7 +17,7 @@ from service.outputs import STATES
 
 COLUMNS = 800  # of a chart: a point each, the worst of its stretch of time
 HEIGHT = 100.0  # of a chart in its own units
-MOST_TICKS = 7
+MAX_TICKS = 7
 DAY_S = 86_400
 TICKS_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 28800, DAY_S)
 Ints = npt.NDArray[np.int64]
@@ -50,8 +50,8 @@ class TimeAxis:
         return "".join(f"M{self.share(s) / 100 * COLUMNS:.2f} 0v{HEIGHT:g}" for s in self._at_s())
 
     def _at_s(self) -> list[int]:
-        days = math.ceil(self.duration_s / MOST_TICKS / DAY_S)
-        step_s = next((s for s in TICKS_S if self.duration_s / s <= MOST_TICKS), days * DAY_S)
+        days = math.ceil(self.duration_s / MAX_TICKS / DAY_S)
+        step_s = next((s for s in TICKS_S if self.duration_s / s <= MAX_TICKS), days * DAY_S)
         return list(range(0, math.floor(self.duration_s) + 1, step_s))
 
 

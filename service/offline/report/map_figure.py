@@ -17,8 +17,8 @@ from service.offline.moments import thinned
 from service.offline.report.content import Content
 from service.offline.report.markup import Markup, joined, tag
 
-MOST_PIXELS = 3000  # of a side: more no screen shows, and no browser likes
-MOST_POINTS = 4000  # of the path
+MAX_PIXELS = 3000  # of a side: more no screen shows, and no browser likes
+MAX_POINTS = 4000  # of the path
 CLASSES_M = (0.01, 0.02, 0.05, 0.10, 0.20)  # upper ends of the classes of sigma; the last has none
 GRID_SHARE = 0.2  # of the longer side: about how far grid lines lie apart
 BAR_SHARE = 0.25
@@ -86,7 +86,7 @@ def _around(poses: Floats) -> _Frame:
 
 def _coarser(picture: Picture) -> Picture:
     """With several cells in a pixel where it has too many; a wall in one of them fills it."""
-    k = -(-max(picture.width, picture.height) // MOST_PIXELS)
+    k = -(-max(picture.width, picture.height) // MAX_PIXELS)
     if k <= 1:
         return picture
     width, height = -(-picture.width // k), -(-picture.height // k)
@@ -118,7 +118,7 @@ def _path(content: Content, frame: _Frame) -> Markup | None:
     if content.trajectory is None:
         return None
     poses = content.trajectory.pose
-    rows = np.array(thinned(poses[:, :2], frame.width_m / MOST_POINTS, MOST_POINTS))
+    rows = np.array(thinned(poses[:, :2], frame.width_m / MAX_POINTS, MAX_POINTS))
     at = frame.at(poses)
     row_of, sigma_m = _sigma_of_poses(content)
     classes = np.digitize(sigma_m, CLASSES_M) if sigma_m is not None else np.full(len(poses), -1)

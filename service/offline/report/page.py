@@ -21,7 +21,7 @@ from service.offline.writing import refuse_unwritable_file, whole_files
 
 REPORT_FILE = "report.html"
 OLDEST_NS = 946_684_800_000_000_000  # the year 2000: stamps before it tell no date
-MOST_ROWS = 12  # of the loops with the largest errors
+MAX_ROWS = 12  # of the loops with the largest errors
 STYLE = Path(__file__).with_name("style.css")
 # Nothing of a page that somebody sends around is fetched or run.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -255,7 +255,7 @@ def _loops(content: Content) -> list[Markup | None]:
             tag("p", f"{counted(refused.total(), 'loop was', 'loops were')} measured and refused:"),
             _list(words),
         ]
-    worst = sorted(content.loops, key=lambda loop: (bool(loop.why_not), -loop.off_mm))[:MOST_ROWS]
+    worst = sorted(content.loops, key=lambda loop: (bool(loop.why_not), -loop.off_mm))[:MAX_ROWS]
     rows = [
         (
             clock((loop.back_ns - content.begin_ns) / 1e9) if loop.back_ns >= content.begin_ns else "earlier",

@@ -3,7 +3,7 @@
 import { OCCUPIED } from "./tiles.js";
 
 const FREE = 35; // per cent; from here down a cell counts as free
-const LEAST_PIXELS = 2; // a changed cell can be seen from far away
+const MIN_PIXELS = 2; // a changed cell can be seen from far away
 
 export class ChangeLayer {
   constructor() {
@@ -55,7 +55,7 @@ export class ChangeLayer {
 
 /** corners: [x_m, y_m, ...], lower left ones of cells; none smaller than can be seen. */
 export const drawCells = (context, corners, cell_m, seen, scale, colour) => {
-  const size_m = Math.max(cell_m, LEAST_PIXELS / scale), off_m = (cell_m - size_m) / 2;
+  const size_m = Math.max(cell_m, MIN_PIXELS / scale), off_m = (cell_m - size_m) / 2;
   context.fillStyle = colour;
   for (let i = 0; i < corners.length; i += 2) {
     const x = corners[i] + off_m, y = corners[i + 1] + off_m;

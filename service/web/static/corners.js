@@ -2,11 +2,11 @@
 
 const NEAR_M = 0.6; // from the point that was clicked; walls beyond it have no say
 const OFF_WALL_M = 0.025; // of a point of a wall, at most
-const LEAST_POINTS = 4; // of a wall
-const LEAST_ANGLE_RAD = Math.PI / 6; // between two walls
+const MIN_POINTS = 4; // of a wall
+const MIN_ANGLE_RAD = Math.PI / 6; // between two walls
 const GAP_M = 0.15; // from a wall's nearest point to the corner
-const MOST_POINTS = 80; // the nearest; the time goes with the cube of them
-const LEAST_SHARE = 0.85; // of the points that lie on the two walls: a column has no corner
+const MAX_POINTS = 80; // the nearest; the time goes with the cube of them
+const MIN_SHARE = 0.85; // of the points that lie on the two walls: a column has no corner
 const ROUNDS = 3; // of giving each point to the wall that it is nearer to
 
 /** Line through points by least squares of the distances: {x, y, dx, dy}, a point of it and its direction. */
@@ -37,7 +37,7 @@ const wallOf = (points) => {
       if (on.length > best.length) best = on;
     }
   }
-  return best.length < LEAST_POINTS ? null : { on: best, line: fitted(best) };
+  return best.length < MIN_POINTS ? null : { on: best, line: fitted(best) };
 };
 
 /** Both with the points that are theirs; null where there are no two, or where much lies on neither. */
@@ -53,10 +53,10 @@ const twoWalls = (near) => {
       const [toFirst, toSecond] = lines.map((line) => offLine(line, point));
       if (Math.min(toFirst, toSecond) < OFF_WALL_M) own[Number(toSecond < toFirst)].push(point);
     }
-    if (own.some((on) => on.length < LEAST_POINTS)) return null;
+    if (own.some((on) => on.length < MIN_POINTS)) return null;
     walls = own.map((on) => ({ on, line: fitted(on) }));
   }
-  return walls[0].on.length + walls[1].on.length < LEAST_SHARE * near.length ? null : walls;
+  return walls[0].on.length + walls[1].on.length < MIN_SHARE * near.length ? null : walls;
 };
 
 const gap = (points, [x, y]) => Math.min(...points.map((p) => Math.hypot(p[0] - x, p[1] - y)));
@@ -72,11 +72,11 @@ export const cornerNear = (points, about) => {
     if (away < NEAR_M) near.push([points[i], points[i + 1], away]);
   }
   near.sort((a, b) => a[2] - b[2]);
-  near.length = Math.min(near.length, MOST_POINTS);
+  near.length = Math.min(near.length, MAX_POINTS);
   const walls = twoWalls(near);
   if (!walls) return null;
   const [a, b] = walls.map(({ line }) => line), cross = a.dx * b.dy - a.dy * b.dx;
-  if (Math.abs(cross) < Math.sin(LEAST_ANGLE_RAD)) return null;
+  if (Math.abs(cross) < Math.sin(MIN_ANGLE_RAD)) return null;
   const along = ((b.x - a.x) * b.dy - (b.y - a.y) * b.dx) / cross;
   const corner = [a.x + along * a.dx, a.y + along * a.dy];
   return walls.every(({ on }) => gap(on, corner) < GAP_M) ? corner : null;

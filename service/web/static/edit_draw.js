@@ -4,7 +4,7 @@ import { card, confirmed, element, setText } from "./dom.js";
 import { area, CornersTool, length, RectangleTool } from "./edit_tools.js";
 import { counted, fixed } from "./format.js";
 
-const MOST_CORNERS = 500; // of one change; the service refuses more
+const MAX_CORNERS = 500; // of one change; the service refuses more
 const SPAN_STEP_S = 0.01;
 const BECOMES = { as_seen: "free where scans see through", unknown: "unknown", free: "free" };
 
@@ -48,7 +48,7 @@ export class EditDraw {
     const changed = () => this.update();
     const done = () => (kind === "wall" ? this.#wall() : this.#erase());
     const tool = kind === "rectangle" ? new RectangleTool(this.edit.view, { changed, done })
-      : new CornersTool(this.edit.view, { isClosed: kind === "area", most: MOST_CORNERS, changed, done });
+      : new CornersTool(this.edit.view, { isClosed: kind === "area", most: MAX_CORNERS, changed, done });
     this.edit.beginTool(tool, () => {
       this.kind = null;
       this.update();

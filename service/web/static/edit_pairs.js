@@ -6,7 +6,7 @@ import { fixed } from "./format.js";
 import { PlacePane } from "./place_pane.js";
 import { PlacePicker } from "./place_picker.js";
 
-const MOST_PAIRS = 100; // in one change; the service refuses more
+const MAX_PAIRS = 100; // in one change; the service refuses more
 const FAR_M = 0.5; // apart: then a person is asked whether the points are one place
 
 export class EditPairs {
@@ -109,7 +109,7 @@ export class EditPairs {
       return;
     }
     const tool = new PairTool(this.edit.view, this.places, this.pane, (ofA, ofB) => {
-      if (this.pairs.length >= MOST_PAIRS) tool.note = `${MOST_PAIRS} new pairs at most; optimise first.`;
+      if (this.pairs.length >= MAX_PAIRS) tool.note = `${MAX_PAIRS} new pairs at most; optimise first.`;
       else this.pairs.push({ points: [ofA, ofB], places: [this.places.a.as(), this.places.b.as()] });
       this.update();
     });

@@ -56,7 +56,7 @@ export const deviationsInMap = ({ theta_rad, covariance }) => {
   };
 };
 
-const MOST_AHEAD_S = 0.3; // of the last pose: farther on nobody knows where the vehicle is
+const MAX_AHEAD_S = 0.3; // of the last pose: farther on nobody knows where the vehicle is
 
 /** The poses of the last seconds, by stamp. */
 export class PoseTrack {
@@ -87,7 +87,7 @@ export class PoseTrack {
     if (!last || stamp_s < this.poses[0].stamp_s) return null;
     if (stamp_s >= last.stamp_s) {
       const ahead_s = stamp_s - last.stamp_s;
-      if (ahead_s > MOST_AHEAD_S) return null;
+      if (ahead_s > MAX_AHEAD_S) return null;
       return { pose: moved(last, last.twist, ahead_s), twist: last.twist, isFinal: stamp_s === last.stamp_s };
     }
     let i = this.poses.length - 2;

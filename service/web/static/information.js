@@ -12,9 +12,9 @@ const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the
 const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "mark", pause: "mapping paused",
   resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", load_map: "map loaded",
   switch_profile: "profile switched", sensor: "sensor" };
-const MOST_EVENTS = 60;
+const MAX_EVENTS = 60;
 const GROUPED_S = 10; // the same event so soon again is one line
-const MOST_SIGMA_MS = 5; // of a clock that is known
+const MAX_SIGMA_MS = 5; // of a clock that is known
 
 export class Information {
   constructor(root, colourOf) {
@@ -123,7 +123,7 @@ export class Information {
     same?.remove();
     const line = element("li", { words, count, stamp_s }, element("time", {}, clockTime(stamp_s)), element("span", {}, count > 1 ? `${words} (${count} times)` : words));
     this.eventList.prepend(line);
-    if (this.eventList.children.length > MOST_EVENTS) this.eventList.lastChild.remove();
+    if (this.eventList.children.length > MAX_EVENTS) this.eventList.lastChild.remove();
   }
 
   #mapping(mapping, now_s) {
@@ -210,7 +210,7 @@ export class Information {
 /** Whether a device's clock can be relied on. */
 const clockWords = ({ device_clock_s, clock_sigma_ms }) => {
   if (!device_clock_s || !clock_sigma_ms) return "";
-  const runs = Number(clock_sigma_ms) < MOST_SIGMA_MS ? "runs right" : "is being learnt";
+  const runs = Number(clock_sigma_ms) < MAX_SIGMA_MS ? "runs right" : "is being learnt";
   return `device clock: ${deviceClock(device_clock_s)}, ${runs} (\u00b1 ${figure(clock_sigma_ms, 1, " ms")})`;
 };
 

@@ -11,10 +11,10 @@ import { StoredChangeLayer } from "./stored_change_layer.js";
 import { TileMap } from "./tiles.js";
 
 const STALE_MS = 1500; // older scans and poses are not shown as live
-const PATH_STEP_M = 0.05, MOST_PATH_POINTS = 40_000;
+const PATH_STEP_M = 0.05, MAX_PATH_POINTS = 40_000;
 const JUMP_M = 1, FASTEST_MPS = 20; // farther than that no vehicle comes: its pose jumped
 const LASER_COLOURS = 5;
-const MOST_COMING = 50; // scans of a laser
+const MAX_COMING = 50; // scans of a laser
 const VEHICLE_M = 0.5; // length of the arrow; never smaller than VEHICLE_PIXELS
 const VEHICLE_PIXELS = 22;
 
@@ -149,7 +149,7 @@ export class MapView {
     const n = this.path.length;
     const step_m = n ? Math.hypot(this.path[n - 2] - pose.x_m, this.path[n - 1] - pose.y_m) : Infinity;
     if (!(step_m < PATH_STEP_M)) this.path.push(pose.x_m, pose.y_m);
-    if (this.path.length > 2 * MOST_PATH_POINTS) {
+    if (this.path.length > 2 * MAX_PATH_POINTS) {
       this.path = this.path.filter((metres, i) => i % 4 < 2 || Number.isNaN(metres));
     }
     if (this.follows) this.camera.centreOn(pose.x_m, pose.y_m);
@@ -187,7 +187,7 @@ export class MapView {
     const coming = this.coming.get(scan.sensor) ?? [];
     if (coming.length && scan.stamp_s < coming.at(-1).stamp_s) coming.length = 0; // another run
     coming.push(scan);
-    if (coming.length > MOST_COMING) coming.shift();
+    if (coming.length > MAX_COMING) coming.shift();
     this.coming.set(scan.sensor, coming);
     this.invalidate();
     return isNew;

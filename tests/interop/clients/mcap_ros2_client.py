@@ -6,7 +6,7 @@ from collections import Counter
 from mcap_ros2.reader import read_ros2_messages
 from telling import expect, facts, tell
 
-MOST_RMSE_M = 0.05
+MAX_RMSE_M = 0.05
 
 truth = facts()
 samples = {(sample["topic"], sample["nth"]): sample for sample in truth["samples"]}
@@ -99,5 +99,5 @@ def seen_from_first(track):
 
 pairs = zip(seen_from_first(poses), seen_from_first(truth["true_poses"]), strict=True)
 rmse_m = math.sqrt(sum(math.dist(a, b) ** 2 for a, b in pairs) / len(poses))
-expect(rmse_m <= MOST_RMSE_M, f"poses {rmse_m:.3f} m off the truth, expected {MOST_RMSE_M} m at most")
+expect(rmse_m <= MAX_RMSE_M, f"poses {rmse_m:.3f} m off the truth, expected {MAX_RMSE_M} m at most")
 tell(messages=counts.total(), rmse_m=rmse_m)

@@ -61,7 +61,7 @@ def wait_for(subscribed: corridor.Subscription, is_so: Callable[[], bool]) -> No
 def test_of_a_tile_only_the_newest_waits_and_a_stream_loses_its_oldest(
     publisher, store, subscribed, monkeypatch
 ):
-    monkeypatch.setattr(subscription, "MOST_WAITING", 3)
+    monkeypatch.setattr(subscription, "MAX_WAITING", 3)
     changed = [tile(0, 0, version) for version in range(2, 6)]
     store.update(changed)
     for one in changed:

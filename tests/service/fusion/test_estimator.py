@@ -13,8 +13,8 @@ from service.fusion.estimator import (
     FADE_S,
     FAULT_NOISE,
     FIRST_TWIST_SIGMA,
-    LEAST_SIGMA,
-    MOST_SAMPLES,
+    MAX_SAMPLES,
+    MIN_SIGMA,
     Estimator,
     EstimatorConfig,
     _Samples,
@@ -113,7 +113,7 @@ def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
         rows.append(row / sigma)
         right.append(value / sigma)
 
-    say({0: 1.0}, 0.0, LEAST_SIGMA[0])
+    say({0: 1.0}, 0.0, MIN_SIGMA[0])
     say({1: 1.0}, 0.0, FIRST_TWIST_SIGMA[0])
     say({2: 1.0}, 0.0, config.acceleration / math.sqrt(2.0 * ACCELERATION_S))
     goes_on, noise_of_step = over_a_step(config.acceleration, ACCELERATION_S, dt)
@@ -448,21 +448,21 @@ def test_an_acceleration_that_nothing_confirms_fades() -> None:
 
 def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:
     samples = _Samples(1)
-    for k in range(2 * MOST_SAMPLES):
+    for k in range(2 * MAX_SAMPLES):
         samples.append(k, (float(k),))
     first, end = samples.track.span.tolist()
-    assert end - first <= len(samples.track.stamp_ns) <= 2 * MOST_SAMPLES
+    assert end - first <= len(samples.track.stamp_ns) <= 2 * MAX_SAMPLES
     stamps = samples.track.stamp_ns[first:end]
     assert (np.diff(stamps) > 0).all()
     assert stamps[0] == 0  # where the way since the last scan begins
-    np.testing.assert_array_equal(stamps[-1000:], np.arange(2 * MOST_SAMPLES - 1000, 2 * MOST_SAMPLES))
+    np.testing.assert_array_equal(stamps[-1000:], np.arange(2 * MAX_SAMPLES - 1000, 2 * MAX_SAMPLES))
     np.testing.assert_array_equal(samples.track.value[first:end, 0], stamps)
-    assert samples.take_dropped() == 2 * MOST_SAMPLES - (end - first)
+    assert samples.take_dropped() == 2 * MAX_SAMPLES - (end - first)
     assert samples.take_dropped() == 0
 
 
 def test_samples_that_are_dropped_while_they_wait_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estimator, "MOST_SAMPLES", CAPACITY)
+    monkeypatch.setattr(estimator, "MAX_SAMPLES", CAPACITY)
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(CAPACITY + 1):
         assert model.add(odometry(stamp_ms, SE2()))

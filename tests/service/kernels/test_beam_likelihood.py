@@ -8,7 +8,7 @@ from service.kernels.beam_likelihood import (
     AT_BACK,
     FULL_RATIO,
     IN_FREE,
-    LEAST_OPEN,
+    MIN_OPEN,
     NOT_KNOWN,
     ON_POINT,
     ON_WALL,
@@ -112,7 +112,7 @@ def test_a_wall_seen_from_its_other_side_may_be_as_thick_as_walls_are():
 @pytest.mark.parametrize(("sensor", "end"), [((0.0, 0.0), (4.5, 0.0)), ((6.0, 0.05), (-2.0, 0.05))])
 def test_no_beam_goes_through_a_wall_from_whichever_side(sensor, end):
     ratio = ratios(end, mapped(), sensor=sensor)[0]
-    assert ratio == pytest.approx(math.log(LEAST_OPEN), abs=0.02)
+    assert ratio == pytest.approx(math.log(MIN_OPEN), abs=0.02)
 
 
 def test_a_thing_that_is_gone_counts_once_however_many_beams_say_so():

@@ -5,7 +5,7 @@ import pytest
 
 from service.kernels.cell_moments import (
     HALVES,
-    LEAST_POINTS,
+    MIN_POINTS,
     MOMENTS,
     RESTART_POINTS,
     TILE_CELLS,
@@ -84,7 +84,7 @@ def test_two_beams_a_key_frame_add_up_to_a_wall() -> None:
 
 def test_few_points_have_no_direction() -> None:
     noise, grid = np.random.default_rng(2), empty_moments()
-    xy = np.vstack([seen(noise, FACE) for _ in range(int(LEAST_POINTS) // 2)])[:-1]
+    xy = np.vstack([seen(noise, FACE) for _ in range(int(MIN_POINTS) // 2)])[:-1]
     add(grid, xy, 0)
     assert np.all(directed(grid, xy, 0)[:, 2] == ROUGH_WEIGHT)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.kernels.counted_occupancy import (
-    MOST_COUNT,
+    MAX_COUNT,
     CountWeights,
     count_overlap,
     occupied_probability,
@@ -71,11 +71,11 @@ def test_counts_stay_at_their_greatest() -> None:
     drawn.insert(np.array([[2.05, 0.05]]), SENSOR, np.zeros(3))
     grid = drawn.grid()
     assert grid.hits.dtype == grid.passes.dtype == np.uint16
-    grid.hits[grid.hits > 0] = MOST_COUNT
-    grid.passes[grid.passes > 0] = MOST_COUNT
+    grid.hits[grid.hits > 0] = MAX_COUNT
+    grid.passes[grid.passes > 0] = MAX_COUNT
     drawn.insert(np.array([[2.05, 0.05]]), SENSOR, np.zeros(3))
-    assert counts_at(drawn, 2.05, 0.05)[0] == MOST_COUNT
-    assert counts_at(drawn, 1.05, 0.02)[1] == MOST_COUNT
+    assert counts_at(drawn, 2.05, 0.05)[0] == MAX_COUNT
+    assert counts_at(drawn, 1.05, 0.02)[1] == MAX_COUNT
 
 
 def test_cells_that_beams_cross_are_those_of_a_dense_walk() -> None:

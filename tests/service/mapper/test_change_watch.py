@@ -10,11 +10,11 @@ from service.geometry.se2 import SE2
 from service.kernels.map_changes import FREE
 from service.mapper.components import RenderedMap
 from service.mapper.map_changes import (
-    LEAST_CELLS,
-    LEAST_MS,
-    LEAST_POSES,
-    LEAST_SHARE,
-    LEAST_VOTES,
+    MIN_CELLS,
+    MIN_MS,
+    MIN_POSES,
+    MIN_SHARE,
+    MIN_VOTES,
     ChangeWatch,
     MapChanges,
     group_sizes,
@@ -167,10 +167,10 @@ def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:
         at
         for at in np.ndindex(votes.stored.shape)
         if (votes.stored[at] == FREE) == is_new
-        and votes.poses[at] >= LEAST_POSES
-        and votes.changed[at] >= LEAST_VOTES
-        and votes.last_ms[at] - votes.first_ms[at] >= LEAST_MS
-        and int(votes.changed[at]) >= LEAST_SHARE * (int(votes.changed[at]) + int(votes.same[at]))
+        and votes.poses[at] >= MIN_POSES
+        and votes.changed[at] >= MIN_VOTES
+        and votes.last_ms[at] - votes.first_ms[at] >= MIN_MS
+        and int(votes.changed[at]) >= MIN_SHARE * (int(votes.changed[at]) + int(votes.same[at]))
     }
 
 
@@ -186,7 +186,7 @@ def in_groups(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
             near = {(row + dr, column + dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)} & left
             left -= near
             ends += near
-        if len(group) >= LEAST_CELLS:
+        if len(group) >= MIN_CELLS:
             kept |= set(group)
     return kept
 

@@ -7,7 +7,7 @@ import pytest
 
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
-from service.mapper.judgement import MOST_DRIFT_M, drift_of
+from service.mapper.judgement import MAX_DRIFT_M, drift_of
 from service.mapper.known_pose import KnownPose, carried, covariance_added
 
 BY_STEP = np.diag([4e-4, 1e-4, 1e-5])
@@ -70,7 +70,7 @@ def test_what_is_asked_with_every_scan_is_what_the_arrays_say(seed):
 
 
 def test_a_pose_that_has_drifted_is_not_ok_and_the_reason_tells_how_far():
-    assert drift_of(np.diag([0.9 * MOST_DRIFT_M, 0.1, 0.1]) ** 2) == ""
+    assert drift_of(np.diag([0.9 * MAX_DRIFT_M, 0.1, 0.1]) ** 2) == ""
     assert "1.20 m and 5.7 deg" in drift_of(np.diag([0.1, 1.2, 0.1]) ** 2)
     assert "11.5 deg" in drift_of(np.diag([0.1, 0.1, 0.2]) ** 2)
     assert "in the map it is not known; drive" in drift_of(np.diag([0.1, 1008.0, 0.2]) ** 2)

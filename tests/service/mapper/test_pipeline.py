@@ -15,7 +15,7 @@ from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews, Possibl
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
 from service.mapper.localisation import FOUND_ONCE
-from service.mapper.pipeline import MOST_BEHIND_NS, Mapper
+from service.mapper.pipeline import MAX_BEHIND_NS, Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
@@ -32,7 +32,7 @@ def test_fixes_are_counted_and_passed_over_where_no_graph_takes_them(profile):
 
 @pytest.mark.parametrize("is_paused", [False, True])
 def test_samples_that_are_dropped_while_no_scan_comes_are_counted(is_paused, monkeypatch):
-    monkeypatch.setattr(estimator, "MOST_SAMPLES", estimator.CAPACITY)
+    monkeypatch.setattr(estimator, "MAX_SAMPLES", estimator.CAPACITY)
     mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     scans = [frame for frame in drive(ROOM, standing, 0.2).frames if isinstance(frame, LaserScan)]
     mapper.process(scans[0])
@@ -340,7 +340,7 @@ def test_a_sweep_that_began_too_long_before_the_newest_pose_is_late():
     for frame in frames[:20]:
         mapper.process(frame)
     newest_ns = max(frame.stamp_ns for frame in frames[:20])
-    lux = replace(last, sensor="rear2", stamp_ns=newest_ns - MOST_BEHIND_NS - 1, arrived_ns=newest_ns)
+    lux = replace(last, sensor="rear2", stamp_ns=newest_ns - MAX_BEHIND_NS - 1, arrived_ns=newest_ns)
     mapper._components.deskew._mountings["rear2"] = REAR
     assert mapper.process(lux) is None
     assert mapper.counters["scans_dropped_late"] == 1

@@ -40,7 +40,7 @@ def second() -> Drive:
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """For who is lost all along: what becomes of it does not depend on how many places are looked at."""
-    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 4)
+    monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)
 
 
 def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
@@ -252,7 +252,7 @@ def test_what_a_graph_does_not_do_is_refused_with_all_that_it_does(first):
 
 
 def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):
-    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", 16)
+    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MAX_SESSION", 16)
     drove, begin = first
     mapper = new_mapper(begin)
     outputs = list(outputs_of(mapper, second.frames))

@@ -22,7 +22,7 @@ SEEDS = [
     pytest.param(range(100), id="100 seeds"),
     pytest.param(range(100, 1000), id="900 seeds", marks=pytest.mark.soak),
 ]
-LEAST_LEFT = 0.06  # such a share has to be read all the same, and such a share to be refused
+MIN_LEFT = 0.06  # such a share has to be read all the same, and such a share to be refused
 
 
 def mutated(data: bytes, dice: random.Random) -> bytes:
@@ -82,7 +82,7 @@ def test_carmen_logs_with_changed_bytes_are_read_or_refused(seeds, tmp_path, cap
         return ["import", "carmen", str(tmp_path / "run.log"), str(tmp_path / "out.mcap")]
 
     codes = exit_codes(command, seeds, capsys)
-    assert codes[0] > LEAST_LEFT * len(seeds)  # else it is the first line of every log that breaks
+    assert codes[0] > MIN_LEFT * len(seeds)  # else it is the first line of every log that breaks
     assert codes[InputError.exit_code] > 0
 
 
@@ -115,8 +115,8 @@ def test_recordings_with_changed_bytes_are_read_or_refused(seeds, tmp_path, caps
         return ["import", "rosbag", str(path), str(tmp_path / "out.mcap")]
 
     codes = exit_codes(command, seeds, capsys)
-    assert codes[0] > LEAST_LEFT * len(seeds)
-    assert codes[InputError.exit_code] > LEAST_LEFT * len(seeds)
+    assert codes[0] > MIN_LEFT * len(seeds)
+    assert codes[InputError.exit_code] > MIN_LEFT * len(seeds)
 
 
 NO_MEASUREMENTS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e30, -1.0, 0.0, 5e-324)

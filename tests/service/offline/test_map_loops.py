@@ -12,7 +12,7 @@ from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops import Loop
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.refusals import MOST_REFUSED, Refusals
+from service.mapper.methods.corridor.graph.refusals import MAX_REFUSED, Refusals
 from service.mapper.refused_loops import ALONE, CONTRADICTED, WORDS
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
@@ -107,10 +107,10 @@ def test_a_graph_of_before_tells_what_it_has(graph):
 
 def test_refusals_do_not_fill_memory():
     refusals = Refusals()
-    for k in range(MOST_REFUSED + 5):
+    for k in range(MAX_REFUSED + 5):
         refusals.add([Loop(k, k + 100, np.zeros(3), np.eye(3), 0.5)], ALONE)
     assert refusals.arrays([]).ends[0].tolist() == [5, 105]
-    assert len(refusals.arrays([]).ends) == MOST_REFUSED
+    assert len(refusals.arrays([]).ends) == MAX_REFUSED
 
 
 def test_the_table_names_each_loop_and_json_is_json(tmp_path, graph, capsys):

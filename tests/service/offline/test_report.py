@@ -219,7 +219,7 @@ def test_stamps_years_apart_make_no_endless_axis(result: Path):
 
 
 def test_walls_stay_where_a_large_map_is_shown_coarser(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("service.offline.report.map_figure.MOST_PIXELS", 4)
+    monkeypatch.setattr("service.offline.report.map_figure.MAX_PIXELS", 4)
     pixels = np.full((5, 7), 254, np.uint8)
     pixels[4, 6] = pixels[0, 1] = 0
     shown = _coarser(Picture(7, 5, 0.05, 1.0, 2.0, lambda: iter((pixels[:3], pixels[3:]))))

@@ -1,7 +1,7 @@
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.offline.state_reasons import MOST_KINDS, StateReasons, doubts
+from service.offline.state_reasons import MAX_KINDS, StateReasons, doubts
 from service.outputs import MapperOutput, Reason, State
 
 T0_NS = 1_700_000_000_000_000_000
@@ -49,7 +49,7 @@ def test_reasons_that_differ_in_numbers_alone_are_one_kind():
 def test_only_the_most_frequent_kinds_are_told():
     rare = [("degraded", f"reason {letter}") for letter in "abcdefg"]
     kinds = reasons_of([*rare, ("degraded", "reason g")]).as_dict()["degraded"]
-    assert len(kinds) == MOST_KINDS
+    assert len(kinds) == MAX_KINDS
     assert kinds[0] == {"id": "off_map", "reason": "reason g", "scans": 2, "first_s": 0.6}
 
 

@@ -112,7 +112,7 @@ def test_a_fault_in_a_command_is_an_answer_and_no_end(served: ZenohPublisher, cl
 def test_a_slow_command_holds_up_no_other_and_a_flood_is_turned_away(
     served: ZenohPublisher, client: zenoh.Session, asked: Asked, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 2)
+    monkeypatch.setattr(query_workers, "MAX_AT_ONCE", 2)
     asked.go.clear()
     asking = [started(partial(ask, client, "cmd/mark")) for _ in range(2)]
     for _ in asking:
@@ -151,7 +151,7 @@ def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
         begin(self)
 
     begin = threading.Thread.start
-    monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 1)
+    monkeypatch.setattr(query_workers, "MAX_AT_ONCE", 1)
     with monkeypatch.context() as exhausted:
         exhausted.setattr(threading.Thread, "start", start)
         ((good, _, text),) = ask(client, "cmd/mark")

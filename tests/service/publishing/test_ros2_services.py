@@ -178,7 +178,7 @@ def test_garbage_is_refused_and_the_service_goes_on(session, asked, topics, requ
 
 
 def test_too_many_requests_at_once_are_refused_with_the_reason(session, asked, monkeypatch):
-    monkeypatch.setattr(query_workers, "MOST_AT_ONCE", 0)
+    monkeypatch.setattr(query_workers, "MAX_AT_ONCE", 0)
     response = answer(session, "pause", ros_services.TRIGGER)
     assert not response.success
     assert "ask again in a moment" in response.message

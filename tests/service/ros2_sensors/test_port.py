@@ -112,7 +112,7 @@ def test_no_router_is_a_transport_error():
 
 
 def test_messages_that_are_not_read_in_time_are_no_silent_loss(wire: ZenohWire, monkeypatch):
-    monkeypatch.setattr(port_module, "MOST_WAITING", 2)
+    monkeypatch.setattr(port_module, "MAX_WAITING", 2)
     with Subscription(config(router=router_of(wire)), LASER_SCAN) as subscription:
         with subscription._changed:
             assert subscription._changed.wait_for(lambda: subscription._lost >= 3, TIMEOUT_S)

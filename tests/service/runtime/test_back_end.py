@@ -60,7 +60,7 @@ def test_a_back_end_comes_to_its_process_whatever_its_size(
     process: BackEndProcess, monkeypatch: pytest.MonkeyPatch
 ):
     """What the place of a vehicle is looked for in is large, and goes with it."""
-    monkeypatch.setattr(channel, "MOST_WAITING_BYTES", 1_000_000)
+    monkeypatch.setattr(channel, "MAX_WAITING_BYTES", 1_000_000)
     for total in (1, 2):  # the first one, and one of a map that is loaded later
         large = Adder()
         large.known_ground = bytes(5_000_000)

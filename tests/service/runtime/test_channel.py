@@ -62,9 +62,9 @@ def test_an_end_that_breaks_while_it_is_sent_to_is_told_to_who_receives_next():
 
 
 def test_a_reader_that_stands_still_is_given_up_before_memory_is_full(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(channel, "MOST_WAITING_BYTES", 1_000_000)
+    monkeypatch.setattr(channel, "MAX_WAITING_BYTES", 1_000_000)
     ours, theirs = pair()
-    while ours.waiting_bytes <= channel.MOST_WAITING_BYTES:
+    while ours.waiting_bytes <= channel.MAX_WAITING_BYTES:
         ours.send(b"x" * 100_000)
     with pytest.raises(ChannelClosedError, match="stands still"):
         ours.send(b"x")

@@ -28,7 +28,7 @@ from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
-from service.sinks.map_saver import MOST_ASKED, MapSaver
+from service.sinks.map_saver import MAX_ASKED, MapSaver
 from service.sinks.mcap_sink import McapSink
 from tests.in_background import started
 from tests.service.mapstore.graphs import graph_of
@@ -476,7 +476,7 @@ def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_
     machine.recorder.start()  # the saver is not: nothing that it is asked for is done
     save_map(tmp_path / "office", [tile(1)], 1)
     machine.scan()
-    for _ in range(MOST_ASKED):
+    for _ in range(MAX_ASKED):
         machine.saver.ask_to_save(lambda saved, fault: None)
     for verb, request, words in (
         ("save_map", {}, "not saved"),
@@ -484,7 +484,7 @@ def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_
         ("load_map", {"map": "office"}, "the present map stays"),
         ("switch_profile", {"profile": "imle"}, "the profile stays, for the map cannot be saved: not saved"),
     ):
-        assert machine.ask(verb, **request)["error"].startswith(f"{words}: {MOST_ASKED} requests wait for")
+        assert machine.ask(verb, **request)["error"].startswith(f"{words}: {MAX_ASKED} requests wait for")
     with InUse(tmp_path / "office", "somebody who edits it"):
         (session,) = machine.stop()
     assert [event["event"] for event in events(session)] == ["save_map"]

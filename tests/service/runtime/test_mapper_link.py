@@ -241,7 +241,7 @@ def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_ag
     finally:
         undisturbed.stop()
     drive.start()
-    for deaths in range(1, mapper_link.MOST_BACK_END_DEATHS + 1):
+    for deaths in range(1, mapper_link.MAX_BACK_END_DEATHS + 1):
         drive.scan(10)
         drive.until_mapped()
         pid = drive.link.pid
@@ -259,7 +259,7 @@ def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_ag
     os.kill(back_end_of(drive), signal.SIGKILL)  # once more: mapping goes on without it
     drive.scan(10)
     drive.until_mapped()
-    assert len(drive.heard.takeovers) == mapper_link.MOST_BACK_END_DEATHS
+    assert len(drive.heard.takeovers) == mapper_link.MAX_BACK_END_DEATHS
 
 
 def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(

@@ -25,7 +25,7 @@ from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.outputs import UNKNOWN, GraphPicture, Grid, TileUpdate
 from service.runtime.mapper_messages import Answer, Status, Tiles
-from service.runtime.mapping import MOST_AGE_NS, MOST_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
+from service.runtime.mapping import MAX_AGE_NS, MAX_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
 from tests.service.runtime.mapping_runs import (
     FRAMES,
     MS,
@@ -112,7 +112,7 @@ def test_the_last_tiles_are_there_at_the_end():
 class Redrawn(FakeMapper):
     """A loop has closed: many tiles change at once."""
 
-    left = 3 * MOST_TILES + 1
+    left = 3 * MAX_TILES + 1
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         count = self.left if most is None else min(most, self.left)
@@ -131,19 +131,19 @@ def test_a_map_drawn_anew_is_handed_over_in_parts_between_items():
         loop.keep_up(is_idle=True)
         return sum(len(message.tiles) for message in said if isinstance(message, Tiles))
 
-    assert handed_over(10**9) == MOST_TILES
+    assert handed_over(10**9) == MAX_TILES
     assert loop.has_tiles
-    assert [handed_over(1), handed_over(1)] == [MOST_TILES, MOST_TILES]
+    assert [handed_over(1), handed_over(1)] == [MAX_TILES, MAX_TILES]
     assert handed_over(1) == 1
     assert not loop.has_tiles
     mapper.left = 2
     assert handed_over(1) == 0  # now and then is enough
     assert handed_over(TILE_INTERVAL_NS) == 2
-    mapper.left = 5 * MOST_TILES
-    assert handed_over(TILE_INTERVAL_NS) == MOST_TILES
+    mapper.left = 5 * MAX_TILES
+    assert handed_over(TILE_INTERVAL_NS) == MAX_TILES
     said.clear()
     loop.hand_over_tiles()  # before another map begins, and at the end
-    assert sum(len(message.tiles) for message in said) == 4 * MOST_TILES
+    assert sum(len(message.tiles) for message in said) == 4 * MAX_TILES
     assert not loop.has_tiles
 
 
@@ -283,8 +283,8 @@ def test_a_pose_that_is_no_number_is_a_fault():
 def test_a_scan_that_has_waited_too_long_is_passed_over_and_the_recording_says_so():
     mapper = FakeMapper()
     run = Run(mapper).put(scan(10, 20, [1.0, 2.0]))
-    run.put(scan(40, 60, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
-    run.put(scan(70, 90, [1.0, 2.0]), waits_ns=MOST_AGE_NS)
+    run.put(scan(40, 60, [1.0, 2.0]), waits_ns=MAX_AGE_NS + 1)
+    run.put(scan(70, 90, [1.0, 2.0]), waits_ns=MAX_AGE_NS)
     assert mapper.skipped == 1
     assert [m.stamp_ns - OFFSET_NS for m in run.recorded if m.channel == "pose"] == [10, 70]
     assert [m.channel for m in run.recorded].count("front/scan") == 3
@@ -303,9 +303,9 @@ def test_a_scan_may_be_two_periods_old_where_that_is_more():
 def test_an_overload_begins_with_the_third_scan_and_ends_ten_seconds_after_the_last():
     run = Run(FakeMapper())
     for at_ns in (10, 40):
-        run.put(scan(at_ns, at_ns + 20, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
+        run.put(scan(at_ns, at_ns + 20, [1.0, 2.0]), waits_ns=MAX_AGE_NS + 1)
     assert run.outputs.overload() == ""
-    run.put(scan(200 * MS, 200 * MS + 20, [1.0, 2.0]), waits_ns=MOST_AGE_NS + 1)
+    run.put(scan(200 * MS, 200 * MS + 20, [1.0, 2.0]), waits_ns=MAX_AGE_NS + 1)
     assert run.outputs.overload().startswith("3 scans in 0.2 s were not mapped, having waited up to 50 ms;")
     run.link.now_ns += 9 * 10**9
     assert run.outputs.overload().startswith("3 scans in 9.2 s were not mapped")

@@ -27,7 +27,7 @@ from service.runtime import service as service_module
 from service.runtime.commands import Commands
 from service.runtime.early_mapper import EarlyMapper
 from service.runtime.health import HealthReport
-from service.runtime.mapper_link import MOST_DEATHS, MapperLink
+from service.runtime.mapper_link import MAX_DEATHS, MapperLink
 from service.runtime.notify import Notifier
 from service.runtime.readers import Readers
 from service.runtime.service import Service
@@ -183,18 +183,18 @@ def test_a_mapper_that_fails_at_every_scan_brings_the_service_down_with_its_reco
     told = threading.Event()
     service = open_service(on_failure=told.set)
     service.start()
-    for k in range(MOST_DEATHS):
+    for k in range(MAX_DEATHS):
         arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
         service.frame_sink(
             scan(arrived_ns + k * 20_000_000, arrived_ns + k * 20_000_000, [FATAL_RANGE_M, 2.0, 3.0])
         )
     assert told.wait(30.0)
-    assert f"{MOST_DEATHS} times after item 0" in service.failure
+    assert f"{MAX_DEATHS} times after item 0" in service.failure
     summary = service.stop()
     recording = Recording(summary.sessions)
-    assert [m.channel for m in recording.messages(["/front/scan"])] == ["front/scan"] * MOST_DEATHS
+    assert [m.channel for m in recording.messages(["/front/scan"])] == ["front/scan"] * MAX_DEATHS
     events = [decode_event(m.payload) for m in recording.messages(["/events"])]
-    assert sum("frame_refused" in event for event in events) == MOST_DEATHS
+    assert sum("frame_refused" in event for event in events) == MAX_DEATHS
     assert any("mapper_restarted" in event and "no such tile" in event for event in events)
     assert "no such tile" in events[-1]
 

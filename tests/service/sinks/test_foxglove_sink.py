@@ -22,7 +22,7 @@ from service.mapstore.tiles import TileStore
 from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
 from service.resources import CONFIG
 from service.sinks.foxglove_config import FoxgloveConfig
-from service.sinks.foxglove_sink import MOST_WAITING, FoxgloveSink, open_sink
+from service.sinks.foxglove_sink import MAX_WAITING, FoxgloveSink, open_sink
 from service.sinks.sink import SinkContext
 from tests.browser.scene import Scene, event, stamp
 from tests.service.sinks.contexts import sink_context
@@ -176,7 +176,7 @@ def test_nothing_waits_while_the_port_is_taken_and_it_is_had_when_it_is_free(
         wait_until(lambda: "cannot be served" in sink.health().message)
         assert sink.health().level == ERROR
         sink.put(encode_tf_static({"front": SE2()}, 1, 1))
-        for k in range(MOST_WAITING + 500):
+        for k in range(MAX_WAITING + 500):
             sink.put(event("{}", k * 1e-3))
 
     async def look(viewer: Viewer) -> None:

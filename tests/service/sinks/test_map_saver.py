@@ -21,7 +21,7 @@ from service.mapstore.tiles import TileStore
 from service.offline.map_edit import edit_map, erase
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer
-from service.sinks.map_saver import MOST_ASKED, MOST_UNSAVED, MapSaver
+from service.sinks.map_saver import MAX_ASKED, MAX_UNSAVED, MapSaver
 from service.sinks.sink import SavedMap
 from tests.service.mapstore.graphs import graph_of
 from tests.service.sinks.contexts import sink_context
@@ -154,12 +154,12 @@ def test_requests_do_not_pile_up_without_end_while_the_disk_hangs(tmp_path: Path
     kept.tiles.update([tile(1)])
     heard_put_away: list[bool] = []
     kept.saver.put_graph_away(lambda: heard_put_away.append(True))
-    for _ in range(MOST_ASKED - 1):
+    for _ in range(MAX_ASKED - 1):
         kept.saver.ask_to_save(answers)
     assert answers.heard == []
     kept.saver.ask_to_save(answers)
     why = (
-        f"{MOST_ASKED} requests wait for the disk of {tmp_path}; look whether it is full, slow or gone, and "
+        f"{MAX_ASKED} requests wait for the disk of {tmp_path}; look whether it is full, slow or gone, and "
         "ask again"
     )
     assert answers.heard == [(None, f"not saved: {why}")]
@@ -167,7 +167,7 @@ def test_requests_do_not_pile_up_without_end_while_the_disk_hangs(tmp_path: Path
         kept.saver.put_graph_away(lambda: heard_put_away.append(False))
     assert str(error.value) == why
     kept.saver.flush()
-    assert answers.heard[1:] == [(SavedMap(tmp_path / "map", 1, 1), "")] * (MOST_ASKED - 1)
+    assert answers.heard[1:] == [(SavedMap(tmp_path / "map", 1, 1), "")] * (MAX_ASKED - 1)
     assert heard_put_away == [True]
 
 
@@ -248,7 +248,7 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
 def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "map").write_text("in the way")
     kept = Kept(tmp_path / "map")
-    for _ in range(MOST_UNSAVED + 1):
+    for _ in range(MAX_UNSAVED + 1):
         kept.tiles.update([tile(kept.tiles.version + 1)])
         kept.tiles.begin_anew()
     kept.saver._try_to_save()

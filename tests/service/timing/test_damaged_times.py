@@ -24,7 +24,7 @@ from tests.service.timing.damages import (
 from tests.soaked import examples
 
 WORSE = 1.5  # times the error of the good drive, without a warning
-MOST_DROPPED = 0.05
+MAX_DROPPED = 0.05
 
 
 @cache
@@ -118,7 +118,7 @@ def test_damaged_times_are_mended_or_the_topic_is_named(damage: tuple[str, Damag
         warning.startswith(TOPICS[kind]) or f" {TOPICS[kind]} " in warning for warning in run.warnings
     )
     assert is_named or run.error_m <= WORSE * good().error_m
-    assert is_named or run.dropped[kind] <= MOST_DROPPED * count
+    assert is_named or run.dropped[kind] <= MAX_DROPPED * count
 
 
 def test_the_good_drive_is_mapped_well_without_a_warning():

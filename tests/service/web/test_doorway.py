@@ -27,7 +27,7 @@ def is_closed(connection):
 @pytest.fixture
 def narrow(serve, monkeypatch):
     """A page with room for two connections."""
-    monkeypatch.setattr(doorway, "LEAST_CONNECTIONS", 2)
+    monkeypatch.setattr(doorway, "MIN_CONNECTIONS", 2)
     monkeypatch.setattr(doorway, "CONNECTIONS_A_BROWSER", 2)
     return serve(most_browsers=1)
 

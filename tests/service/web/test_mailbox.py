@@ -1,4 +1,4 @@
-from service.web.mailbox import MOST_NOTES, Mailbox
+from service.web.mailbox import MAX_NOTES, Mailbox
 
 
 def test_of_a_picture_only_the_newest_waits():
@@ -15,9 +15,9 @@ def test_of_a_picture_only_the_newest_waits():
 
 def test_each_note_waits_and_the_oldest_goes_first():
     mailbox = Mailbox()
-    for number in range(MOST_NOTES + 2):
+    for number in range(MAX_NOTES + 2):
         mailbox.note(str(number))
-    assert mailbox.take() == [str(number) for number in range(2, MOST_NOTES + 2)]
+    assert mailbox.take() == [str(number) for number in range(2, MAX_NOTES + 2)]
     assert mailbox.dropped == 2
 
 
@@ -31,8 +31,8 @@ def test_notes_go_before_pictures():
 def test_no_answer_is_left_out_however_much_happens():
     mailbox = Mailbox()
     mailbox.answer("hello")
-    for number in range(2 * MOST_NOTES):
+    for number in range(2 * MAX_NOTES):
         mailbox.note(str(number))
     mailbox.answer("done")
-    assert mailbox.take()[:3] == ["hello", "done", str(MOST_NOTES)]
+    assert mailbox.take()[:3] == ["hello", "done", str(MAX_NOTES)]
     assert mailbox.take() == []

@@ -14,8 +14,8 @@ import pytest
 
 from service.encoding import encode_pose
 from service.web import browser
-from service.web.live_view import MOST_EVENTS
-from service.web.mailbox import MOST_NOTES
+from service.web.live_view import MAX_EVENTS
+from service.web.mailbox import MAX_NOTES
 from service.web.server import WebServer
 from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile
@@ -155,7 +155,7 @@ def test_commands_need_the_token(serve, dispatcher):
 def test_who_guesses_tokens_is_let_go(serve):
     async def guess(client):
         async with client.socket() as socket:
-            for number in range(browser.MOST_WRONG_TOKENS):
+            for number in range(browser.MAX_WRONG_TOKENS):
                 await client.ask(socket, type="token", token=f"guess {number}")
             assert await client.closed_with(socket) == aiohttp.WSCloseCode.POLICY_VIOLATION
 
@@ -240,16 +240,16 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, disp
     async def ask(client):
         async with client.socket() as socket:
             await client.ask(socket, type="token", token=TOKEN)
-            for n in range(browser.MOST_COMMANDS + 1):
+            for n in range(browser.MAX_COMMANDS + 1):
                 await client.ask(socket, type="command", n=n, verb="wait")
             too_many = await client.next(socket, "answer")
-            assert too_many["n"] == browser.MOST_COMMANDS
+            assert too_many["n"] == browser.MAX_COMMANDS
             assert "wait for one to end" in too_many["body"]["error"]
             server.put(encode_pose(Scene().output(0.0), 1))
             await client.next(socket, "pose")
             dispatcher.go_on.set()
-            answered = [(await client.next(socket, "answer"))["n"] for _ in range(browser.MOST_COMMANDS)]
-            assert sorted(answered) == list(range(browser.MOST_COMMANDS))
+            answered = [(await client.next(socket, "answer"))["n"] for _ in range(browser.MAX_COMMANDS)]
+            assert sorted(answered) == list(range(browser.MAX_COMMANDS))
 
     talk(server, ask)
 
@@ -257,16 +257,16 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, disp
 def test_who_comes_after_many_events_is_greeted_all_the_same(serve):
     """Without the greeting the page would know no command, and not the vehicle."""
     server = serve()
-    for number in range(MOST_EVENTS):
+    for number in range(MAX_EVENTS):
         server.put(event(f"{number}", float(number)))
 
     async def come(client):
         async with client.socket() as socket:  # so that all of them are kept by now
-            while (await client.next(socket, "event"))["text"] != f"{MOST_EVENTS - 1}":
+            while (await client.next(socket, "event"))["text"] != f"{MAX_EVENTS - 1}":
                 pass
         async with client.socket() as socket:
             assert json.loads((await socket.receive()).data)["type"] == "hello"
-            assert (await client.next(socket, "event"))["text"] == f"{MOST_EVENTS - MOST_NOTES}"
+            assert (await client.next(socket, "event"))["text"] == f"{MAX_EVENTS - MAX_NOTES}"
 
     talk(server, come)
 

@@ -48,7 +48,7 @@ def test_browsers_that_ask_for_the_same_share_one_message():
 
 
 def test_a_large_map_comes_in_parts_between_versions(monkeypatch):
-    monkeypatch.setattr(tile_feed, "MOST_CELLS", 2 * EDGE**2)
+    monkeypatch.setattr(tile_feed, "MAX_CELLS", 2 * EDGE**2)
     store = TileStore()
     store.update([tile(ix, 0, version) for ix, version in enumerate((1, 2, 2, 3, 4))])
 

@@ -29,7 +29,7 @@ from service.mapper.methods.contour_lm.contour_map import ContourMap
 
 Array = npt.NDArray[np.float64]
 PRINTED_BEAMS = 540
-MOST_TRIALS, MOST_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a prior nothing else ends it
+MAX_TRIALS, MAX_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a prior nothing else ends it
 
 
 class WeightsConfig(Section):
@@ -81,11 +81,11 @@ class ContourLm:
         self._config = config
         self._matching = JudgedMatching(config)
         self._lm = LmSettings(
-            MOST_TRIALS,
+            MAX_TRIALS,
             config.settled_m,
             config.settled_rad,
             config.first_damping,
-            MOST_DAMPING,
+            MAX_DAMPING,
             DAMPED_FLOOR,
         )
         self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)

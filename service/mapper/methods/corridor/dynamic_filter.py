@@ -7,8 +7,8 @@ from service.kernels.static_score import StaticScoreSettings
 
 TICK_S = 0.05  # in which it is counted how long something stands
 FREE_S = 0.25  # what comes into a free cell must stay so long: a person of 0.3 m has left it by then
-LEAST_WEIGHT = 0.1  # of a thing just come, where one that stands has 1: enough where nothing else is in view
-MOST_GAIN = 2.0  # weights that fell on average are raised again, so much at most: few points are not many
+MIN_WEIGHT = 0.1  # of a thing just come, where one that stands has 1: enough where nothing else is in view
+MAX_GAIN = 2.0  # weights that fell on average are raised again, so much at most: few points are not many
 BEAM_STEP = 3  # every third beam is followed, at each key frame another third
 
 
@@ -26,8 +26,8 @@ class DynamicFilterConfig(Section):
         return StaticScoreSettings(
             ticks_in(self.enough_s),
             ticks_in(FREE_S),
-            LEAST_WEIGHT,
-            MOST_GAIN,
+            MIN_WEIGHT,
+            MAX_GAIN,
             self.behind_m,
             BEAM_STEP,
         )

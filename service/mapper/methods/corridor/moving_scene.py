@@ -28,7 +28,7 @@ from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
-from service.mapper.judgement import LEAST_CONFIRMING, chi2_between, is_loose, sigmas_of
+from service.mapper.judgement import MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
 from service.mapper.methods.corridor.attempt import Aligned, Attempt, Matrix, chi2_of
 from service.mapper.methods.corridor.steady_motion import SteadyMotion
 from service.mapper.methods.corridor.submaps import Submap
@@ -196,7 +196,7 @@ class MovingScene:
         if attempt.stamp_ns > self._moves_until_ns:
             return None
         static, _share = self._align_static(attempt, attempt.prior, submap)
-        if static.result.used < LEAST_CONFIRMING or is_loose(sigmas_of(static.result.covariance)):
+        if static.result.used < MIN_CONFIRMING or is_loose(sigmas_of(static.result.covariance)):
             self._moves_until_ns = NOTHING_MOVES
             return None
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
@@ -240,7 +240,7 @@ class MovingScene:
         on_walls = int((np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M).sum())
         through = submap.through_static(attempt.points, xy_base, pose)
         if (
-            on_walls < LEAST_CONFIRMING
+            on_walls < MIN_CONFIRMING
             or on_walls < MIN_STATIC_AGREEMENT * (on_walls + through)
             or is_loose(sigmas_of(static.result.covariance))
         ):
@@ -290,7 +290,7 @@ class MovingScene:
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON
-        if static.result.weakest_sigma_m > self._degraded_sigma_m or static.result.used < LEAST_CONFIRMING:
+        if static.result.weakest_sigma_m > self._degraded_sigma_m or static.result.used < MIN_CONFIRMING:
             state = "degraded"
             reason = Reason(
                 "scene_moves",

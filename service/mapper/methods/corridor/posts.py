@@ -13,9 +13,9 @@ Matrix = npt.NDArray[np.float64]
 
 # Share of the points on posts: in a wood 0.73 and more. With fewer, walls are in view, which fix the pose
 # better.
-LEAST_SHARE = 0.7
-MOST_WIDTH_M = 0.6  # of a post
-LEAST_STEP_M = 0.3  # by so much lies what is beside a post farther away
+MIN_SHARE = 0.7
+MAX_WIDTH_M = 0.6  # of a post
+MIN_STEP_M = 0.3  # by so much lies what is beside a post farther away
 CENTROID = math.pi / 4.0  # of the radius: the points seen of a circle lie in front of its middle by so much
 ROUND_M = 0.02  # how round a post is
 
@@ -53,7 +53,7 @@ class Posts:
 def posts_of(points: Points) -> Posts | None:
     """The posts that a scan sees whole; None where it does not see posts mostly.
 
-    A post is a run of points side by side, at most MOST_WIDTH_M wide, before what is farther away on both
+    A post is a run of points side by side, at most MAX_WIDTH_M wide, before what is farther away on both
     sides. Half its width is its radius. Returns that the laser loses by chance end no run.
     """
     count = len(points.xy_raw)
@@ -61,32 +61,32 @@ def posts_of(points: Points) -> Posts | None:
         return None
     sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
     gap, step_rad = points.usual_gap, points.spacing_rad
-    bounds = (MOST_WIDTH_M, LEAST_STEP_M, LEAST_SHARE)
+    bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_SHARE)
     is_possible, most_missing = look_for_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
     if not is_possible:
         return None  # as below, in a twentieth of the time: so it is with nearly every scan
     away = points.xy_raw - sensor
     range_m = np.hypot(away[:, 0], away[:, 1])
     is_apart = np.diff(points.beam) > gap * (most_missing + 1)
-    is_break = is_apart | (np.abs(np.diff(range_m)) > LEAST_STEP_M)
+    is_break = is_apart | (np.abs(np.diff(range_m)) > MIN_STEP_M)
     begin = np.concatenate(([0], np.flatnonzero(is_break) + 1))
     end = np.concatenate((begin[1:], [count]))
     mean_m = np.add.reduceat(range_m, begin) / (end - begin)
     spacing_m = step_rad * mean_m
     width_m = ((points.beam[end - 1] - points.beam[begin]) / gap + 1.0) * spacing_m
-    is_narrow = width_m <= MOST_WIDTH_M
-    if (end - begin)[is_narrow].sum() < LEAST_SHARE * count:
+    is_narrow = width_m <= MAX_WIDTH_M
+    if (end - begin)[is_narrow].sum() < MIN_SHARE * count:
         return None
     # what is beside it: the point next to it, or nothing in reach
     before = (begin > 0) & ~is_apart[begin - 1]
     after = (end < count) & ~is_apart[np.minimum(end, count - 1) - 1]
-    is_before = ~before | (range_m[begin - 1] > range_m[begin] + LEAST_STEP_M)
-    is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + LEAST_STEP_M)
+    is_before = ~before | (range_m[begin - 1] > range_m[begin] + MIN_STEP_M)
+    is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + MIN_STEP_M)
     is_inside = (points.beam[begin] >= gap) & (points.beam[end - 1] < len(points.scan.range_m) - gap)
     is_post = is_narrow & is_before & is_after & is_inside
     is_on_post = np.repeat(is_post, end - begin)
     which = np.flatnonzero(is_post)
-    if np.count_nonzero(is_on_post) < max(LEAST_SHARE * count, 1):
+    if np.count_nonzero(is_on_post) < max(MIN_SHARE * count, 1):
         return None
     begin, end, spacing_m = begin[which], end[which], spacing_m[which]
     of_each = (end - begin).astype(np.float64)

@@ -46,13 +46,13 @@ FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that 
 FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
 POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
-LEAST_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
+MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
 NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
-MOST_MISSES = 3  # then another piece is begun
+MAX_MISSES = 3  # then another piece is begun
 STATIC_PATH_M = 1.0  # what was seen over so much of the path stands still: nothing moves along for longer
-MARK_M, MOST_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
-MOST_NUMBER = 65_535  # of a key frame, then from 1 again
+MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
+MAX_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
 class SubmapsConfig(Section):
@@ -133,7 +133,7 @@ class Submap:
         """
         residual_m = np.empty(len(xy_base))
         grid, sightings = self.grid(), self._sightings()
-        cosine, latest = LEAST_NORMAL_COSINE, self._static_mark
+        cosine, latest = MIN_NORMAL_COSINE, self._static_mark
         static_residuals(xy_base, normals, pose, grid, sightings, cosine, latest, residual_m)
         return residual_m
 
@@ -197,7 +197,7 @@ class Submap:
         grid: SurfelGrid,
     ) -> npt.NDArray[np.float64]:
         """Note what a key frame sees and what it sees through; its normals, without points of what moves."""
-        number = np.uint16(self.scan_count % MOST_NUMBER + 1)
+        number = np.uint16(self.scan_count % MAX_NUMBER + 1)
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
         static = normals.copy()
         settings, sightings = self._dynamic_filter, self._sightings()
@@ -244,7 +244,7 @@ class Submap:
 
 def _mark_at(path_m: float) -> int:
     """Mark of the path of a sub-map, from 1 on; 0 before its beginning."""
-    return min(1 + math.floor(path_m / MARK_M), MOST_MARK) if path_m >= 0.0 else 0
+    return min(1 + math.floor(path_m / MARK_M), MAX_MARK) if path_m >= 0.0 else 0
 
 
 class SurfelSubmaps:
@@ -383,7 +383,7 @@ class SurfelSubmaps:
             return MapChange(piece=self._joined_piece if self._detached is None else self._piece)
         pose = match.motion.pose_odom_base
         self._misses = 0 if match.measured is not None else self._misses + 1
-        if self._detached is None or self._misses >= MOST_MISSES:
+        if self._detached is None or self._misses >= MAX_MISSES:
             if self._detached is not None:
                 self._detached.release()
             self._detached = self.new_submap()

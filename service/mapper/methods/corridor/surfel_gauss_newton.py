@@ -13,7 +13,7 @@ from service.kernels.deskew import Returns
 from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.match import (
-    LEAST_PRIOR_WEIGHT,
+    MIN_PRIOR_WEIGHT,
     MatchResult,
     MatchSettings,
     Prior,
@@ -44,7 +44,7 @@ from service.mapper.methods.corridor.posts import Posts, posts_of
 from service.mapper.methods.corridor.range_bias import RangeBias
 from service.mapper.methods.corridor.steady_motion import SteadyMotion
 from service.mapper.methods.corridor.submaps import (
-    LEAST_NORMAL_COSINE,
+    MIN_NORMAL_COSINE,
     SURFEL_SIGMA_M,
     Submap,
     SurfelSubmaps,
@@ -61,8 +61,8 @@ COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - lik
 COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
-MOST_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
-MOST_REPEATS = 100.0
+MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
+MAX_REPEATS = 100.0
 GAUSSIAN = 1e9  # degrees of freedom of an error that is never far larger than usual
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken
@@ -99,7 +99,7 @@ class SurfelGaussNewton:
             chance_chi2=0.0,
             information_chance_chi2=0.0,
             cauchy_m=config.cauchy_m,
-            least_normal_cosine=LEAST_NORMAL_COSINE,
+            least_normal_cosine=MIN_NORMAL_COSINE,
             iterations=ITERATIONS,
             deskew_rounds=DESKEW_ROUNDS,
             inlier_m=INLIER_M,
@@ -184,7 +184,7 @@ class SurfelGaussNewton:
             sensor, usual = attempt.points.scan.sensor, attempt.usual_ratio
             self._usual_ratios[sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt, local_map)
-            self._was_contradicted = aligned.result.prior_weight < LEAST_PRIOR_WEIGHT
+            self._was_contradicted = aligned.result.prior_weight < MIN_PRIOR_WEIGHT
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
         if self._gap is None and (static := self._scene.explain(attempt, submap)) is not None:
             return self._as_match(static, attempt, static.state, static.reason)
@@ -329,7 +329,7 @@ class SurfelGaussNewton:
         that sees much of it, and walls alike all along, would be drawn into the map. Where about as much of
         it lies on the map near the prediction, that is not why it was left.
         """
-        if aligned.result.prior_weight >= LEAST_PRIOR_WEIGHT:
+        if aligned.result.prior_weight >= MIN_PRIOR_WEIGHT:
             return aligned
         near = self._align(attempt, attempt.prior.pose, aligned.submap, is_held=True)
         if near.is_contradicted or near.result.share > DOUBT_RATIO * aligned.result.share:
@@ -423,7 +423,7 @@ def _unmeasured(pause_s: float) -> Reason:
 
 def _apart_m(predicted: Prediction) -> float:
     """Travel since the scan before, m; standing, scans count as the hundredth part of SAME_WALL_M apart."""
-    return max(predicted.travel_m, SAME_WALL_M / MOST_REPEATS)
+    return max(predicted.travel_m, SAME_WALL_M / MAX_REPEATS)
 
 
 def _chance_chi2(predicted: Prediction) -> float:
@@ -432,7 +432,7 @@ def _chance_chi2(predicted: Prediction) -> float:
     Chance misleads where the prediction knows better. Where nothing else measures the motion, the match
     follows the little that the scan says; what is then known is less by chance all the same, [31].
     """
-    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MOST_CHANCE_SCANS))
+    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MAX_CHANCE_SCANS))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

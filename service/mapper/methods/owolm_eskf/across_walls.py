@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 # Normals of short pieces are off by 10 to 25 deg, and one wall then says so much of the way along it: a
 # direction of which the points in no segment say less than this share of what they say of the other.
-LEAST_SHARE = 0.2
+MIN_SHARE = 0.2
 BESIDE_M = 0.3  # a dot so near to the line of a wall is of that wall: of a door in it, or of its frame
 NEAR_AXIS_RAD = math.radians(15.0)  # walls run along the axes of the map: a normal so near to one is that
 
@@ -81,7 +81,7 @@ def _is_beside(across_m: Array, segment: npt.NDArray[np.int32]) -> npt.NDArray[n
 
 def _without_weak_direction(slopes: Array, weights: Array) -> Array:
     said, axes = np.linalg.eigh((weights[:, None] * slopes).T @ slopes)
-    if said[0] >= LEAST_SHARE * said[1]:
+    if said[0] >= MIN_SHARE * said[1]:
         return slopes
     (strong,) = _along_axes(axes[None, :, 1])
     kept: Array = slopes @ np.outer(strong, strong)

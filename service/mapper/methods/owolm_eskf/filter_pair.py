@@ -22,7 +22,7 @@ FIXED_M = 0.1  # sigma in the worst direction, up to which walls fix the positio
 # with the wrong sign, as those of fr079 do in reverse; none where dots hold it back, but for a match's noise.
 BACKWARDS_SHARE = 0.25
 STEP_M = 0.05  # of way, in which that is counted
-LEAST_COVARIANCE = 1e-6 * np.eye(3)
+MIN_COVARIANCE = 1e-6 * np.eye(3)
 
 
 class FilterPair:
@@ -92,7 +92,7 @@ class FilterPair:
         if math.hypot(way.x_m, way.y_m) >= STEP_M:
             self._backwards_m = backwards_m
             self._counted = self.across.pose, dots.pose
-        covariance = self.across.pose_covariance() + LEAST_COVARIANCE
+        covariance = self.across.pose_covariance() + MIN_COVARIANCE
         if chi2_between(self.across.pose, dots.pose, covariance) <= CHI2_999_OF_3:
             return
         apart = dots.position_m - self.across.position_m

@@ -20,8 +20,8 @@ from service.outputs import NO_REASON, Reason
 Twist = tuple[float, float, float]
 STILL_STEP_NS = 100_000_000  # while standing, the filter is told so at this interval
 STILL_SIGMA = (0.0005, 0.0005, 0.0001)  # m, m, rad: how still it stands
-LEAST_STILL_SAMPLES = 20
-MOST_UNKNOWN_S = 0.3  # at 1 m/s no farther than scans of the map lie apart
+MIN_STILL_SAMPLES = 20
+MAX_UNKNOWN_S = 0.3  # at 1 m/s no farther than scans of the map lie apart
 ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S = 1.0, 0.05
 
 
@@ -76,7 +76,7 @@ class InertialMotion:
     @property
     def fault(self) -> Reason:
         """What a filter cannot weigh: a stretch of which nobody knows how long it was."""
-        if self._unknown_s <= MOST_UNKNOWN_S:
+        if self._unknown_s <= MAX_UNKNOWN_S:
             return NO_REASON
         return Reason(
             "unmeasured_way",
@@ -169,7 +169,7 @@ class InertialMotion:
     def _align(self, stamp_ns: int) -> None:
         """Tilt and biases from before the first scan, if the vehicle stood; else level, unbiased."""
         stamps, felt = self._track.before(stamp_ns)
-        if len(stamps) < LEAST_STILL_SAMPLES or not self._track.covers(stamps[0], stamp_ns):
+        if len(stamps) < MIN_STILL_SAMPLES or not self._track.covers(stamps[0], stamp_ns):
             return
         scatter = felt.std(axis=0)
         if (

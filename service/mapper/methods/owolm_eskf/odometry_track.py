@@ -8,7 +8,7 @@ from service.geometry.se2 import SE2
 
 KEEP_NS = 10_000_000_000  # of samples before the last scan, and before the newest
 TRIM_COUNT = 4096  # so many may wait for a scan before those between are dropped
-LEAST_SPEED_S = 0.005  # samples that lie closer together say nothing of a speed
+MIN_SPEED_S = 0.005  # samples that lie closer together say nothing of a speed
 
 
 class OdometryTrack:
@@ -69,7 +69,7 @@ class OdometryTrack:
         while last < len(stamps) - 1 and stamps[last] - stamps[first] < window_ns:
             last += 1
         elapsed_s = (stamps[last] - stamps[first]) * 1e-9
-        if elapsed_s < LEAST_SPEED_S:
+        if elapsed_s < MIN_SPEED_S:
             return None
         forward, left, turn = (self._poses[first].inverse() @ self._poses[last]).log()
         return forward / elapsed_s, left / elapsed_s, turn / elapsed_s

@@ -22,7 +22,7 @@ from service.kernels.likelihood_search import search_exhaustive
 from service.kernels.particles import normalise_weights, resample
 from service.kernels.pose_information import rotate_information
 from service.mapper.components import Match, Points
-from service.mapper.judgement import LEAST_AGREEMENT_FAR, JudgementConfig
+from service.mapper.judgement import MIN_AGREEMENT_FAR, JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.field_align import align, information_at, values_at
 from service.mapper.matchers.judged import Aligned, JudgedMatching
@@ -47,7 +47,7 @@ class ParticleFilterConfig(JudgementConfig):
     likelihood_floor: float = Field(default=0.05, gt=0.0, lt=1.0)
     likelihood_gain: float = Field(default=0.1, gt=0.0, le=1.0)  # beams are not independent
     # share of the returns on known ground that lie on walls: with less, the map is searched around
-    least_agreement: float = Field(default=LEAST_AGREEMENT_FAR, ge=0.0, le=1.0)
+    least_agreement: float = Field(default=MIN_AGREEMENT_FAR, ge=0.0, le=1.0)
     search_m: float = Field(default=0.5, gt=0.0)  # to each side
     search_rad: float = Field(default=0.35, gt=0.0)
     resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something

@@ -1,6 +1,6 @@
 import numpy as np
 
-from service.mapper.graph.graph_picture import MOST_KEYFRAMES, MOST_LOOPS, draw, draw_saved, stretches
+from service.mapper.graph.graph_picture import MAX_KEYFRAMES, MAX_LOOPS, draw, draw_saved, stretches
 from service.mapper.refused_loops import RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
@@ -19,13 +19,13 @@ def test_key_frames_of_unknown_place_and_their_loops_are_left_out() -> None:
 
 
 def test_a_long_way_is_thinned_and_keeps_its_end() -> None:
-    count = 10 * MOST_KEYFRAMES + 1
+    count = 10 * MAX_KEYFRAMES + 1
     xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))
     loops = np.column_stack((np.arange(2000), np.arange(2000) + 3000))
     (way,) = (picture := draw(1, xy, np.zeros(count, np.int64), loops, NONE)).ways
-    assert MOST_KEYFRAMES / 2 < len(way) <= MOST_KEYFRAMES + 1
+    assert MAX_KEYFRAMES / 2 < len(way) <= MAX_KEYFRAMES + 1
     assert way[-1].tolist() == [count - 1, 0.0]
-    assert len(picture.accepted) == MOST_LOOPS
+    assert len(picture.accepted) == MAX_LOOPS
     assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
 
 

@@ -25,11 +25,11 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 
 FAR_M = 1000.0  # a fix farther from the others than the way driven and this is on another part of the earth
 FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a vehicle that is not flat
-LEAST_FIXES = 6  # accepted, for a reference
-LEAST_SHARE = 0.5  # of the fixes kept, accepted: else it is they that contradict
-MOST_YAW_SIGMA_RAD = math.radians(2.0)  # above it the map's direction is not known: the way was too short
+MIN_FIXES = 6  # accepted, for a reference
+MIN_SHARE = 0.5  # of the fixes kept, accepted: else it is they that contradict
+MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the map's direction is not known: the way was too short
 MORE_FIXES = (5, 0.05)  # asked anew when so many came, and such a share of them
-MOST_S = 10.0  # that a fix counts for, however long the pause before it was
+MAX_S = 10.0  # that a fix counts for, however long the pause before it was
 NEWEST = 40  # fixes that are asked whether the map is still where it should be
 SOLVE_AT_M = 0.5  # what they must be off by together, to be worth a solution, and one sigma
 KERNEL_WIDTH = 3.0  # Cauchy, in sigmas
@@ -60,11 +60,11 @@ class Anchoring:
     def is_due(self) -> bool:
         """Whether enough came since the consensus was found."""
         new = len(self._fixes) - self._asked
-        return len(self._fixes) >= LEAST_FIXES and new >= max(MORE_FIXES[0], MORE_FIXES[1] * self._asked)
+        return len(self._fixes) >= MIN_FIXES and new >= max(MORE_FIXES[0], MORE_FIXES[1] * self._asked)
 
     @property
     def has_news(self) -> bool:
-        return len(self._fixes) >= LEAST_FIXES and len(self._fixes) > self._asked
+        return len(self._fixes) >= MIN_FIXES and len(self._fixes) > self._asked
 
     def find(self, keyframes: KeyframeList, covariance: Floats, is_known: npt.NDArray[np.bool_]) -> bool:
         """Ask anew which fixes are accepted; whether the map should be solved anew for it.
@@ -74,7 +74,7 @@ class Anchoring:
         """
         self._asked = len(self._fixes)
         among = np.array([k for k, fix in enumerate(self._fixes) if is_known[fix.keyframe]], np.int64)
-        if len(among) < LEAST_FIXES:
+        if len(among) < MIN_FIXES:
             return False
         frame = self._frame or self._middle(among)
         enu = self._enu(frame, among)
@@ -82,7 +82,7 @@ class Anchoring:
         is_near = np.hypot(*enu.T) <= way_m[-1] + FAR_M
         among, enu, way_m = among[is_near], enu[is_near], way_m[is_near]
         self.counts["fixes_contradicting"] = int((~is_near).sum())
-        if len(among) < LEAST_FIXES:
+        if len(among) < MIN_FIXES:
             return False
         consensus = find_consensus(self._way(keyframes, covariance, among, enu, way_m))
         accepted = int(consensus.is_accepted.sum())
@@ -90,8 +90,8 @@ class Anchoring:
         turned = se2.adjoint(consensus.pose_odom_enu)
         of_map = turned @ consensus.covariance @ turned.T  # of pose_enu_odom, in the axes of odom
         yaw_sigma_rad = math.sqrt(of_map[2, 2])
-        is_vague = accepted < LEAST_SHARE * len(among) or yaw_sigma_rad > MOST_YAW_SIGMA_RAD
-        if accepted < LEAST_FIXES or (self.reference is None and is_vague):
+        is_vague = accepted < MIN_SHARE * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
+        if accepted < MIN_FIXES or (self.reference is None and is_vague):
             return False  # a reference that there is stays, with the fixes that it has
         self.counts["fixes_anchoring"] = accepted
         self._among, self._consensus = among, consensus
@@ -215,6 +215,6 @@ class Anchoring:
         reflected: nothing beside it could tell.
         """
         stamps_s = np.array([self._fixes[k].stamp_ns for k in which], np.int64) * 1e-9
-        since_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[0] - MOST_S), MOST_S)
+        since_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[0] - MAX_S), MAX_S)
         repeats: Floats = CORRELATED_S / since_s
         return repeats

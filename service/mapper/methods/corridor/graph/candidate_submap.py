@@ -35,12 +35,12 @@ SEARCH_POINTS = 200
 # Of a point on ground that the sub-map has not seen, which says nothing: somewhat less than that of one on a
 # wall, so that ground that is known wins.
 UNKNOWN_LIKELIHOOD = 0.7
-LEAST_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
+MIN_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
 # [22] Squared sigmas of chance in what walls say of a loop: of the loops along 30 m of a corridor, one each
 # 2 m, the largest counts.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
 REACH_SIGMAS = 3.5  # of the drift between two passes, that half a window is: DRIFTS of the back end
-MOST_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
+MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
 TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
 
 
@@ -131,7 +131,7 @@ class CandidateSubmap:
         fit = self.align(cloud, pose)
         sigmas = np.array([reach_m, reach_m, reach_rad]) / REACH_SIGMAS
         prior = np.diag(sigmas**-2)
-        for _ in range(MOST_MOVES):
+        for _ in range(MAX_MOVES):
             off = expected - fit.pose
             off[2] = wrap_angle(off[2])
             move = np.linalg.solve(fit.information + prior, prior @ off)

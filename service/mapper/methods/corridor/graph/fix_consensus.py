@@ -20,7 +20,7 @@ from service.mapper.graph.pose_graph_solver import solve
 
 GATE_CHI2 = 9.21  # of 2 degrees of freedom, 1 in 100: a fix that is farther off than it says is not accepted
 HEADING_SIGMA_RAD = 100.0  # of a fix: it says nothing of the heading
-LEAST_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
+MIN_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
 CORRELATED_S = 120.0  # fixes of so long make one measurement: twice the time in which errors change
 JUMP_M = 1.5  # errors do not change by more from fix to fix, besides JUMP_SIGMAS: satellites are seen anew
 JUMP_SIGMAS = 0.5
@@ -28,7 +28,7 @@ STRETCH_SIGMAS = 1.5  # the mean of a stretch between two jumps is off by no mor
 LARGEST_STRETCH = 0.5  # of all fixes: a larger one is what the others are judged by
 ROUNDS = 6
 MORE_CONVEX = 2.0  # factor from one step of the graduation to the next
-MOST_MU = 1e4  # then what is undecided lies within a ten-thousandth of the gate
+MAX_MU = 1e4  # then what is undecided lies within a ten-thousandth of the gate
 QUICK = SolverConfig(most_iterations=4, least_gain=1e-3)
 
 
@@ -142,7 +142,7 @@ def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.N
         poses = solve(_graph(way, poses, weight), QUICK).poses
         chi2 = _chi2(way, poses)
         is_decided = bool(((weight == 0.0) | (weight == 1.0)).all())
-        if (is_decided and mu > 1.0) or mu > MOST_MU:
+        if (is_decided and mu > 1.0) or mu > MAX_MU:
             return weight > 0.5, poses
         mu *= MORE_CONVEX
 
@@ -156,7 +156,7 @@ def _weights(chi2: Floats, mu: float) -> Floats:
 
 def _graph(way: FixedWay, poses: Floats, weight: Floats) -> PoseGraph:
     count = len(way.odom)
-    used = np.flatnonzero(weight > LEAST_WEIGHT)
+    used = np.flatnonzero(weight > MIN_WEIGHT)
     heading = poses[used, 2] - poses[-1, 2]
     covariance = way.covariance[used] * (way.repeats[used] / weight[used])[:, None, None]
     fixes = fix_edges(count, used, heading, way.antenna[used], way.enu[used], covariance, 0.0)

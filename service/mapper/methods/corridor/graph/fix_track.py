@@ -8,10 +8,10 @@ from typing import NamedTuple
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
 
-MOST_SIGMA_M = 10.0  # of the worse direction: a fix that says it is worse anchors nothing
-MOST_GAP_NS = 1_000_000_000  # between two scans that a fix lies between: nobody knows the way in a longer one
+MAX_SIGMA_M = 10.0  # of the worse direction: a fix that says it is worse anchors nothing
+MAX_GAP_NS = 1_000_000_000  # between two scans that a fix lies between: nobody knows the way in a longer one
 REMEMBERED_NS = 5_000_000_000  # of scans: a fix comes later than the scans of its moment
-MOST_WAITING = 256  # fixes for a scan to come
+MAX_WAITING = 256  # fixes for a scan to come
 SPACING_M = 5.0  # between two fixes that are kept: the next one says hardly more, and standing says nothing
 FROZEN_M = 1.0  # way over which no receiver gives one position to the last digit
 
@@ -71,7 +71,7 @@ class FixTrack:
         if fix.stamp_ns <= self._last_ns:
             return "fixes_out_of_order"
         self._last_ns = fix.stamp_ns
-        if len(self._waiting) == MOST_WAITING:
+        if len(self._waiting) == MAX_WAITING:
             self._waiting.popleft()
             self._counts["fixes_without_scans"] += 1
         self._waiting.append((fix, antenna_xy_m))
@@ -101,7 +101,7 @@ class FixTrack:
             after = next(k for k, scan in enumerate(self._scans) if scan.stamp_ns >= fix.stamp_ns)
             b = self._scans[after]
             a = b if b.stamp_ns == fix.stamp_ns or after == 0 else self._scans[after - 1]
-            if not a.stamp_ns <= fix.stamp_ns or b.stamp_ns - a.stamp_ns > MOST_GAP_NS or a.keyframe < 0:
+            if not a.stamp_ns <= fix.stamp_ns or b.stamp_ns - a.stamp_ns > MAX_GAP_NS or a.keyframe < 0:
                 self._counts["fixes_without_scans"] += 1
                 continue
             here = _between(a, b, fix.stamp_ns)
@@ -151,7 +151,7 @@ def _fault(fix: GnssFix) -> str:
     if not (0.0 < east < math.inf and 0.0 < north < math.inf and cross * cross < east * north):
         return "fixes_without_covariance"
     larger = 0.5 * (east + north) + math.hypot(0.5 * (east - north), cross)  # eigenvalue
-    return "fixes_too_poor" if larger > MOST_SIGMA_M**2 else ""
+    return "fixes_too_poor" if larger > MAX_SIGMA_M**2 else ""
 
 
 def _between(a: _Scan, b: _Scan, stamp_ns: int) -> SE2:

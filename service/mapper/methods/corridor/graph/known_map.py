@@ -48,19 +48,19 @@ SEARCH_POINTS = 80
 # Of a point where something may stand that the map has not seen, as on the back of a wall: it says nothing.
 # Free ground contradicts, and scores 0.
 UNKNOWN_LIKELIHOOD = 0.5
-LEAST_SCORE = 0.45  # mean likelihood of the points
+MIN_SCORE = 0.45  # mean likelihood of the points
 BEHIND = 0.2  # a place whose score is so far behind the best is no candidate
-MOST_CANDIDATES = 240
+MAX_CANDIDATES = 240
 REFINED = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
 REFINING_POINTS = 150
-FIRST_STEPS, LEAST_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0  # m, m, rad of a climb, and its last ones
+FIRST_STEPS, MIN_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0  # m, m, rad of a climb, and its last ones
 ALONG_M, ALONG_STEP_M = 1.6, 0.1  # how far to both sides of a place along the walls others are looked for
 ALONG_SHARE = 0.9  # of the points that lie on walls at a place must do so beside it
 ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map has there
 # Nats that one wall or thing says at most. Buildings consist of straight walls, on new ground, too: the beams
 # that end on one of them say one thing, where it stands. Walls that face the same way are so far apart.
 WALLS_APART_M = 2.0
-MOST_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))
+MAX_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))
 TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
 
@@ -107,13 +107,13 @@ class KnownMap:
 
     def candidates(self, cloud: PointCloud) -> list[Floats]:
         """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
-        MOST_CANDIDATES.
+        MAX_CANDIDATES.
         """
         near = np.flatnonzero((cloud.xy**2).sum(axis=1) < REACH_M**2)
         near = near[:: max(1, len(near) // SEARCH_POINTS)]
         xy, normals = cloud.xy[near], cloud.normals[near]
-        places, _ = search_facing(xy, normals, self._facing, HEADINGS, LEAST_SCORE, BEHIND)
-        order = np.argsort(-places[:, 3], kind="stable")[:MOST_CANDIDATES]
+        places, _ = search_facing(xy, normals, self._facing, HEADINGS, MIN_SCORE, BEHIND)
+        order = np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]
         return list(places[order, :3])
 
     def align(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
@@ -136,7 +136,7 @@ class KnownMap:
             self._asked,
             self._weighed + 1,
             FIRST_STEPS,
-            LEAST_STEP,
+            MIN_STEP,
         )
         self._weighed += count
         again = self._aligned(seen, pose)
@@ -168,11 +168,11 @@ class KnownMap:
 
     def structure(self, seen: SeenCloud, pose: Floats) -> float:
         """Nats that speak for a cloud at a pose (3,) against a building of which the map knows nothing: of
-        each wall or thing once, MOST_OF_WALL at most for or against.
+        each wall or thing once, MAX_OF_WALL at most for or against.
         """
         _, at_end, on_way = self._asked_at(seen, pose)
         of_walls = np.bincount(seen.walls, seen.shares * at_end + on_way)
-        return float(np.clip(of_walls, -MOST_OF_WALL, MOST_OF_WALL).sum())
+        return float(np.clip(of_walls, -MAX_OF_WALL, MAX_OF_WALL).sum())
 
     def ahead_where_known(self, seen: SeenCloud, pose: Floats, rival: Floats) -> float:
         """Nats by which a pose (3,) is likelier than a rival, by the beams that end there on what the map

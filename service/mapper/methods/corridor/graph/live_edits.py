@@ -31,7 +31,7 @@ from service.mapper.edit_requests import (
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.loops import Loop
 
-MOST_UNDONE = 50  # changes; what they took away takes memory
+MAX_UNDONE = 50  # changes; what they took away takes memory
 WALL_MARGIN_M = 0.2  # around a line that is a cell or two wide
 
 Mask = npt.NDArray[np.bool_]
@@ -95,7 +95,7 @@ class LiveEdits:
                 taken = self._pair(change.pairs, is_known, before)
             case RemovePair():
                 taken = self._remove_pair(change.pair, before)
-        self._taken = [*self._taken, taken][-MOST_UNDONE:]
+        self._taken = [*self._taken, taken][-MAX_UNDONE:]
         left = [loop for loop in loops if not any(loop is gone for gone in taken.loops)]
         return Made(taken.words, left, taken.is_bent, taken.about)
 

@@ -17,7 +17,7 @@ from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
 from service.mapper.methods.corridor.graph.anchoring import Anchoring
-from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
+from service.mapper.methods.corridor.graph.candidate_submap import MIN_SCORE, CandidateSubmap, cloud_of
 from service.mapper.methods.corridor.graph.drawing import Drawing
 from service.mapper.methods.corridor.graph.hindsight import edges_in_hindsight, known_pose
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
@@ -28,7 +28,7 @@ from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.odometry_edges import odometry_edges
 from service.mapper.methods.corridor.graph.old_passes import OldPasses
 from service.mapper.methods.corridor.graph.passes import worth_asking
-from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING, PieceSearch
+from service.mapper.methods.corridor.graph.piece_search import MAX_STANDING, PieceSearch
 from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.mapper.methods.corridor.graph.solution_due import SolutionDue
 from service.mapper.methods.corridor.graph.stored_graph import (
@@ -48,16 +48,16 @@ from service.mapper.walls import walls_of
 
 WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
-MOST_WINDOW_M, MOST_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
+MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
 FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
-MOST_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
-LEAST_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
-MOST_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
+MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
+MIN_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
+MAX_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
 SUBMAPS_KEPT = 16
 PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
-MOST_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
+MAX_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
 
 
 class LoopBackEnd:
@@ -250,7 +250,7 @@ class LoopBackEnd:
         )
         keyframes.append(frame, odom, thinned)
         if self._is_detached():
-            keyframes.forget_one_standing(MOST_STANDING, self._config)
+            keyframes.forget_one_standing(MAX_STANDING, self._config)
 
     def _look_for_loops(self, every_m: float) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""
@@ -281,7 +281,7 @@ class LoopBackEnd:
         expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
         fit = submap.align(cloud, expected)
         is_near = math.dist(fit.pose[:2], expected[:2]) < WINDOW_M
-        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MOST_AGAINST
+        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MAX_AGAINST
         if self._placement.seen(float(keyframes.way_m[last]), agrees):
             self._take_back(int(keyframes.piece[last]))
 
@@ -305,8 +305,8 @@ class LoopBackEnd:
         reference = members[len(members) // 2]
         length_m = lengths_from(self._keyframes, self._loops, reference)
         if window is None:
-            reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MOST_WINDOW_M)
-            reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MOST_WINDOW_RAD)
+            reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MAX_WINDOW_M)
+            reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MAX_WINDOW_RAD)
         else:
             reach_m, reach_rad = np.full(keyframes.count, window[0]), np.full(keyframes.count, window[1])
         away_m = np.hypot(*(keyframes.map[:, :2] - keyframes.map[reference, :2]).T)
@@ -324,7 +324,7 @@ class LoopBackEnd:
                 cloud = cloud_of(keyframes, members, reference)
             guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
             reach = float(reach_m[k]), float(reach_rad[k])
-            pose = submap.search(cloud, guess, *reach, LEAST_SCORE)
+            pose = submap.search(cloud, guess, *reach, MIN_SCORE)
             if pose is None:
                 continue
             fit = submap.align_about(cloud, pose, guess, *reach)
@@ -333,7 +333,7 @@ class LoopBackEnd:
             loop = loop_of(
                 submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
             )
-            if not against < MOST_AGAINST:
+            if not against < MAX_AGAINST:
                 self._refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
             elif not self._drift.allows(loop):
                 self._refusals.add([loop], TOO_FAR)
@@ -342,7 +342,7 @@ class LoopBackEnd:
         return found
 
     def _is_good(self, fit: Fit) -> bool:
-        return fit.share >= LEAST_SHARE * float(np.median(self._keyframes.score))
+        return fit.share >= MIN_SHARE * float(np.median(self._keyframes.score))
 
     def _submap_about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""
@@ -454,7 +454,7 @@ class LoopBackEnd:
         new = []
         first_m = config.place_m + float(way[self._keyframes.stored])
         stretches_m = np.arange(first_m, way[-1], config.search_every_m)
-        if len(stretches_m) > MOST_STRETCHES:
+        if len(stretches_m) > MAX_STRETCHES:
             tied_m = way[[loop.to for loop in self._loops]] + 0.5 * config.place_m  # ends of the queries
             stretches_m = untied(stretches_m, tied_m, config.search_every_m)
         for at_m in stretches_m:
@@ -483,10 +483,10 @@ class LoopBackEnd:
         """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
         keyframes, held = self._keyframes, self._held
         if self._is_detached():
-            keyframes.forget_all(held, keyframes.count - MOST_SESSION)
+            keyframes.forget_all(held, keyframes.count - MAX_SESSION)
             return
         last = held + (keyframes.count - held) // 2
-        if keyframes.count - held < MOST_SESSION:
+        if keyframes.count - held < MAX_SESSION:
             return
         keyframes.drop(held, last)
         self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]

@@ -39,12 +39,12 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.piece_search import MOST_STANDING
+from service.mapper.methods.corridor.graph.piece_search import MAX_STANDING
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
-# Of key frames of a piece that is looked for, also while it stands. MOST_STANDING of one spot tell what there
+# Of key frames of a piece that is looked for, also while it stands. MAX_STANDING of one spot tell what there
 # is to tell: each one after them comes twice as late as the one before.
-DETACHED_INTERVAL_NS, MOST_DOUBLED = 500_000_000, 4
+DETACHED_INTERVAL_NS, MAX_DOUBLED = 500_000_000, 4
 
 REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode")
 
@@ -113,7 +113,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._doubt = self._doubt[0] + sigma_m**2, self._doubt[1] + sigma_rad**2
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
-        wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MOST_STANDING, 0), MOST_DOUBLED)
+        wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MAX_STANDING, 0), MAX_DOUBLED)
         is_due = self._is_step(pose, self._last) or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:

@@ -18,7 +18,7 @@ from service.mapper.saved_graph import SavedGraph
 ASKED_EVERY_M = 4.0  # of the second's way
 AGREE_M, AGREE_RAD = 0.5, 0.05  # two finds say the same, where both lie within AGREE_WAY_M of way
 AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
-LEAST_AGREEING = 3
+MIN_AGREEING = 3
 
 
 class MergeError(ValueError):
@@ -128,10 +128,10 @@ def _found(both: SavedGraph, count: int, config: LoopsConfig) -> tuple[Floats, i
         ]
         if len(same) > len(agreeing):
             agreeing = same
-    if len(agreeing) < LEAST_AGREEING:
+    if len(agreeing) < MIN_AGREEING:
         raise MergeError(
             f"{len(found)} places of the second map look like places of the first, and {len(agreeing)} of "
-            f"them agree (at least {LEAST_AGREEING}): the maps overlap too little; if they do, say how by "
+            f"them agree (at least {MIN_AGREEING}): the maps overlap too little; if they do, say how by "
             "--pair"
         )
     middle = agreeing[len(agreeing) // 2][1]

@@ -13,7 +13,7 @@ from service.mapper.components import FoundOnce, PossiblePlace
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.known_pose import KnownPose, covariance_added
 from service.mapper.methods.corridor.graph.candidate_submap import (
-    LEAST_SCORE,
+    MIN_SCORE,
     CandidateSubmap,
     cloud_of,
 )
@@ -39,21 +39,21 @@ from service.mapper.methods.corridor.graph.way_prior import (
     places_in,
 )
 
-AROUND_M, MOST_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
-MOST_QUERY = 12  # key frames of a piece that are looked for together
-MOST_STANDING = 3  # of them, besides the first, of one spot, which see the same
+AROUND_M, MAX_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
+MAX_QUERY = 12  # key frames of a piece that are looked for together
+MAX_STANDING = 3  # of them, besides the first, of one spot, which see the same
 # Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
 # a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
 CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
-MOST_OFF_M, MOST_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
+MAX_OFF_M, MAX_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 NEARBY_M = 10.0  # steps in which the part of the map that a piece may lie in follows the vehicle
-LEAST_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
+MIN_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
 # Probability that any of the places searched fits by chance as well as the one that is found does, where the
 # vehicle is on ground that the map does not hold.
-MOST_CHANCE = 1e-4
+MAX_CHANCE = 1e-4
 # Where no key frame has stood, and where a piece comes from new ground, much is seen that the map does not
 # know. So much must lie on the map, and of what is seen on known ground so much on walls.
-LEAST_ON_MAP, LEAST_AGREEING = 0.3, 0.90
+MIN_ON_MAP, MIN_AGREEING = 0.3, 0.90
 EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad about a pose that is said; batches of key frames
 
 
@@ -154,9 +154,9 @@ class PieceSearch:
             return expected
         own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)
         from_m = keyframes.way_m[-1] - config.place_m
-        if self._hypothesis is not None and keyframes.way_m[-1] - self._hypothesis.way_m >= LEAST_APART_M:
-            from_m = self._hypothesis.way_m + 0.5 * LEAST_APART_M  # none of what the first find has seen
-        own = own[keyframes.way_m[own] >= from_m][-MOST_QUERY:]
+        if self._hypothesis is not None and keyframes.way_m[-1] - self._hypothesis.way_m >= MIN_APART_M:
+            from_m = self._hypothesis.way_m + 0.5 * MIN_APART_M  # none of what the first find has seen
+        own = own[keyframes.way_m[own] >= from_m][-MAX_QUERY:]
         if not len(own) or not len(known):
             return None
         reference, newest = int(own[-1]), int(known[-1])
@@ -188,7 +188,7 @@ class PieceSearch:
         if old is None or not (old.is_sure and is_sure):
             self._hypothesis = new
             return None
-        if way_m - old.way_m < LEAST_APART_M:
+        if way_m - old.way_m < MIN_APART_M:
             return None
         self._hypothesis = new
         if not agrees:
@@ -219,7 +219,7 @@ class PieceSearch:
         assert self._known_map is not None
         nats = self._known_map.structure(self._asked, at)
         nats += 0.0 if prior is None else prior.nats(at)
-        least = math.log(places_in(2.0 * math.pi * self._known_map.area_m2) / MOST_CHANCE)
+        least = math.log(places_in(2.0 * math.pi * self._known_map.area_m2) / MAX_CHANCE)
         if nats < least:
             self.possible = [PossiblePlace(float(at[0]), float(at[1]), nats, least)]
         return nats >= least
@@ -228,8 +228,8 @@ class PieceSearch:
         """What key frames of all passes have seen around a pose (3,) of the map."""
         keyframes = self._keyframes
         away_m = np.hypot(*(keyframes.map[known, :2] - pose[:2]).T)
-        nearest = known[np.argsort(away_m, kind="stable")[:MOST_AROUND]]
-        near = nearest[np.sort(away_m)[:MOST_AROUND] <= max(AROUND_M, float(away_m.min()))]
+        nearest = known[np.argsort(away_m, kind="stable")[:MAX_AROUND]]
+        near = nearest[np.sort(away_m)[:MAX_AROUND] <= max(AROUND_M, float(away_m.min()))]
         return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
 
     def _map_of(self, known: npt.NDArray[np.int64]) -> KnownMap:
@@ -357,7 +357,7 @@ class PieceSearch:
     def _find_expected(self, piece: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest piece where a person has said, if it fits there; gives up after some tries."""
         keyframes = self._keyframes
-        own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)[-MOST_QUERY:]
+        own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)[-MAX_QUERY:]
         if self._expected is None or not len(own) or not len(known):
             return None
         if self._expected_odom is None:
@@ -368,7 +368,7 @@ class PieceSearch:
         submap = self._around(known, at)
         cloud = cloud_of(keyframes, own.tolist(), reference)
         guess = se2.between(keyframes.map[submap.reference], at)
-        pose = submap.search(cloud, guess, *EXPECTED_REACH, LEAST_SCORE)
+        pose = submap.search(cloud, guess, *EXPECTED_REACH, MIN_SCORE)
         loop = None if pose is None else self._loop_at(submap, cloud, pose, reference)[1]
         self._tries -= 1
         if loop is None:
@@ -436,7 +436,7 @@ class PieceSearch:
         is_anywhere = not self._is_session_placed or piece in keyframes.unmeasured
         if is_anywhere or keyframes.gap_s[first] > AWAY_S:
             return math.inf
-        return MOST_OFF_M + MOST_OFF_SHARE * float(keyframes.way_m[reference] - keyframes.way_m[first])
+        return MAX_OFF_M + MAX_OFF_SHARE * float(keyframes.way_m[reference] - keyframes.way_m[first])
 
     def _within(self, known: npt.NDArray[np.int64], reference: int, reach_m: float) -> npt.NDArray[np.int64]:
         """Those of known (K,) from where something can be seen that is seen from within reach_m of where dead
@@ -453,7 +453,7 @@ class PieceSearch:
 
 def _fits(on_map: float, against: float) -> bool:
     """Shares of what is seen: whether enough of it lies on the map, and little contradicts it."""
-    return on_map >= LEAST_ON_MAP and on_map >= LEAST_AGREEING * (on_map + against)
+    return on_map >= MIN_ON_MAP and on_map >= MIN_AGREEING * (on_map + against)
 
 
 def _margin(unexplained: float, is_led: bool) -> float:

@@ -13,11 +13,11 @@ from service.mapper.methods.corridor.graph.seen_cloud import SeenCloud
 
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses of one place may differ by so much where it is known well
-MOST_REFINED = 12  # of the places that candidates lead to
+MAX_REFINED = 12  # of the places that candidates lead to
 BEHIND_NATS = 100.0  # so far behind the likeliest a place is not refined
 FAR_BEHIND_NATS = 250.0  # nor asked how far: it counts for as much as may speak for it
-MOST_SLID, MOST_BESIDE = 8, 4  # places beside which others are looked for in a round, and how many of those
-MOST_ROUNDS = 3  # until none of these is ahead
+MAX_SLID, MAX_BESIDE = 8, 4  # places beside which others are looked for in a round, and how many of those
+MAX_ROUNDS = 3  # until none of these is ahead
 
 
 def find_places(
@@ -38,16 +38,16 @@ def find_places(
     guessed = [known_map.align(seen, guess) for guess in guesses]
     if not any(could_win(one) for one in [*aligned, *guessed]):
         return _by_evidence([*aligned, *guessed])
-    places = _refined(known_map, seen, [*aligned[:MOST_REFINED], *guessed], [])
+    places = _refined(known_map, seen, [*aligned[:MAX_REFINED], *guessed], [])
     asked: list[Aligned] = []
-    for _ in range(MOST_ROUNDS):
-        best, fresh = places[:1], [place for place in places[:MOST_SLID] if place not in asked]
+    for _ in range(MAX_ROUNDS):
+        best, fresh = places[:1], [place for place in places[:MAX_SLID] if place not in asked]
         asked += fresh
-        beside = [one for place in fresh for one in _distinct(known_map.along(seen, place))[:MOST_BESIDE]]
+        beside = [one for place in fresh for one in _distinct(known_map.along(seen, place))[:MAX_BESIDE]]
         places = _refined(known_map, seen, _distinct(beside), places)
         if places[:1] == best:
             break
-    others = [one for one in aligned[MOST_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
+    others = [one for one in aligned[MAX_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
     return _by_evidence(places + others)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from service.mapper.methods.corridor.graph.loops import Loop
 from service.mapper.refused_loops import RefusedLoops
 
-MOST_REFUSED = 1000  # the newest; time must not fill memory
+MAX_REFUSED = 1000  # the newest; time must not fill memory
 
 
 class Refusals:
@@ -34,7 +34,7 @@ class Refusals:
         for loop in loops:
             self._by_ends.pop((loop.of, loop.to), None)
             self._by_ends[loop.of, loop.to] = loop, reason
-            if len(self._by_ends) > MOST_REFUSED:
+            if len(self._by_ends) > MAX_REFUSED:
                 self._by_ends.popitem(last=False)
 
     def clear(self) -> None:

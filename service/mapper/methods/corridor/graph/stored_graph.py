@@ -14,11 +14,11 @@ from service.mapper.drawn_by_hand import among_scans
 from service.mapper.graph.pose_graph import Edges, PoseGraph, Sightings
 from service.mapper.methods.corridor.graph.keyframe_list import KeyframeList
 from service.mapper.methods.corridor.graph.loops import Loop, as_edges
-from service.mapper.methods.corridor.graph.piece_search import LEAST_APART_M
+from service.mapper.methods.corridor.graph.piece_search import MIN_APART_M
 from service.mapper.methods.corridor.graph.refusals import Refusals
 from service.mapper.saved_graph import SavedGraph
 
-MOST_CONTRADICTIONS = 2  # looks in a row
+MAX_CONTRADICTIONS = 2  # looks in a row
 PAIR_COVARIANCE = np.diag([0.02**2, 0.02**2])  # m^2, of each of two points that a person says are one
 ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key frame left, as loops held it
 
@@ -167,7 +167,7 @@ class Placement:
     """How sure it is where a session lies in the stored map that it began in.
 
     A place is found by what is seen from one spot, and rooms look alike: it is proven by what is seen from
-    LEAST_APART_M on, and taken back where that contradicts it.
+    MIN_APART_M on, and taken back where that contradicts it.
     """
 
     def __init__(self, is_in_stored: bool) -> None:
@@ -185,10 +185,10 @@ class Placement:
         """
         if self.state != "unproven":
             return False
-        if agrees and way_m - self._found_m >= LEAST_APART_M:
+        if agrees and way_m - self._found_m >= MIN_APART_M:
             self.state = "proven"
         self._contradictions = 0 if agrees else self._contradictions + 1
-        if self._contradictions < MOST_CONTRADICTIONS:
+        if self._contradictions < MAX_CONTRADICTIONS:
             return False
         self.state = "unknown"
         return True

@@ -21,7 +21,7 @@ from service.mapper.methods.corridor.graph.odometry_edges import (
 
 # Of three degrees of freedom, of a loop against the way between its ends: at most 20 in 1054 loops of seven
 # recordings, 390 and more of those between shelves that look alike.
-MOST_DRIFT_CHI2 = 60.0
+MAX_DRIFT_CHI2 = 60.0
 # Of the way: what the covariance of the motion model leaves out, as a scan that is matched a metre off along
 # a corridor and gives 1.6 m after 71 m of way. Aisles of shelves that look alike lie 9 % of the way apart.
 UNMODELLED_SHARE = 0.003
@@ -50,7 +50,7 @@ class WayDrift:
 
     def allows(self, loop: Loop) -> bool:
         """Whether the way can have drifted to where the loop is."""
-        return loop.of > loop.to or self.chi2(loop) <= MOST_DRIFT_CHI2
+        return loop.of > loop.to or self.chi2(loop) <= MAX_DRIFT_CHI2
 
     def confirms(self, loop: Loop) -> bool:
         """Whether it is where the way leads, and the way is known so well that it can hardly be elsewhere."""

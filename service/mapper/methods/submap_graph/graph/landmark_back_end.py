@@ -43,7 +43,7 @@ from service.mapper.methods.submap_graph.key_scan import DrawnScan, KeptScan
 from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, aligned with the surfels of another
-MOST_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as much as all their scans
+MAX_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as much as all their scans
 
 
 Ints = npt.NDArray[np.int64]
@@ -270,7 +270,7 @@ class LandmarkBackEnd:
         if walls is None:
             walls = draw_walls(self.submaps[number].closed, self.config.match)
         self.walls[number] = walls
-        if len(self.walls) > MOST_WALLS:
+        if len(self.walls) > MAX_WALLS:
             del self.walls[next(iter(self.walls))]
         return walls
 

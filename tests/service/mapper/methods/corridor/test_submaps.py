@@ -9,7 +9,7 @@ from service.geometry.se2 import SE2
 from service.kernels.surfels import COLUMNS, COUNT, MEAN_X, MEAN_Y, SurfelGrid
 from service.mapper.components import MapChange
 from service.mapper.methods.corridor.submaps import (
-    MOST_MISSES,
+    MAX_MISSES,
     NEW_PIECE_ERROR,
     Submap,
     SubmapsConfig,
@@ -182,8 +182,8 @@ def test_a_piece_is_matched_to_only_once_the_graph_has_joined_it() -> None:
 def test_scans_that_fit_neither_map_nor_piece_begin_another_one() -> None:
     chain = submaps()
     insert(chain, 0.0)
-    pieces = [insert(chain, 50.0, state="lost", is_matched=k == 1).piece for k in range(MOST_MISSES + 3)]
-    assert pieces == [1] * (MOST_MISSES + 1) + [2] * 2
+    pieces = [insert(chain, 50.0, state="lost", is_matched=k == 1).piece for k in range(MAX_MISSES + 3)]
+    assert pieces == [1] * (MAX_MISSES + 1) + [2] * 2
     chain.join(1)  # too late
     assert chain.detached is not None
     assert number(chain) == 0

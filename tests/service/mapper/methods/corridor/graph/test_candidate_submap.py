@@ -12,7 +12,7 @@ from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.graph.point_clouds import PointCloud, SurfelSet, cloud_with_noise, joined
 from service.mapper.methods.corridor.graph import candidate_submap
-from service.mapper.methods.corridor.graph.candidate_submap import LEAST_SCORE, CandidateSubmap, cloud_of
+from service.mapper.methods.corridor.graph.candidate_submap import MIN_SCORE, CandidateSubmap, cloud_of
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.methods.corridor.graph.loops import loop_of
 from tests.service.mapper.drives import cast
@@ -87,7 +87,7 @@ def found_m(keyframes: KeyframeList, last: int) -> float:
     """How far along the corridor they are found from where they are."""
     submap, cloud, true = places_of(keyframes, last)
     guess = true + np.array([OFF_M, 0.0, 0.0])
-    pose = submap.search(cloud, guess, WINDOW_M, 0.06, LEAST_SCORE)
+    pose = submap.search(cloud, guess, WINDOW_M, 0.06, MIN_SCORE)
     assert pose is not None
     return float(submap.align(cloud, pose).pose[0] - true[0])
 

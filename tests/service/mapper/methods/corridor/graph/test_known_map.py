@@ -13,7 +13,7 @@ from service.kernels.beam_likelihood import FULL_RATIO
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
-from service.mapper.methods.corridor.graph.known_map import MOST_OF_WALL, UNKNOWN_LIKELIHOOD, KnownMap, Weight
+from service.mapper.methods.corridor.graph.known_map import MAX_OF_WALL, UNKNOWN_LIKELIHOOD, KnownMap, Weight
 from service.mapper.methods.corridor.graph.loops import loop_of
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.piece_search import (
@@ -271,7 +271,7 @@ def test_walls_speak_for_a_place_once_each_however_many_beams_end_on_them():
     own = [append(keyframes, room(0.0, with_pillar=is_there), STOOD, 1, noise) for is_there in (False, True)]
     known_map = KnownMap(keyframes, mapped)
     without, with_pillar = (known_map.structure(seen_cloud(keyframes, [k], k), truth) for k in own)
-    assert 5.0 * MOST_OF_WALL < without < 13.0 * MOST_OF_WALL  # six walls, and stray points
-    assert with_pillar < without - MOST_OF_WALL  # two sides of it are seen where nothing stood
+    assert 5.0 * MAX_OF_WALL < without < 13.0 * MAX_OF_WALL  # six walls, and stray points
+    assert with_pillar < without - MAX_OF_WALL  # two sides of it are seen where nothing stood
     elsewhere = known_map.structure(seen_cloud(keyframes, own[:1], own[0]), truth + np.array([0.5, 0.3, 0.0]))
     assert elsewhere < 0.0

@@ -92,7 +92,7 @@ def test_after_a_long_drive_the_finish_searches_where_no_loop_ties_it(
     pickle.loads(ring_fed[0])._search_again()
     every = searched.copy()
     searched.clear()
-    monkeypatch.setattr(loop_back_end, "MOST_STRETCHES", len(every) - 1)
+    monkeypatch.setattr(loop_back_end, "MAX_STRETCHES", len(every) - 1)
     back_end: LoopBackEnd = pickle.loads(ring_fed[0])
     back_end._search_again()
     tied = {loop.to for loop in back_end._loops}
@@ -186,9 +186,9 @@ def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Of what fits nowhere; of the way before it keeps the poses."""
-    monkeypatch.setattr(known_map, "MOST_CANDIDATES", 4)  # it takes as long as it is looked for
+    monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)  # it takes as long as it is looked for
     most = 2 * BATCH
-    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MOST_SESSION", most)
+    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MAX_SESSION", most)
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
     assert stored is not None
     back_end = LoopBackEnd(LoopsConfig(), None, stored, is_localizing=True)

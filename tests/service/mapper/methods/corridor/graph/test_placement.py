@@ -1,6 +1,6 @@
 """When the place of a session in a stored map counts as proven, and when it is taken back."""
 
-from service.mapper.methods.corridor.graph.stored_graph import LEAST_APART_M, MOST_CONTRADICTIONS, Placement
+from service.mapper.methods.corridor.graph.stored_graph import MAX_CONTRADICTIONS, MIN_APART_M, Placement
 
 
 def found(way_m: float = 10.0) -> Placement:
@@ -18,18 +18,18 @@ def test_without_a_stored_map_there_is_nothing_to_prove():
 def test_a_find_is_unproven_until_it_is_seen_from_elsewhere():
     placement = found()
     assert placement.state == "unproven"
-    placement.seen(10.0 + 0.9 * LEAST_APART_M, agrees=True)
+    placement.seen(10.0 + 0.9 * MIN_APART_M, agrees=True)
     assert placement.state == "unproven"
-    placement.seen(10.0 + LEAST_APART_M, agrees=True)
+    placement.seen(10.0 + MIN_APART_M, agrees=True)
     assert placement.state == "proven"
 
 
 def test_contradictions_in_a_row_take_a_find_back():
     placement = found()
-    for _ in range(MOST_CONTRADICTIONS - 1):
+    for _ in range(MAX_CONTRADICTIONS - 1):
         assert not placement.seen(12.0, agrees=False)
     placement.seen(12.0, agrees=True)  # people stood around, say
-    for _ in range(MOST_CONTRADICTIONS - 1):
+    for _ in range(MAX_CONTRADICTIONS - 1):
         assert not placement.seen(13.0, agrees=False)
     assert placement.seen(14.0, agrees=False)
     assert placement.state == "unknown"

@@ -14,7 +14,7 @@ from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops import Loop
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.methods.corridor.graph.way_drift import (
-    MOST_DRIFT_CHI2,
+    MAX_DRIFT_CHI2,
     NEAR_SIGMA_M,
     UNMODELLED_SHARE,
     WayDrift,
@@ -71,7 +71,7 @@ def test_the_drift_of_a_way_is_the_sum_of_its_steps():
 
 
 def test_a_loop_beyond_that_is_not_allowed_unless_nobody_knows_the_way():
-    off_m = 1.1 * np.sqrt(MOST_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
+    off_m = 1.1 * np.sqrt(MAX_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
     assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
     assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
     assert straight(is_known=False).allows(loop(10.0 + off_m, 0.0, 0.0))

@@ -193,7 +193,7 @@ def test_walls_that_were_forgotten_are_drawn_again_and_nothing_changes(trip, mon
 
     kept, poses = worked()
     assert len(kept.walls) == 4
-    monkeypatch.setattr(landmark_back_end, "MOST_WALLS", 1)
+    monkeypatch.setattr(landmark_back_end, "MAX_WALLS", 1)
     forgetful, again = worked()
     assert len(forgetful.walls) == 1
     np.testing.assert_array_equal(again, poses)
