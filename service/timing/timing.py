@@ -185,7 +185,7 @@ class Timing:
     def _judged(self, one: _Waiting, has_waited: bool) -> list[Timed]:
         frame = one.topic.judged(one.frame, self._log_offset_ns, has_waited)
         if isinstance(frame, str):
-            if not isinstance(one.frame, GnssFix):
+            if one.is_mapped and not isinstance(one.frame, GnssFix):  # one that is left out anyway is counted
                 self._counters[_COUNTED[one.topic.is_scan, frame]] += 1
             return []
         return [Timed(frame, one.is_mapped)]

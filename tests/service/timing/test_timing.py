@@ -214,6 +214,16 @@ def test_more_than_five_per_cent_dropped_is_a_warning_with_its_causes():
     assert len(run.frames) == 53
 
 
+def test_a_scan_that_is_left_out_anyway_is_not_counted_a_second_time():
+    """The service has counted it as passed over, for its age."""
+    counters: Counter[str] = Counter()
+    timing = Timing(["front"], counters)
+    for k in range(60):
+        odd = k in (20, 40)
+        timing.take(scan(k, T0_NS + k * 100 * MS + 9000 * S) if odd else scan(k), is_mapped=k != 20)
+    assert counters == Counter(scans_dropped_stamp=1)
+
+
 def test_first_stamps_years_ahead_are_corrected_or_dropped_and_later_ones_are_used():
     run = Run([scan(k, scan(k).stamp_ns + 94_608_000 * S * (k < 4)) for k in range(60)])
     assert [frame.stamp_ns for frame in run.frames] == [scan(k).stamp_ns for k in range(4, 60)]
