@@ -17,6 +17,7 @@ LONGEST_NAME = 100  # letters
 LARGEST_M2 = 10_000.0  # of the rectangle around an area, or a piece of a wall: 4 million cells of 5 cm
 MIN_M2 = 1e-4  # of an area
 FURTHEST_M = 100_000.0  # from the origin
+ONLY_LOCALISED = "the map stays as it is while the vehicle is only localised"
 
 
 class EditError(ValueError):

@@ -86,6 +86,23 @@ def test_the_vehicle_is_localised_all_along_and_no_pose_jumps(drove: Drive, swit
         assert off_m < 0.05
 
 
+def test_a_change_asked_for_before_the_switch_to_localisation_is_applied_is_refused(drove: Drive):
+    session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"], None)
+    for frame in drove.frames[:50]:
+        session.process(frame)
+    wall = {"what": "wall", "corners": [(0.5, 0.2), (1.5, 0.2)]}
+    session.request("set_mode", {"mode": "localization"})
+    session.request("edit_map", {"change": wall})
+    for _ in range(10):  # more than are out
+        session.apply_result()
+    switched, edited = session.take_edited()
+    assert (switched.told["mode"], switched.error) == ("localization", "")
+    assert "only localised" in edited.error
+    stored = session.finish().update.saved
+    assert isinstance(stored, SavedGraph)
+    assert len(stored.by_hand.kind) == 0
+
+
 def test_a_mode_that_cannot_be_is_refused(switched: Switched):
     session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"])
     with pytest.raises(GraphRequestError, match="mode is 'flying'; expected mapping or localization"):

@@ -12,7 +12,7 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels.loops import thin_points
 from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
-from service.mapper.edit_requests import EditError, LiveChange
+from service.mapper.edit_requests import ONLY_LOCALISED, EditError, LiveChange
 from service.mapper.graph.point_clouds import Fit, PointCloud
 from service.mapper.graph.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.pose_graph_solver import solve
@@ -180,6 +180,7 @@ class LoopBackEnd:
             return Result(*counts, edited=EditAnswer(error=error))
         self._held = (self._held or held) if is_localizing else 0
         self._candidates, self._is_switched = [], is_localizing
+        self._accepted = [] if is_localizing else self._accepted  # an undo would change the stored map
         told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self._keyframes.count}
         return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing)
 
@@ -188,6 +189,8 @@ class LoopBackEnd:
         if change is None:
             return None, None
         try:
+            if self._held:
+                raise EditError(ONLY_LOCALISED)
             made = self._edits.make(change, self._known(), self._loops)
         except EditError as error:
             return None, EditAnswer(error=str(error))

@@ -25,6 +25,7 @@ from service.mapper.components import (
 )
 from service.mapper.edit_requests import (
     EDIT_MAP,
+    ONLY_LOCALISED,
     EditError,
     Erase,
     LiveChange,
@@ -175,7 +176,7 @@ class LoopClosing(BackgroundGraph[Result]):
     def _edit(self, payload: Mapping[str, Any]) -> None:
         """What can be refused at once is; the rest is up to the back end."""
         if self._is_localizing:
-            raise GraphRequestError("edit_map: the map stays as it is while the vehicle is only localised")
+            raise GraphRequestError(f"edit_map: {ONLY_LOCALISED}")
         try:
             change = EDIT_MAP.validate_json(json.dumps(payload)).change
             if isinstance(change, Erase):

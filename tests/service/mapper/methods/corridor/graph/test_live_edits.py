@@ -104,6 +104,15 @@ def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(close
     np.testing.assert_allclose(again.map, before.map, atol=2e-3)
 
 
+def test_loops_of_a_map_that_stays_as_it_is_are_not_undone(closed_ring: bytes):
+    back_end = pickle.loads(closed_ring)
+    before = saved(back_end)
+    assert len(before.loop_ends)
+    back_end.work(Batch([], "set_mode", is_localizing=True))
+    back_end.work(Batch([], "undo"))
+    np.testing.assert_array_equal(saved(back_end).loop_ends, before.loop_ends)
+
+
 def test_without_a_bridge_odometry_yields_where_it_is_cut(open_ring: bytes):
     """Pairs ask for more than odometry errs by: it must give somewhere."""
 
