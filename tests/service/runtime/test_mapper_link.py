@@ -27,6 +27,7 @@ from service.runtime.mapper_link import MapperLink, MapperLostError
 from service.runtime.mapper_messages import (
     Answer,
     FrameItem,
+    GraphItem,
     LoadItem,
     Mapped,
     Setup,
@@ -260,6 +261,29 @@ def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_ag
     drive.scan(10)
     drive.until_mapped()
     assert len(drive.heard.takeovers) == mapper_link.MAX_BACK_END_DEATHS
+
+
+@pytest.mark.parametrize("is_copied", [False, True])
+def test_a_change_by_hand_is_made_and_answered_once_where_the_mapper_is_killed_before_its_result(
+    drive: Drive, strange: Callable[[str], None], is_copied: bool
+):
+    """is_copied: the stand-by has taken the request, too."""
+    strange("not at all")
+    drive.start().scan(10)
+    drive.until_mapped()
+    answers: list[Answer] = []
+    for y_m in (0.5, 1.0):
+        number = drive.link.next_number()
+        wall = {"change": {"what": "wall", "corners": [[0.0, y_m], [1.0, y_m]]}}
+        drive.link.submit(GraphItem(number, number, "edit_map", wall), answers.append)
+    if is_copied:
+        drive.until_standby(number)
+    os.kill(drive.link.pid, signal.SIGKILL)
+    drive.until(lambda: len(drive.heard.takeovers) == 1)
+    assert len(answers) < 2
+    drive.until(lambda: drive.scan() or len(answers) == 2)
+    assert [(answer.result.get("undoable"), answer.error) for answer in answers] == [(1, ""), (2, "")]
+    assert not drive.heard.graph_fault
 
 
 def test_a_new_stand_by_comes_by_itself_and_the_items_that_it_has_are_forgotten(

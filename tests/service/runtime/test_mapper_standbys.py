@@ -16,6 +16,7 @@ from service.runtime import mapper_link
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
 from service.runtime.mapper_messages import (
+    Answer,
     CanCopy,
     Failed,
     FrameItem,
@@ -127,6 +128,18 @@ def test_a_copy_of_a_lost_mapper_that_comes_late_is_sent_away(link: MapperLink):
     second.channel.close()
     third.until(4)
     assert third.numbers() == [3, 4, 5]
+
+
+def test_an_answer_that_comes_late_makes_no_later_item_undone(link: MapperLink):
+    """That to a change by hand comes after those to later items: these must give no output twice."""
+    mapper = first_mapper(link)
+    submit(link, 3)
+    mapper.until(4)
+    second = standby(link, SECOND, 0, of_pid=FIRST)
+    until_standby(link, SECOND)
+    mapper.say(Answer(3, None)).say(Answer(1, None)).channel.close()
+    second.until(4)
+    assert second.heard[0].done_number == 3
 
 
 def test_a_copy_of_a_lost_mapper_that_is_on_its_way_still_goes_on(link: MapperLink):

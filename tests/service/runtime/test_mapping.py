@@ -421,8 +421,10 @@ def answers_to_an_edit(graph: GraphWithEdits, then: Callable[[Run], Any]) -> lis
     return answers
 
 
-def test_a_change_by_hand_is_answered_when_its_result_is_applied():
-    (answer,) = answers_to_an_edit(GraphWithEdits(), lambda run: run.put(scan(40, 60, [1.0])))
+@pytest.mark.parametrize("waits_ns", [0, MAX_AGE_NS + 1])
+def test_a_change_by_hand_is_answered_when_its_result_is_applied_also_where_scans_are_left_out(waits_ns: int):
+    next_scan = scan(40, 60, [1.0])
+    (answer,) = answers_to_an_edit(GraphWithEdits(), lambda run: run.put(next_scan, waits_ns=waits_ns))
     assert (answer.result, answer.error) == ({"done": "erased"}, "")
 
 
