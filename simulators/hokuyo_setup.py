@@ -18,16 +18,16 @@ ECHO_COMMANDS = {**dict.fromkeys(("HD", "HE"), 12), **dict.fromkeys(("ND", "NE")
 
 
 class Replies(NamedTuple):
-    """VV, PP and II, and which scans it has."""
+    """VV, PP and II, and which scans it has; as a UTM-30LX by USB, recorded in gbiggs/hokuyoaist."""
 
-    vendor: str
-    product: str  # PROD
-    model: str  # MODL
-    firmware: str
-    protocol: str
-    speed: str  # SCSP
-    well: str  # STAT, and where it is abnormal
-    ill: str
+    vendor: str = "Hokuyo Automatic Co.,Ltd."
+    product: str = "SOKUIKI Sensor TOP-URG UTM-30LX"  # PROD
+    model: str = "UTM-30LX(Hokuyo Automatic Co.,Ltd.)"  # MODL
+    firmware: str = "P.1.05(17/Apr./2009)"
+    protocol: str = "SCIP 2.0"
+    speed: str = "Initial(2400[rpm])<-Default setting by user"  # SCSP
+    normal: str = "Sensor works well."  # STAT
+    abnormal: str = "Trouble!! Error No. =[00->33]"
     distance_min_mm: int = 23
     distance_max_mm: int = 60_000
     steps_per_turn: int = 1440
@@ -40,53 +40,37 @@ class Replies(NamedTuple):
     locks_up_at: tuple[str, ...] = ()  # commands after which it answers nothing until its power is cut
 
 
-# UTM-30LX: recorded in gbiggs/hokuyoaist; -EW: seqsense/urg_stamped; UST-10LX, URG-04LX-UG01: VV and PP as
-# public drivers print them, II as the UTM-30LX has it; the lock-up: ros-drivers/urg_c, pull request 4.
+# -EW: seqsense/urg_stamped. UST-10LX, URG-04LX-UG01: VV and PP as public drivers print them, II as the others
+# of their wire; the lock-up: ros-drivers/urg_c, pull request 4.
+_USB = Replies()
+_EW = Replies(
+    vendor="Hokuyo Automatic Co., Ltd.",
+    product="UTM-30LX-EW",
+    model="UTM-30LX-EW",
+    firmware="1.1.0 (2011-09-30)",
+    protocol="SCIP 2.2",
+    speed="2400",
+    normal="Stable 000 no error.",
+    abnormal="Error 033",
+    commands=COMMANDS | ETHERNET_COMMANDS | ECHO_COMMANDS,
+)
 REPLIES: dict[tuple[str, str], Replies] = {
-    ("utm_30lx", "usb"): Replies(
-        vendor="Hokuyo Automatic Co.,Ltd.",
-        product="SOKUIKI Sensor TOP-URG UTM-30LX",
-        model="UTM-30LX(Hokuyo Automatic Co.,Ltd.)",
-        firmware="P.1.05(17/Apr./2009)",
-        protocol="SCIP 2.0",
-        speed="Initial(2400[rpm])<-Default setting by user",
-        well="Sensor works well.",
-        ill="Trouble!! Error No. =[00->33]",
-    ),
-    ("utm_30lx", "ethernet"): Replies(
-        vendor="Hokuyo Automatic Co., Ltd.",
-        product="UTM-30LX-EW",
-        model="UTM-30LX-EW",
-        firmware="1.1.0 (2011-09-30)",
-        protocol="SCIP 2.2",
-        speed="2400",
-        well="Stable 000 no error.",
-        ill="Error 033",
-        commands=COMMANDS | ETHERNET_COMMANDS | ECHO_COMMANDS,
-    ),
-    ("ust", "ethernet"): Replies(
-        vendor="Hokuyo Automatic Co., Ltd.",
+    ("utm_30lx", "usb"): _USB,
+    ("utm_30lx", "ethernet"): _EW,
+    ("ust", "ethernet"): _EW._replace(
         product="UST-10LX",
         model="UST-10LX",
         firmware="4.0.2-A",
-        protocol="SCIP 2.2",
-        speed="2400",
-        well="Stable 000 no error.",
-        ill="Error 033",
         distance_min_mm=20,
         distance_max_mm=30_000,
         no_return_mm=65_533,
         commands=COMMANDS | ETHERNET_COMMANDS,
     ),
-    ("urg_04lx_ug01", "usb"): Replies(
-        vendor="Hokuyo Automatic Co.,Ltd.",
+    ("urg_04lx_ug01", "usb"): _USB._replace(
         product="SOKUIKI Sensor URG-04LX-UG01(Simple-URG)",
         model="URG-04LX-UG01(Simple-URG)(Hokuyo Automatic Co.,Ltd.)",
         firmware="3.4.03(17/Dec./2012)",
-        protocol="SCIP 2.0",
         speed="Initial(600[rpm])<-Default setting by user",
-        well="Sensor works well.",
-        ill="Trouble!! Error No. =[00->33]",
         distance_min_mm=20,
         distance_max_mm=5_600,
         steps_per_turn=1024,

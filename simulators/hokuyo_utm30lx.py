@@ -317,7 +317,7 @@ class FakeUtm30lx:
             ("MESM", "CLASSIC" if usb else modes.get(self._state_code(now_ns), "000 Idle")),
             ("SBPS", "USB Full Speed" if usb else "Ethernet 100 [Mbps]"),
             ("TIME", f"{self._clock_ms(now_ns):06X}"),
-            ("STAT", replies.ill if self.abnormal else replies.well),
+            ("STAT", replies.abnormal if self.abnormal else replies.normal),
         )
 
     def _light(self, text: str, echo: str, now_ns: int) -> bytes:

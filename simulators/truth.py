@@ -85,40 +85,19 @@ class LaserModel:
 
 # SICK operating instructions LMS1xx, technical data: 18 m at 10 % remission, statistical error 12 mm
 # (1 sigma), divergence 15 mrad. It reports echoes down to some centimetres.
-LMS100 = LaserModel(range_min_m=0.05, range_max_m=20.0, tenth_range_m=18.0, sigma_m=0.012)
+LMS100 = LaserModel(0.05, 20.0, tenth_range_m=18.0, sigma_m=0.012)
 # LMS5xx HR: 65 m with distances in mm, 40 m at 10 %, 6 mm to 10 m and 14 mm to 30 m; beam 4.7 mrad.
-LMS500 = LaserModel(
-    range_min_m=0.2,
-    range_max_m=65.0,
-    tenth_range_m=40.0,
-    sigma_m=0.005,
-    sigma_per_m=0.0003,
-    divergence_rad=0.0047,
-)
+LMS500 = LaserModel(0.2, 65.0, tenth_range_m=40.0, sigma_m=0.005, sigma_per_m=0.0003, divergence_rad=0.0047)
 # TiM571, TiM781 data sheets: 0.05 to 25 m, 8 m at 10 %, statistical error 20 mm.
-TIM500 = LaserModel(range_min_m=0.05, range_max_m=25.0, tenth_range_m=8.0, sigma_m=0.02)
+TIM500 = LaserModel(0.05, 25.0, tenth_range_m=8.0, sigma_m=0.02)
 # Hokuyo UTM-30LX specification: 0.1 to 30 m, repeated accuracy 10 mm to 10 m and 30 mm beyond.
-UTM30LX = LaserModel(
-    range_min_m=0.1,
-    range_max_m=30.0,
-    tenth_range_m=15.0,
-    sigma_m=0.006,
-    sigma_per_m=0.0007,
-    divergence_rad=0.006,
-)
+UTM30LX = LaserModel(0.1, 30.0, tenth_range_m=15.0, sigma_m=0.006, sigma_per_m=0.0007, divergence_rad=0.006)
 # UST-10LX data sheet: 0.06 to 30 m, 4 m at 10 %, repeated accuracy 30 mm at most.
-UST = LaserModel(range_min_m=0.06, range_max_m=30.0, tenth_range_m=4.0, sigma_m=0.01, divergence_rad=0.006)
+UST = LaserModel(0.06, 30.0, tenth_range_m=4.0, sigma_m=0.01, divergence_rad=0.006)
 # URG-04LX-UG01 data sheet: 0.02 to 5.6 m, accuracy 30 mm to 1 m and 3 % beyond; a third of it as noise.
-URG04LX = LaserModel(range_min_m=0.02, range_max_m=5.6, tenth_range_m=4.0, sigma_m=0.01, sigma_per_m=0.006)
+URG04LX = LaserModel(0.02, 5.6, tenth_range_m=4.0, sigma_m=0.01, sigma_per_m=0.006)
 # IBEO LUX data sheet: 200 m, 50 m at 10 % remission, 4 cm in steps of a centimetre, beam 0.08 deg wide.
-IBEO_LUX = LaserModel(
-    range_min_m=0.3,
-    range_max_m=200.0,
-    tenth_range_m=50.0,
-    sigma_m=0.04,
-    quantum_m=0.01,
-    divergence_rad=0.0014,
-)
+IBEO_LUX = LaserModel(0.3, 200.0, tenth_range_m=50.0, sigma_m=0.04, quantum_m=0.01, divergence_rad=0.0014)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
