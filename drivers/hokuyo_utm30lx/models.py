@@ -32,66 +32,38 @@ class Model:
     name: str
     product: str  # what PROD, in VV, contains
     wires: tuple[Literal["device", "host"], ...]
-    rate_hz: float
-    first_angle_deg: float  # defaults of the settings
-    last_angle_deg: float
-    range_min_m: float
-    range_max_m: float
-    has_intensity: bool
-    has_echoes: bool  # further ones, by Ethernet
     codes: Mapping[int, str]  # values below DMIN: why a beam has no distance
+    range_min_m: float  # defaults of the settings
+    range_max_m: float
+    first_angle_deg: float = -135.0
+    last_angle_deg: float = 135.0
+    rate_hz: float = 40.0
+    has_intensity: bool = True
+    has_echoes: bool = False  # further ones, by Ethernet
 
     @property
     def defaults(self) -> dict[str, Any]:
         """Of the settings that depend on the model."""
-        return {
-            "first_angle_deg": self.first_angle_deg,
-            "last_angle_deg": self.last_angle_deg,
-            "range_min_m": self.range_min_m,
-            "range_max_m": self.range_max_m,
-        }
+        names = "first_angle_deg", "last_angle_deg", "range_min_m", "range_max_m"
+        return {name: getattr(self, name) for name in names}
 
 
-UTM_30LX = Model(
-    name="UTM-30LX",
-    product="UTM-30LX",
-    wires=("device", "host"),
-    rate_hz=40.0,
-    first_angle_deg=-135.0,
-    last_angle_deg=135.0,
-    range_min_m=0.1,
-    range_max_m=30.0,
-    has_intensity=True,
-    has_echoes=True,
-    codes=UTM_CODES,
-)
-UST = Model(
-    name="UST",
-    product="UST-",
-    wires=("host",),
-    rate_hz=40.0,
-    first_angle_deg=-135.0,
-    last_angle_deg=135.0,
-    range_min_m=0.06,
-    range_max_m=30.0,
-    has_intensity=True,
-    has_echoes=False,
-    codes=UTM_CODES,
-)
-URG_04LX_UG01 = Model(
-    name="URG-04LX-UG01",
-    product="URG-04LX-UG01",
-    wires=("device",),
-    rate_hz=10.0,
-    first_angle_deg=-119.5,
-    last_angle_deg=119.9,
-    range_min_m=0.06,
-    range_max_m=4.095,
-    has_intensity=False,
-    has_echoes=False,
-    codes=URG_CODES,
-)
-MODELS: Mapping[str, Model] = {"utm_30lx": UTM_30LX, "ust": UST, "urg_04lx_ug01": URG_04LX_UG01}
+MODELS: Mapping[str, Model] = {
+    "utm_30lx": Model("UTM-30LX", "UTM-30LX", ("device", "host"), UTM_CODES, 0.1, 30.0, has_echoes=True),
+    "ust": Model("UST", "UST-", ("host",), UTM_CODES, 0.06, 30.0),
+    "urg_04lx_ug01": Model(
+        name="URG-04LX-UG01",
+        product="URG-04LX-UG01",
+        wires=("device",),
+        codes=URG_CODES,
+        range_min_m=0.06,
+        range_max_m=4.095,
+        first_angle_deg=-119.5,
+        last_angle_deg=119.9,
+        rate_hz=10.0,
+        has_intensity=False,
+    ),
+}
 
 # What PROD contains, after the names above: what reading that laser would need.
 NOT_READ = {

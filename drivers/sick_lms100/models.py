@@ -6,7 +6,7 @@ an LMS511, a TiM551 and a TiM781S.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 ModelName = Literal["lms1xx", "lms5xx", "tim5xx", "tim7xx"]
@@ -17,14 +17,13 @@ class Model:
     """What a family can do. Angles are the device's own, 900_000 is straight ahead."""
 
     name: str
-    ident: str  # DeviceIdent begins with it, in capitals
     rates_hz: tuple[int, ...]  # the first is the default, as of the steps
     steps_deg: tuple[float, ...]
     max_shots_hz: int  # of rate and step together
-    first_e4deg: int
-    last_e4deg: int
     range_max_m: float  # default of the setting
     echoes: Literal["channels", "filter", "one"]  # chosen by LMDscandatacfg, by FREchoFilter, or there is one
+    first_e4deg: int = -450_000
+    last_e4deg: int = 2_250_000
     output_range_first: bool = False  # LMPoutputRange counts if written and left before mLMPsetscancfg
     output_step_e4deg: int | None = None  # what LMPoutputRange states as its step; None: the step there is
 
@@ -61,52 +60,25 @@ class Model:
 
 
 LMS1XX = Model(
-    name="LMS1xx",
-    ident="LMS1",
-    rates_hz=(50, 25),
-    steps_deg=(0.5, 0.25),
-    max_shots_hz=36_000,
-    first_e4deg=-450_000,
-    last_e4deg=2_250_000,
-    range_max_m=20.0,
-    echoes="channels",
-    output_step_e4deg=5000,
+    "LMS1xx", (50, 25), (0.5, 0.25), 36_000, range_max_m=20.0, echoes="channels", output_step_e4deg=5000
 )
-LMS5XX = Model(
-    name="LMS5xx",
-    ident="LMS5",
-    rates_hz=(50, 25, 35, 75, 100),
-    steps_deg=(0.5, 0.1667, 0.25, 0.3333, 0.6667, 0.75, 1.0),
-    max_shots_hz=54_000,
-    first_e4deg=-50_000,
-    last_e4deg=1_850_000,
-    range_max_m=65.0,  # 80 m with the scale of 2 that SOPAS ET can set
-    echoes="filter",
-    output_range_first=True,
-)
-TIM5XX = Model(
-    name="TiM5xx",
-    ident="TIM5",
-    rates_hz=(15,),
-    steps_deg=(0.3333, 1.0),  # TiM561 and TiM571; TiM551
-    max_shots_hz=16_200,
-    first_e4deg=-450_000,
-    last_e4deg=2_250_000,
-    range_max_m=25.0,
-    echoes="one",
-)
-TIM7XX = Model(
-    name="TiM7xx",
-    ident="TIM7",
-    rates_hz=(15,),
-    steps_deg=(0.3333,),
-    max_shots_hz=16_200,
-    first_e4deg=-450_000,
-    last_e4deg=2_250_000,
-    range_max_m=25.0,
-    echoes="one",
-)
-MODELS: Mapping[str, Model] = {"lms1xx": LMS1XX, "lms5xx": LMS5XX, "tim5xx": TIM5XX, "tim7xx": TIM7XX}
+TIM7XX = Model("TiM7xx", (15,), (0.3333,), 16_200, range_max_m=25.0, echoes="one")
+MODELS: Mapping[str, Model] = {
+    "lms1xx": LMS1XX,
+    "lms5xx": Model(
+        name="LMS5xx",
+        rates_hz=(50, 25, 35, 75, 100),
+        steps_deg=(0.5, 0.1667, 0.25, 0.3333, 0.6667, 0.75, 1.0),
+        max_shots_hz=54_000,
+        range_max_m=65.0,  # 80 m with the scale of 2 that SOPAS ET can set
+        echoes="filter",
+        first_e4deg=-50_000,
+        last_e4deg=1_850_000,
+        output_range_first=True,
+    ),
+    "tim5xx": replace(TIM7XX, name="TiM5xx", steps_deg=(0.3333, 1.0)),  # TiM561 and TiM571; TiM551
+    "tim7xx": TIM7XX,
+}
 
 # How DeviceIdent begins, in capitals: the family, and what reading it would need. An LMS1000 calls itself
 # LMS1xxxx, an LMS100 LMS10x. Source of the names: SICKAG/sick_scan, isCompatibleDevice.
@@ -126,10 +98,10 @@ NOT_READ = {
 
 def model_of(device: str) -> str | None:
     """Key in MODELS of the scanner with this DeviceIdent; None for one that is not read, or is unknown."""
-    ident = device.upper()
-    if ident.startswith(tuple(NOT_READ)):
+    if device.upper().startswith(tuple(NOT_READ)):
         return None
-    return next((key for key, model in MODELS.items() if ident.startswith(model.ident)), None)
+    key = device[:4].lower() + "xx"
+    return key if key in MODELS else None
 
 
 def mismatch(device: str, configured: str) -> str:

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from drivers.errors import ProtocolError
 from drivers.rates import same_rate
-from drivers.sick_lms100.models import LMS1XX
+from drivers.sick_lms100.models import LMS1XX, MODELS
 from drivers.sick_lms100.protocol import Dialect, Reader, Telegram, Writer, reader, writer
 
-MAX_BEAMS = 1142  # 190 deg at 0.1667 deg, and one that some firmware adds
+MAX_BEAMS = max(model.max_beams for model in MODELS.values())
 MAX_CHANNELS = 8
 MAX_ENCODERS = 4
 
