@@ -47,22 +47,22 @@ class Bench:
     fineness_ns: int = 100_000
 
 
-def _lms100(dialect: Dialect, **changes: Any) -> Bench:
+def _lms100(dialect: Dialect, model: Any = "lms1xx", rate_hz: float = 49.8, **changes: Any) -> Bench:
     return Bench(
-        lambda: FakeLms100(lms100.Room(), Lms100Setup(dialect=dialect)),
-        lambda now: partial(Lms100Session, lms100.config(**changes)),
-        rate_hz=49.8,
+        lambda: FakeLms100(lms100.Room(), Lms100Setup(model, dialect=dialect)),
+        lambda now: partial(Lms100Session, lms100.config(model=model, **changes)),
+        rate_hz=rate_hz,
         has_sum=dialect is Dialect.BINARY,
     )
 
 
-def _utm30lx(wire: Any, **changes: Any) -> Bench:
+def _utm30lx(wire: Any, model: Any = "utm_30lx", rate_hz: float = 39.92, **changes: Any) -> Bench:
     """Its motor is a little off: at 25 ms sharp, its milliseconds would always say the same of the phase."""
-    setup = Utm30lxSetup(wire=wire, motor_speed=0.998, clock_drift_ppm=20.0)
+    setup = Utm30lxSetup(wire, model, motor_speed=0.998, clock_drift_ppm=20.0)
     return Bench(
         lambda: FakeUtm30lx(utm30lx.Room(), setup),
-        lambda now: partial(HokuyoUtm30lxSession, utm30lx.config(**changes)),
-        rate_hz=39.92,
+        lambda now: partial(HokuyoUtm30lxSession, utm30lx.config(model=model, **changes)),
+        rate_hz=rate_hz,
         fineness_ns=1_000_000,  # it counts milliseconds
     )
 
@@ -102,6 +102,10 @@ BENCHES = {
         has_clock=False,
         has_sum=False,
     ),
+    "lms100 lms5xx": _lms100(Dialect.BINARY, "lms5xx"),
+    "lms100 tim5xx": _lms100(Dialect.ASCII, "tim5xx", 14.93),
+    "utm30lx ust": _utm30lx("ethernet", "ust", host="127.0.0.1"),
+    "utm30lx urg": _utm30lx("usb", "urg_04lx_ug01", 9.98),
 }
 
 
