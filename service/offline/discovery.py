@@ -111,7 +111,11 @@ def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
         candidates = tuple(c for c in candidates if recognise_sensor(heard, c[0])) or candidates
     words: list[str] = []
     for kind, settings in candidates:
-        found = _ask_for(wire, kind, settings, ask_s, stop)
+        try:
+            found = _ask_for(wire, kind, settings, ask_s, stop)
+        except ValidationError as error:  # of these settings, or of those that the device shows
+            message = error.errors()[0]["msg"].removeprefix("Value error, ")
+            found = Found(wire, words=f"no {kind}: {message}")
         if found.type:
             return found
         words.append(found.words)
@@ -130,10 +134,7 @@ def _ask_for(
     where: dict[str, Any] = {"device": wire.device} if wire.device else {"host": wire.host}
     if wire.port is not None:
         where["port"] = wire.port
-    try:
-        config = kind.config.model_validate({"name": str(wire), **where, **settings})
-    except ValidationError as error:
-        return Found(wire, words=f"no {kind_name}: {error.errors()[0]['msg'].removeprefix('Value error, ')}")
+    config = kind.config.model_validate({"name": str(wire), **where, **settings})
     seen = probe(
         partial(kind.open_transport, config),
         kind.session_maker(config),
