@@ -1,7 +1,6 @@
 """Poses, scans and tiles of a running service, from Zenoh."""
 
 import atexit
-import json
 import logging
 import threading
 import time
@@ -15,6 +14,7 @@ import zenoh
 from drivers.frames import LaserScan
 from drivers.rmw_zenoh import Attachment
 from drivers.zenoh_callback import daemon_callback
+from drivers.zenoh_config import zenoh_config
 from service.api.poses import Pose, pose_in_message
 from service.encoding import LASER_SCAN, TILES, decode_frame, decode_grid
 from service.errors import CorridorError, InputError, StorageError, UsageError
@@ -34,7 +34,8 @@ ASK_AGAIN_S = 5.0  # for tiles that a congested link has dropped
 
 
 class Subscription(Generic[UpdateT]):
-    """Iterate it for what the service publishes; on leaving `with`, or by close, the connection ends.
+    """Iterate it for what the service publishes; the connection ends on leaving `with`, by close, or
+    as the interpreter ends.
 
     The first tiles are those of the map as it is. Of a tile only the newest version waits to be taken; of
     poses and scans the last 1000: `dropped` counts those before. A service that restarts is found again.
@@ -205,17 +206,14 @@ def subscribe(
 
 
 def _connect(endpoint: str) -> zenoh.Session:
-    config = zenoh.Config()
+    settings = {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": round(1e3 * CONNECT_S),
+        "transport/shared_memory/enabled": False,
+    }
     try:
-        for key, value in {
-            "mode": "client",
-            "connect/endpoints": [endpoint],
-            "connect/timeout_ms": round(1e3 * CONNECT_S),
-            "scouting/multicast/enabled": False,
-            "transport/shared_memory/enabled": False,
-        }.items():
-            config.insert_json5(key, json.dumps(value))
-        return zenoh.open(config)
+        return zenoh.open(zenoh_config(settings))
     except zenoh.ZError as error:
         raise StorageError(
             f"no service answers at {endpoint} within {CONNECT_S:.0f} s; expected its publishing.listen, "

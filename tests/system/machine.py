@@ -16,6 +16,7 @@ import yaml
 import zenoh
 
 from drivers.zenoh_callback import daemon_callback
+from drivers.zenoh_config import zenoh_config
 from service.encoding import Message
 from tests.in_background import started
 
@@ -177,15 +178,8 @@ class Subscriber:
     """A Zenoh client that keeps what it hears, by channel, with the moment it heard it."""
 
     def __init__(self, endpoint: str) -> None:
-        config = zenoh.Config()
-        for key, value in {
-            "mode": "client",
-            "connect/endpoints": [endpoint],
-            "connect/timeout_ms": 20_000,
-            "scouting/multicast/enabled": False,
-        }.items():
-            config.insert_json5(key, json.dumps(value))
-        self._session = zenoh.open(config)
+        settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 20_000}
+        self._session = zenoh.open(zenoh_config(settings))
         self._changed = threading.Condition()
         self.heard: dict[str, list[tuple[float, bytes]]] = {}
         self.versions: dict[str, int] = {}  # of tiles, by channel

@@ -1,6 +1,5 @@
 """The service runs already: then its devices are its own, and it is asked for their state instead."""
 
-import json
 import queue
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 import zenoh
 
 from drivers.zenoh_callback import daemon_callback
+from drivers.zenoh_config import zenoh_config
 from service.encoding import Status, decode_diagnostics
 from service.errors import InputError
 from service.offline.doctor.findings import Finding, Severity, fault, note
@@ -27,17 +27,14 @@ class RunningService:
 
 def ask_health(running: RunningService, vehicle: str, wait_s: float = HEALTH_WAIT_S) -> list[Status]:
     """The newest health message of this vehicle's service; empty where none comes in time."""
-    settings = zenoh.Config()
-    for key, value in {
+    settings = {
         "mode": "client",
         "connect/endpoints": [running.endpoint],
         "connect/timeout_ms": round(wait_s * 1e3),
-        "scouting/multicast/enabled": False,
-    }.items():
-        settings.insert_json5(key, json.dumps(value))
+    }
     heard: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     try:
-        with zenoh.open(settings) as session:
+        with zenoh.open(zenoh_config(settings)) as session:
             session.declare_subscriber(vehicle_key(vehicle, "health"), daemon_callback(heard.put, "health"))
             return decode_diagnostics(heard.get(timeout=wait_s).payload.to_bytes())
     except (zenoh.ZError, queue.Empty, InputError):

@@ -1,6 +1,5 @@
 """ROS 2 topics over loopback: what a node of rmw_zenoh sees, read with Zenoh alone."""
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -11,6 +10,7 @@ import zenoh.ext
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from drivers.rmw_zenoh import Attachment
+from drivers.zenoh_config import zenoh_config
 from service.encoding import (
     ODOMETRY,
     Message,
@@ -32,7 +32,7 @@ from service.publishing.ros2_topics import Ros2Topics
 from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
-from tests.service.publishing.conftest import Inbox, client_config, wait_for_subscriber
+from tests.service.publishing.conftest import Inbox, wait_for_subscriber
 from tests.service.test_encoding_outputs import OUTPUT
 from tests.system.machine import free_port
 from tests.waiting import wait_until
@@ -192,14 +192,14 @@ def open_node(open_session) -> Callable[[str], zenoh.Session]:
     """As rmw_zenoh_cpp opens its session by default: a peer with gossip, connected to a router."""
 
     def open_one(endpoint: str) -> zenoh.Session:
-        settings = client_config(endpoint)
-        for key, value in {
+        settings = {
             "mode": "peer",
             "listen/endpoints": ["tcp/127.0.0.1:0"],
+            "connect/endpoints": [endpoint],
+            "connect/timeout_ms": 20_000,
             "scouting/gossip/enabled": True,
-        }.items():
-            settings.insert_json5(key, json.dumps(value))
-        return open_session(settings)
+        }
+        return open_session(zenoh_config(settings))
 
     return open_one
 
