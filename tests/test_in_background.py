@@ -55,17 +55,8 @@ def test_work_that_goes_on_after_the_block_fails_it():
 def test_a_thread_that_stays_fails_its_test_and_does_not_keep_the_process(tmp_path: Path):
     (tmp_path / "conftest.py").write_text(AT_ONCE)
     (tmp_path / "test_a.py").write_text(STAYS)
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-c",
-        "/dev/null",
-        f"--rootdir={tmp_path}",
-        str(tmp_path),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100.0, check=False)
+    command = [sys.executable, "-m", "pytest", "-q", "-c", "/dev/null", f"--rootdir={tmp_path}"]
+    done = subprocess.run([*command, tmp_path], capture_output=True, text=True, timeout=100.0, check=False)
     assert done.returncode == 1
     assert "these threads still run: ['laser']" in done.stdout
     assert "2 passed, 1 error" in done.stdout

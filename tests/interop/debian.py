@@ -134,14 +134,8 @@ def run_deb(debian: Debian, folder: Path) -> str:
 
 def _package(folder: Path) -> Path:
     out = folder / "package"
-    script = [
-        sys.executable,
-        str(PACKAGE / "build_deb.py"),
-        str(wheel_of_the_tree(folder)),
-        "--out",
-        str(out),
-    ]
-    run(script, timeout_s=INSTALL_TIMEOUT_S)
+    script = [sys.executable, str(PACKAGE / "build_deb.py"), str(wheel_of_the_tree(folder))]
+    run([*script, "--out", str(out)], timeout_s=INSTALL_TIMEOUT_S)
     (package,) = out.glob("*.deb")
     return package
 

@@ -30,9 +30,8 @@ def wheel_of_the_tree(folder: Path) -> Path:
 
 def run_uv(venv: Venv, folder: Path) -> str:
     home = folder / "uv-home"
-    _install(
-        [venv.bin / "uv", "tool", "install", "--python", sys.executable, wheel_of_the_tree(folder)], home
-    )
+    wheel = wheel_of_the_tree(folder)
+    _install([venv.bin / "uv", "tool", "install", "--python", sys.executable, wheel], home)
     return _look_at(home, home / ".local/share/uv/tools/corridor", venv, folder)
 
 
@@ -75,17 +74,9 @@ def run_lowest(venv: Venv, folder: Path) -> str:
     uv, place = venv.bin / "uv", folder / "lowest"
     place.mkdir()
     pinned, python = place / "pinned.txt", place / "venv/bin/python"
-    compile_ = [
-        uv,
-        "pip",
-        "compile",
-        "--quiet",
-        "--resolution",
-        "lowest-direct",
-        "--python-version",
-        PYTHONS[0],
-    ]
-    _install([*compile_, "--output-file", pinned, ROOT / "pyproject.toml"], place)
+    compile_ = [uv, "pip", "compile", "--quiet", "--resolution", "lowest-direct"]
+    compile_ += ["--python-version", PYTHONS[0], "--output-file", pinned]
+    _install([*compile_, ROOT / "pyproject.toml"], place)
     _install([uv, "venv", "--quiet", "--python", PYTHONS[0], place / "venv"], place)
     into = [uv, "pip", "install", "--quiet", "--python", python]
     _install([*into, "--requirement", pinned], place)
@@ -145,9 +136,4 @@ def _resolve(venv: Venv, needed: str, machine: str, python: str, folder: Path) -
 
 def _install(command: list[str | Path], home: Path) -> None:
     home.mkdir(exist_ok=True)
-    words = [str(word) for word in command]
-    done = subprocess.run(
-        words, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False, env=environment(home)
-    )
-    if done.returncode != 0:
-        raise InteropError(f"{words[0]} ended with {done.returncode}: {(done.stdout + done.stderr)[-800:]}")
+    run([str(word) for word in command], home, INSTALL_TIMEOUT_S)
