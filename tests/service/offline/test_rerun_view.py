@@ -14,14 +14,13 @@ from service.offline.rerun_view import show_in_rerun
 from service.offline.trajectory import write_tum
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
 
-chunk = pytest.importorskip("rerun.chunk", reason="pip install rerun-sdk")
-
 S = 1_000_000_000
 
 
 @pytest.fixture
 def result(tmp_path: Path) -> Path:
     """Of a replay: a wall along the lowest row, four poses, a loop between the first and the last."""
+    pytest.importorskip("rerun", reason="no rerun-sdk; with it: .venv/bin/pip install -e '.[rerun]'")
     folder = tmp_path / "result"
     folder.mkdir()
     cells = np.full((64, 128), FREE, np.int8)
@@ -36,6 +35,8 @@ def result(tmp_path: Path) -> Path:
 
 def read(path: Path) -> dict[str, dict[str, Any]]:
     """Entity -> component -> values of its rows."""
+    from rerun import chunk
+
     found: dict[str, dict[str, Any]] = {}
     for part in chunk.RrdReader(path).stream():
         batch = part.to_record_batch()
@@ -73,17 +74,20 @@ def test_map_path_and_graph_are_there_where_they_lie(result: Path, tmp_path: Pat
     assert vehicle["stamp"] == [k * S + 5 for k in range(4)]
 
 
-def test_what_cannot_be_shown_is_refused_in_words(
-    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_shown_is_refused_in_words(result: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no map in it"):
         show_in_rerun(tmp_path, tmp_path / "a.rrd")
     with pytest.raises(StorageError, match="cannot write"):
         show_in_rerun(result, result / "map.pgm" / "a.rrd")
     assert main(["view", str(result), "--save", str(tmp_path / "a.rrd")]) == UsageError.exit_code
+
+
+def test_without_the_package_the_error_names_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(CorridorError, match="-m pip install 'rerun-sdk<"):
-        show_in_rerun(result, tmp_path / "a.rrd")
+        show_in_rerun(tmp_path)
 
 
 def test_the_command_writes_a_recording_for_rerun(
