@@ -29,4 +29,6 @@ def test_a_venv_of_pipx_is_extended_by_pipx(tmp_path, monkeypatch: pytest.Monkey
 
 def test_a_venv_without_pip_is_extended_by_uv(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(service.extras, "find_spec", lambda name: None)
-    assert install_command("plot") == f"uv pip install --python {sys.executable} 'matplotlib>=3.8'"
+    monkeypatch.setattr(sys, "executable", "/home/ada/my tools/bin/python")
+    command = "uv pip install --python '/home/ada/my tools/bin/python' 'matplotlib>=3.8'"
+    assert install_command("plot") == command

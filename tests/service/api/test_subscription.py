@@ -124,12 +124,20 @@ def test_a_session_of_the_program_is_used(publisher, store):
     assert session.is_closed()
 
 
-def test_a_program_that_takes_what_it_needs_and_closes_nothing_ends(publisher, store):
+LEFT_OPEN = """
+import atexit, sys, corridor
+atexit.register(lambda: print("closed:", updates._session.is_closed()))  # after what is registered later
+updates = corridor.subscribe(sys.argv[1])
+for update in updates:
+    sys.exit(3)
+"""
+
+
+def test_a_program_that_takes_what_it_needs_and_closes_nothing_ends_with_its_session_closed(publisher, store):
     store.update([tile(0, 0, 1)])
-    program = "import sys, corridor\nfor update in corridor.subscribe(sys.argv[1]):\n    break\nsys.exit(3)"
-    command = [sys.executable, "-c", program, publisher.endpoints[0]]
+    command = [sys.executable, "-c", LEFT_OPEN, publisher.endpoints[0]]
     done = subprocess.run(command, timeout=TIMEOUT_S, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (3, b"")
+    assert (done.returncode, done.stdout, done.stderr) == (3, b"closed: True\n", b"")
 
 
 def test_where_nothing_answers_the_endpoint_is_named(monkeypatch):

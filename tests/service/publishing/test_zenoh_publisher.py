@@ -352,6 +352,8 @@ def test_a_router_that_is_not_there_is_not_waited_for_and_found_when_it_comes(op
 
 
 LEFT_OPEN = """
+import atexit
+
 from service.mapstore.tiles import TileStore
 from service.publishing.commands import Answer
 from service.publishing.ros2_topics import Ros2Topics
@@ -360,6 +362,7 @@ from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.service.publishing.test_ros2_topics import config
 
 shared, store = SharedZenoh(), TileStore()
+atexit.register(lambda: print("closed:", shared._session.is_closed()))  # after what is registered later
 for sink in (ZenohPublisher(config(), "veh1", store, shared=shared), Ros2Topics(config(), shared, store)):
     answer = getattr(sink, "answer_commands", None) or (lambda command: sink.answer(command, None))
     answer(lambda verb, payload: Answer(True, b"{}"))
@@ -367,9 +370,9 @@ raise SystemExit(3)
 """
 
 
-def test_a_process_that_closes_nothing_ends_all_the_same():
+def test_a_process_that_closes_nothing_ends_with_its_session_closed():
     done = subprocess.run([sys.executable, "-c", LEFT_OPEN], timeout=60.0, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (3, b"")
+    assert (done.returncode, done.stdout, done.stderr) == (3, b"closed: True\n", b"")
 
 
 STALLED = """
