@@ -17,10 +17,11 @@ T = TypeVar("T")
 
 
 def daemon_callback(take: Callable[[T], object], name: str) -> "zenoh.handlers.Callback[T]":
-    """For a subscriber, queryable or get: `take` is called in a daemon thread, which ends with that.
+    """For a subscriber, queryable or get: `take` is called in a daemon thread, which ends with it.
 
     The thread that Zenoh makes for a plain function is no daemon: a process that fails to close its session
-    never ends. What `take` raises is logged.
+    never ends. Who opens a session has `atexit` close it: Zenoh's calls into an interpreter that ends would
+    abort the process. What `take` raises is logged.
     """
     waiting: queue.SimpleQueue[T | None] = queue.SimpleQueue()
     room = threading.Semaphore(MAX_WAITING)
