@@ -273,7 +273,7 @@ class Lms100Session:
         wanted, count = self._dialogue.output_range, len(geometry.values)
         step_e4deg = exact_step_deg(geometry.step_e4deg) * 10_000
         before_e4deg = wanted.first_e4deg - geometry.first_e4deg
-        behind_e4deg = geometry.first_e4deg + step_e4deg * (count - 1) - wanted.last_e4deg
+        behind_e4deg = geometry.last_e4deg - wanted.last_e4deg
         before, behind = (
             math.ceil((beyond_e4deg - ANGLE_SLACK_E4DEG) / step_e4deg)
             if beyond_e4deg > ANGLE_SLACK_E4DEG + step_e4deg

@@ -200,7 +200,7 @@ class Channel:
 
     @property
     def last_e4deg(self) -> int:
-        return self.first_e4deg + self.step_e4deg * (len(self.values) - 1)
+        return self.first_e4deg + round(exact_step_deg(self.step_e4deg) * 10_000 * (len(self.values) - 1))
 
     def part(self, beams: slice) -> "Channel":
         """Some of its beams; the slice has neither None nor a step."""

@@ -53,11 +53,15 @@ def test_recorded_scan_becomes_a_frame(
     assert tuple(frame.intensity[[0, -1]].tolist()) == intensity
 
 
-@pytest.mark.parametrize("name", ["lms511", "tim551", "tim781s"])
-def test_recorded_telegram_is_written_as_it_was_read(name):
+@pytest.mark.parametrize(
+    ("name", "last_e4deg"), [("lms511", 1_850_000), ("tim551", 2_250_000), ("tim781s", 2_250_000)]
+)
+def test_recorded_telegram_is_written_as_it_was_read(name, last_e4deg):
     raw = recorded(name)
     [read] = Decoder().receive_data(raw)
-    assert encode(write_scan(read_scan(read), read.dialect)) == raw
+    scan = read_scan(read)
+    assert scan.channel("DIST1").last_e4deg == last_e4deg  # though its step is stated rounded
+    assert encode(write_scan(scan, read.dialect)) == raw
 
 
 @pytest.mark.parametrize(("name", "model"), [("tim551", "tim5xx"), ("tim781s", "tim7xx")])
@@ -72,6 +76,14 @@ def test_lms5xx_stamps_its_scan_before_the_sweep():
     session = Lms100Session(config(model="lms5xx"))
     [frame] = session.receive_data(recorded("lms511"), 1_000 * SECOND_NS)
     assert frame.stamp_ns == 1_000 * SECOND_NS - 40_853_000
+
+
+@pytest.mark.parametrize("configured", MODELS)
+def test_scale_of_the_telegram_counts_whatever_model_is_configured(configured):
+    """An OEM's name is no model's; 2 mm per digit is what SOPAS ET sets in an LMS5xx for 80 m."""
+    setup = Lms100Setup("lms5xx", "something of an OEM", scale=2.0)
+    t = talk(setup, model=configured).run(10.0)
+    assert np.nanmax(t.frames[-1].range_m) == np.float32(3.0)
 
 
 @pytest.mark.parametrize("dialect", list(Dialect))
