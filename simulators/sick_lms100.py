@@ -1,4 +1,4 @@
-"""A pretended SICK LMS100 or one of its kin: the other end of drivers.sick_lms100. No I/O.
+"""A pretended SICK scanner of drivers.sick_lms100.models: the other end of drivers.sick_lms100. No I/O.
 
 It answers what third-party clients ask at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT, sick_scan_xd)
 in the order and form they need, and reproduces the behaviour of real ones: a port open before anything

@@ -48,8 +48,8 @@ class HokuyoUtm30lxConfig(Section):
     def _one_wire_that_can_do_it(self) -> Self:
         if (self.device is None) == (self.host is None):
             raise ValueError(
-                f"{self.name}: give either device (UTM-30LX on USB, such as /dev/ttyACM0) "
-                "or host (UTM-30LX-EW), and not both"
+                f"{self.name}: give either device (USB, such as /dev/ttyACM0) or host "
+                "(Ethernet), and not both"
             )
         wire = "device" if self.host is None else "host"
         if wire not in self.limits.wires:
@@ -57,7 +57,7 @@ class HokuyoUtm30lxConfig(Section):
         if self.intensity and not self.limits.has_intensity:
             raise ValueError(f"{self.name}: model {self.model} sends no intensity: leave it out")
         if self.echo != "first" and not self.limits.has_echoes:
-            raise ValueError(f"{self.name}: echo {self.echo}: model {self.model} has one echo, the first")
+            raise ValueError(f"{self.name}: model {self.model} has no echo {self.echo}; write echo: first")
         if self.host is None and self.echo != "first":
             raise ValueError(f"{self.name}: echo {self.echo} needs a UTM-30LX-EW (host); USB has echo: first")
         if self.first_angle_deg >= self.last_angle_deg:

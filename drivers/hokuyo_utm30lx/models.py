@@ -68,12 +68,11 @@ MODELS: Mapping[str, Model] = {
 # What PROD contains, after the names above: what reading that laser would need.
 NOT_READ = {
     "URG-04LX": "a VV reply with wrong sums accepted, and a recording of it",
-    "UBG-": "a recording of its replies to VV and PP and of one scan",
-    "UHG-": "a recording of its replies to VV and PP and of one scan",
-    "UTM-X00": "a recording of its replies to VV and PP and of one scan",
+    **dict.fromkeys(
+        ("UBG-", "UHG-", "UTM-X00", "UGM-"), "a recording of its replies to VV and PP and of one scan"
+    ),
     "UXM-": "a row for it (190 deg, 20 scans a second) and a recording of one scan with further echoes",
     "UAM-": "the safety protocol's replies, and a recording of one scan",
-    "UGM-": "a recording of its replies to VV and PP and of one scan",
     "YVT-": "one plane chosen of a laser of many, and another protocol (VSSP)",
 }
 
@@ -86,8 +85,10 @@ def model_of(product: str) -> str | None:
 def mismatch(product: str, configured: str) -> str:
     """Why the laser with this product name is not the configured model; "" where it is, or is unknown."""
     found = model_of(product)
+    if found == configured:
+        return ""
     if found is not None:
-        return "" if found == configured else f"this is a {product}; write model: {found}"
+        return f"this is a {product}, expected a {MODELS[configured].name}; write model: {found}"
     for name, need in NOT_READ.items():
         if name in product:
             return f"this is a {product}, which is not read: that would need {need}"

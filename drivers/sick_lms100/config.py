@@ -59,10 +59,8 @@ class Lms100Config(Section):
                 f"not {self.scan_rate_hz}"
             )
         if self.echo != "first" and can.echoes == "one":
-            raise ValueError(
-                f"{self.name}: echo {self.echo} of model {self.model}: it has one echo, the first"
-            )
-        least_deg, most_deg = can.sees_deg
+            raise ValueError(f"{self.name}: model {self.model} has no echo {self.echo}; write echo: first")
+        least_deg, most_deg = can.field_of_view_deg
         if self.first_angle_deg < least_deg or self.last_angle_deg > most_deg:
             raise ValueError(
                 f"{self.name}: first_angle_deg {self.first_angle_deg:g} to last_angle_deg "

@@ -1,4 +1,4 @@
-"""Start-up dialogue of an LMS1xx or kin, and its polling while it streams. No I/O, no clock.
+"""Start-up dialogue of a SICK scanner of models.py, and its polling while it streams. No I/O, no clock.
 
 Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
 a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what

@@ -1,4 +1,4 @@
-"""Session with one LMS1xx or kin: its dialogue over one connection, and scan telegrams into frames. No I/O.
+"""Session with one SICK scanner: its dialogue over one connection, and scan telegrams into frames. No I/O.
 
 Time. The device counts microseconds since power-on and stamps each telegram twice: the zero index, and when
 it was handed to the network. The second against the arrival feeds the clock map, the first is translated by
@@ -215,7 +215,7 @@ class Lms100Session:
         if len(found[0][0].values) > self._limits.max_beams:
             raise ProtocolError(
                 f"{len(found[0][0].values)} beams in a scan telegram, at most {self._limits.max_beams} are "
-                f"possible; is it no {self._limits.name}?"
+                f"possible for model {self._config.model}; is it another one?"
             )
         for channel in (c for pair in found for c in pair if c is not None):
             if len(channel.values) != len(found[0][0].values):

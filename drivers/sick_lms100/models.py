@@ -42,14 +42,14 @@ class Model:
         return round((self.last_e4deg - self.first_e4deg) / (min(self.steps_deg) * 1e4)) + 2
 
     @property
-    def sees_deg(self) -> tuple[float, float]:
-        """Field of view as in the config: 0 straight ahead, left positive."""
+    def field_of_view_deg(self) -> tuple[float, float]:
+        """As in the config: 0 straight ahead, left positive."""
         return self.first_e4deg / 1e4 - 90.0, self.last_e4deg / 1e4 - 90.0
 
     @property
     def defaults(self) -> dict[str, Any]:
         """Of the settings that depend on the model."""
-        first_deg, last_deg = self.sees_deg
+        first_deg, last_deg = self.field_of_view_deg
         return {
             "scan_rate_hz": self.rates_hz[0],
             "angle_step_deg": self.steps_deg[0],

@@ -1,4 +1,4 @@
-"""The pretended LMS1xx or kin as a type of device: its options, and how it comes to its wire."""
+"""The pretended SICK scanner as a type of device: its options, and how it comes to its wire."""
 
 import math
 from dataclasses import replace

@@ -117,7 +117,9 @@ def test_models_are_known_by_their_product_name(product, model):
     assert mismatch(product, model) == ""
     assert ADVICE.settings_of({"product": product}) == {"model": model}
     for other in MODELS.keys() - {model}:
-        assert mismatch(product, other) == f"this is a {product}; write model: {model}"
+        assert mismatch(product, other) == (
+            f"this is a {product}, expected a {MODELS[other].name}; write model: {model}"
+        )
 
 
 @pytest.mark.parametrize(
@@ -167,7 +169,7 @@ def test_name_of_an_oem_is_taken():
         ({"model": "ust", "device": "/dev/ttyACM0"}, "model ust has no device; give host"),
         ({"model": "urg_04lx_ug01", "host": "h"}, "model urg_04lx_ug01 has no host; give device"),
         ({**URG, "intensity": True}, "sends no intensity"),
-        ({**UST, "echo": "last"}, "has one echo, the first"),
+        ({**UST, "echo": "last"}, "model ust has no echo last; write echo: first"),
     ],
 )
 def test_what_the_model_cannot_do_is_refused(changes, words):

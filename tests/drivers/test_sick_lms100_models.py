@@ -93,7 +93,7 @@ def test_driver_streams_from_the_fake_of_each_model(model, dialect):
     t = talk(Lms100Setup(model=model, dialect=dialect), model=model, intensity_bits=16).run(2.0)
     assert t.session.status == "streaming"
     frame = t.frames[-1]
-    first_deg, last_deg = limits.sees_deg
+    first_deg, last_deg = limits.field_of_view_deg
     assert math.degrees(frame.first_angle_rad) == pytest.approx(first_deg)
     last_rad = frame.first_angle_rad + (len(frame.range_m) - 1) * frame.angle_step_rad
     assert math.degrees(last_rad) == pytest.approx(last_deg)
@@ -254,12 +254,12 @@ def test_what_the_model_can_do_is_accepted(model, rate_hz, step_deg):
         ({"model": "mrs1000"}, "lms1xx"),
         ({"model": ["lms5xx"]}, "lms1xx"),
         ({"model": "lms5xx", "scan_rate_hz": 15}, "must be 25 or 35 or 50 or 75 or 100, not 15"),
-        ({"model": "lms5xx", "angle_step_deg": 0.1667}, "needs scan_rate_hz 25 or less, not 50"),
+        ({"model": "lms5xx", "angle_step_deg": 0.25}, "needs scan_rate_hz 35 or less, not 50"),
         ({"model": "lms5xx", "first_angle_deg": -100.0}, "must lie within -95 to 95"),
         ({"model": "lms5xx", "last_angle_deg": 100.0}, "must lie within -95 to 95"),
         ({"model": "tim5xx", "scan_rate_hz": 50}, "must be 15, not 50"),
         ({"model": "tim7xx", "angle_step_deg": 1.0}, "must be 0.3333, not 1"),
-        ({"model": "tim7xx", "echo": "last"}, "it has one echo, the first"),
+        ({"model": "tim7xx", "echo": "last"}, "model tim7xx has no echo last; write echo: first"),
     ],
 )
 def test_what_the_model_cannot_do_is_refused(changes, words):
