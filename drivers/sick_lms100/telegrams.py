@@ -1,4 +1,4 @@
-"""Telegrams of the scanners of models.py, field by field; one layout serves both dialects and both directions.
+"""Telegrams of the scanners of models.py, field by field; one layout for both dialects and directions.
 
 Source: SICK Telegram Listing 8014631; LMS500 manual 8013796, annex (LMDscandata); checked against a recorded
 LMS111 (V1.80.2), LMS511, TiM551 and TiM781S. Device units: 1/10000 deg (e4deg), 1/100 Hz (chz), us.
