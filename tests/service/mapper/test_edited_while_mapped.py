@@ -163,7 +163,7 @@ def test_a_wall_is_drawn_and_both_changes_are_taken_back(drove: Drive, untouched
         ({"change": {"what": "erase", "corners": [[0, 0], [200, 0], [200, 100]]}}, "more than 10000 m2"),
         ({"change": {"what": "erase", "corners": [[0, 0], [1, 0]]}}, "3 corners or more, not 2"),
         ({"change": {"what": "wall", "corners": []}}, "2 points or more, not 0"),
-        ({"change": {"what": "wall", "corners": [[0, 0]] * 501}}, "501 points, at most 500"),
+        ({"change": {"what": "wall", "corners": [[0, 0]] * 501}}, "corners: 501 points, at most 500"),
         ({"change": {"what": "add-pair", "pairs": []}}, "change.add-pair.pairs"),
         ({"change": {"what": "sell"}}, "change: "),
         ({"who": "ada"}, "change: "),

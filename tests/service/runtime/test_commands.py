@@ -306,6 +306,8 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
             "'x_m' should be less than or equal to 100000",
         ),
         ("save_map", {"name": "../a"}, "'name' takes letters, digits, _ . and -"),
+        ("set_mode", {"mode": "flying"}, "'mode' should be 'mapping' or 'localization'"),
+        ("edit_map", {"who": 101 * "a", "change": {}}, "'who' should have at most 100 characters"),
         (
             "add_landmark_pair",
             {

@@ -128,7 +128,9 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     told = status(made, "mapping")
     assert (told.level, told.message) == (level, reason or "ok")
     assert told.values["reason_id"] == reason.id
-    assert told.values["inlier_ratio"] == "0.800"
+    assert (told.values["inlier_ratio"], told.values["mode"]) == ("0.800", "mapping")
+    made._outputs.is_localizing = True
+    assert status(made, "mapping").values["mode"] == "localization"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
 
 

@@ -386,6 +386,14 @@ def test_lost_work_is_not_recorded_as_applied():
     assert run.outputs.graph_fault == "the process died"
 
 
+def test_the_status_says_that_the_map_stays_as_it_is():
+    mapper = FakeMapper()
+    run = Run(mapper)
+    mapper.is_localizing = True
+    run.link.loop.tell_status()
+    assert run.outputs.is_localizing
+
+
 class GraphWithEdits(GraphAtWork):
     """Makes every change when it is asked for its result; or ends."""
 
@@ -428,14 +436,16 @@ def test_a_change_by_hand_is_answered_when_its_result_is_applied_also_where_scan
     assert (answer.result, answer.error) == ({"done": "erased"}, "")
 
 
-def test_a_change_by_hand_fails_with_the_graph_or_the_map():
+def test_a_change_by_hand_fails_with_the_graph_or_the_map(monkeypatch: pytest.MonkeyPatch):
     (answer,) = answers_to_an_edit(GraphWithEdits("killed"), lambda run: run.put(scan(40, 60, [1.0])))
     assert answer.error == "the change is not made: killed"
-    slow = GraphWithEdits()
 
-    def reset(run: Run) -> None:
-        slow.ready = False
-        run.request("reset_map")
+    def load(run: Run) -> None:
+        run.link.loop._prepare_map = lambda folder, version: None
+        run.intake.request_map("office", 1, 40, lambda answer: None)
 
-    (answer,) = answers_to_an_edit(slow, reset)
-    assert "map has ended before" in answer.error
+    for begin_anew in (load, lambda run: run.request("reset_map")):
+        slow = GraphWithEdits()
+        monkeypatch.setattr(slow, "request", lambda name, payload: None)
+        (answer,) = answers_to_an_edit(slow, begin_anew)
+        assert "map has ended before" in answer.error

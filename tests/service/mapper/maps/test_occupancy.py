@@ -155,6 +155,17 @@ def test_a_rendered_map_takes_the_place_of_all_there_was_with_rising_versions() 
     assert (next(t for t in second if t.ix == 2).cells == -1).all()
 
 
+def test_a_part_takes_the_place_of_its_cells_alone_also_while_scans_wait_to_be_drawn() -> None:
+    shown = new_map()
+    ends = [ScanToRender(np.array([[1.0, y_m]], np.float32), (0.0, 0.0), SE2()) for y_m in (0.01, 1.01)]
+    shown.replace_by(shown.renderer.render([]), ends)
+    area = np.array([(0.8, -0.2), (1.2, -0.2), (1.2, 0.2), (0.8, 0.2)])
+    shown.replace_by(shown.renderer.render_part([], area), [])
+    tiles = shown.changed_tiles()
+    assert cell(tiles, 1.0, 0.01) == -1
+    assert cell(tiles, 1.0, 1.01) > 60
+
+
 def test_a_rendered_map_that_shows_the_same_changes_no_tile() -> None:
     shown = new_map()
     seen = ScanToRender(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
