@@ -65,9 +65,7 @@ class Mapper(Generic[ReadableMap]):
         self.is_localizing = is_localizing
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
         self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
-        self.edited: list[
-            EditAnswer
-        ] = []  # to requests for changes by hand, as they came; for who takes them
+        self.edited: list[EditAnswer] = []  # in the order of the requests; for who takes them
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None

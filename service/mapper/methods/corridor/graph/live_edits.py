@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,30 +39,21 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
-    """A change that was made.
+    """A change that was made, and what it took away, to be given back.
 
     words     what it did
-    loops     those that are left
     is_bent   the graph is to be solved
     about     (C, 2) m in the map: nothing outside is drawn otherwise; None: all may be
+    points    by key frame
+    matched   key frames whose poses were matches
     """
-
-    words: str
-    loops: Sequence[Loop]
-    is_bent: bool = True
-    about: Floats | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Taken:
-    """What a change took away, to be given back; is_bent and about as of Made."""
 
     words: str
     by_hand: ByHand
     is_bent: bool = True
     about: Floats | None = None
-    points: Mapping[int, ThinnedScan] = field(default_factory=dict)  # by key frame
-    matched: Sequence[int] = ()  # key frames whose poses were matches
+    points: Mapping[int, ThinnedScan] = field(default_factory=dict)
+    matched: Sequence[int] = ()
     loops: Sequence[Loop] = ()
 
 
@@ -71,33 +62,36 @@ class LiveEdits:
 
     def __init__(self, keyframes: KeyframeList) -> None:
         self._keyframes = keyframes
-        self._taken: list[_Taken] = []
+        self._made: list[Made] = []
 
-    def make(self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]) -> Made:
-        """is_known (N,): key frames of which the place in the map is known. Raises EditError."""
+    def make(self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]) -> tuple[Made, list[Loop]]:
+        """And the loops that are left. is_known (N,): key frames of which the place in the map is known.
+
+        Raises EditError.
+        """
         if not is_known.any():
             raise EditError("there is nothing in the map yet; it begins with the first scan that is mapped")
-        if isinstance(change, UndoNewest):
-            return self._undo(loops)
-        if isinstance(change, Optimize):
-            return Made("optimised", loops)
         before = self._keyframes.by_hand
+        if isinstance(change, UndoNewest):
+            made = self._undo()
+            return made, [*loops, *made.loops]
+        if isinstance(change, Optimize):
+            return Made("optimised", before), [*loops]
         match change:
             case Erase():
-                taken = self._erase(np.array(change.corners), BECOMES[change.becomes], is_known, before)
+                made = self._erase(np.array(change.corners), BECOMES[change.becomes], is_known, before)
             case Wall():
                 line = np.array(change.corners)
                 self._draw(Drawing(WALL, 0, line), is_known)
-                taken = _Taken(wall_words(line), before, False, _around(line))
+                made = Made(wall_words(line), before, False, _around(line))
             case Cut():
-                taken = self._cut(change, is_known, before, loops)
+                made = self._cut(change, is_known, before, loops)
             case AddSeenPairs():
-                taken = self._pair(change.pairs, is_known, before)
+                made = self._pair(change.pairs, is_known, before)
             case RemovePair():
-                taken = self._remove_pair(change.pair, before)
-        self._taken = [*self._taken, taken][-MAX_UNDONE:]
-        left = [loop for loop in loops if not any(loop is gone for gone in taken.loops)]
-        return Made(taken.words, left, taken.is_bent, taken.about)
+                made = self._remove_pair(change.pair, before)
+        self._made = [*self._made, made][-MAX_UNDONE:]
+        return made, [loop for loop in loops if not any(loop is gone for gone in made.loops)]
 
     def answer(self, made: Made, is_known: Mask, before: Floats, contradicted: int = 0) -> EditAnswer:
         """before: (N, 3) where the key frames were; contradicted: loops that the solution had to drop."""
@@ -106,20 +100,20 @@ class LiveEdits:
         words = moved_words(made.words, moved_m, contradicted) if made.is_bent else made.words
         pairs = pairs_of(keyframes.by_hand, keyframes.map)
         return EditAnswer(
-            {"done": words, "moved_m": round(moved_m, 3), "pairs": pairs, "undoable": len(self._taken)}
+            {"done": words, "moved_m": round(moved_m, 3), "pairs": pairs, "undoable": len(self._made)}
         )
 
-    def _undo(self, loops: Sequence[Loop]) -> Made:
-        if not self._taken:
+    def _undo(self) -> Made:
+        if not self._made:
             raise EditError("no change of this session is left to take back")
-        taken, keyframes = self._taken.pop(), self._keyframes
-        keyframes.by_hand = taken.by_hand
-        for k, points in taken.points.items():
+        made, keyframes = self._made.pop(), self._keyframes
+        keyframes.by_hand = made.by_hand
+        for k, points in made.points.items():
             keyframes.put_points(k, points)
-        keyframes.set_lost(taken.matched, False)
-        return Made(f"took back: {taken.words}", [*loops, *taken.loops], taken.is_bent, taken.about)
+        keyframes.set_lost(made.matched, False)
+        return replace(made, words=f"took back: {made.words}")
 
-    def _erase(self, corners: Floats, kind: int, is_known: Mask, before: ByHand) -> _Taken:
+    def _erase(self, corners: Floats, kind: int, is_known: Mask, before: ByHand) -> Made:
         keyframes = self._keyframes
         taken: dict[int, ThinnedScan] = {}
         count = 0
@@ -133,13 +127,13 @@ class LiveEdits:
                 count += int(gone.sum())
         self._draw(Drawing(kind, keyframes.count, corners), is_known)
         words = f"{erased_words(corners)}: {counted(count, 'point')} gone"
-        return _Taken(words, before, False, corners, taken)
+        return Made(words, before, False, corners, taken)
 
     def _draw(self, drawing: Drawing, is_known: Mask) -> None:
         known = np.where(is_known[:, None], self._keyframes.map, np.nan)
         self._keyframes.by_hand = self._keyframes.by_hand.and_drawn(drawing, known)
 
-    def _cut(self, change: Cut, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> _Taken:
+    def _cut(self, change: Cut, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
         """Points, loops and pairs of the key frames are gone. Their poses stay, for odometry leads over them:
         with a bridge as well as it was measured, else as where the vehicle was lost.
         """
@@ -160,9 +154,9 @@ class LiveEdits:
         pairs = np.flatnonzero(is_cut[before.pair_ends].any(axis=1))
         keyframes.by_hand = before.without_pairs(pairs.tolist())
         words = f"cut {counted(len(points), 'key frame')} out, and {counted(len(gone), 'loop')} with them"
-        return _Taken(words, before, points=points, matched=matched, loops=gone)
+        return Made(words, before, points=points, matched=matched, loops=gone)
 
-    def _pair(self, pairs: Sequence[SeenPair], is_known: Mask, before: ByHand) -> _Taken:
+    def _pair(self, pairs: Sequence[SeenPair], is_known: Mask, before: ByHand) -> Made:
         by_hand, number = before, len(before.pair_ends)
         for pair in pairs:
             first, second = (self._keyframe(int(stamp), is_known) for stamp in pair.stamps_ns)
@@ -172,7 +166,7 @@ class LiveEdits:
         self._keyframes.by_hand = by_hand
         last = number + len(pairs) - 1
         named = f"pair {number}" if len(pairs) == 1 else f"pairs {number} to {last}"
-        return _Taken(named, before)
+        return Made(named, before)
 
     def _keyframe(self, stamp_ns: int, is_known: Mask) -> int:
         found = np.flatnonzero((np.array(self._keyframes.stamps_ns, np.int64) == stamp_ns) & is_known)
@@ -182,11 +176,11 @@ class LiveEdits:
             )
         return int(found[0])
 
-    def _remove_pair(self, number: int, before: ByHand) -> _Taken:
+    def _remove_pair(self, number: int, before: ByHand) -> Made:
         if number >= (count := len(before.pair_ends)):
             raise EditError(f"there is no pair {number}; the map has {count}, numbered from 0")
         self._keyframes.by_hand = before.without_pairs([number])
-        return _Taken(f"removed pair {number}", before)
+        return Made(f"removed pair {number}", before)
 
 
 def keyframes_near(keyframes: KeyframeList, corners_map: Floats, among: Mask) -> Mask:

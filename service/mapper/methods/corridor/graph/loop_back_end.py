@@ -191,11 +191,10 @@ class LoopBackEnd:
         try:
             if self._held:
                 raise EditError(ONLY_LOCALISED)
-            made = self._edits.make(change, self._known(), self._loops)
+            made, self._loops = self._edits.make(change, self._known(), self._loops)
         except EditError as error:
             return None, EditAnswer(error=str(error))
-        self._loops, self._candidates = [*made.loops], []
-        self._accepted = [[loop for loop in batch if loop in self._loops] for batch in self._accepted]
+        self._candidates = []
         self._submaps.clear()
         self.pieces.forget_map()
         return made, self._edits.answer(made, self._known(), self._keyframes.map)

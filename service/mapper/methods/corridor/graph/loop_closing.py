@@ -4,6 +4,7 @@ import json
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ from service.mapper.edit_requests import (
     ONLY_LOCALISED,
     EditError,
     Erase,
-    LiveChange,
     Wall,
     refuse_line,
     refuse_outline,
@@ -47,6 +47,7 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 # is to tell: each one after them comes twice as late as the one before.
 DETACHED_INTERVAL_NS, MAX_DOUBLED = 500_000_000, 4
 
+_NOTHING_ELSE = Batch([])
 REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode")
 
 
@@ -146,17 +147,15 @@ class LoopClosing(BackgroundGraph[Result]):
             raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "set_pose":
             return self._set_pose(payload)
-        if name == "edit_map":
-            self._edit(payload)
-            return None
-        if name == "set_mode":
-            self._set_mode(payload)
+        answered_later = {"edit_map": self._edit, "set_mode": self._set_mode}
+        if name in answered_later:
+            answered_later[name](payload)
             return None
         if payload:
             raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
         if name == "undo" and not self._loops:
             raise GraphRequestError("undo: no loop is closed")
-        self._submit(name)
+        self._submit(Batch([], name))
         return {"loop_closures": self._loops}
 
     def _set_pose(self, payload: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -170,7 +169,7 @@ class LoopClosing(BackgroundGraph[Result]):
                 "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
             )
         self._standing = 0
-        self._submit("set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad))
+        self._submit(Batch([], "set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad)))
         return {"looked_for_at": [asked.x_m, asked.y_m, asked.theta_rad]}
 
     def _edit(self, payload: Mapping[str, Any]) -> None:
@@ -185,10 +184,11 @@ class LoopClosing(BackgroundGraph[Result]):
                 refuse_line(np.array(change.corners).reshape(-1, 2))
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
-            raise GraphRequestError(f"edit_map: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+            words = fault["msg"].removeprefix("Value error, ")
+            raise GraphRequestError(f"edit_map: {'.'.join(map(str, fault['loc']))}: {words}") from None
         except EditError as error:
             raise GraphRequestError(f"edit_map: {error}") from error
-        self._submit("edit_map", change=change)
+        self._submit(Batch([], "edit_map", change=change))
 
     def _set_mode(self, payload: Mapping[str, Any]) -> None:
         mode = payload.get("mode")
@@ -199,14 +199,14 @@ class LoopClosing(BackgroundGraph[Result]):
                 "set_mode: the config says mode: localization, so nothing of this map is saved; change the "
                 "config and start the service again"
             )
-        self._submit("set_mode", is_localizing=mode == "localization")
+        self._submit(Batch([], "set_mode", is_localizing=mode == "localization"))
 
     def finish(self) -> FinishedGraph:
         counts: dict[str, int] = {}
         self._apply_all(counts)
         if self.fault:
             return FinishedGraph(update=GraphUpdate(counts))
-        self._submit(is_last=True)
+        self._submit(Batch([], is_last=True))
         update = self._apply_all(counts)
         last = self._last_result
         if self.fault or last is None:
@@ -216,16 +216,9 @@ class LoopClosing(BackgroundGraph[Result]):
         )
         return FinishedGraph(last.all, last.g2o, last.keyframes, update)
 
-    def _submit(
-        self,
-        request: str = "",
-        is_last: bool = False,
-        pose: tuple[float, ...] = (),
-        change: LiveChange | None = None,
-        is_localizing: bool = False,
-    ) -> None:
-        fixes = self._fixes.take()
-        self._jobs.submit(Batch(self._fresh, request, pose, is_last, fixes, change, is_localizing))
+    def _submit(self, wanted: Batch = _NOTHING_ELSE) -> None:
+        """What is wanted, with the key frames and fixes since the last batch."""
+        self._jobs.submit(replace(wanted, frames=self._fresh, fixes=self._fixes.take()))
         self._sent.append(self._fresh)
         self._fresh, self._way_m = [], 0.0
 
