@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from service.mapper.edit_requests import EDIT_MAP
+from service.mapper.methods.corridor.graph.live_edits import MAX_UNDONE
 from service.publishing.commands import CommandDispatcher, Outcome, Request, Verb
 from service.publishing.zenoh_publisher import ZenohPublisher
 
@@ -33,3 +35,14 @@ def test_the_program_prints_the_answer_and_the_error(
     answer, error = capsys.readouterr().out.splitlines()
     assert f"`{answer}`" in text
     assert f"`{ast.literal_eval(error)['error']}`" in text
+
+
+def test_each_change_of_edit_map_has_an_example_that_is_taken():
+    section = PAGE.read_text(encoding="utf-8").split("## edit_map")[1]
+    examples = dict(re.findall(r"^\| `([a-z-]+)` \|.*`({.*})` \|$", section, re.MULTILINE))
+    for what, example in examples.items():
+        assert EDIT_MAP.validate_json(f'{{"change": {example}}}').change.what == what
+    assert (
+        examples.keys() == EDIT_MAP.json_schema()["properties"]["change"]["discriminator"]["mapping"].keys()
+    )
+    assert f"up to {MAX_UNDONE}" in section
