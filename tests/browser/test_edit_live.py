@@ -37,10 +37,13 @@ class Mapping:
     tiles: list
     folder: Path
     asked: list[tuple[str, dict]] = field(default_factory=list)
+    fault: str = ""  # of save_map
 
     def answer(self, verb: str, payload: bytes) -> Answer:
         request = json.loads(payload)
         self.asked.append((verb, request))
+        if verb == "save_map" and self.fault:
+            return said(ok=False, error=self.fault)
         if verb == "save_map":
             return said(ok=True, folder=str(self.save()))
         change = EDIT_MAP.validate_json(payload).change
@@ -166,6 +169,17 @@ def test_a_bent_map_is_straightened_once_pairs_that_are_far_apart_are_confirmed(
     assert max(residuals_m(page)) < 0.05
     assert page.element("show-before").is_displayed()
     assert page.faults() == []
+
+
+def test_key_frames_that_cannot_be_fetched_after_a_change_are_not_offered_and_the_reason_is_shown(
+    page, session, mapping, bent
+):
+    fetch(page, bent)
+    mapping.fault = "the disk is full"
+    page.run("corridor.edit.change({what: 'optimize'}, 'Optimise')")
+    wait_for_change(page, "its key frames could not be fetched: the disk is full")
+    assert page.text("edit-note").startswith("Optimise: optimised; key frames moved by up to")
+    assert titles(page) == ["Key frames", "Erase and draw"]
 
 
 def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, bent):

@@ -178,7 +178,8 @@ export class Edit {
     const isSeen = this.isLive || await this.look();
     if (answer.told) this.#take(answer.told);
     this.isBusy = false; // what came of it is said when the next change can be made, not before
-    if (isSeen || !answer.ok) this.say(`${label}: ${answer.ok ? answer.done : answer.error}`, answer.ok ? "ok" : "error");
+    const unseen = answer.told && !answer.told.ok ? `; its key frames could not be fetched: ${answer.told.error}` : "";
+    if (isSeen || !answer.ok) this.say(`${label}: ${answer.ok ? answer.done + unseen : answer.error}`, answer.ok && !unseen ? "ok" : "error");
     this.update();
     return answer.ok;
   }

@@ -7,7 +7,7 @@ import { PlacePane } from "./place_pane.js";
 import { PlacePicker } from "./place_picker.js";
 
 const MAX_PAIRS = 100; // in one change; the service refuses more
-const FAR_M = 0.5; // apart: then a person is asked whether the points are one place
+const FAR_M = 0.5; // apart, more than a search for loops without drift errs by: then the person is asked
 
 export class EditPairs {
   /** edit: of the area Edit. */
