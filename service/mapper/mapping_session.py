@@ -76,14 +76,8 @@ Step = SessionRequest | LoadMap | SwitchProfile | ApplyResult | GraphRequest | L
 
 # What the verbs are called that go to the graph; a profile's graph says which of them it knows.
 GRAPH_REQUESTS = (
-    "add_landmark_pair",
-    "remove_landmark_pair",
-    "optimize",
-    "undo",
-    "set_pose",
-    "checkpoint",
-    "edit_map",
-    "set_mode",
+    *("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint"),
+    *("edit_map", "set_mode"),
 )
 
 

@@ -38,12 +38,9 @@ class SessionMapCommands:
     def answer(self, line: bytes) -> dict[str, Any]:
         """What becomes of a request; what cannot be done is said in words."""
         asked = json.loads(line)
-        folder = Path(asked["map"])
+        folder, request = Path(asked["map"]), json.dumps(asked["request"]).encode()
         try:
-            return {
-                "ok": True,
-                **self._carry_out(asked["verb"], folder, json.dumps(asked["request"]).encode()),
-            }
+            return {"ok": True, **self._carry_out(asked["verb"], folder, request)}
         except CorridorError as error:
             return {"ok": False, "error": str(error).removeprefix(f"{folder}: ")}
 

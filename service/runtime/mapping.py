@@ -139,13 +139,9 @@ class MappingLoop:
                 self._give_up_edits("the map has ended before the change was made")
             self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
         elif isinstance(item, LoadItem):
-            self.hand_over_tiles()  # they are of the map before
-            self._tell(
-                item.number, self._begin_anew(item, partial(self._prepare_map, item.folder, item.version))
-            )
+            self._begin_anew(item, partial(self._prepare_map, item.folder, item.version))
         elif isinstance(item, SwitchItem):
-            self.hand_over_tiles()  # they are of the map before
-            self._tell(item.number, self._begin_anew(item, partial(self._prepare_profile, item.mapping)))
+            self._begin_anew(item, partial(self._prepare_profile, item.mapping))
         elif isinstance(item, GraphItem):
             answer = self._request(item)
             if answer is None:
@@ -343,14 +339,16 @@ class MappingLoop:
                 raise MapperError(item.number, words)
         return output
 
-    def _begin_anew(self, item: LoadItem | SwitchItem, prepare: Callable[[], None]) -> Answer:
+    def _begin_anew(self, item: LoadItem | SwitchItem, prepare: Callable[[], None]) -> None:
         """The map before stays where what the next one needs cannot be had."""
+        self.hand_over_tiles()  # they are of the map before
         try:
             prepare()
         except CorridorError as error:
-            return Answer(item.number, None, str(error))
+            self._tell(item.number, Answer(item.number, None, str(error)))
+            return
         self._give_up_edits("the map has ended before the change was made")
-        return Answer(item.number, self.mapper.carry_out("reset_map"))
+        self._tell(item.number, Answer(item.number, self.mapper.carry_out("reset_map")))
 
     def _request(self, item: GraphItem) -> Answer | None:
         """None: the answer comes with a result."""

@@ -144,12 +144,7 @@ def test_a_wall_is_drawn_and_both_changes_are_taken_back(drove: Drive, untouched
     walled = mapped(drove, {"what": "wall", "corners": LINE}).cells(is_within=True)
     assert sum(value == 97 for value in walled.values()) >= 20
     back = mapped(drove, erase(), {"what": "wall", "corners": LINE}, {"what": "undo"}, {"what": "undo"})
-    assert [answer["done"][:9] for answer in back.answers] == [
-        "erased 8.",
-        "drew a wa",
-        "took back",
-        "took back",
-    ]
+    assert [answer["done"].split()[0] for answer in back.answers] == ["erased", "drew", "took", "took"]
     before, after = untouched.cells(is_within=True), back.cells(is_within=True)
     walls = {place for place, value in before.items() if value > WALL}
     assert len(walls & {place for place, value in after.items() if value > WALL}) > 0.8 * len(walls)
