@@ -26,6 +26,7 @@ ensure_cache_dir()  # before anything imports numba: what is compiled from now o
 ROOT = Path(__file__).parents[1]
 THREADS_END_S = 10.0
 EXIT_S = 60  # for the interpreter, after the last test
+LIBRARIES_EXIT_S = 70  # then for libraries
 YOUNG_OBJECTS = 20_000  # between searches for garbage: one each 700 takes a twentieth of the processor time
 
 # Without a deadline: a core may be busy with other things. Few examples are the same each time, so that a run
@@ -72,7 +73,7 @@ def pytest_unconfigure() -> None:
     sys.stdout.flush()
     faulthandler.dump_traceback_later(EXIT_S, exit=True, file=sys.__stderr__)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(EXIT_S + 10)
+    signal.alarm(LIBRARIES_EXIT_S)
 
 
 @pytest.hookimpl(wrapper=True)

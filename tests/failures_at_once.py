@@ -1,4 +1,4 @@
-"""A plugin of pytest: a test that fails is named at once; before the end a run may hang."""
+"""A plugin of pytest: it names each failure at once, as a run that hangs has no summary."""
 
 from typing import Any
 
@@ -12,5 +12,5 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
         reporter: Any = item.config.pluginmanager.get_plugin("terminalreporter")
         reason = call.excinfo.exconly(tryshort=True) if call.excinfo else str(report.longrepr)
         reporter.ensure_newline()
-        reporter.write_line(f"FAILED {report.nodeid} - {reason.splitlines()[0]}", flush=True)
+        reporter.write_line(f"FAILED {report.nodeid} - {reason.splitlines()[0]}")
     return report

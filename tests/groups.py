@@ -80,7 +80,7 @@ class Running:
         self.log = folder / f"{group.name}.log"
         self._began_s = time.monotonic()
         self._file: IO[str] = self.log.open("w")
-        # faulthandler: what it is aborted for is in its log
+        # faulthandler: SIGABRT writes the stacks of all threads to the log
         command = [sys.executable, "-X", "faulthandler", "-m", "pytest"]
         command += ["-q", "-rs", "-p", "tests.failures_at_once", "-m", "not soak and not bench"]
         command += ["--durations=25"]  # its slowest tests stand at the end of its words
@@ -123,8 +123,8 @@ class Running:
         return int(shares[-1]) if shares else 0
 
     def new_failures(self) -> list[str]:
-        """Of the tests that have failed since it was asked before a line each."""
-        lines = _FAILED.findall(self.text.partition(" short test summary info ")[0])
+        """A line for each test that has failed since the last call."""
+        lines = _FAILED.findall(self.text)
         new, self._failures = lines[self._failures :], len(lines)
         return new
 

@@ -1,3 +1,4 @@
+import signal
 import subprocess
 import sys
 from concurrent.futures import Future
@@ -10,7 +11,7 @@ from tests.in_background import in_background, started
 AT_ONCE = """
 from tests import conftest
 
-conftest.THREADS_END_S, conftest.EXIT_S = 0.1, 1
+conftest.THREADS_END_S, conftest.EXIT_S, conftest.LIBRARIES_EXIT_S = 0.1, 1, 3
 pytest_plugins = ["tests.conftest"]
 """
 STAYS = """
@@ -25,6 +26,22 @@ def test_a():
 def test_b():
     pass
 """
+
+
+HANGS_AT_EXIT = """
+import ctypes
+
+def test_a():
+    libc = ctypes.CDLL(None)
+    libc.__cxa_atexit(libc.pause, None, None)
+"""
+
+
+def pytest_of(test: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "conftest.py").write_text(AT_ONCE)
+    (folder / "test_a.py").write_text(test)
+    command = [sys.executable, "-m", "pytest", "-q", "-c", "/dev/null", f"--rootdir={folder}", folder]
+    return subprocess.run(command, capture_output=True, text=True, timeout=100.0, check=False)
 
 
 def fail() -> None:
@@ -53,11 +70,13 @@ def test_work_that_goes_on_after_the_block_fails_it():
 
 
 def test_a_thread_that_stays_fails_its_test_and_does_not_keep_the_process(tmp_path: Path):
-    (tmp_path / "conftest.py").write_text(AT_ONCE)
-    (tmp_path / "test_a.py").write_text(STAYS)
-    command = [sys.executable, "-m", "pytest", "-q", "-c", "/dev/null", f"--rootdir={tmp_path}"]
-    done = subprocess.run([*command, tmp_path], capture_output=True, text=True, timeout=100.0, check=False)
+    done = pytest_of(STAYS, tmp_path)
     assert done.returncode == 1
     assert "these threads still run: ['laser']" in done.stdout
     assert "2 passed, 1 error" in done.stdout
     assert "in wait_for_ever" in done.stderr
+
+
+def test_a_library_that_hangs_as_the_process_ends_does_not_keep_it(tmp_path: Path):
+    done = pytest_of(HANGS_AT_EXIT, tmp_path)
+    assert (done.returncode, "1 passed" in done.stdout) == (-signal.SIGALRM, True)

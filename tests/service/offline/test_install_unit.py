@@ -109,7 +109,7 @@ def test_the_tools_that_read_these_files_accept_them(
     ).stdout
     option = next(word for word in ("verify", "--dry-run") if word in arguments)
     if option not in help_text:
-        pytest.skip(f"this {tool} has no {option}; systemd 254 brings it")
+        pytest.skip(f"this {tool} has no {option}; systemd 256 brings it")
     install_unit(tmp_path, program=PROGRAM)
     command = [tool, *(argument.format(root=tmp_path) for argument in arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
