@@ -40,8 +40,8 @@ class Replies(NamedTuple):
     locks_up_at: tuple[str, ...] = ()  # commands after which it answers nothing until its power is cut
 
 
-# UTM-30LX-EW: seqsense/urg_stamped. UST-10LX, URG-04LX-UG01: VV and PP as public drivers print them, II as the others
-# of their wire; the lock-up: ros-drivers/urg_c, pull request 4.
+# UTM-30LX-EW: seqsense/urg_stamped. UST-10LX, URG-04LX-UG01: VV and PP as public drivers print them, II as
+# the others of their wire; the lock-up: ros-drivers/urg_c, pull request 4.
 _USB = Replies()
 _EW = Replies(
     vendor="Hokuyo Automatic Co., Ltd.",

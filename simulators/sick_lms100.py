@@ -402,7 +402,7 @@ class FakeLms100:
                 return self._refuse(NOT_NOW)
             self._scan_data = self._scan_data if name in self.setup.kept else layout
         elif name == "FREchoFilter":
-            self._echo_filter = r.u8()
+            self._echo_filter = self._echo_filter if name in self.setup.kept else r.u8()
         elif name == "EIHstCola":
             self._next_dialect = Dialect.BINARY if r.u8() else Dialect.ASCII
         return self._reply("sWA", name)

@@ -15,6 +15,7 @@ from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
 from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
 from tests.drivers.utm30lx import config, talk
 
+PAGE = Path(__file__).parents[2] / "docs/devices/hokuyo_utm30lx.md"
 UST = {"model": "ust", "host": "192.168.0.10"}
 URG = {"model": "urg_04lx_ug01"}
 RECORDED = (Path(__file__).parent / "telegrams/urg_04lx_ug01.scip").read_bytes()
@@ -180,3 +181,10 @@ def test_what_the_model_cannot_do_is_refused(changes, words):
 def test_fake_has_the_wires_that_each_model_has():
     wires = {"device": "usb", "host": "ethernet"}
     assert set(REPLIES) == {(key, wires[wire]) for key, model in MODELS.items() for wire in model.wires}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_page_states_rate_and_ranges_of_each_model(name):
+    [row] = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `{name}` |")]
+    model = MODELS[name]
+    assert f"| {model.rate_hz:g} | {model.range_min_m:g}, {model.range_max_m:g} |" in row

@@ -1,6 +1,7 @@
 """Scanners that share the LMS1xx's telegram: real telegrams, the driver against a fake of each, refusals."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from drivers.errors import DeviceError
 from drivers.sick_lms100.advice import ADVICE
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.models import MODELS, NOT_READ, mismatch, model_of
-from drivers.sick_lms100.protocol import Decoder, Dialect, encode
+from drivers.sick_lms100.protocol import Decoder, Dialect, encode, reader
 from drivers.sick_lms100.telegrams import ScanConfig, read_scan, write_scan
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
@@ -19,6 +20,7 @@ from tests.drivers.lms100 import Room, config, talk, telegram
 from tests.drivers.virtual_time import SECOND_NS, Talk
 
 TELEGRAMS = Path(__file__).parent / "telegrams"
+PAGE = Path(__file__).parents[2] / "docs/devices/sick_lms100.md"
 OTHERS = ("lms5xx", "tim5xx", "tim7xx")
 
 
@@ -78,6 +80,14 @@ def test_lms5xx_stamps_its_scan_before_the_sweep():
     assert frame.stamp_ns == 1_000 * SECOND_NS - 40_853_000
 
 
+def test_lms5xx_that_stamps_after_its_sweep_is_put_a_sweep_before_the_sending():
+    [read] = Decoder().receive_data(recorded("lms511"))
+    scan = read_scan(read)
+    message = encode(write_scan(replace(scan, sent_us=scan.start_us + 3_100), read.dialect))
+    [frame] = Lms100Session(config(model="lms5xx")).receive_data(message, 1_000 * SECOND_NS)
+    assert frame.stamp_ns == pytest.approx(1_000 * SECOND_NS - 40_000_000 * 190 / 360, abs=1_000)
+
+
 @pytest.mark.parametrize("configured", MODELS)
 def test_scale_of_the_telegram_counts_whatever_model_is_configured(configured):
     """An OEM's name is no model's; 2 mm per digit is what SOPAS ET sets in an LMS5xx for 80 m."""
@@ -134,6 +144,8 @@ def test_lms5xx_is_left_once_between_field_of_view_and_scan_rate():
         *("SetAccessMode", "LMPoutputRange", "Run", "SetAccessMode", "mLMPsetscancfg"),
         *("LMCstartmeas", "Run"),
     ]
+    [setting] = [r for r in Decoder().receive_data(bytes(t.sent)) if r.name == "mLMPsetscancfg"]
+    assert ScanConfig.read(reader(setting)) == ScanConfig(10_000, 6667, -50_000, 1_850_000)
     assert t.frames[-1].scan_period_ns == 10_000_000
     assert math.degrees(t.frames[-1].angle_step_rad) == pytest.approx(2 / 3)
 
@@ -147,11 +159,24 @@ def test_lms5xx_chooses_its_echo_by_the_filter(stored, echo, wanted):
     assert t.device._echo_filter == wanted
 
 
-def test_echo_filter_that_is_kept_is_named():
-    setup = Lms100Setup(model="lms5xx", refused=frozenset({"FREchoFilter"}))
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [("refused", "FREchoFilter refused"), ("kept", "after FREchoFilter 2 was accepted it has 0")],
+)
+def test_echo_filter_that_cannot_be_changed_is_named(how, words):
+    setup = Lms100Setup(model="lms5xx", **{how: frozenset({"FREchoFilter"})})
     t = talk(setup, model="lms5xx", echo="last").run(5.0)
-    assert "configured echo last not taken: FREchoFilter refused" in t.session.status
+    assert f"configured echo last not taken: {words}" in t.session.status
     assert t.frames
+
+
+@pytest.mark.parametrize(
+    ("model", "step_deg", "written_e4deg"), [("lms1xx", 0.25, 5000), ("lms5xx", 1.0, 10_000)]
+)
+def test_field_of_view_is_written_with_the_step_that_the_model_takes(model, step_deg, written_e4deg):
+    changes = {"scan_rate_hz": 25, "angle_step_deg": step_deg, "first_angle_deg": -90.0}
+    t = talk(Lms100Setup(model), model=model, **changes).run(3.0)
+    assert t.device._range.step_e4deg == written_e4deg
 
 
 @pytest.mark.parametrize("model", ["tim5xx", "tim7xx"])
@@ -179,7 +204,9 @@ def test_families_are_known_by_the_device_s_own_name(ident):
     own = model_of(ident)
     assert mismatch(ident, own) == ""
     assert ADVICE.settings_of({"device": ident}) == {"model": own}
+    assert ADVICE.doubt(config(model=own), {"device": ident}) == ""
     for other in MODELS.keys() - {own}:
+        assert f"expected {MODELS[other].name}" in ADVICE.doubt(config(model=other), {"device": ident})
         assert mismatch(ident, other) == (
             f"this is of the family {MODELS[own].name} (it calls itself {ident}), expected "
             f"{MODELS[other].name}; write model: {own}"
@@ -265,3 +292,9 @@ def test_what_the_model_can_do_is_accepted(model, rate_hz, step_deg):
 def test_what_the_model_cannot_do_is_refused(changes, words):
     with pytest.raises(ValidationError, match=words):
         config(**changes)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_page_states_the_ranges_of_each_model(name):
+    [row] = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `{name}` |")]
+    assert f"| {MODELS[name].range_max_m:g} |" in row
