@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
@@ -44,6 +44,7 @@ Stamp = Annotated[str, Field(pattern=r"^\d{1,19}$")]
 Seconds = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]  # after the map's first key frame
 Corners = Annotated[list[Point], at_most(MAX_CORNERS, "points")]
 Who = Annotated[str, Field(max_length=LONGEST_NAME)]
+PairT = TypeVar("PairT", bound=Asked)
 Becomes = Literal["as_seen", "unknown", "free"]  # as_seen: free where beams pass, else unknown
 
 
@@ -86,16 +87,16 @@ class SeenPair(Asked):
     points_base: tuple[Point, Point]
 
 
-class AddSeenPairs(Asked):
+class AddPairs(Asked, Generic[PairT]):
     what: Literal["add-pair"]
-    pairs: Annotated[list[SeenPair], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
+    pairs: Annotated[list[PairT], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
 
 
-class UndoNewest(Asked):
+class Undo(Asked):
     what: Literal["undo"]
 
 
-LiveChange = Erase | Wall | Cut | AddSeenPairs | RemovePair | Optimize | UndoNewest
+LiveChange = Erase | Wall | Cut | AddPairs[SeenPair] | RemovePair | Optimize | Undo
 
 
 class EditMap(Asked):

@@ -1,12 +1,12 @@
 """What the operator's page may ask of a stored map, as JSON; all of it bounded."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from service.errors import InputError
 from service.mapper.edit_requests import (
-    MAX_PAIRS,
+    AddPairs,
     Asked,
     Cut,
     Erase,
@@ -14,9 +14,9 @@ from service.mapper.edit_requests import (
     Optimize,
     Point,
     RemovePair,
+    Undo,
     Wall,
     Who,
-    at_most,
 )
 
 
@@ -38,20 +38,14 @@ class Pair(Asked):
     keyframes: tuple[Number, Number]
 
 
-class AddPairs(Asked):
-    what: Literal["add-pair"]
-    pairs: Annotated[list[Pair], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
-
-
-class Undo(Asked):
+class UndoTo(Undo):
     """to    number of the version to go back to; None: the one before the newest edit"""
 
-    what: Literal["undo"]
     to: Number | None = None
 
 
 ChangeAsked = Annotated[
-    Erase | Wall | Cut | AddPairs | RemovePair | Optimize | Undo, Field(discriminator="what")
+    Erase | Wall | Cut | AddPairs[Pair] | RemovePair | Optimize | UndoTo, Field(discriminator="what")
 ]
 
 

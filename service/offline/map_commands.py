@@ -83,7 +83,7 @@ class MapCommands:
     def _edit_alone(self, asked: asked_for.Edit) -> dict[str, Any]:
         who, now_ns = asked.who.strip() or self._user, time.time_ns()
         change = asked.change
-        if isinstance(change, asked_for.Undo):
+        if isinstance(change, asked_for.UndoTo):
             told = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
         else:
             edit = as_edit(change)
@@ -133,14 +133,14 @@ def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
             return map_edit.wall(np.ravel(change.corners).tolist())
         case edits.Cut():
             return map_edit.cut((repr(change.from_s), repr(change.to_s)), change.bridge)
-        case asked_for.AddPairs():
+        case edits.AddPairs():
             pairs = [(np.ravel(pair.points).tolist(), pair.keyframes) for pair in change.pairs]
             return map_edit.add_pairs(pairs)
         case edits.RemovePair():
             return map_edit.remove_pair(change.pair)
         case edits.Optimize():
             return map_edit.optimize()
-        case asked_for.Undo():
+        case asked_for.UndoTo():
             raise TypeError("an undo is no change of what the map holds")
 
 

@@ -14,7 +14,7 @@ from service.geometry.poses import Floats
 from service.mapper.by_hand import BECOMES, WALL, ByHand, Drawing, pairs_of
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import (
-    AddSeenPairs,
+    AddPairs,
     Cut,
     EditError,
     Erase,
@@ -22,7 +22,7 @@ from service.mapper.edit_requests import (
     Optimize,
     RemovePair,
     SeenPair,
-    UndoNewest,
+    Undo,
     Wall,
     erased_words,
     moved_words,
@@ -72,7 +72,7 @@ class LiveEdits:
         if not is_known.any():
             raise EditError("there is nothing in the map yet; it begins with the first scan that is mapped")
         before = self._keyframes.by_hand
-        if isinstance(change, UndoNewest):
+        if isinstance(change, Undo):
             made = self._undo()
             return made, [*loops, *made.loops]
         if isinstance(change, Optimize):
@@ -86,7 +86,7 @@ class LiveEdits:
                 made = Made(wall_words(line), before, False, _around(line))
             case Cut():
                 made = self._cut(change, is_known, before, loops)
-            case AddSeenPairs():
+            case AddPairs():
                 made = self._pair(change.pairs, is_known, before)
             case RemovePair():
                 made = self._remove_pair(change.pair, before)
