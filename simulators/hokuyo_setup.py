@@ -86,13 +86,12 @@ REPLIES: dict[tuple[str, str], Replies] = {
 
 @dataclass(frozen=True, slots=True)
 class Utm30lxSetup:
-    """Model, firmware, stored settings and faults of this unit."""
+    """Model, stored settings and faults of this unit."""
 
     wire: Wire = "usb"
     model: ModelName = "utm_30lx"
     product: str = ""  # what it calls itself; "": as its model does
     serial_number: str = "00903971"
-    firmware: str = ""  # "": as recorded of its model
     last_step: int | None = None  # None: as its model says in PP
     front_step: int | None = None
     boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet

@@ -54,11 +54,8 @@ class FakeUtm30lx:
         self.fault_status = ""
         self.stalled = False
         self.counters: Counter[str] = Counter()
-        given = {
-            name: value
-            for name in ("last_step", "front_step", "no_return_mm")
-            if (value := getattr(setup, name)) is not None
-        }
+        own = {name: getattr(setup, name) for name in ("last_step", "front_step", "no_return_mm")}
+        given = {name: value for name, value in own.items() if value is not None}
         self._replies = REPLIES[setup.model, setup.wire]._replace(**given)
         self._optics = Optics(source, self._replies, setup.further_echo_share, seed)
         self._decoder = CommandDecoder()
@@ -284,7 +281,7 @@ class FakeUtm30lx:
             echo,
             ("VEND", replies.vendor),
             ("PROD", self.setup.product or replies.product),
-            ("FIRM", self.setup.firmware or replies.firmware),
+            ("FIRM", replies.firmware),
             ("PROT", replies.protocol),
             ("SERI", self.setup.serial_number),
         )

@@ -70,8 +70,7 @@ class FakeLms100:
         self.setup = setup or Lms100Setup()
         self._model, self._traits = MODELS[self.setup.model], TRAITS[self.setup.model]
         self._own_settings = ("FREchoFilter",) if self._model.echoes == "filter" else ()
-        reach_m = self.setup.reach_m
-        self._reach_m = self._traits.reach_m if reach_m is None else reach_m
+        self._reach_m = self.setup.reach_m or self._traits.reach_m
         self.contamination = 0
         self.failed = False
         self.counters: Counter[str] = Counter()
