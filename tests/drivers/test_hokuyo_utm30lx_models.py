@@ -139,11 +139,8 @@ def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(setup
 @pytest.mark.parametrize(
     "product",
     [
-        "SOKUIKI Sensor TOP-URG UTM-X002S",
-        "SOKUIKI Sensor URG-04LX",
-        "UXM-30LX-EW",
-        "UAM-05LP",
-        "UBG-04LX-F01",
+        *("SOKUIKI Sensor TOP-URG UTM-X002S", "SOKUIKI Sensor URG-04LX", "UXM-30LX-EW", "UAM-05LP"),
+        *("UBG-04LX-F01", "UHG-08LX", "UGM-50LXP", "YVT-35LX"),
     ],
 )
 def test_laser_that_is_not_read_is_refused_with_what_it_would_need(product):
