@@ -28,7 +28,7 @@ WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 EXPECTED = "some eight minutes on two cores, twelve on slow ones"
 MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time
 DOCTOR = "tests/service/offline/doctor"
-REMAP = "tests/service/offline/test_map_remap.py"
+REMAP = "tests/service/offline/maps/test_remap.py"
 BROWSER = ("tests/browser",)
 PAGES = (  # against clocks, and mostly waiting, as those of the browser
     DOCTOR,

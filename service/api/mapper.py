@@ -27,8 +27,8 @@ from service.mapstore.begin_in import begin_in
 from service.mapstore.files import save_map
 from service.mapstore.patch_files import PatchFiles
 from service.mapstore.tiles import TileStore
-from service.offline.replay_setup import ReplayOptions, set_up
-from service.offline.trajectory import Trajectory
+from service.offline.replay.setup import ReplayOptions, set_up
+from service.offline.score.trajectory import Trajectory
 from service.outputs import Grid, MapperOutput
 from service.timing import Timing
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from service.errors import CorridorError
 from service.extras import install_command
-from service.offline.trajectory import Trajectory
+from service.offline.score.trajectory import Trajectory
 from service.outputs import STATES, UNKNOWN, Grid, State
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from drivers.frames import Frame
 from service.errors import InputError, UsageError
-from service.offline.replay import group_sessions
+from service.offline.replay.replay import group_sessions
 from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
 

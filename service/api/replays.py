@@ -11,11 +11,11 @@ from service.api.poses import Pose, pose_of
 from service.api.recordings import AnyPath, Topics, choice_of, one_drive
 from service.kernel_cache import ensure_cache_dir
 from service.mapstore.tiles import grid_of_tiles
-from service.offline.replay import COMPILING
-from service.offline.replay import replay as replay_recording
-from service.offline.replay_result import Replay, write_replay
-from service.offline.replay_setup import ReplayOptions, refuse_contradictions
-from service.offline.trajectory import Trajectory
+from service.offline.replay.replay import COMPILING
+from service.offline.replay.replay import replay as replay_recording
+from service.offline.replay.result import Replay, write_replay
+from service.offline.replay.setup import ReplayOptions, refuse_contradictions
+from service.offline.score.trajectory import Trajectory
 from service.outputs import Grid
 
 if TYPE_CHECKING:

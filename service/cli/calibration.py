@@ -12,8 +12,8 @@ from service.kernel_cache import ensure_cache_dir
 def calibrate(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
     from service.cli.recordings import choice_of
-    from service.offline.calibration.calibrate import calibrate as calibrate_by
-    from service.offline.session_file import refuse_to_overwrite
+    from service.offline.calibrate.calibrate import calibrate as calibrate_by
+    from service.offline.importing.session_file import refuse_to_overwrite
     from service.offline.writing import refuse_unwritable_file, whole_files
 
     if parsed.out is not None:

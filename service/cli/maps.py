@@ -9,10 +9,10 @@ from service.errors import UsageError
 
 
 def map_command(parsed: argparse.Namespace) -> int:
-    from service.offline.map_diff import diff_table, map_diff
-    from service.offline.map_log import log_table, map_log
-    from service.offline.map_loops import loops_table, map_loops
-    from service.offline.map_work import map_info, map_merge, map_verify
+    from service.offline.maps.diff import diff_table, map_diff
+    from service.offline.maps.log import log_table, map_log
+    from service.offline.maps.loops import loops_table, map_loops
+    from service.offline.maps.work import map_info, map_merge, map_verify
 
     match parsed.work:
         case "info":
@@ -44,8 +44,8 @@ def map_command(parsed: argparse.Namespace) -> int:
         case "edit":
             print_result(_edit(parsed), parsed.json)
         case "remap":
-            from service.offline.map_edit import user_name
-            from service.offline.map_remap import map_remap
+            from service.offline.maps.edit import user_name
+            from service.offline.maps.remap import map_remap
 
             who = parsed.who or user_name()
             with progress("map remap") as shown:
@@ -72,7 +72,7 @@ _ONLY_WITH = {"free": "erase", "unknown": "erase", "bridge": "cut", "keyframes":
 
 
 def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
-    from service.offline import map_edit
+    from service.offline.maps import edit as map_edit
 
     for option, change in _ONLY_WITH.items():
         if _is_given(parsed, option) and not _is_given(parsed, change):

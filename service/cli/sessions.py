@@ -17,18 +17,18 @@ from service.kernel_cache import ensure_cache_dir
 from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
-    from service.offline.recording_view import RecordingView
-    from service.offline.replay import Outcome
-    from service.offline.replay_page import ReplayPage
-    from service.offline.view import View
+    from service.offline.past.recording_view import RecordingView
+    from service.offline.past.replay_page import ReplayPage
+    from service.offline.past.view import View
+    from service.offline.replay.replay import Outcome
 
 log = logging.getLogger(__name__)
 
 
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.offline.replay import group_sessions, replay_all, result_folders
-    from service.offline.replay_setup import ReplayOptions, refuse_contradictions
+    from service.offline.replay.replay import group_sessions, replay_all, result_folders
+    from service.offline.replay.setup import ReplayOptions, refuse_contradictions
 
     folder, version = parsed.map or (None, None)
     options = ReplayOptions(
@@ -68,7 +68,7 @@ def _tell_outcomes(
     """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON. Last, on
     stderr, why scans were degraded or lost; of several sessions all warnings, each with its session.
     """
-    from service.offline.state_reasons import doubts
+    from service.offline.replay.state_reasons import doubts
 
     told: dict[str, dict[str, Any]] = {}
     for name, outcome, folder in zip(names, outcomes, folders, strict=True):
@@ -97,7 +97,7 @@ def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> 
             raise UsageError("--paused: the page is where it is begun; give --web, too")
         yield None
         return
-    from service.offline.replay_page import ReplayPage
+    from service.offline.past.replay_page import ReplayPage
     from service.recording.opening import name_of
 
     if parsed.jobs > 1 and len(sessions) > 1:
@@ -144,11 +144,11 @@ def _table(summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
 
 def import_log(parsed: argparse.Namespace) -> int:
     if parsed.kind == "rosbag":
-        from service.offline.rosbag import import_rosbag
+        from service.offline.importing.rosbag import import_rosbag
 
         print_report(import_rosbag(parsed.log, parsed.out, choice_of(parsed)), parsed.json)
         return 0
-    from service.offline.carmen import import_carmen
+    from service.offline.importing.carmen import import_carmen
 
     print_report(import_carmen(parsed.log, parsed.out, parsed.odometry), parsed.json)
     return 0
@@ -162,7 +162,7 @@ def recover(parsed: argparse.Namespace) -> int:
 
 
 def export(parsed: argparse.Namespace) -> int:
-    from service.offline.export import export as export_file
+    from service.offline.export.export import export as export_file
 
     export_file(parsed.input, parsed.format, parsed.out)
     print_result({"input": str(parsed.input), "format": parsed.format, "out": str(parsed.out)}, parsed.json)
@@ -180,7 +180,7 @@ def report(parsed: argparse.Namespace) -> int:
 
 def view(parsed: argparse.Namespace) -> int:
     first, *more = parsed.source
-    from service.offline.result import is_ros_map
+    from service.offline.past.result import is_ros_map
     from service.recording.opening import is_recording
 
     recorded = (first.is_file() and not is_ros_map(first)) or is_recording(first)
@@ -190,7 +190,7 @@ def view(parsed: argparse.Namespace) -> int:
         raise UsageError("--rerun shows maps and results; a recording is opened by rerun itself")
     refuse_unreadable(first)
     if parsed.rerun:
-        from service.offline.rerun_view import show_in_rerun
+        from service.offline.export.rerun_view import show_in_rerun
 
         show_in_rerun(first, parsed.save)
         where = "the viewer of rerun" if parsed.save is None else str(parsed.save)
@@ -212,20 +212,20 @@ def view(parsed: argparse.Namespace) -> int:
 
 
 def _map_view(parsed: argparse.Namespace) -> "View":
-    from service.offline.view import View
+    from service.offline.past.view import View
 
     return View(parsed.source[0], parsed.listen)
 
 
 def _recording_view(parsed: argparse.Namespace) -> "RecordingView":
-    from service.offline.recording_view import RecordingView
+    from service.offline.past.recording_view import RecordingView
 
     with progress("reading") as shown:
         return RecordingView(parsed.source, parsed.listen, shown)
 
 
 def score(parsed: argparse.Namespace) -> int:
-    from service.offline.score import score as score_trajectory
+    from service.offline.score.score import score as score_trajectory
 
     scored = score_trajectory(parsed.estimate, parsed.truth, parsed.shift_s, parsed.offset_x, parsed.pairs)
     print_report(scored, parsed.json)

@@ -22,7 +22,7 @@ def check(parsed: argparse.Namespace) -> int:
     if parsed.schema:
         return _print_schema()
     from service.config import laser_names, load_config, mapped_lasers
-    from service.offline.config_here import faults_here
+    from service.offline.setup.config_here import faults_here
 
     path = config_path(parsed)
     faults: list[str] = []
@@ -79,8 +79,8 @@ def _width() -> int:
 
 
 def init(parsed: argparse.Namespace) -> int:
-    from service.offline.discovery import parse_wire, serial_ports
-    from service.offline.new_config import write_new_config
+    from service.offline.setup.discovery import parse_wire, serial_ports
+    from service.offline.setup.new_config import write_new_config
 
     logging.getLogger("drivers").setLevel(logging.ERROR)  # the report says it in its own words
     wires = [parse_wire(wire) for wire in parsed.wires] or serial_ports()
@@ -91,7 +91,7 @@ def init(parsed: argparse.Namespace) -> int:
 
 
 def install_unit(parsed: argparse.Namespace) -> int:
-    from service.offline.install_unit import install_unit as install
+    from service.offline.setup.install_unit import install_unit as install
 
     print_report(install(parsed.root, parsed.force, parsed.program), parsed.json)
     return 0

@@ -65,7 +65,7 @@ class ResourceAsked(Section):
     """Something about stored sessions and maps, see resources.py; only to list them needs no token.
 
     to        rename: the new name; download: the format; undo: the number that delete gave
-    request   keyframe and edit: what service.offline.session_map_commands is asked
+    request   keyframe and edit: what service.offline.maps.session_commands is asked
     """
 
     type: Literal["resource"]
@@ -114,7 +114,7 @@ def moment_json(
     map_words: str,
     events: Sequence[tuple[float, str]],
 ) -> str:
-    """A moment of the past, in place of poses and events as they come; see service.offline.moments.
+    """A moment of the past, in place of poses and events as they come; see service.offline.past.moments.
 
     at_s, position_s, duration_s    Unix time; from the first moment to this one; to the last one
     path        first and last + 1 of the points of the path that were driven by then

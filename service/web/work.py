@@ -34,7 +34,7 @@ def run(*arguments: str) -> str:
 
 
 class SessionMapProcess:
-    """Asks service.offline.session_map_commands, which is started by the first question. Thread-safe."""
+    """Asks service.offline.maps.session_commands, which is started by the first question. Thread-safe."""
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
@@ -71,7 +71,7 @@ class SessionMapProcess:
     def _talk(self, line: bytes) -> dict[str, Any]:
         if self._process is None or self._process.poll() is not None:
             self.close()  # it has nothing to do for long, and has ended
-            command = _gentle("-m", "service.offline.session_map_commands")
+            command = _gentle("-m", "service.offline.maps.session_commands")
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
             )

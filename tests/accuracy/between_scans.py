@@ -11,7 +11,7 @@ import numpy.typing as npt
 from drivers.frames import OdometrySample
 from service.geometry.poses import between, compose
 from service.geometry.se2 import wrap_angle
-from service.offline.trajectory import Trajectory
+from service.offline.score.trajectory import Trajectory
 
 
 def with_odometry(scans: Trajectory, samples: list[OdometrySample]) -> Trajectory:

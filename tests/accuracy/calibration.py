@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.offline.calibration.calibrate import Calibration, SensorCalibration, calibrate
-from service.offline.session_file import write_session
+from service.offline.calibrate.calibrate import Calibration, SensorCalibration, calibrate
+from service.offline.importing.session_file import write_session
 from simulators.truth import LMS100, Ride
-from tests.service.offline.calibration.drives import Vehicle, frames_of, one_laser, to_both_sides
+from tests.service.offline.calibrate.drives import Vehicle, frames_of, one_laser, to_both_sides
 from tests.simulated import Imu, Wheels
 
 SEEDS = 20

@@ -8,9 +8,9 @@ import numpy as np
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.offline.replay import Replay, ReplayOptions, replay, write_replay
-from service.offline.score import RelationErrors, RelationsScore, score
-from service.offline.trajectory import read_tum, write_tum
+from service.offline.replay.replay import Replay, ReplayOptions, replay, write_replay
+from service.offline.score.score import RelationErrors, RelationsScore, score
+from service.offline.score.trajectory import read_tum, write_tum
 from tests.accuracy.between_scans import with_odometry
 from tests.accuracy.pair_fit import pair_fit
 from tests.accuracy.recorded import WithoutOdometry, rewrite

@@ -7,7 +7,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from service.encoding import ODOMETRY
-from service.offline.score import RelationsScore, score
+from service.offline.score.score import RelationsScore, score
 from tests.accuracy.given import mapped, off_and_nees, recording_of, wrong_row
 from tests.accuracy.recorded import rewrite
 from tests.papers.report import Row, Section

@@ -11,7 +11,7 @@ from drivers.frames import Frame, LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.corrections import corrected
 from service.mapper.profiles import build_mapper, mapping_config
-from service.offline.score import align, compose
+from service.offline.score.score import align, compose
 from simulators.truth import IBEO_LUX, Ride
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import WHEELS, poses_of

@@ -18,8 +18,8 @@ from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops import agree
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.offline.replay import ReplayOptions, replay
-from service.offline.trajectory import write_tum
+from service.offline.replay.replay import ReplayOptions, replay
+from service.offline.score.trajectory import write_tum
 from service.outputs import MapperOutput
 from simulators.truth import LMS100
 from simulators.worlds import WORLDS

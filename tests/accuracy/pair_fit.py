@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from drivers.frames import LaserScan
-from service.offline.score import compose, invert, read_relations
-from service.offline.trajectory import read_tum
+from service.offline.score.score import compose, invert, read_relations
+from service.offline.score.trajectory import read_tum
 from tests.recorded_drive import frames_of
 
 NEIGHBOURS = 5  # of a return, itself among them: its line

@@ -13,9 +13,9 @@ from mcap.writer import CompressionType, Writer
 from drivers.frames import OdometrySample
 from service.encoding import LASER_SCAN, ODOMETRY, decode_frame, encode_frame
 from service.geometry.se2 import SE2
-from service.offline.replay import ReplayOptions, replay, write_replay
-from service.offline.score import NEAR_NS, RelationsScore, compose, invert, read_relations, score
-from service.offline.trajectory import read_tum
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
+from service.offline.score.score import NEAR_NS, RelationsScore, compose, invert, read_relations, score
+from service.offline.score.trajectory import read_tum
 from tests.papers.report import Row, Section
 from tests.shared_data import SHARED
 

@@ -14,7 +14,7 @@ from service.mapper.components import Points
 from service.mapper.filters.deskew import DeskewByTwist
 from service.mapper.methods.corridor.narrow_walls import Matrix, NarrowWalls
 from service.mapper.methods.corridor.submaps import Submap
-from service.offline.replay import ReplayOptions, replay, write_replay
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
 from tests.accuracy.given import error_mm, recording_of

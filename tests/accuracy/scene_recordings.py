@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.frames import Frame, OdometrySample
 from service.geometry.se2 import SE2
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.outputs import MapperOutput
 from service.recording.mcap_source import open_session
 from tests.accuracy.scene_judge import Verdict, judge

@@ -3,7 +3,7 @@ import math
 import numpy as np
 
 from drivers.frames import OdometrySample
-from service.offline.trajectory import Trajectory
+from service.offline.score.trajectory import Trajectory
 from tests.accuracy.between_scans import with_odometry
 
 S = 10**9

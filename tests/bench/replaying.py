@@ -1,6 +1,6 @@
 """How much faster than real time a real building is replayed."""
 
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from tests.shared_data import SHARED
 
 FR079 = SHARED / "datasets" / "fr079" / "fr079.mcap"

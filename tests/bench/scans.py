@@ -4,7 +4,7 @@ import numpy as np
 
 from service.kernel_warm_up import warm_up
 from service.mapper.profiles import build_mapper, mapping_config
-from service.offline.replay_figures import ComponentTimes
+from service.offline.replay.figures import ComponentTimes
 from simulators.truth import LMS100
 from simulators.worlds import build_world
 from tests.simulated import Laser, Wheels, drive

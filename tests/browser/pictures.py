@@ -35,12 +35,12 @@ from service.mapper.profiles import METHODS, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
-from service.offline.recording_view import RecordingView
-from service.offline.replay import ReplayOptions, write_replay
-from service.offline.replay import replay as replay_session
-from service.offline.replay_page import ReplayPage
+from service.offline.past.recording_view import RecordingView
+from service.offline.past.replay_page import ReplayPage
+from service.offline.past.view import View
+from service.offline.replay.replay import ReplayOptions, write_replay
+from service.offline.replay.replay import replay as replay_session
 from service.offline.report import REPORT_FILE, write_report
-from service.offline.view import View
 from service.outputs import GraphPicture, Grid, MapperOutput
 from service.publishing.commands import Answer
 from service.web.config import WebConfig
@@ -53,7 +53,7 @@ from tests.browser.scene import event, statuses
 from tests.in_background import in_background, started
 from tests.recorded_drive import record
 from tests.service.mapper.methods.corridor.graph.rings import HALF_M, LENGTH_M
-from tests.service.offline.bent_maps import ROUND, BentMap, bent_map, save_bent
+from tests.service.offline.maps.bent_maps import ROUND, BentMap, bent_map, save_bent
 from tests.service.recording.sessions import write_file
 from tests.simulated import Laser, Wheels, odometry, scans
 

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from tests.browser.test_edit import choose_place, click_map, offset_of, unchanged, unchanged_view  # noqa: F401 - fixtures
-from tests.service.offline.bent_maps import ROUND
+from tests.service.offline.maps.bent_maps import ROUND
 
 NOISE_M = 0.008
 AT = np.array([3.0, -2.0])

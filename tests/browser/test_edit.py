@@ -10,14 +10,14 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from service.geometry.se2 import SE2
 from service.mapstore.files import load_map, save_map
-from service.offline import map_edit
-from service.offline.trajectory import write_tum
-from service.offline.view import View
+from service.offline.maps import edit as map_edit
+from service.offline.past.view import View
+from service.offline.score.trajectory import write_tum
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.test_page import serious_faults
 from tests.service.mapstore.tile_makers import tile
-from tests.service.offline.bent_maps import ROUND, graph_in, save_bent
-from tests.service.offline.test_map_edit import cell
+from tests.service.offline.maps.bent_maps import ROUND, graph_in, save_bent
+from tests.service.offline.maps.test_edit import cell
 
 EDITED_WITHIN_S = 60.0  # a solution and a drawing on a machine that has more to do
 PAIRED = (6, 22)  # key frames of the first round

@@ -22,7 +22,7 @@ from service.web.work import SessionMapProcess
 from tests.browser.conftest import PHONE
 from tests.browser.test_edit import PAIRED, drag_map, optimise, pick_pairs, residuals_m
 from tests.browser.test_page import serious_faults
-from tests.service.offline.bent_maps import graph_in
+from tests.service.offline.maps.bent_maps import graph_in
 from tests.service.web.conftest import TOKEN
 
 VERBS = ["save_map", "edit_map"]

@@ -17,7 +17,7 @@ from tests.browser.test_edit import (
     wait_for_version,
 )
 from tests.browser.test_page import serious_faults
-from tests.service.offline.bent_maps import ROUND, graph_in
+from tests.service.offline.maps.bent_maps import ROUND, graph_in
 
 PIXELS_PER_M = 150.0
 

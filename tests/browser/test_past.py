@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from service.offline.recording_view import RecordingView
-from service.offline.replay import ReplayOptions, replay
-from service.offline.replay_page import ReplayPage
+from service.offline.past.recording_view import RecordingView
+from service.offline.past.replay_page import ReplayPage
+from service.offline.replay.replay import ReplayOptions, replay
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.scene import Scene, stamp
 from tests.browser.test_page import serious_faults
-from tests.service.offline.past_recordings import LASTS_S, write_past
-from tests.service.offline.test_replay import record_drive  # noqa: F401 - a fixture
+from tests.service.offline.past.past_recordings import LASTS_S, write_past
+from tests.service.offline.replay.test_replay import record_drive  # noqa: F401 - a fixture
 
 END_S = LASTS_S + 0.005  # the last scan's arrival
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from service.mapstore.annotated import known_part
-from service.offline.replay import ReplayOptions, replay, write_replay
+from service.offline.past.result import open_result
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.report import REPORT_FILE, write_report
-from service.offline.result import open_result
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.test_page import serious_faults
-from tests.service.offline.test_replay import recorder_in
+from tests.service.offline.replay.test_replay import recorder_in
 
 
 @pytest.fixture(scope="module")

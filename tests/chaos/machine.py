@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from service.encoding import decode_diagnostics, encode_pose
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from tests.chaos.campaign import fault_line, kinds_for
 from tests.drivers.faulty_devices import BENCHES

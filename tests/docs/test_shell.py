@@ -16,9 +16,9 @@ from service.cli.arguments import new_parser
 from simulators.run import _parse as parse_simulate
 from tests.docs.blocks import ROOT, written_in
 from tests.recorded_drive import record_office
-from tests.service.offline.test_carmen import flaser, odom
-from tests.service.offline.test_rosbag import drive as ros_drive
-from tests.service.offline.test_rosbag import noetic, write_ros1
+from tests.service.offline.importing.test_carmen import flaser, odom
+from tests.service.offline.importing.test_rosbag import drive as ros_drive
+from tests.service.offline.importing.test_rosbag import noetic, write_ros1
 from tests.service.recording.sessions import drive, write_file
 
 SHELL = written_in("sh")
@@ -90,7 +90,7 @@ def drives(tmp_path, monkeypatch):
 
 
 WIRES = "--from-raw"  # the drives here have none; tests/service/offline has one that has
-PAGE = "--web"  # stays until Ctrl-C; tests/service/offline/test_replay_page.py ends one
+PAGE = "--web"  # stays until Ctrl-C; tests/service/offline/past/test_replay_page.py ends one
 ON_FILES = ("replay", "import", "recover", "export", "score")
 RUN = [block for block in SHELL if any(f"corridor {name} " in block.text for name in ON_FILES)]
 

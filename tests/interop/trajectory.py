@@ -4,7 +4,7 @@ import json
 import zipfile
 from pathlib import Path
 
-from service.offline.trajectory import read_tum, write_tum
+from service.offline.score.trajectory import read_tum, write_tum
 from tests.interop.programs import InteropError, Venv, run
 from tests.interop.session import CORRIDOR, session
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2, wrap_angle
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.recording.mcap_source import open_session
 
 JUMP_DEG = 3.0

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.mapper.profiles import METHODS
-from service.offline.score import RelationsScore, score
+from service.offline.score.score import RelationsScore, score
 from tests.papers.headings import bends, path_of, path_of_wheels
 from tests.papers.recorded import RELATIONS as RELATIONS_OF
 from tests.papers.recorded import scored

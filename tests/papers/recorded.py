@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from service.offline.replay import ReplayOptions, replay, write_replay
-from service.offline.score import RelationsScore, score
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
+from service.offline.score.score import RelationsScore, score
 from tests.papers.report import Row
 from tests.shared_data import SHARED
 

@@ -21,7 +21,7 @@ from service.encoding import (
     encode_pose,
 )
 from service.mapstore.files import load_map
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.outputs import UNKNOWN
 from service.recording.mcap_reader import Recording
 from service.recording.raw_wire import frames_from_wire, raw_chunks

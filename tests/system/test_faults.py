@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.encoding import decode_diagnostics, decode_frame, encode_pose
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from tests.demo_run import run_demo
 

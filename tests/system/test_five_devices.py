@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import Frame
 from service.encoding import decode_diagnostics, decode_frame, encode_pose, read
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.resources import CONFIG
 from simulators.sick_setup import Lms100Setup

@@ -17,8 +17,8 @@ from service.demo import interpolate
 from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
 from service.encoding.ros_services import TRIGGER, service_hash
 from service.mapstore.files import load_map
-from service.offline.export import export
-from service.offline.replay import ReplayOptions, replay, write_replay
+from service.offline.export.export import export
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.recording.mcap_reader import Recording
 from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscriber
 

@@ -19,7 +19,7 @@ from service.geometry.se2 import SE2
 from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper
 from service.mapstore.tiles import TileStore
-from service.offline.replay import Replay, ReplayOptions, replay
+from service.offline.replay.replay import Replay, ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.back_end import BackEndProcess

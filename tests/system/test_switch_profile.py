@@ -6,7 +6,7 @@ from pathlib import Path
 
 from service.encoding import decode_diagnostics, encode_pose
 from service.mapstore.files import load_map
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from tests.system.machine import LiveService, Subscriber
 

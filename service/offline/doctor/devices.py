@@ -11,7 +11,6 @@ from typing import Any
 
 from drivers.sensor_kind import SensorKind
 from drivers.transport import SerialTransport, Transport
-from service.offline.config_here import shared_devices
 from service.offline.doctor import verdict
 from service.offline.doctor.findings import Finding, fault
 from service.offline.doctor.machine import Machine
@@ -19,6 +18,7 @@ from service.offline.doctor.network import call_failed, errno_of, look_at_route,
 from service.offline.doctor.probe import Probe, listen, probe
 from service.offline.doctor.protocol_identification import recognise_sensor
 from service.offline.doctor.serial_ports import busy_finding, look_at_port
+from service.offline.setup.config_here import shared_devices
 from service.sensor_kinds import SENSOR_KINDS
 
 OTHER_SETTINGS_S = 4.0

@@ -13,10 +13,10 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.picture import Picture
-from service.offline.map_loops import loops_of
-from service.offline.result import SUMMARY_FILE, TRAJECTORY_FILE, open_result
-from service.offline.states_file import STATES_FILE, States, read_states
-from service.offline.trajectory import Trajectory
+from service.offline.maps.loops import loops_of
+from service.offline.past.result import SUMMARY_FILE, TRAJECTORY_FILE, open_result
+from service.offline.replay.states_file import STATES_FILE, States, read_states
+from service.offline.score.trajectory import Trajectory
 from service.readable import refuse_unreadable
 
 AGAIN = "a newer corridor writes it: replay the recording again"
@@ -34,7 +34,7 @@ class StateReason(_Lenient):
 
 
 class SensorFrames(_Lenient):
-    """As service.offline.sensor_rates has it."""
+    """As service.offline.replay.sensor_rates has it."""
 
     frames: int
     rate_hz: float | None = None

@@ -13,7 +13,7 @@ from service.geometry.poses import Floats
 from service.mapstore.annotated import known_part, scale_bar_m
 from service.mapstore.picture import GREY_UNKNOWN, Picture, Pixels
 from service.mapstore.png import png_bytes
-from service.offline.moments import thinned
+from service.offline.past.moments import thinned
 from service.offline.report.content import Content
 from service.offline.report.markup import Markup, joined, tag
 

@@ -12,7 +12,7 @@ from service.api.replays import Result, replay
 from service.api.stored_map import Map
 from service.api.subscription import Subscription, subscribe
 from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
-from service.offline.trajectory import Trajectory
+from service.offline.score.trajectory import Trajectory
 from service.outputs import Grid, TileUpdate
 from service.version import VERSION
 

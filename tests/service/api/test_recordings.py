@@ -5,8 +5,8 @@ import pytest
 
 import corridor
 from tests.service.api.rooms import MOUNTINGS, driven, recorded
-from tests.service.offline.test_rosbag import drive as ros_drive
-from tests.service.offline.test_rosbag import noetic, write_ros1
+from tests.service.offline.importing.test_rosbag import drive as ros_drive
+from tests.service.offline.importing.test_rosbag import noetic, write_ros1
 from tests.service.recording.sessions import T0_NS
 
 

@@ -411,7 +411,7 @@ OWN_KERNELS = {  # what no other profile calls
 @pytest.mark.parametrize("chosen", [in_soak("corridor"), "owolm_eskf"])
 def test_only_what_the_chosen_profile_stands_on_is_imported(chosen: str) -> None:
     script = (
-        "import sys, service.runtime.run, service.offline.replay\n"
+        "import sys, service.runtime.run, service.offline.replay.replay\n"
         "from service.geometry.se2 import SE2\n"
         "from service.mapper.profiles import build_mapper, mapping_config\n"
         f"build_mapper(mapping_config({{'profile': '{chosen}'}}), {{'front': SE2()}})\n"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.offline.bent_maps import BentMap, bent_map, save_bent
+from tests.service.offline.maps.bent_maps import BentMap, bent_map, save_bent
 
 
 @pytest.fixture(scope="session")

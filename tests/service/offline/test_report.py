@@ -10,13 +10,13 @@ import pytest
 from service.cli import main
 from service.errors import InputError
 from service.mapstore.picture import Picture
-from service.offline.map_edit import edit_map, erase
-from service.offline.replay import ReplayOptions, replay, replay_all, write_replay
+from service.offline.maps.edit import edit_map, erase
+from service.offline.replay.replay import ReplayOptions, replay, replay_all, write_replay
 from service.offline.report import REPORT_FILE, write_report
 from service.offline.report.charts import clock
 from service.offline.report.map_figure import _coarser
 from service.offline.report.markup import Markup, tag
-from tests.service.offline.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
+from tests.service.offline.replay.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
 
 NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 

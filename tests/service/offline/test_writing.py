@@ -6,8 +6,8 @@ import pytest
 
 from service.cli import main
 from service.errors import StorageError
-from service.offline import replay as replay_module
-from service.offline.calibration import calibrate as calibrate_module
+from service.offline.calibrate import calibrate as calibrate_module
+from service.offline.replay import replay as replay_module
 from service.offline.writing import refuse_unwritable_file, refuse_unwritable_folder, whole_files
 
 

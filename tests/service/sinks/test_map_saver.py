@@ -18,7 +18,7 @@ from service.mapstore.files import check_versions, load_map, save_map
 from service.mapstore.graph_files import GraphFolder
 from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
-from service.offline.map_edit import edit_map, erase
+from service.offline.maps.edit import edit_map, erase
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer
 from service.sinks.map_saver import MAX_ASKED, MAX_UNSAVED, MapSaver

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.mapstore.files import save_map
-from service.offline.export import Format
+from service.offline.export.export import Format
 from service.outputs import TileUpdate
 from service.web.resources import DELETED, FORMATS, Resources
 from service.web.work import ResourceError

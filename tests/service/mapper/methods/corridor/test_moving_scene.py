@@ -9,7 +9,7 @@ import pytest
 from service.fusion.motion import Prediction, Reckoned
 from service.geometry.se2 import SE2
 from service.mapper.methods.corridor.moving_scene import Reckoning, evidence_nats, inertia_nats
-from service.offline.replay import ReplayOptions, replay
+from service.offline.replay.replay import ReplayOptions, replay
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import judge
 from tests.accuracy.scenes import mapped

@@ -14,7 +14,7 @@ from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
 from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
 from service.mapper.methods.corridor.graph.loop_batches import Batch, Result
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.offline.score import align, compose
+from service.offline.score.score import align, compose
 from simulators.gnss import GnssModel, Receiver
 
 STEP_M = 0.3

@@ -1,0 +1,345 @@
+"""Where the sensors of a recorded drive sit, how wheels count, and whose clock is late; with uncertainties.
+
+Each laser maps the drive alone; its way is then compared with what the wheels counted, what the gyro felt and
+where the other lasers were. What the drive leaves open is said, and stays as it is configured.
+"""
+
+import logging
+import math
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from drivers.frames import ImuSample, LaserScan, OdometrySample
+from drivers.latency import MAX_LATENCY_MS, MIN_LATENCY_MS
+from service.config import ServiceConfig, load_config, parse_config
+from service.errors import ConfigError, InputError, UsageError
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.offline.calibrate.fit import Fit, fit_gyro, fit_lasers, fit_wheels
+from service.offline.calibrate.patch import Changes, patched, wheel_settings, why_not_taken
+from service.offline.calibrate.tracks import LaserMapping, LaserTrack, gyro_track, wheel_track
+from service.offline.replay.replay import group_sessions
+from service.recording.choice import NO_CHOICE, Choice
+from service.recording.mcap_source import Session, open_session
+
+log = logging.getLogger(__name__)
+
+# What a drive has to tell for a value to be used, one sigma
+ENOUGH = {"m": 0.02, "deg": 0.5, "ms": 5.0, "%": 1.0}
+DRIVE_ON = "; drive two minutes with straights and turns to both sides"
+MIRRORED = (
+    "{wheels} counts turns to the other side than {laser} sees them, so no mounting and no wheels can be "
+    "told: is {laser} upside down (mounting: upside_down), or are the left and the right wheel swapped?"
+)
+GYRO_OFF_PERCENT = 5.0  # a scale so far from 1 is no error of a gyro
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """One thing that was estimated."""
+
+    name: str
+    value: float
+    sigma: float
+    unit: str  # m, deg, ms, %, deg/s
+    was: float | None = None  # as configured
+
+    @property
+    def is_known(self) -> bool:
+        return self.sigma <= ENOUGH.get(self.unit, math.inf)
+
+    def __str__(self) -> str:
+        was = "" if self.was is None else f"   configured {self.was:.{_digits(self.unit)}f}"
+        open_ = "" if self.is_known else f"   too uncertain to be used{DRIVE_ON}"
+        digits = _digits(self.unit)
+        return f"{self.name:<16} {self.value:9.{digits}f} +- {self.sigma:.{digits}f} {self.unit}{was}{open_}"
+
+
+def _digits(unit: str) -> int:
+    return 4 if unit == "m" else 3
+
+
+@dataclass(frozen=True, slots=True)
+class SensorCalibration:
+    """Of one sensor. Latency is from the stamp to the last byte, as recorded."""
+
+    sensor: str
+    kind: Literal["laser", "wheels", "gyro"]
+    values: tuple[Value, ...]
+    latency_p50_ms: float | None  # None: it could not be calibrated
+    latency_p99_ms: float | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def latency(self) -> str:
+        if self.latency_p50_ms is None or self.latency_p99_ms is None:
+            return ""
+        return f", from stamp to last byte p50 {self.latency_p50_ms:.1f} ms, p99 {self.latency_p99_ms:.1f} ms"
+
+
+@dataclass(slots=True)
+class Calibration:
+    """What a drive tells. patch is YAML to be merged into a config; config that config, merged already."""
+
+    session: str
+    reference: str  # the laser whose clock the others' offsets are counted against
+    seconds: float
+    sensors: list[SensorCalibration] = field(default_factory=list)
+    patch: str = ""
+    config: str = ""  # empty where no config is known
+
+    def __str__(self) -> str:
+        lines = [f"{self.session}: {self.seconds:.0f} s; times are against {self.reference}"]
+        for one in self.sensors:
+            lines.append(f"{one.sensor} ({one.kind}){one.latency}")
+            lines += [f"  {value}" for value in one.values] + [f"  {note}" for note in one.notes]
+        return "\n".join([*lines, "", self.patch or "nothing to change"]).rstrip()
+
+
+def calibrate(
+    paths: Sequence[Path],
+    config_path: Path | None = None,
+    reference: str | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    choice: Choice = NO_CHOICE,
+) -> Calibration:
+    """Calibrate by one recorded drive.
+
+    config_path   the config to be mended; None: the one in the recording, if there is one
+    reference     the laser the others are compared with; None: the one with most scans
+    choice        topics and frames; what it leaves open is as in the config, else found
+
+    Raises InputError where the recording has no laser, none that maps alone, or nothing to compare it with;
+    UsageError for several drives and for a reference that is no laser of the recording; ConfigError.
+    """
+    given = load_config(config_path) if config_path is not None else None
+    drives = group_sessions(paths)
+    if len(drives) > 1:
+        raise UsageError(
+            f"{' and '.join(str(drive[0]) for drive in drives)} are {len(drives)} drives; calibrate by one"
+        )
+    session = open_session(drives[0], choice if given is None else choice.over(given.replay))
+    for warning in session.warnings:
+        log.warning("%s", warning)
+    recorded = _recorded_config(session)
+    config = given or recorded
+    before = recorded or config  # stamps and counts were made by this one
+    lasers = sorted(session.scan_counts, key=lambda name: (-session.scan_counts[name], name))
+    if reference is not None and reference not in lasers:
+        raise UsageError(
+            f"--reference {reference}: no laser of this recording; it has {' and '.join(lasers)}"
+        )
+    tracks, wheels, gyros, notes = _tracks(session, lasers, progress)
+    if reference is None:
+        reference = next((name for name in lasers if name in tracks), None)
+    if reference is None or reference not in tracks:
+        raise InputError(f"{paths[0]}: {'; '.join(notes.values())}")
+    first = tracks[reference]
+    done = Calibration(str(paths[0]), reference, float(first.stamp_ns[-1] - first.stamp_ns[0]) * 1e-9)
+    changes: Changes = {}
+    mounting, mounting_fit = _calibrate_wheels(first, wheels, before, done, changes)
+    for name, samples in gyros.items():
+        if (gyro := gyro_track(samples)) is not None:
+            _add(done, changes, before, name, "gyro", gyro.latency_ms, *_of_gyro(fit_gyro(first, gyro)))
+    for name in lasers:
+        if name not in tracks:
+            _note(done, name, notes[name])
+        elif name == reference:
+            values = [] if mounting_fit is None else _of_mounting(mounting, mounting_fit, before, name)
+            _add(done, changes, before, name, "laser", first.latency_ms, values, [])
+        else:
+            other = fit_lasers(first, tracks[name])
+            values = _of_other(mounting, mounting_fit, other, before, name)
+            _add(done, changes, before, name, "laser", tracks[name].latency_ms, values, [])
+    if not any(one.values for one in done.sensors):
+        raise InputError(f"{paths[0]}: {reference} is alone; there are no wheels, no gyro and no other laser")
+    _leave_out_what_is_refused(done, changes, config)
+    done.patch, done.config = patched(changes, config)
+    return done
+
+
+def _leave_out_what_is_refused(done: Calibration, changes: Changes, config: ServiceConfig | None) -> None:
+    """Of a sensor that is something else in the config, or that is further off than a config can mend."""
+    for name in list(changes):
+        settings = _sensor(config, name)
+        if settings is None or not (refused := why_not_taken(changes[name], settings)):
+            continue
+        del changes[name]
+        said = f"stays as it is, for the config's {name} ({settings.type}) does not take it: {refused}"
+        done.sensors = [
+            replace(one, notes=(*one.notes, said)) if one.sensor == name else one for one in done.sensors
+        ]
+
+
+def _recorded_config(session: Session) -> ServiceConfig | None:
+    text = session.metadata.get("config", {}).get("yaml")
+    if text is None:
+        return None
+    try:
+        return parse_config(text, "recorded config")
+    except ConfigError:
+        return None  # of another version: what was configured is not known
+
+
+def _tracks(
+    session: Session, lasers: Sequence[str], progress: Callable[[float], None]
+) -> tuple[
+    dict[str, LaserTrack], dict[str, list[OdometrySample]], dict[str, list[ImuSample]], dict[str, str]
+]:
+    """One walk through the recording; the notes say why a laser has no track."""
+    mappings = {name: LaserMapping(name) for name in lasers}
+    wheels: defaultdict[str, list[OdometrySample]] = defaultdict(list)
+    gyros: defaultdict[str, list[ImuSample]] = defaultdict(list)
+    begin_ns, end_ns = session.recording.first_log_ns, session.recording.last_log_ns
+    for frame in session.frames():
+        if isinstance(frame, LaserScan):
+            mappings[frame.sensor].add(frame)
+            progress((frame.arrived_ns - begin_ns) / max(end_ns - begin_ns, 1))
+        elif isinstance(frame, OdometrySample):
+            wheels[frame.sensor].append(frame)
+        elif isinstance(frame, ImuSample):
+            gyros[frame.sensor].append(frame)
+    tracks, notes = {}, {}
+    for name, mapping in mappings.items():
+        try:
+            tracks[name] = mapping.finish()
+        except InputError as error:
+            notes[name] = str(error)
+    return tracks, wheels, gyros, notes
+
+
+def _calibrate_wheels(
+    first: LaserTrack,
+    wheels: dict[str, list[OdometrySample]],
+    before: ServiceConfig | None,
+    done: Calibration,
+    changes: Changes,
+) -> tuple[SE2, Fit | None]:
+    """pose_base_laser of the reference by the wheels with most samples; without wheels as configured."""
+    chosen: tuple[SE2, Fit] | None = None
+    for name in sorted(wheels, key=lambda name: (-len(wheels[name]), name)):
+        track = wheel_track(wheels[name])
+        if track is None:
+            continue
+        settings = _sensor(before, name)
+        base_m = getattr(settings, "wheel_base_m", None)
+        fit = fit_wheels(first, track, base_m)
+        values = [
+            Value("scale", 100.0 * fit["scale"], 100.0 * fit.sigma("scale"), "%"),
+            Value("turn scale", 100.0 * fit["turn_scale"], 100.0 * fit.sigma("turn_scale"), "%"),
+            Value(
+                "turn per metre",
+                math.degrees(fit["turn_per_m"]),
+                math.degrees(fit.sigma("turn_per_m")),
+                "deg/m",
+            ),
+            Value("stamps late by", 1e3 * fit["offset_s"], 1e3 * fit.sigma("offset_s"), "ms"),
+        ]
+        mirrored = fit["turn_scale"] <= 0.0
+        notes = [MIRRORED.format(laser=first.sensor, wheels=name)] if mirrored else []
+        _add(done, changes, before, name, "wheels", track.latency_ms, values, notes)
+        if mirrored:  # whose fault it is, is not known, so neither is the laser's place
+            continue
+        if base_m is not None and all(value.is_known for value in values[:2]):
+            new = wheel_settings(fit, base_m, settings.left_scale, settings.right_scale)
+            changes.setdefault(name, {}).update(new)
+        if chosen is None:
+            chosen = SE2(fit["x_m"], fit["y_m"], fit["yaw_rad"]), fit
+    if chosen is None:
+        mounting = getattr(_sensor(before, first.sensor), "mounting", None)
+        at = SE2() if mounting is None else SE2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg))
+        return at, None
+    return chosen
+
+
+def _of_mounting(
+    mounting: SE2, fit: Fit, before: ServiceConfig | None, name: str, more: Fit | None = None
+) -> list[Value]:
+    """more: of this laser against the reference; its uncertainty comes on top, that of the yaw by a lever."""
+    was = getattr(_sensor(before, name), "mounting", None)
+    values = []
+    for key, unit, value in (("x_m", "m", mounting.x_m), ("y_m", "m", mounting.y_m)):
+        lever = 0.0 if more is None else math.hypot(more["x_m"], more["y_m"]) * fit.sigma("yaw_rad")
+        sigma = math.hypot(fit.sigma(key), lever, 0.0 if more is None else more.sigma(key))
+        values.append(Value(key.removesuffix("_m"), value, sigma, unit, getattr(was, key, None)))
+    sigma_rad = math.hypot(fit.sigma("yaw_rad"), 0.0 if more is None else more.sigma("yaw_rad"))
+    yaw_deg = math.degrees(mounting.theta_rad)
+    return [*values, Value("yaw", yaw_deg, math.degrees(sigma_rad), "deg", getattr(was, "yaw_deg", None))]
+
+
+def _of_other(
+    mounting: SE2, mounting_fit: Fit | None, other: Fit, before: ServiceConfig | None, name: str
+) -> list[Value]:
+    """Of a laser that was compared with the reference."""
+    pose = mounting @ SE2(other["x_m"], other["y_m"], other["yaw_rad"])
+    values = (
+        _of_mounting(pose, other, before, name)
+        if mounting_fit is None
+        else _of_mounting(pose, mounting_fit, before, name, other)
+    )
+    offset = Value("stamps late by", 1e3 * other["offset_s"], 1e3 * other.sigma("offset_s"), "ms")
+    return [*values, offset]
+
+
+def _of_gyro(fit: Fit) -> tuple[list[Value], list[str]]:
+    scale = Value("scale", 100.0 * fit["scale"], 100.0 * fit.sigma("scale"), "%")
+    values = [
+        scale,
+        Value("bias", math.degrees(fit["bias_radps"]), math.degrees(fit.sigma("bias_radps")), "deg/s"),
+        Value("stamps late by", 1e3 * fit["offset_s"], 1e3 * fit.sigma("offset_s"), "ms"),
+    ]
+    notes = []
+    if scale.is_known and abs(scale.value - 100.0) > GYRO_OFF_PERCENT:
+        notes.append(
+            f"turns {scale.value:.0f} % of what it says: "
+            + ("is it mounted upside down?" if scale.value < 0.0 else "is it level, and in rad/s?")
+        )
+    return values, notes
+
+
+def _add(
+    done: Calibration,
+    changes: Changes,
+    before: ServiceConfig | None,
+    name: str,
+    kind: Literal["laser", "wheels", "gyro"],
+    latency_ms: Floats,
+    values: Sequence[Value],
+    notes: Sequence[str],
+) -> None:
+    """Note what was found, and what of it changes the config: a mounting, a latency."""
+    p50, p99 = (float(p) for p in np.percentile(latency_ms, (50, 99)))
+    said = list(notes)
+    found = {value.name: value for value in values}
+    new: dict[str, Any] = {}
+    if kind == "laser" and {"x", "y", "yaw"} <= found.keys():
+        place = {"x": "x_m", "y": "y_m", "yaw": "yaw_deg"}
+        known = {place[key]: round(found[key].value, 4) for key in place if found[key].is_known}
+        if known:
+            new["mounting"] = known
+    offset = found.get("stamps late by")
+    if offset is not None and offset.is_known:
+        latency = float(getattr(_sensor(before, name), "latency_ms", 0.0)) + offset.value
+        if MIN_LATENCY_MS <= latency <= MAX_LATENCY_MS:
+            new["latency_ms"] = round(latency, 2)
+        else:
+            said.append(
+                f"a latency of {latency:.1f} ms is none that a config takes ({MIN_LATENCY_MS:g} to "
+                f"{MAX_LATENCY_MS:g} ms)"
+            )
+    if new:
+        changes.setdefault(name, {}).update(new)
+    done.sensors.append(SensorCalibration(name, kind, tuple(values), p50, p99, tuple(said)))
+
+
+def _note(done: Calibration, name: str, note: str) -> None:
+    done.sensors.append(SensorCalibration(name, "laser", (), None, None, (note,)))
+
+
+def _sensor(config: ServiceConfig | None, name: str) -> Any:
+    return None if config is None else config.sensors.get(name)

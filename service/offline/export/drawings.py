@@ -1,0 +1,116 @@
+"""A map as a drawing: SVG for people and office programs, DXF for CAD."""
+
+import logging
+import math
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.errors import CorridorError
+from service.extras import install_command
+from service.geometry.geo_reference import GeoReference
+from service.geometry.se2 import SE2
+from service.mapstore.annotated import scale_bar_m
+from service.mapstore.picture import Picture
+from service.offline.export.outlines import Points, outlines
+
+MM_A_METRE = 10.0  # printed as it is, the plan is 1 : 100
+MARGIN = 0.06  # of the longer side, around the walls
+BAR_SHARE = 0.2  # of the width: about how long the scale bar is
+
+
+def optional(module: str, to: str) -> Any:
+    """A library that only some exports need. Raises CorridorError where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise CorridorError(
+            f"--format {to} needs {module}, which is not installed: {install_command('export')}"
+        ) from error
+
+
+def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: GeoReference | None) -> None:
+    """Walls, the way driven, the map's origin, a scale bar and a north arrow, at 1 : 100, y upwards.
+
+    poses      pose_map_base, may be empty
+    reference  None: nobody knows where north is, and the arrow shows the map's y axis instead
+
+    Raises OSError.
+    """
+    walls = outlines(picture)
+    way = np.array([(pose.x_m, pose.y_m) for pose in poses]).reshape(-1, 2)
+    points = np.vstack([*walls, way, np.zeros((1, 2))])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = MARGIN * float((high - low).max()) + 0.5
+    low, high = low - margin, high + margin
+    width, height = (high - low).tolist()
+    text_m = max(width, height) / 60.0
+    line_m = text_m / 8.0
+    origin = _svg(np.zeros((1, 2)), low, high)[0]
+    bar_m = scale_bar_m(width, BAR_SHARE)
+    foot = height - margin / 2.0
+    arrow = (width - margin / 2.0 - text_m, margin / 2.0 + 2.0 * text_m)
+    turn_deg = math.degrees(reference.pose_enu_map.theta_rad) if reference is not None else 0.0
+    drawn = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width * MM_A_METRE:.1f}mm" '
+        f'height="{height * MM_A_METRE:.1f}mm" viewBox="0 0 {width:.4f} {height:.4f}" '
+        f'font-family="sans-serif" font-size="{text_m:.4f}" stroke-width="{line_m:.4f}">',
+        "<title>Map in metres, 1 : 100</title>",
+        f'<rect width="{width:.4f}" height="{height:.4f}" fill="white"/>',
+        f'<path id="walls" fill="black" fill-rule="evenodd" stroke="none" d="{_paths(walls, low, high)}"/>',
+    ]
+    if len(way) > 1:
+        line = " ".join(f"{x:.3f},{y:.3f}" for x, y in _svg(way, low, high))
+        drawn.append(f'<polyline id="trajectory" fill="none" stroke="#1f6fb4" points="{line}"/>')
+    drawn += [
+        f'<path id="origin" stroke="#c03028" d="M{origin[0]:.3f} {origin[1]:.3f}h{text_m:.3f}'
+        f'M{origin[0]:.3f} {origin[1]:.3f}v{-text_m:.3f}"/>',
+        f'<text x="{origin[0] + line_m:.3f}" y="{origin[1] + text_m:.3f}" fill="#c03028">0</text>',
+        f'<path id="scale_bar" stroke="black" d="M{margin / 2:.3f} {foot:.3f}h{bar_m:g}"/>',
+        f'<text x="{margin / 2:.3f}" y="{foot - text_m / 2:.3f}">{bar_m:g} m</text>',
+        f'<g id="north" transform="translate({arrow[0]:.3f} {arrow[1]:.3f}) rotate({turn_deg:.3f})">'
+        f'<path d="M0 {-1.5 * text_m:.3f}L{text_m / 2:.3f} {text_m:.3f}L0 {text_m / 2:.3f}'
+        f'L{-text_m / 2:.3f} {text_m:.3f}Z"/><text y="{-1.8 * text_m:.3f}" text-anchor="middle">'
+        f"{'N' if reference is not None else 'y'}</text></g>",
+        "</svg>",
+    ]
+    path.write_text("\n".join(drawn) + "\n", encoding="utf-8")
+
+
+def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
+    """Closed polylines on layer WALLS, the way on TRAJECTORY, the origin on ORIGIN; units are metres.
+
+    Raises OSError, and CorridorError where ezdxf is not installed.
+    """
+    ezdxf = optional("ezdxf", "dxf")
+    logging.getLogger("ezdxf").setLevel(logging.WARNING)  # it tells of every dictionary it makes
+    # No time and no random number: same map, same file.
+    ezdxf.options.write_fixed_meta_data_for_testing = True
+    document = ezdxf.new("R2010")
+    document.units = ezdxf.units.M
+    for name, colour in (("WALLS", 7), ("TRAJECTORY", 5), ("ORIGIN", 1)):
+        document.layers.add(name, color=colour)
+    space = document.modelspace()
+    for wall in outlines(picture):
+        space.add_lwpolyline(wall.tolist(), close=True, dxfattribs={"layer": "WALLS"})
+    if len(poses) > 1:
+        way = [(pose.x_m, pose.y_m) for pose in poses]
+        space.add_lwpolyline(way, dxfattribs={"layer": "TRAJECTORY"})
+    space.add_line((0.0, 0.0), (1.0, 0.0), dxfattribs={"layer": "ORIGIN"})
+    space.add_line((0.0, 0.0), (0.0, 1.0), dxfattribs={"layer": "ORIGIN"})
+    document.saveas(path)
+
+
+def _svg(points: Points, low: Points, high: Points) -> Points:
+    """m of the map to m from the upper left corner of the sheet."""
+    return np.column_stack((points[:, 0] - low[0], high[1] - points[:, 1]))
+
+
+def _paths(walls: Sequence[Points], low: Points, high: Points) -> str:
+    return "".join(
+        "M" + "L".join(f"{x:.3f} {y:.3f}" for x, y in _svg(wall, low, high)) + "Z" for wall in walls
+    )

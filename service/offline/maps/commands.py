@@ -1,0 +1,157 @@
+"""Carries out what the operator's page asks of a stored map, by the same code as `corridor map edit`."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.errors import CorridorError, InputError
+from service.geometry import poses as se2
+from service.mapper import edit_requests as edits
+from service.mapper.by_hand import pairs_of
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import StoredMap, load_map
+from service.offline.maps import asked as asked_for
+from service.offline.maps import edit as map_edit
+from service.offline.maps.log import map_log
+from service.publishing.commands import Answer, refusal
+
+MAX_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
+MAX_VERSIONS = 50
+
+
+class MapCommands:
+    """The commands of one stored map, from any thread; one change at a time.
+
+    stored    what the folder holds now
+    show      called with each newer version of it, by the thread that made or found it
+    """
+
+    verbs = asked_for.VERBS
+
+    def __init__(self, folder: Path, stored: StoredMap, show: Callable[[StoredMap], None]) -> None:
+        self._folder = folder
+        self._stored = stored
+        self._show = show
+        self._changing = threading.Lock()
+        self._user = map_edit.user_name()
+
+    def answer(self, verb: str, payload: bytes) -> Answer:
+        """JSON in, JSON out; what cannot be done is said in words."""
+        try:
+            asked = asked_for.read_asked(verb, payload)
+            match asked:
+                case asked_for.Look():
+                    told = self._look()
+                case asked_for.LookAtKeyframe():
+                    told = self._keyframe(asked)
+                case asked_for.Edit():
+                    told = self._edit(asked)
+        except CorridorError as error:
+            return refusal(str(error).removeprefix(f"{self._folder}: "))  # the page shows one map
+        return Answer(True, json.dumps({"ok": True, **told}).encode())
+
+    def _look(self) -> dict[str, Any]:
+        log = map_log(self._folder)
+        versions = {"versions": log["versions"][-MAX_VERSIONS:], "problems": log["problems"]}
+        return {**look(self._stored), **versions, "user": self._user}
+
+    def _keyframe(self, asked: asked_for.LookAtKeyframe) -> dict[str, Any]:
+        stored = self._stored
+        if asked.version != stored.number:
+            raise InputError(
+                f"the map is at version {stored.number}, and this is of version {asked.version}; "
+                "look at it again"
+            )
+        return look_at_keyframe(stored, asked.keyframe)
+
+    def _edit(self, asked: asked_for.Edit) -> dict[str, Any]:
+        if not self._changing.acquire(blocking=False):
+            raise InputError("another change of this map is being made; wait until it is done")
+        try:
+            return self._edit_alone(asked)
+        except map_edit.OvertakenError:
+            self._take(load_map(self._folder))
+            raise
+        finally:
+            self._changing.release()
+
+    def _edit_alone(self, asked: asked_for.Edit) -> dict[str, Any]:
+        who, now_ns = asked.who.strip() or self._user, time.time_ns()
+        change = asked.change
+        if isinstance(change, asked_for.UndoTo):
+            told = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
+        else:
+            edit = as_edit(change)
+            told = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, asked.version)
+        self._take(load_map(self._folder))
+        return told
+
+    def _take(self, stored: StoredMap) -> None:
+        self._stored = stored
+        self._show(stored)
+
+
+def look(stored: StoredMap) -> dict[str, Any]:
+    """What a page is told of a version: its number, its pairs, and when and where its key frames were."""
+    graph = stored.graph
+    return {
+        "version": stored.number,
+        "pairs": [] if graph is None else pairs_of(graph.by_hand, graph.map),
+        "keyframes": None if graph is None else _keyframes(graph),
+    }
+
+
+def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
+    """Its pose and its points in the map; its stamp in digits, for JavaScript knows no such whole numbers.
+
+    Raises InputError where there is none.
+    """
+    graph = stored.graph
+    if graph is None or k >= len(graph):
+        raise InputError(f"there is no key frame {k} in this map")
+    first = int(graph.point_count[:k].sum())
+    seen = graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
+    points = se2.points_from(graph.map[k], seen)
+    return {
+        "keyframe": k,
+        "stamp_ns": str(graph.stamp_ns[k]),
+        "pose": graph.map[k].tolist(),
+        "points": np.round(points, 4).ravel().tolist(),
+    }
+
+
+def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
+    match change:
+        case edits.Erase():
+            return map_edit.erase(np.ravel(change.corners).tolist(), change.becomes)
+        case edits.Wall():
+            return map_edit.wall(np.ravel(change.corners).tolist())
+        case edits.Cut():
+            return map_edit.cut((repr(change.from_s), repr(change.to_s)), change.bridge)
+        case edits.AddPairs():
+            pairs = [(np.ravel(pair.points).tolist(), pair.keyframes) for pair in change.pairs]
+            return map_edit.add_pairs(pairs)
+        case edits.RemovePair():
+            return map_edit.remove_pair(change.pair)
+        case edits.Optimize():
+            return map_edit.optimize()
+        case asked_for.UndoTo():
+            raise TypeError("an undo is no change of what the map holds")
+
+
+def _keyframes(graph: SavedGraph) -> dict[str, Any]:
+    """Where and when: lists by rising number, of each `every`-th key frame."""
+    every = -(-len(graph) // MAX_KEYFRAMES) or 1
+    seconds = (graph.stamp_ns - graph.stamp_ns.min()) / 1e9 if len(graph) else np.zeros(0)
+    return {
+        "count": len(graph),
+        "every": every,
+        "x_m": np.round(graph.map[::every, 0], 3).tolist(),
+        "y_m": np.round(graph.map[::every, 1], 3).tolist(),
+        "at_s": np.round(seconds[::every], 3).tolist(),
+    }

@@ -1,0 +1,278 @@
+"""The moments of a recording: pose, scans, map and health as they were published then.
+
+Nothing is mapped again. A moment is a log time: what the service had by then is known, what came later is
+not. Read at once are the poses, the events and the health, and when a map or a graph came; scans, maps and
+graphs are read when they are wanted.
+"""
+
+import json
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from drivers.frames import LaserScan
+from service.encoding import (
+    CHANGES,
+    DIAGNOSTICS,
+    GRAPH,
+    LASER_SCAN,
+    MARKERS,
+    OCCUPANCY_GRID,
+    ODOMETRY,
+    STALE,
+    STANDING,
+    STRING,
+    TF,
+    Message,
+    Pose,
+    Status,
+    decode_diagnostics,
+    decode_event,
+    decode_frame,
+    decode_graph,
+    decode_grid,
+    decode_mountings,
+    decode_pose,
+    decode_upside_down,
+)
+from service.errors import InputError
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.map_changes import NOTHING_CHANGED
+from service.mapstore.tiles import tiles_of_grid
+from service.offline.past.moments import STALE_NS, Moment, thinned
+from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
+from service.recording.opening import name_of, open_recording
+from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNTOLD
+
+TOPICS = {
+    "/pose": ODOMETRY,
+    "/map": OCCUPANCY_GRID,
+    f"/{GRAPH}": MARKERS,
+    f"/{STANDING}": OCCUPANCY_GRID,
+    f"/{CHANGES}": OCCUPANCY_GRID,
+    "/diagnostics": DIAGNOSTICS,
+    "/events": STRING,
+    "/tf_static": TF,
+}
+NEW_MAP = (
+    "reset_map",
+    "load_map",
+    "switch_profile",
+)  # events with which another map begins, and another path
+KEPT_TILINGS = 3
+
+
+class RecordedMoments:
+    """Raises InputError where the recording holds no poses of ours, and at a damaged place.
+
+    progress    told the share that is read
+    """
+
+    def __init__(self, paths: Sequence[Path], progress: Callable[[float], None] = lambda share: None) -> None:
+        self._recording = recording = open_recording(paths)
+        held = {t.name for t in recording.topics if t.count and TOPICS.get(t.name) == t.type}
+        if "/pose" not in held:
+            holds = ", ".join(map(str, recording.topics)) or "nothing"
+            raise InputError(
+                f"{recording.paths[0]}: no /pose ({ODOMETRY}) in it, so there is nothing to look back at; it "
+                f"holds {holds}. Map it: corridor replay {recording.paths[0]} --web"
+            )
+        self._lasers = [
+            topic.name
+            for topic in recording.topics
+            if topic.type == LASER_SCAN and topic.count and topic.name.count("/") == 2
+        ]
+        self._pose_log_ns: list[int] = []
+        self._map_log_ns: list[int] = []
+        self._graph_log_ns: list[int] = []
+        self._standing_log_ns: list[int] = []
+        self._changes_log_ns: list[int] = []
+        self._new_map_log_ns: list[int] = []
+        self._events: list[tuple[int, float, str]] = []  # log time, stamp in s, text
+        self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
+        self._static: list[tuple[int, Mapping[str, SE2], frozenset[str]]] = []
+        self._how: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
+        xy_map: list[tuple[float, float]] = []
+        self._read(held, xy_map, progress)
+        way = np.array(xy_map, np.float64).reshape(-1, 2)
+        rows = thinned(way, PATH_STEP_M, MAX_PATH_POINTS)
+        self.path_map: Floats = way[rows]
+        self._path_log_ns = [self._pose_log_ns[row] for row in rows]
+        self._tiles_of = lru_cache(KEPT_TILINGS)(self._read_tiles)
+        self._graph_of = lru_cache(1)(self._read_graph)
+
+    @property
+    def first_ns(self) -> int:
+        return self._recording.first_log_ns
+
+    @property
+    def last_ns(self) -> int:
+        return self._recording.last_log_ns
+
+    @property
+    def name(self) -> str:
+        """Of the first file."""
+        return name_of(self._recording.paths[0])
+
+    def at(self, at_ns: int) -> Moment:
+        """Raises InputError at a damaged place."""
+        mountings, upside_down = self._mountings(at_ns)
+        window = list(self._recording.messages([*self._lasers, "/pose"], at_ns - STALE_NS, at_ns))
+        scans = self._scans(window, upside_down)
+        poses = [decode_pose(m.payload) for m in window if m.channel == "pose"]
+        began = bisect_right(self._new_map_log_ns, at_ns)
+        since_ns = self._new_map_log_ns[began - 1] if began else 0
+        return Moment(
+            at_ns=at_ns,
+            poses=_around(poses, scans) or self._pose_before(at_ns),
+            path=(bisect_right(self._path_log_ns, since_ns), bisect_right(self._path_log_ns, at_ns)),
+            map_words=self._map_words(at_ns),
+            scans=scans,
+            mountings=mountings,
+            graph=self._graph(at_ns),
+            standing=self._grid(STANDING, self._standing_log_ns, at_ns, since_ns),
+            changes=self._changes(at_ns, since_ns),
+            statuses=self._statuses(at_ns),
+            events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MAX_EVENTS:],
+        )
+
+    def tiles_at(self, at_ns: int) -> Sequence[TileUpdate]:
+        """Of the newest map that was recorded by then; none where there is none. Raises InputError."""
+        log_ns = _newest(self._map_log_ns, at_ns)
+        return () if log_ns is None else self._tiles_of(log_ns)
+
+    def _read(
+        self, held: set[str], xy_map: list[tuple[float, float]], progress: Callable[[float], None]
+    ) -> None:
+        span_ns = max(self.last_ns - self.first_ns, 1)
+        for message in self._recording.messages(held):
+            log_ns = message.log_ns
+            match message.channel:
+                case "pose":
+                    pose = decode_pose(message.payload).pose
+                    self._pose_log_ns.append(log_ns)
+                    xy_map.append((pose.x_m, pose.y_m))
+                    progress((log_ns - self.first_ns) / span_ns)
+                case "map":
+                    self._map_log_ns.append(log_ns)
+                case "graph":
+                    self._graph_log_ns.append(log_ns)
+                case "standing":
+                    self._standing_log_ns.append(log_ns)
+                case "map/changes":
+                    self._changes_log_ns.append(log_ns)
+                case "diagnostics":
+                    self._health.append((log_ns, self._with_since(message)))
+                case "events":
+                    self._take_event(message)
+                case "tf_static":
+                    mountings = decode_mountings(message.payload)
+                    self._static.append((log_ns, mountings, decode_upside_down(message.payload)))
+        progress(1.0)
+
+    def _with_since(self, message: Message) -> Sequence[tuple[Status, float]]:
+        """Its words may change each second, with the figures in them; how it is does not."""
+        statuses = []
+        for status in decode_diagnostics(message.payload):
+            how = (status.level, status.values.get("state", ""))
+            if self._how.get(status.name, (None,))[0] != how:
+                self._how[status.name] = (how, message.stamp_ns / 1e9)
+            statuses.append((status, self._how[status.name][1]))
+        return statuses
+
+    def _take_event(self, message: Message) -> None:
+        text = decode_event(message.payload)
+        try:
+            told = json.loads(text)
+        except (ValueError, RecursionError):
+            told = None  # words of somebody else: listed as they are
+        what = told.get("event") if isinstance(told, dict) else None
+        if what in NEW_MAP:
+            self._new_map_log_ns.append(message.log_ns)
+        if what not in UNTOLD:
+            self._events.append((message.log_ns, message.stamp_ns / 1e9, text))
+
+    def _mountings(self, at_ns: int) -> tuple[Mapping[str, SE2], frozenset[str]]:
+        at = bisect_right(self._static, at_ns, key=lambda row: row[0])
+        return ({}, frozenset()) if not at else self._static[at - 1][1:]
+
+    def _scans(self, window: Sequence[Message], upside_down: frozenset[str]) -> list[LaserScan]:
+        """The newest of each laser."""
+        newest = {m.channel: m for m in window if m.type == LASER_SCAN}
+        scans = []
+        for channel, message in newest.items():
+            sensor = channel.rpartition("/")[0]
+            scan = decode_frame(message.type, message.payload, sensor, message.log_ns, sensor in upside_down)
+            if isinstance(scan, LaserScan):
+                scans.append(scan)
+        return scans
+
+    def _pose_before(self, at_ns: int) -> list[Pose]:
+        log_ns = _newest(self._pose_log_ns, at_ns)
+        if log_ns is None:
+            return []
+        return [decode_pose(m.payload) for m in self._recording.messages(["/pose"], log_ns, log_ns)][-1:]
+
+    def _statuses(self, at_ns: int) -> Sequence[tuple[Status, float]]:
+        at = bisect_right(self._health, at_ns, key=lambda row: row[0])
+        if at:
+            return self._health[at - 1][1]
+        words = "no health was recorded by then"
+        return [(Status("mapping", STALE, words, {"state": "not known"}), at_ns / 1e9)]
+
+    def _map_words(self, at_ns: int) -> str:
+        log_ns = _newest(self._map_log_ns, at_ns)
+        return "no map was recorded by then" if log_ns is None else f"map recorded {_ago(at_ns - log_ns)}"
+
+    def _graph(self, at_ns: int) -> GraphPicture:
+        log_ns = _newest(self._graph_log_ns, at_ns)
+        return NO_GRAPH if log_ns is None else self._graph_of(log_ns)
+
+    def _changes(self, at_ns: int, since_ns: int) -> Grid | None:
+        """None in a recording that tells of none at all; else the page would offer to show them."""
+        if not self._changes_log_ns:
+            return None
+        return self._grid(CHANGES, self._changes_log_ns, at_ns, since_ns) or NOTHING_CHANGED
+
+    def _grid(self, channel: str, came_log_ns: Sequence[int], at_ns: int, since_ns: int) -> Grid | None:
+        """The newest by then, of the map that began at since_ns."""
+        log_ns = _newest(came_log_ns, at_ns)
+        if log_ns is None or log_ns < since_ns:
+            return None
+        return decode_grid(self._message(f"/{channel}", log_ns).payload)
+
+    def _read_tiles(self, log_ns: int) -> Sequence[TileUpdate]:
+        return tiles_of_grid(decode_grid(self._message("/map", log_ns).payload))
+
+    def _read_graph(self, log_ns: int) -> GraphPicture:
+        return decode_graph(self._message(f"/{GRAPH}", log_ns).payload)
+
+    def _message(self, topic: str, log_ns: int) -> Message:
+        """The last of that log time."""
+        *_, message = self._recording.messages([topic], log_ns, log_ns)
+        return message
+
+
+def _newest(log_ns: Sequence[int], at_ns: int) -> int | None:
+    at = bisect_right(log_ns, at_ns)
+    return log_ns[at - 1] if at else None
+
+
+def _around(poses: Sequence[Pose], scans: Sequence[LaserScan]) -> list[Pose]:
+    """The newest, and of each scan the pose before it and the one after it; by rising stamps."""
+    if not poses:
+        return []
+    ordered = sorted(poses, key=lambda pose: pose.stamp_ns)
+    chosen = {len(ordered) - 1}
+    for scan in scans:
+        after = bisect_right(ordered, scan.stamp_ns, key=lambda pose: pose.stamp_ns)
+        chosen |= {max(after - 1, 0), min(after, len(ordered) - 1)}
+    return [ordered[k] for k in sorted(chosen)]
+
+
+def _ago(age_ns: int) -> str:
+    return "at this moment" if age_ns < 50_000_000 else f"{age_ns / 1e9:.1f} s before"

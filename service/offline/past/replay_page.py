@@ -1,0 +1,315 @@
+"""The operator's page of a replay: the map as it grows, and controls for the pace.
+
+It looks on: it draws nothing from the mapper that would be missing elsewhere, so what a replay writes is the
+same with and without it. Pictures are made in the thread that maps, ten a second at most.
+"""
+
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from drivers.counted import counted
+from drivers.frames import LaserScan
+from drivers.section import Section
+from service.encoding import (
+    CHANGES,
+    LEVEL_OF_STATE,
+    OK,
+    STANDING,
+    WARNING,
+    Status,
+    encode_diagnostics,
+    encode_frame,
+    encode_graph,
+    encode_pose,
+    encode_tf_static,
+)
+from service.errors import InputError
+from service.geometry.se2 import SE2
+from service.mapper.map_changes import MapChanges
+from service.mapper.mapping_session import MappingSession
+from service.mapstore.tiles import TileStore
+from service.offline.past.driven_moments import DrivenMoments
+from service.offline.past.moments import GO_TO, MomentCommands
+from service.offline.past.replayed_moments import ReplayedMoments
+from service.offline.past.shown_tiles import ShownTiles
+from service.offline.past.view import start_serving
+from service.offline.replay.pace import Pace
+from service.offline.replay.raw import FROM_RAW
+from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
+from service.publishing.commands import Answer, refusal
+from service.recording.mcap_source import Session
+from service.web.access import new_token
+from service.web.config import WebConfig
+from service.web.protocol import encode_changes, encode_path, encode_standing, moment_over_json
+from service.web.server import About, WebServer
+
+log = logging.getLogger(__name__)
+
+PICTURE_S = 0.1  # pose and scans
+STATUS_S = 0.5
+TILES_S = 0.5
+MIN_REST = 20.0  # looking at all tiles may take a share of 1 / MIN_REST of the time
+VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
+
+
+class NothingAsked(Section):
+    """Of replay_pause and replay_resume."""
+
+
+class RateAsked(Section):
+    """Seconds of the recording a second; 0: as fast as it goes."""
+
+    rate: Annotated[float, Field(ge=0.0, le=10_000.0)]
+
+
+class GoToAsked(Section):
+    """Seconds since the beginning of the recording."""
+
+    position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class ReplayPage:
+    """A Watch that serves the page from its construction until `close`.
+
+    listen      as web.listen in a config
+    name        what the page says that it shows
+    rate        as of Pace
+
+    Raises StorageError where the page cannot be served.
+    """
+
+    def __init__(self, listen: str, name: str, rate: float, is_paused: bool = False) -> None:
+        self._pace = Pace(rate, is_paused)
+        self._store = TileStore()
+        self._shown = ShownTiles(self._store)
+        self._session: Session | None = None
+        self._mapper: MappingSession | None = None
+        self._changes: MapChanges | None = None  # that are shown
+        self._log_ns = 0  # of the step that is taken
+        self._output: MapperOutput | None = None  # the newest
+        self._scans: dict[str, LaserScan] = {}  # the newest of each laser
+        self._graph: GraphPicture | None = None  # the newest that is shown
+        self._way: list[tuple[float, float]] = []  # driven since the last picture
+        self._stamps: list[tuple[int, int]] = []  # of each scan mapped in the present map: measured, logged
+        self._moments: MomentCommands | None = None  # of the finished map
+        self._phase = "starting"  # replaying, closing loops, finished
+        self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
+        self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
+        self._token = new_token()
+        about = About(name, "", lambda: VERBS if self._moments is None else (*VERBS, GO_TO))
+        self._server = WebServer(
+            WebConfig(listen=listen), about, self._store, self._answer, self._token, retry_s=None
+        )
+        start_serving(self._server)
+
+    @property
+    def address(self) -> str:
+        """With the token, which the controls need."""
+        return f"{self._server.address}#token={self._token}"
+
+    def close(self) -> None:
+        self._server.close()
+
+    def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
+        self._session, self._mapper = session, mapper
+        self._begin_map()
+        self._log_ns = session.recording.first_log_ns
+        self._phase = "replaying"
+        self._server.put(encode_tf_static(poses_base_sensor, self._log_ns, self._log_ns))
+        self._tell_status()
+
+    def wait_for(self, log_ns: int) -> None:
+        self._log_ns = log_ns
+        self._pace.wait_for(log_ns, self._show_all)
+
+    def mapped(self, scan: LaserScan, output: MapperOutput) -> None:
+        if self._phase == "finished":
+            self._begin_map()
+            self._phase = "replaying"
+        self._output, self._scans[scan.sensor] = output, scan
+        self._stamps.append((output.stamp_ns, self._log_ns))
+        pose = output.pose_map_base
+        self._way.append((pose.x_m, pose.y_m))
+        now_s = time.monotonic()
+        if now_s < self._picture_due_s:
+            return
+        self._show_picture(now_s)
+        if now_s >= self._status_due_s:
+            self._tell_status()
+        if now_s >= self._tiles_due_s:
+            self._show_tiles()
+
+    def closing(self) -> None:
+        self._show_all()
+        self._phase = "closing loops"
+        self._tell_status()
+
+    def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
+        self._shown.take(tiles)
+        self._server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
+        self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
+        self._show_graph()
+        self._way.clear()
+        self._phase = "finished"
+        self._look_back(poses_map_base)
+        self._tell_status()
+
+    def _look_back(self, poses_map_base: Sequence[SE2]) -> None:
+        """From now on any moment can be gone to; at first the last is shown."""
+        assert self._session is not None
+        stamp_ns, log_ns = np.array(self._stamps, np.int64).T
+        poses = np.array([(p.x_m, p.y_m, p.theta_rad) for p in poses_map_base])
+        is_remade = FROM_RAW in self._session.metadata  # then its file is gone by and by
+        moments: DrivenMoments | ReplayedMoments = (
+            DrivenMoments(stamp_ns, poses)
+            if is_remade
+            else ReplayedMoments(self._session, stamp_ns, log_ns, poses)
+        )
+        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        commands = MomentCommands(moments, lambda at_ns, payloads: self._server.put_ready(payloads))
+        try:
+            commands.go_to(moments.last_ns)
+        except InputError as error:
+            log.warning("the page cannot look back: %s", error)  # the result is written all the same
+        else:
+            self._moments = commands
+
+    def _begin_map(self) -> None:
+        self._moments = None
+        self._stamps.clear()
+        self._server.put_ready({"moment": moment_over_json()})
+        self._shown.take([])
+        self._changes = None
+        self._server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
+        self._server.put_path(np.empty((0, 2), np.float32))
+        self._way.clear()
+        self._server.put(encode_graph(NO_GRAPH, self._log_ns))
+        self._scans.clear()
+        self._output = None
+
+    def _show_all(self) -> None:
+        """Before it stands still: all that there is up to here."""
+        self._show_picture(time.monotonic())
+        self._show_tiles()
+        self._tell_status()
+
+    def _show_picture(self, now_s: float) -> None:
+        self._picture_due_s = now_s + PICTURE_S
+        if self._output is None:
+            return
+        self._server.put_way(np.array(self._way, np.float32).reshape(-1, 2))
+        self._way.clear()
+        for scan in self._scans.values():
+            self._server.put(encode_frame(scan, log_ns=self._log_ns))
+        self._server.put(encode_pose(self._output, self._log_ns))
+
+    def _show_tiles(self) -> None:
+        if self._mapper is None or self._output is None:
+            return
+        began_s = time.monotonic()
+        self._shown.take(self._mapper.tiles())
+        self._show_graph()
+        self._server.put_ready({STANDING: encode_standing(self._mapper.standing())})
+        self._show_changes(self._mapper.changes_told)
+        now_s = time.monotonic()
+        self._tiles_due_s = now_s + max(TILES_S, MIN_REST * (now_s - began_s))
+
+    def _show_changes(self, changes: MapChanges | None) -> None:
+        if changes is not None and not changes.says_as(self._changes):
+            self._changes = changes
+            self._server.put_ready({CHANGES: encode_changes(changes.as_grid())})
+
+    def _show_graph(self) -> None:
+        picture = self._mapper.graph_picture if self._mapper is not None else None
+        if picture is not None and picture is not self._graph:
+            self._graph = picture
+            self._server.put(encode_graph(picture, self._log_ns))
+
+    def _tell_status(self) -> None:
+        assert self._session is not None
+        self._status_due_s = time.monotonic() + STATUS_S
+        rows = [self._mapping_status(), self._replay_status(self._session)]
+        self._server.put(encode_diagnostics("diagnostics", rows, self._log_ns, self._log_ns))
+
+    def _mapping_status(self) -> Status:
+        counters = {} if self._mapper is None else self._mapper.counters
+        values = {
+            "state": "waiting",
+            "scans": str(counters.get("scans", 0)),
+            "loop_closures": str(counters.get("loop_closures", 0)),
+        }
+        if self._output is None:
+            return Status("mapping", WARNING, "no scan is mapped yet", values)
+        state = self._output.state
+        values |= {"state": state, "inlier_ratio": f"{self._output.inlier_ratio:.3f}"}
+        if self._phase == "finished":
+            words = (
+                f"finished: {counted(int(values['scans']), 'scan')} mapped, "
+                f"{counted(int(values['loop_closures']), 'loop')} closed"
+            )
+            return Status("mapping", OK, words, values | {"state": "finished"})
+        return Status("mapping", LEVEL_OF_STATE[state], self._output.reason or state, values)
+
+    def _replay_status(self, session: Session) -> Status:
+        recording, pace = session.recording, self._pace
+        state = self._phase
+        if state == "replaying" and pace.is_paused:
+            state = "paused"
+        values = {
+            "state": state,
+            "recording": Path(recording.paths[0]).name,
+            "position_s": f"{self._position_s():.2f}",
+            "duration_s": f"{(recording.last_log_ns - recording.first_log_ns) / 1e9:.2f}",
+            "rate": f"{pace.rate:g}",
+            "speed": f"{self._speed():.1f}",
+        }
+        return Status("replay", OK, state, values)
+
+    def _speed(self) -> float:
+        """Seconds of the recording a second, since the last status."""
+        now = time.monotonic(), self._log_ns
+        before, self._speed_from = self._speed_from or now, now
+        return (now[1] - before[1]) / 1e9 / max(now[0] - before[0], 1e-3)
+
+    def _position_s(self) -> float:
+        first_ns = self._log_ns if self._session is None else self._session.recording.first_log_ns
+        return max(self._log_ns - first_ns, 0) / 1e9
+
+    def _answer(self, verb: str, payload: bytes) -> Answer:
+        """From a thread of the page."""
+        if verb == GO_TO and (moments := self._moments) is not None:
+            return moments.answer(verb, payload)
+        if verb not in VERBS:
+            return refusal(f"this is a replay; it knows {', '.join(VERBS)}, and {GO_TO} when it is finished")
+        if self._session is None or self._phase in ("closing loops", "finished"):
+            return refusal(f"the replay is {self._phase}")
+        try:
+            return self._carry_out(verb, payload, self._session.recording.first_log_ns)
+        except ValidationError as error:
+            fault = error.errors(include_url=False, include_input=False)[0]
+            return refusal(f"{verb}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+
+    def _carry_out(self, verb: str, payload: bytes, first_ns: int) -> Answer:
+        match verb:
+            case "replay_rate":
+                self._pace.set_rate(RateAsked.model_validate_json(payload, strict=True).rate)
+            case "replay_go_to":
+                asked = GoToAsked.model_validate_json(payload, strict=True)
+                if asked.position_s < (now_s := self._position_s()):
+                    return refusal(
+                        f"the replay is at {now_s:.1f} s and goes forward only; replay the recording again "
+                        "to see what was before"
+                    )
+                self._pace.go_to(first_ns + round(asked.position_s * 1e9))
+            case _:
+                NothingAsked.model_validate_json(payload, strict=True)
+                act: Callable[[], Any] = self._pace.pause if verb == "replay_pause" else self._pace.resume
+                act()
+        return Answer(True, json.dumps({"ok": True, "position_s": round(self._position_s(), 3)}).encode())

@@ -1,0 +1,161 @@
+"""A stored map or the result of a replay on the operator's page: nothing is live; a map can be edited."""
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.counted import counted
+from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_graph
+from service.errors import InputError, StorageError
+from service.geometry.poses import Floats
+from service.mapper.graph.graph_picture import draw, draw_saved
+from service.mapstore.files import StoredMap
+from service.mapstore.tiles import TileStore
+from service.offline.maps.change_file import CHANGES_FILE, read_changes
+from service.offline.maps.commands import MapCommands
+from service.offline.past.driven_moments import DrivenMoments
+from service.offline.past.moments import MomentCommands
+from service.offline.past.result import GRAPH_FILE, Result, map_folder, open_result
+from service.offline.past.shown_tiles import ShownTiles
+from service.offline.score.trajectory import Trajectory
+from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
+from service.publishing.commands import Answer, refusal
+from service.web.access import new_token
+from service.web.config import WebConfig
+from service.web.mailbox import Payload
+from service.web.protocol import encode_changes, encode_path
+from service.web.server import About, WebServer
+
+SERVED_WITHIN_S = 5.0
+NO_TRAJECTORY = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
+
+
+class View:
+    """A page that shows one stored map or result, and what becomes of it, until `close`.
+
+    source    the folder of a stored map, one that a replay wrote, or one with the map.yaml of a ROS map
+    listen    as web.listen in a config
+
+    Raises InputError where there is no map in it, StorageError where the page cannot be served.
+    """
+
+    def __init__(self, source: Path, listen: str) -> None:
+        self.token = new_token()
+        self._source = source
+        self._result = result = open_result(source)
+        self._store = TileStore()
+        self._tiles = ShownTiles(self._store)
+        self._moments: MomentCommands | None = None  # of the trajectory as it lies in the map that is shown
+        self._at_ns: int | None = None  # of the moment that is shown
+        self._map_commands: MapCommands | None = None
+        if (folder := map_folder(source)) is not None and result.stored is not None:
+            self._map_commands = MapCommands(folder, result.stored, self._show_stored)
+        about = About(source.resolve().name, "stored", self._verbs)
+        self._server = WebServer(
+            WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
+        )
+        self._show(result)
+        start_serving(self._server)
+
+    @property
+    def address(self) -> str:
+        """With the token, which changes need."""
+        return f"{self._server.address}#token={self.token}"
+
+    def close(self) -> None:
+        self._server.close()
+
+    def _verbs(self) -> tuple[str, ...]:
+        return (
+            *(self._map_commands.verbs if self._map_commands else ()),
+            *(self._moments.verbs if self._moments else ()),
+        )
+
+    def _answer(self, verb: str, payload: bytes) -> Answer:
+        if self._moments is not None and verb in self._moments.verbs:
+            return self._moments.answer(verb, payload)
+        if self._map_commands is not None:
+            return self._map_commands.answer(verb, payload)
+        return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")
+
+    def _show_stored(self, stored: StoredMap) -> None:
+        self._result = self._result.in_version(stored)
+        self._show(self._result)
+
+    def _show(self, result: Result) -> None:
+        now_ns = time.time_ns()
+        tiles, trajectory = result.tiles, result.trajectory or NO_TRAJECTORY
+        self._tiles.take(tiles)
+        self._show_way(trajectory.stamp_ns, trajectory.pose)
+        self._server.put(encode_graph(graph_picture(result), now_ns))
+        told = {} if result.stored is None else {"version": str(result.stored.number)}
+        version = f" of version {told['version']}" if told else ""
+        words = (
+            f"{self._source}: {counted(len(tiles), 'tile')}{version}, "
+            f"{counted(len(trajectory.pose), 'pose')}; nothing is measured"
+        )
+        state = Status("mapping", OK, words, {"state": "stored", **told})
+        self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+        if result.stored is None:
+            self._show_changes(tiles)
+
+    def _show_changes(self, tiles: Sequence[TileUpdate]) -> None:
+        """Of a drive that was localised in a stored map: what is not as that says."""
+        if tiles and (changes := read_changes(self._source / CHANGES_FILE, tiles[0].cell_m)) is not None:
+            self._server.put_ready({CHANGES: encode_changes(changes.as_grid())})
+
+    def _show_way(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
+        """The whole of it, and of its moments the one that was shown before; at first the last."""
+        if not len(stamp_ns):
+            self._moments = None
+            self._server.put_ready({"path": encode_path(np.empty((0, 2), np.float32))})
+            return
+        moments = DrivenMoments(stamp_ns, poses)
+        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        self._moments = MomentCommands(moments, self._show_moment)
+        self._moments.go_to(moments.last_ns if self._at_ns is None else self._at_ns)
+
+    def _show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
+        self._at_ns = at_ns
+        self._server.put_ready(payloads)
+
+
+def start_serving(server: WebServer) -> None:
+    """Raises StorageError where the page cannot be served; the server is closed then."""
+    server.start()
+    if not server.wait_served(SERVED_WITHIN_S):
+        words = server.health().message
+        server.close()
+        raise StorageError(f"{words}; give another address with --listen, 127.0.0.1:0 takes any free port")
+
+
+def graph_picture(result: Result) -> GraphPicture:
+    """Raises InputError where its file is damaged."""
+    if result.stored is None:
+        return _graph_of_g2o(result.source / GRAPH_FILE)
+    return NO_GRAPH if result.stored.graph is None else draw_saved(result.stored.graph)
+
+
+def _graph_of_g2o(path: Path) -> GraphPicture:
+    """Poses along the way, and the edges that do not lead from one to the next: loops."""
+    if not path.is_file():
+        return NO_GRAPH
+    places: dict[int, tuple[float, float]] = {}
+    edges: list[tuple[int, int]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            match line.split():
+                case ["VERTEX_SE2", k, x_m, y_m, *_]:
+                    places[int(k)] = float(x_m), float(y_m)
+                case ["EDGE_SE2", of, to, *_] if abs(int(of) - int(to)) != 1:
+                    edges.append((int(of), int(to)))
+        except ValueError as error:
+            raise InputError(f"{path}:{number}: {line[:60]!r} is no line of a g2o file") from error
+    row = {k: row for row, k in enumerate(sorted(places))}
+    ends = [(row[of], row[to]) for of, to in edges if of in row and to in row]
+    xy_map = np.array([places[k] for k in row]).reshape(-1, 2)
+    none = np.empty((0, 2), np.int64)
+    return draw(0, xy_map, np.zeros(len(row), np.int64), np.array(ends, np.int64).reshape(-1, 2), none)

@@ -1,0 +1,168 @@
+"""What came out of a replay, and the files of it."""
+
+import json
+import shutil
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from service.encoding import pose_on_wire
+from service.errors import StorageError, words_of
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import UTM_MAX_LATITUDE_DEG
+from service.geometry.se2 import SE2
+from service.mapper.map_changes import MapChanges
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.annotated import PALETTE, annotated
+from service.mapstore.files import is_map_folder, keep_version, save_map
+from service.mapstore.geo_file import GEO_FILE, write_geo
+from service.mapstore.picture import Picture, picture_of_tiles
+from service.mapstore.png import write_png
+from service.mapstore.ros_map import write_ros_map
+from service.offline.export.geo_export import Poses, write_world_file
+from service.offline.maps.change_file import CHANGES_FILE, write_changes
+from service.offline.past.result import (
+    FIRST_VERSION,
+    GRAPH_FILE,
+    MAP_FOLDER,
+    ROS_MAP_FILE,
+    SUMMARY_FILE,
+    TRAJECTORY_FILE,
+    UNEDITED,
+    open_result,
+)
+from service.offline.replay.result_session import RESULT_SESSION, write_result_session
+from service.offline.replay.states_file import STATES_FILE, write_states
+from service.offline.report import REPORT_FILE
+from service.offline.score.trajectory import write_tum
+from service.offline.writing import whole_files
+from service.outputs import MapperOutput, TileUpdate
+
+Extra = Literal["mcap", "report"]  # what is written only where it is asked for
+
+
+@dataclass(slots=True)
+class Replay:
+    """What came out of one recording."""
+
+    outputs: list[MapperOutput]  # as they would have been published
+    lasers: list[str]  # whose scan each output answers
+    poses_base_sensor: Mapping[str, SE2]
+    upside_down: frozenset[str]  # sensors that are mounted so
+    poses_map_base: list[SE2]  # of each output, by all that was known in the end
+    tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
+    g2o: str  # its graph; "" where the profile has none
+    summary: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
+    graph: SavedGraph | None = None  # with which a later session goes on; None: it cannot
+    changes: MapChanges | None = None  # since the map was stored in which it was localised; None: it was not
+    session: SavedGraph | None = None  # key frames of that map and of the drive behind them; None likewise
+
+
+def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> None:
+    """trajectory.tum, trajectory_live.tum, states.csv, map.pgm + map.yaml, map.png, graph.g2o, geo.json,
+    summary.json, and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised
+    in a stored map, changes.csv: what has changed since. With the extra "mcap", session.mcap.
+
+    There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
+    geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
+    as UTM reaches. Raises StorageError.
+
+    map.png is for people: cropped, with the way, the origin and a scale bar.
+    Poses are written as a subscriber or an export of the live session has them, to the last digit.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        stamps = [output.stamp_ns for output in done.outputs]
+        live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
+        write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
+        write_states(out / STATES_FILE, done.outputs, done.lasers)
+        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", RESULT_SESSION, REPORT_FILE):
+            (out / name).unlink(missing_ok=True)
+        shutil.rmtree(out / UNEDITED, ignore_errors=True)
+        poses = list(zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
+        _write_files(out, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
+        write_changes(out / CHANGES_FILE, done.changes)
+        _store_map(done, out / MAP_FOLDER)
+        if "mcap" in extras:
+            write_result_session(out / RESULT_SESSION, done)
+    except OSError as error:
+        raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+
+
+def rewrite_result(folder: Path) -> None:
+    """Rewrite the files of the result to which a stored map belongs, as its newest version has them; nothing
+    where it belongs to none. What the replay wrote stays in DIR/unedited.
+
+    Raises StorageError where they cannot be written, InputError where a file of the result is damaged.
+    """
+    folder = folder.resolve()
+    out = folder.parent
+    if folder.name != MAP_FOLDER or not (out / TRAJECTORY_FILE).is_file():
+        return
+    result = open_result(out)
+    stored, trajectory = result.stored, result.trajectory
+    assert stored is not None
+    assert trajectory is not None
+    try:
+        _keep_unedited(out)
+        with whole_files(out / TRAJECTORY_FILE) as path:
+            poses = list(trajectory.poses())
+            _write_files(path.parent, poses, result.picture, result.g2o or "", result.geo, result.summary)
+            if trajectory is result.drive.trajectory:  # then to the last digit
+                shutil.copyfile(out / UNEDITED / TRAJECTORY_FILE, path)
+    except OSError as error:
+        raise StorageError(
+            f"version {stored.number} of {folder} is stored; the files beside it cannot be rewritten: "
+            f"{words_of(error)}; corridor export {out} exports that version all the same"
+        ) from error
+
+
+def _write_files(
+    out: Path,
+    poses: Poses,
+    picture: Picture,
+    g2o: str,
+    geo: GeoReference | None,
+    summary: Mapping[str, Any],
+) -> None:
+    """What describes one version of a map and the drive in it."""
+    write_tum(out / TRAJECTORY_FILE, poses)
+    if g2o:
+        (out / GRAPH_FILE).write_text(g2o, encoding="ascii")
+    write_ros_map(out / "map.pgm", out / ROS_MAP_FILE, picture)
+    shown = annotated(picture, [np.array([(pose.x_m, pose.y_m) for _, pose in poses])])
+    write_png(out / "map.png", shown, PALETTE)
+    if geo is not None:
+        write_geo(out / GEO_FILE, geo)
+        if abs(geo.origin.latitude_deg) < UTM_MAX_LATITUDE_DEG:
+            write_world_file(out / "map.png", shown, geo)
+    (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="ascii")
+
+
+def _keep_unedited(out: Path) -> None:
+    """Copy what the replay wrote of its drive to DIR/unedited, unless it is there already."""
+    if (out / UNEDITED).exists():
+        return
+    with TemporaryDirectory(prefix=".corridor-", dir=out) as folder:
+        part = Path(folder) / UNEDITED
+        part.mkdir()
+        for name in (TRAJECTORY_FILE, GRAPH_FILE, SUMMARY_FILE):
+            if (out / name).is_file():
+                shutil.copy2(out / name, part)
+        part.rename(out / UNEDITED)
+
+
+def _store_map(done: Replay, folder: Path) -> None:
+    """In the place of one of an earlier replay; none where a session could not go on in it."""
+    if is_map_folder(folder):
+        shutil.rmtree(folder)
+    if done.graph is not None and len(done.graph):
+        about = {"profile": str(done.summary["profile"])}
+        save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)
+        keep_version(folder, FIRST_VERSION, "the trajectory of the replay's result lies in this version")

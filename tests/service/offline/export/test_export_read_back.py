@@ -1,0 +1,227 @@
+"""Every format is read back by a program that has nothing to do with the one that wrote it."""
+
+import csv
+import math
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import gtsam
+import numpy as np
+import pytest
+from PIL import Image
+
+from service.errors import CorridorError, InputError, UsageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame, to_utm
+from service.geometry.se2 import SE2
+from service.mapstore.geo_file import write_geo
+from service.mapstore.picture import FREE_THRESH, picture_of_grid, to_pixels
+from service.mapstore.ros_map import write_ros_map
+from service.offline.export.export import export
+from service.offline.export.outlines import occupied_points, outlines
+from service.offline.score.trajectory import write_tum
+from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
+
+CELL_M, X_MIN_M, Y_MIN_M = 0.5, -4.0, -9.0
+REFERENCE = GeoReference(
+    LocalFrame(48.1, 11.6, 520.0), SE2(12.0, -7.0, math.radians(30.0)), 0.8, math.radians(0.3), 41
+)
+POSES = [SE2(3.0 * k - 2.0, -1.0 * k, 0.1 * k) for k in range(5)]
+STAMPS = [1_700_000_000_000_000_001 + k * 20_000_003 for k in range(5)]
+G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1.5 0.25 0.5\nEDGE_SE2 0 1 1.5 0.25 0.5 100 0 0 100 0 400\n"
+
+
+def cells() -> np.ndarray:
+    grid = np.full((40, 60), FREE, dtype=np.int8)
+    grid[:, 50:] = UNKNOWN
+    grid[3:5, 2:40] = grid[20:30, 10:12] = OCCUPIED
+    return grid
+
+
+PICTURE = picture_of_grid(Grid(1, CELL_M, X_MIN_M, Y_MIN_M, cells()))
+
+
+@pytest.fixture
+def replayed(tmp_path):
+    folder = tmp_path / "replayed"
+    folder.mkdir()
+    write_ros_map(folder / "map.pgm", folder / "map.yaml", PICTURE)
+    write_tum(folder / "trajectory.tum", zip(STAMPS, POSES, strict=True))
+    (folder / "graph.g2o").write_text(G2O)
+    return folder
+
+
+@pytest.fixture
+def anchored(replayed):
+    write_geo(replayed / "geo.json", REFERENCE)
+    return replayed
+
+
+def in_utm(x_m, y_m):
+    return to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32, False)
+
+
+def test_pgm_and_yaml(replayed, tmp_path):
+    """As nav2's map_server reads them in its mode trinary: (255 - pixel) / 255 against both thresholds."""
+    export(replayed, "pgm", tmp_path / "hall.pgm")
+    about = dict(line.split(": ", 1) for line in (tmp_path / "hall.yaml").read_text().splitlines())
+    assert (about["image"], about["free_thresh"], about["resolution"]) == ("hall.pgm", "0.196", "0.5")
+    with Image.open(tmp_path / "hall.pgm") as image:
+        share = (255.0 - np.asarray(image)[::-1]) / 255.0
+    assert float(about["free_thresh"]) == FREE_THRESH
+    np.testing.assert_array_equal(share < float(about["free_thresh"]), cells() == FREE)
+    np.testing.assert_array_equal(share > float(about["occupied_thresh"]), cells() == OCCUPIED)
+
+
+def test_png_with_its_world_file_by_gdal(anchored, tmp_path):
+    import rasterio
+
+    export(anchored, "png", tmp_path / "hall.png")
+    with rasterio.open(tmp_path / "hall.png") as raster:
+        np.testing.assert_array_equal(raster.read(1), to_pixels(cells()))
+        assert raster.crs.to_epsg() == 32632
+        assert raster.xy(39, 0) == pytest.approx(in_utm(X_MIN_M + 0.25, Y_MIN_M + 0.25), abs=1e-3)
+    (tmp_path / "hall.pgw").unlink()  # its .aux.xml alone places it, too
+    with rasterio.open(tmp_path / "hall.png") as raster:
+        assert raster.xy(39, 0) == pytest.approx(in_utm(X_MIN_M + 0.25, Y_MIN_M + 0.25), abs=1e-3)
+    (anchored / "geo.json").unlink()
+    export(anchored, "png", tmp_path / "hall.png")
+    with rasterio.open(tmp_path / "hall.png") as raster:
+        assert raster.crs is None
+        assert raster.xy(39, 0) == pytest.approx((X_MIN_M + 0.25, Y_MIN_M + 0.25))
+
+
+def test_geotiff_on_the_earth_by_gdal(anchored, tmp_path):
+    import rasterio
+
+    export(anchored, "geotiff", tmp_path / "hall.tif")
+    with rasterio.open(tmp_path / "hall.tif") as raster:
+        assert raster.crs.to_epsg() == 32632
+        assert raster.nodata == 205
+        np.testing.assert_array_equal(raster.read(1), to_pixels(cells()))
+        for row, column in ((0, 0), (39, 0), (17, 59)):
+            place = X_MIN_M + (column + 0.5) * CELL_M, Y_MIN_M + (39.5 - row) * CELL_M
+            assert raster.xy(row, column) == pytest.approx(in_utm(*place), abs=1e-3)
+
+
+def test_geotiff_of_a_map_in_no_known_place_by_gdal(replayed, tmp_path):
+    import rasterio
+
+    export(replayed, "geotiff", tmp_path / "hall.tif")
+    first = (tmp_path / "hall.tif").read_bytes()
+    with rasterio.open(tmp_path / "hall.tif") as raster:
+        assert raster.crs is None or raster.crs.to_epsg() is None
+        assert raster.xy(39, 0) == pytest.approx((X_MIN_M + 0.25, Y_MIN_M + 0.25))
+        np.testing.assert_array_equal(raster.read(1), to_pixels(cells()))
+    export(replayed, "geotiff", tmp_path / "hall.tif")
+    assert (tmp_path / "hall.tif").read_bytes() == first
+
+
+def test_dxf_by_ezdxf(replayed, tmp_path):
+    import ezdxf
+
+    export(replayed, "dxf", tmp_path / "hall.dxf")
+    first = (tmp_path / "hall.dxf").read_bytes()
+    document = ezdxf.readfile(tmp_path / "hall.dxf")
+    assert document.units == ezdxf.units.M
+    assert not document.audit().errors
+    space = document.modelspace()
+    walls = [line for line in space.query("LWPOLYLINE") if line.dxf.layer == "WALLS"]
+    assert [np.array(w.get_points("xy")).tolist() for w in walls] == [o.tolist() for o in outlines(PICTURE)]
+    assert all(wall.closed for wall in walls)
+    (way,) = [line for line in space.query("LWPOLYLINE") if line.dxf.layer == "TRAJECTORY"]
+    assert way.get_points("xy") == [(p.x_m, p.y_m) for p in POSES]
+    export(replayed, "dxf", tmp_path / "hall.dxf")
+    assert (tmp_path / "hall.dxf").read_bytes() == first
+
+
+def test_svg_is_to_scale_by_svgelements(replayed, tmp_path):
+    import svgelements
+
+    export(replayed, "svg", tmp_path / "hall.svg")
+    drawing = svgelements.SVG.parse(tmp_path / "hall.svg", reify=True, ppi=25.4)  # a pixel is a millimetre
+    by_id = {element.id: element for element in drawing.elements() if element.id}
+    left, top, right, bottom = by_id["walls"].bbox()
+    assert (right - left, bottom - top) == pytest.approx((38 * CELL_M * 10, 27 * CELL_M * 10), abs=0.1)
+    left, _, right, _ = by_id["scale_bar"].bbox(with_stroke=False)
+    words = [element.text for element in drawing.elements() if isinstance(element, svgelements.Text)]
+    assert f"{(right - left) / 10:.0f} m" in words
+    way = by_id["trajectory"]
+    assert abs(way[-1].x - way[0].x) == pytest.approx(10 * (POSES[-1].x_m - POSES[0].x_m), abs=0.1)
+    assert way[-1].y - way[0].y == pytest.approx(10 * (POSES[0].y_m - POSES[-1].y_m), abs=0.1)  # y upwards
+
+
+@pytest.mark.parametrize(("is_known", "word"), [(True, "N"), (False, "y")])
+def test_the_arrow_of_an_svg_points_north_where_that_is_known(anchored, tmp_path, is_known, word):
+    """The map's x axis lies 30 deg counter-clockwise of east: north is 30 deg clockwise of its y axis."""
+    if not is_known:
+        (anchored / "geo.json").unlink()
+    export(anchored, "svg", tmp_path / "hall.svg")
+    root = ElementTree.parse(tmp_path / "hall.svg").getroot()
+    arrow = next(element for element in root.iter() if element.get("id") == "north")
+    assert arrow.get("transform").endswith(f"rotate({30.0 if is_known else 0.0:.3f})")
+    assert [text.text for text in arrow.iter() if text.text] == [word]
+
+
+def test_g2o_by_gtsam(replayed, tmp_path):
+    export(replayed, "g2o", tmp_path / "hall.g2o")
+    graph, poses = gtsam.readG2o(str(tmp_path / "hall.g2o"), False)
+    assert (graph.size(), poses.size()) == (1, 2)
+    assert poses.atPose2(1).x() == 1.5
+
+
+def test_csv_by_the_standard_library(replayed, tmp_path):
+    export(replayed, "csv", tmp_path / "way.csv")
+    with (tmp_path / "way.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["x_m"]) for row in rows] == [pose.x_m for pose in POSES]
+    assert [float(row["yaw_deg"]) for row in rows] == pytest.approx(
+        [math.degrees(p.theta_rad) for p in POSES]
+    )
+
+
+def test_tum_by_numpy(replayed, tmp_path):
+    export(replayed, "tum", tmp_path / "way.tum")
+    table = np.loadtxt(tmp_path / "way.tum")
+    np.testing.assert_allclose(table[:, 1:3], [(pose.x_m, pose.y_m) for pose in POSES])
+    np.testing.assert_allclose(2.0 * np.arctan2(table[:, 6], table[:, 7]), [p.theta_rad for p in POSES])
+
+
+def test_ply_by_plyfile(replayed, tmp_path):
+    from plyfile import PlyData
+
+    export(replayed, "ply", tmp_path / "hall.ply")
+    vertex = PlyData.read(tmp_path / "hall.ply")["vertex"]
+    points = np.column_stack([vertex[axis] for axis in "xyz"])
+    np.testing.assert_allclose(points[:, :2], occupied_points(PICTURE), atol=1e-6)
+    assert not points[:, 2].any()
+
+
+def test_pcd_by_pypcd4(replayed, tmp_path):
+    from pypcd4 import PointCloud
+
+    export(replayed, "pcd", tmp_path / "hall.pcd")
+    cloud = PointCloud.from_path(tmp_path / "hall.pcd")
+    assert cloud.fields == ("x", "y", "z")
+    np.testing.assert_allclose(cloud.numpy()[:, :2], occupied_points(PICTURE), atol=1e-6)
+
+
+@pytest.mark.parametrize(("to", "module"), [("geotiff", "tifffile"), ("dxf", "ezdxf")])
+def test_a_library_that_is_missing_is_named(replayed, tmp_path, monkeypatch, to, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(CorridorError, match=rf"needs {module}, .* -m pip install .*'{module}[<>]"):
+        export(replayed, to, tmp_path / "hall")
+
+
+def test_where_there_is_no_graph_it_says_how_to_get_one(replayed, tmp_path):
+    (replayed / "graph.g2o").unlink()
+    with pytest.raises(InputError, match=r"no graph\.g2o in it; its profile has no graph"):
+        export(replayed, "g2o", tmp_path / "hall.g2o")
+
+
+def test_a_session_is_not_overwritten_by_its_export(tmp_path):
+    session = tmp_path / "drive.mcap"
+    session.write_bytes(b"\x89MCAP0\r\n, say")
+    with pytest.raises(UsageError, match="would be overwritten"):
+        export(session, "tum", session)
+    assert session.read_bytes() == b"\x89MCAP0\r\n, say"

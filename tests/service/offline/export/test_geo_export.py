@@ -1,0 +1,170 @@
+"""What is written of a way and a map on the earth lies where the reference puts it."""
+
+import csv
+import json
+import math
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import rasterio
+
+from service.errors import InputError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame, to_utm
+from service.geometry.se2 import SE2
+from service.mapstore.files import save_map
+from service.mapstore.geo_file import write_geo
+from service.mapstore.picture import picture_of_grid, picture_of_tiles
+from service.mapstore.ros_map import write_ros_map
+from service.offline.export.export import export
+from service.offline.export.outlines import outlines
+from service.offline.score.trajectory import write_tum
+from service.outputs import Grid
+from tests.service.mapstore.tile_makers import tile
+
+ORIGIN = LocalFrame(48.1, 11.6, 520.0)
+REFERENCE = GeoReference(ORIGIN, SE2(12.0, -7.0, math.radians(30.0)), 0.8, math.radians(0.3), 41)
+POSES = [SE2(3.0 * k, -1.0 * k, 0.1 * k) for k in range(5)]
+STAMPS = [1_700_000_000_000_000_001 + k * 20_000_003 for k in range(5)]
+
+
+def earth(pose: SE2) -> tuple[float, float]:
+    return REFERENCE.to_geodetic(pose.x_m, pose.y_m)
+
+
+@pytest.fixture
+def replayed(tmp_path):
+    folder = tmp_path / "replayed"
+    folder.mkdir()
+    cells = np.zeros((40, 60), dtype=np.int8)
+    write_ros_map(folder / "map.pgm", folder / "map.yaml", picture_of_grid(Grid(1, 0.5, -4.0, -9.0, cells)))
+    write_tum(folder / "trajectory.tum", zip(STAMPS, POSES, strict=True))
+    write_geo(folder / "geo.json", REFERENCE)
+    return folder
+
+
+def test_geojson_is_a_line_of_longitude_and_latitude(replayed, tmp_path):
+    export(replayed, "geojson", tmp_path / "way.geojson")
+    (feature,) = json.loads((tmp_path / "way.geojson").read_text())["features"]
+    assert feature["geometry"]["type"] == "LineString"
+    for (longitude, latitude), pose in zip(feature["geometry"]["coordinates"], POSES, strict=True):
+        assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
+    assert feature["properties"]["first_stamp_s"] == "1700000000.000000001"
+    assert feature["properties"]["position_sigma_m"] == 0.8
+
+
+def test_geojson_is_cut_where_it_crosses_the_meridian_of_180_degrees(replayed, tmp_path):
+    """RFC 7946, section 3.1.9: without the cut a viewer draws a line around the earth."""
+    fiji = GeoReference(LocalFrame(-17.0, 179.99998, 5.0), SE2(), 0.8, 0.01, 41)
+    write_geo(replayed / "geo.json", fiji)
+    there_and_back = [SE2(x_m, 0.4 * x_m) for x_m in (0.0, 1.0, 3.0, 5.0, 2.0, 0.5)]  # it lies 2.1 m east
+    write_tum(replayed / "trajectory.tum", zip(range(6), there_and_back, strict=True))
+    export(replayed, "geojson", tmp_path / "way.geojson")
+    way, *_ = json.loads((tmp_path / "way.geojson").read_text())["features"]
+    assert way["geometry"]["type"] == "MultiLineString"
+    out, beyond, back = way["geometry"]["coordinates"]
+    assert (len(out), len(beyond), len(back)) == (3, 4, 3)
+    for line, side_deg in ((out, 180.0), (beyond, -180.0), (back, 180.0)):
+        assert all(179.9999 < longitude / math.copysign(1.0, side_deg) <= 180.0 for longitude, _ in line)
+    assert (out[-1][0], beyond[0][0], beyond[-1][0], back[0][0]) == (180.0, -180.0, -180.0, 180.0)
+    assert out[-1][1] == beyond[0][1]
+    east_m, north_m, _ = fiji.origin.to_enu(out[-1][1], out[-1][0], 5.0)
+    assert north_m == pytest.approx(0.4 * east_m, abs=2e-3)
+
+
+def test_geojson_of_a_stored_map_has_its_walls_on_the_earth(tmp_path):
+    save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
+    export(tmp_path / "depot", "geojson", tmp_path / "walls.geojson")
+    (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
+    assert feature["geometry"]["type"] == "MultiLineString"
+    rings = feature["geometry"]["coordinates"]
+    expected = outlines(picture_of_tiles([tile(0, 0, 1)]))
+    assert len(rings) == len(expected) > 0
+    for ring, wall in zip(rings, expected, strict=True):
+        assert ring[0] == ring[-1]
+        longitude, latitude = ring[0]
+        assert (latitude, longitude) == pytest.approx(REFERENCE.to_geodetic(*wall[0]), abs=1e-8)
+
+
+def test_kml_is_the_same_line(replayed, tmp_path):
+    export(replayed, "kml", tmp_path / "way.kml")
+    root = ElementTree.parse(tmp_path / "way.kml").getroot()
+    text = root.find(".//{http://www.opengis.net/kml/2.2}coordinates").text
+    places = [tuple(map(float, place.split(","))) for place in text.split()]
+    for (longitude, latitude, _), pose in zip(places, POSES, strict=True):
+        assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
+
+
+def test_csv_has_both_frames_and_the_compass(replayed, tmp_path):
+    export(replayed, "csv", tmp_path / "way.csv")
+    rows = list(csv.DictReader((tmp_path / "way.csv").read_text().splitlines()))
+    assert [row["stamp_s"] for row in rows[:2]] == ["1700000000.000000001", "1700000000.020000004"]
+    assert float(rows[4]["x_m"]) == 12.0
+    place = float(rows[4]["latitude_deg"]), float(rows[4]["longitude_deg"])
+    assert place == pytest.approx(earth(POSES[4]), abs=1e-8)
+    assert float(rows[0]["heading_deg"]) == pytest.approx(60.0)  # 30 degrees north of east
+
+
+def test_csv_without_a_reference_is_in_metres_alone(replayed, tmp_path):
+    (replayed / "geo.json").unlink()
+    export(replayed, "csv", tmp_path / "way.csv")
+    assert (tmp_path / "way.csv").read_text().splitlines()[0] == "stamp_s,x_m,y_m,yaw_deg"
+
+
+def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
+    export(replayed, "png", tmp_path / "map.png")
+    a, d, b, e, c, f = map(float, (tmp_path / "map.pgw").read_text().split())
+    for column, row in ((0, 0), (59, 0), (0, 39), (30, 20)):
+        x_m, y_m = -4.0 + 0.5 * (column + 0.5), -9.0 + 0.5 * (40 - row - 0.5)
+        expected = to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32, False)
+        assert (a * column + b * row + c, d * column + e * row + f) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(("latitude_deg", "epsg"), [(3e-5, 32631), (-3e-5, 32731)])
+def test_the_world_file_of_a_map_across_the_equator_is_in_the_grid_of_its_origin(
+    replayed, tmp_path, latitude_deg, epsg
+):
+    reference = GeoReference(LocalFrame(latitude_deg, 1.0, 0.0), SE2(), 0.8, 0.01, 41)
+    write_geo(replayed / "geo.json", reference)
+    export(replayed, "png", tmp_path / "map.png")  # rows from 11 m north to 9 m south of the origin
+    a, d, b, e, *_ = map(float, (tmp_path / "map.pgw").read_text().split())
+    assert (a, d, b, e) == pytest.approx((0.5, 0.0, 0.0, -0.5), abs=1e-3)
+    with rasterio.open(tmp_path / "map.png") as raster:
+        assert raster.crs.to_epsg() == epsg
+        assert raster.crs == rasterio.crs.CRS.from_epsg(epsg)
+
+
+def test_the_world_file_of_a_map_without_a_reference_is_in_metres_of_the_map(replayed, tmp_path):
+    (replayed / "geo.json").unlink()
+    export(replayed, "png", tmp_path / "map.png")
+    numbers = list(map(float, (tmp_path / "map.pgw").read_text().split()))
+    assert numbers == [0.5, 0.0, 0.0, -0.5, -3.75, 10.75]  # the middle of the upper left cell
+    assert "SRS" not in (tmp_path / "map.png.aux.xml").read_text()
+
+
+def test_a_stored_map_keeps_its_reference_for_its_picture(tmp_path):
+    save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
+    export(tmp_path / "depot", "png", tmp_path / "depot.png")
+    assert (tmp_path / "depot.pgw").exists()
+
+
+@pytest.mark.parametrize("to", ["geojson", "kml"])
+def test_without_a_reference_the_way_on_the_earth_is_refused_in_words(replayed, tmp_path, to):
+    (replayed / "geo.json").unlink()
+    with pytest.raises(InputError, match=rf"no geo.json in it: .* which {to} needs.*summary\.json"):
+        export(replayed, to, tmp_path / "way")
+    assert not (tmp_path / "way").exists()
+
+
+def test_a_damaged_reference_is_refused(replayed, tmp_path):
+    (replayed / "geo.json").write_text("{}")
+    with pytest.raises(InputError, match=r'geo\.json: no geo-reference: expected an object whose "datum"'):
+        export(replayed, "csv", tmp_path / "way.csv")
+
+
+def test_near_a_pole_there_is_no_world_file(replayed, tmp_path):
+    polar = GeoReference(LocalFrame(89.0, 0.0, 0.0), SE2(), 0.8, 0.01, 41)
+    write_geo(replayed / "geo.json", polar)
+    with pytest.raises(InputError, match="UTM ends at 84 degrees"):
+        export(replayed, "png", tmp_path / "map.png")

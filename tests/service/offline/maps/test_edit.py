@@ -1,0 +1,241 @@
+"""What `corridor map edit` does to a stored map: each change on disk, listed, and taken back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import InputError, StorageError, UsageError
+from service.mapper.components import SavedGraph
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.methods.corridor.graph.editing import solved
+from service.mapper.profiles import mapping_config
+from service.mapstore import files
+from service.mapstore.begin_in import begin_in
+from service.mapstore.files import load_map, save_map
+from service.mapstore.in_use import InUse
+from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
+from service.offline.maps.log import map_log
+from service.outputs import TileUpdate
+from tests.service.mapper.methods.corridor.graph.test_editing import CABINET, ROUND, saved_of
+from tests.service.mapstore.tile_makers import tile
+
+SQUARE = [0.5, 0.5, 1.5, 0.5, 1.5, 1.5, 0.5, 1.5]
+
+
+def cell(tiles: list[TileUpdate], x_m: float, y_m: float) -> int:
+    edge, cell_m = len(tiles[0].cells), tiles[0].cell_m
+    column, row = int(np.floor(x_m / cell_m)), int(np.floor(y_m / cell_m))
+    at = next(t for t in tiles if (t.ix, t.iy) == (column // edge, row // edge))
+    return int(at.cells[row % edge, column % edge])
+
+
+@pytest.fixture(scope="module")
+def graph() -> SavedGraph:
+    return saved_of(1.2)
+
+
+@pytest.fixture
+def ring(tmp_path, graph):
+    """A stored map of a ring of corridors."""
+    shown = OccupancyTiles(OccupancyConfig(), 0.05)
+    shown.replace_by(solved(graph, shown.renderer).rendered_map, ())
+    save_map(tmp_path / "ring", shown.changed_tiles(), 1_000, {"vehicle": "veh1"}, graph=graph)
+    return tmp_path / "ring"
+
+
+@pytest.fixture
+def picture(tmp_path):
+    """A stored map without a graph."""
+    save_map(tmp_path / "picture", [tile(0, 0, 1, value=97), tile(1, 0, 2, value=97)], 1)
+    return tmp_path / "picture"
+
+
+def edit(folder, *arguments: object, code: int = 0) -> None:
+    assert main(["map", "edit", str(folder), *map(str, arguments), "--who", "ada"]) == code
+
+
+def test_an_erased_area_is_gone_and_all_else_is_as_it_was(ring, graph):
+    before = load_map(ring)
+    assert cell(before.tiles, 4.3, -0.7) > 65
+    edit(ring, "--erase", *CABINET.ravel(), "--unknown")
+    after = load_map(ring)
+    assert after.edit is not None
+    assert (after.number, after.edit.who, after.edit.what, after.edit.before) == (2, "ada", "erase", 1)
+    assert after.graph is not None
+    assert after.graph.point_count.sum() < graph.point_count.sum()
+    by_key = {(t.ix, t.iy): t for t in after.tiles}
+    changed = 0
+    for old in before.tiles:
+        new = by_key[old.ix, old.iy]
+        differs = np.argwhere(new.cells != old.cells)
+        changed += len(differs)
+        xy = (differs[:, ::-1] + (old.ix * 64, old.iy * 64) + 0.5) * 0.05
+        assert ((xy > CABINET.min(axis=0)) & (xy < CABINET.max(axis=0))).all()
+        assert (new.cells[differs[:, 0], differs[:, 1]] == -1).all()
+    assert changed > 100
+    assert cell(after.tiles, 4.3, -0.7) == -1
+
+
+def test_an_area_is_free_where_scans_see_through_and_unknown_elsewhere(ring):
+    """Over the cabinet, and the floor before it."""
+    before = load_map(ring).tiles
+    assert cell(before, 4.3, -0.45) < 10
+    edit(ring, "--erase", 3.7, -0.9, 4.9, -0.9, 4.9, -0.2, 3.7, -0.2)
+    for _ in range(2):  # and when it is drawn anew
+        after = load_map(ring)
+        assert cell(after.tiles, 4.3, -0.45) < 10
+        assert cell(after.tiles, 4.3, -0.7) <= 50
+        assert cell(after.tiles, 4.3, -0.85) == -1  # within the cabinet
+        edit(ring, "--optimize")
+
+
+def test_an_area_can_be_free_instead(ring):
+    edit(ring, "--erase", *CABINET.ravel(), "--free")
+    assert 0 <= cell(load_map(ring).tiles, 4.3, -0.7) < 10
+    edit(ring, "--optimize")
+    assert 0 <= cell(load_map(ring).tiles, 4.3, -0.7) < 10
+
+
+def test_what_was_erased_stays_gone_when_the_map_is_drawn_anew(ring):
+    edit(ring, "--erase", *CABINET.ravel(), "--unknown")
+    edit(ring, "--optimize")
+    assert cell(load_map(ring).tiles, 4.3, -0.7) == -1
+    assert cell(load_map(ring).tiles, 2.0, -1.0) > 65 or cell(load_map(ring).tiles, 2.0, -1.04) > 65
+
+
+def test_a_wall_is_on_the_map_for_other_programs_and_for_sessions(ring, capsys):
+    edit(ring, "--wall", 6.0, -0.5, 6.0, 0.5)
+    assert "changing the map ..." in capsys.readouterr().err
+    stored = load_map(ring)
+    assert cell(stored.tiles, 6.0, 0.0) == 97
+    edit(ring, "--optimize")
+    assert cell(load_map(ring).tiles, 6.0, 0.0) == 97
+    begun = begin_in(ring, mapping_config())
+    assert len(begun.shown.wall_cells) >= 20
+    edit(ring, "--erase", 5.5, -1, 6.5, -1, 6.5, 1, 5.5, 1)
+    assert cell(load_map(ring).tiles, 6.0, 0.0) < 10
+    assert len(begin_in(ring, mapping_config()).shown.wall_cells) == 0
+
+
+def test_a_wall_may_stand_beyond_all_that_was_seen(picture):
+    edit(picture, "--wall", -20.0, 30.0, -22.0, 30.0)
+    assert cell(load_map(picture).tiles, -21.0, 30.0) == 97
+    assert cell(load_map(picture).tiles, 1.0, 1.0) == 97
+
+
+def test_a_picture_can_be_drawn_in_and_nothing_else(picture, capsys):
+    edit(picture, "--erase", *SQUARE)
+    assert cell(load_map(picture).tiles, 1.0, 1.0) == -1
+    assert cell(load_map(picture).tiles, 3.0, 1.0) == 97
+    edit(picture, "--cut", 0, 1, code=65)
+    assert "what was shown, not what it was made of" in capsys.readouterr().err
+
+
+def test_a_time_is_cut_by_seconds_and_by_utc(ring, graph):
+    edit(ring, "--cut", "3", "4.05")
+    stored = load_map(ring)
+    assert stored.graph is not None
+    assert len(graph) - len(stored.graph) == 11
+    assert stamp_of("2023-11-14T22:13:20.5Z", 0) == 1_700_000_000_500_000_000
+    assert stamp_of("2023-11-14T23:13:20+01:00", 0) == 1_700_000_000_000_000_000
+    assert stamp_of("1.5", 7) == 1_500_000_007
+    with pytest.raises(UsageError, match="noon: expected seconds"):
+        stamp_of("noon", 0)
+
+
+def test_a_cut_that_would_tear_the_map_changes_nothing(ring, capsys):
+    edit(ring, "--refuse-loop", *range(len(load_map(ring).graph.loop_ends)))
+    edit(ring, "--cut", "3", "4", code=65)
+    assert "hang together by nothing" in capsys.readouterr().err
+    assert map_log(ring)["current"] == 2
+    edit(ring, "--cut", "3", "4", "--bridge")
+    assert map_log(ring)["current"] == 3
+
+
+def test_loops_pairs_and_undo_follow_one_another(ring, graph):
+    edit(ring, "--refuse-loop", 0, 1)
+    assert len(load_map(ring).graph.loop_ends) == len(graph.loop_ends) - 2
+    k = 10
+    x_m, y_m = graph.map[k, :2].tolist()
+    spot = x_m, y_m + 0.2
+    edit(ring, "--add-pair", *spot, *spot, "--keyframes", k, k + ROUND)
+    assert load_map(ring).graph.by_hand.pair_ends.tolist() == [[k, k + ROUND]]
+    edit(ring, "--remove-pair", 0)
+    assert len(load_map(ring).graph.by_hand.pair_ends) == 0
+    edit(ring, "--undo")
+    assert len(load_map(ring).graph.by_hand.pair_ends) == 1
+    edit(ring, "--undo")
+    edit(ring, "--undo")
+    np.testing.assert_array_equal(load_map(ring).graph.loop_ends, graph.loop_ends)
+    np.testing.assert_array_equal(load_map(ring).graph.map, graph.map)
+    edit(ring, "--undo", code=65)
+    edit(ring, "--undo", "--to", 3)
+    assert len(load_map(ring).graph.by_hand.pair_ends) == 1
+    versions = map_log(ring)["versions"]
+    whats = ["saved", "refuse-loop", "add-pair", "remove-pair", "undo", "undo", "undo", "undo"]
+    assert [version["what"] for version in versions] == whats
+    assert {version["who"] for version in versions[1:]} == {"ada"}
+    assert versions[4]["words"].startswith("took back version 4 (removed pair 0")
+
+
+def test_the_log_is_a_table_and_json(ring, capsys):
+    edit(ring, "--wall", 0, 0, 1, 0)
+    capsys.readouterr()
+    assert main(["map", "log", str(ring)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["version", "when", "who", "what", "words"]
+    assert lines[2].startswith("2*")
+    assert "drew a wall of 1.00 m about (0.50, 0.00) m" in lines[2]
+    assert main(["map", "log", str(ring), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["versions"][1]["made_in"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--erase", 0, 0, 1, 1], "expected X Y of 3 points or more"),
+        (["--erase", 0, 0, 1, 1, 2, 2], "enclose no area"),
+        (["--erase", 0, 0, 1, 0, "nan", 1], "expected X Y of 3 points"),
+        (["--wall", 0, 0, 1], "expected X Y of 2 points or more"),
+        (["--wall", 0, 0, 1, 1, "--free"], "--free goes with --erase"),
+        (["--optimize", "--to", 1], "--to goes with --undo"),
+    ],
+)
+def test_what_is_no_change_is_refused(picture, capsys, arguments, words):
+    edit(picture, *arguments, code=64)
+    assert words in capsys.readouterr().err
+    assert map_log(picture)["current"] == 1
+
+
+def test_nothing_is_changed_under_a_session_that_goes_on_in_the_map(picture):
+    with InUse(picture, "a session of veh1"):
+        with pytest.raises(StorageError, match="a session of veh1 uses this map"):
+            edit_map(picture, "erase", erase(SQUARE, "unknown"), "ada", 1)
+        with pytest.raises(StorageError, match="stop it first"):
+            undo(picture, 1, "ada", 1)
+    assert map_log(picture)["current"] == 1
+    edit_map(picture, "wall", wall([0, 0, 1, 0]), "ada", 1)
+
+
+def test_an_older_map_is_edited_and_the_older_version_kept(ring, graph):
+    """Of format 2: nothing by hand in it, and no word of edits."""
+    path = ring / "v000001" / "manifest.json"
+    manifest = json.loads(path.read_text()) | {"format": 2}
+    del manifest["sha256"], manifest["edit"]
+    path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
+    edit(ring, "--wall", 0, 0, 1, 0)
+    assert load_map(ring).number == 2
+    assert load_map(ring, 1).edit is None
+    assert load_map(ring, 1).graph is not None
+
+
+@pytest.mark.parametrize("change", [["--optimize"], ["--undo"]])
+def test_what_is_no_map_is_refused_as_by_info_and_left_as_it_is(change, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.mcap").touch()
+    for name in ("empty", "text.mcap", "nowhere"):
+        edit(tmp_path / name, *change, code=InputError.exit_code)
+        assert f"{name}: no stored map" in capsys.readouterr().err
+    assert list((tmp_path / "empty").iterdir()) == []

@@ -1,0 +1,138 @@
+"""`corridor map loops`: what holds a map together, what was not believed, and why."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.cli.map_names import map_and_version
+from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
+from service.mapper.methods.corridor.graph.loop_batches import Batch
+from service.mapper.methods.corridor.graph.loops import Loop
+from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.methods.corridor.graph.refusals import MAX_REFUSED, Refusals
+from service.mapper.refused_loops import ALONE, CONTRADICTED, WORDS
+from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
+from service.mapstore.files import save_map
+from service.offline.maps.loops import map_loops
+from tests.service.mapper.methods.corridor.graph.rings import key_frames
+from tests.service.mapper.methods.corridor.graph.test_editing import saved_of
+from tests.service.mapstore.tile_makers import tile
+
+TILES = [tile(0, 0, 1)]
+
+
+@pytest.fixture(scope="module")
+def graph() -> SavedGraph:
+    """A ring with a loop among the others that the rest contradicts."""
+    frames, _ = key_frames(1.4)
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    for k in range(0, len(frames), 7):
+        back_end.work(Batch(frames[k : k + 7]))
+    covariance = np.diag([1e-4, 1e-4, 1e-5])
+    back_end._loops.append(Loop(10, 80, np.array([0.0, 0.3, 0.0]), covariance, 0.9, 300, 0.01))
+    saved = back_end.work(Batch([], is_last=True)).saved
+    assert isinstance(saved, SavedGraph)
+    return saved
+
+
+def test_the_loops_of_a_map_are_told_with_place_and_evidence(tmp_path, graph):
+    save_map(tmp_path, TILES, 1, graph=graph)
+    told = map_loops(tmp_path)
+    assert [loop["loop"] for loop in told["accepted"]] == list(range(len(graph.loop_ends)))
+    for loop in told["accepted"]:
+        _, to = loop["keyframes"]
+        assert (loop["x_m"], loop["y_m"]) == pytest.approx(graph.map[to, :2], abs=0.006)
+        assert loop["points"] > 100
+        assert loop["on_map"] > 0.5
+        assert loop["in_free"] < 0.12
+        assert loop["off_mm"] < 60.0
+        assert loop["back_at_s"] - loop["from_s"] > 10.0
+
+
+def test_a_loop_that_the_rest_contradicted_is_told_with_the_reason(tmp_path, graph):
+    save_map(tmp_path, TILES, 1, graph=graph)
+    (false,) = [loop for loop in map_loops(tmp_path)["refused"] if loop["keyframes"] == [10, 80]]
+    assert false["why"] == WORDS[CONTRADICTED] == "the rest of the graph contradicts it"
+    assert false["points"] == 300
+    assert false["off_mm"] > 1000.0
+
+
+def test_without_company_each_loop_is_told_to_be_alone(tmp_path):
+    save_map(tmp_path, TILES, 1, graph=saved_of(1.4, LoopsConfig(consensus_span_m=1000.0)))
+    told = map_loops(tmp_path)
+    assert told["accepted"] == []
+    assert [loop["why"] for loop in told["refused"]].count(WORDS[ALONE]) > 3
+
+
+def test_no_loop_is_told_twice(graph):
+    accepted = {tuple(ends) for ends in graph.loop_ends.tolist()}
+    refused = [tuple(ends) for ends in graph.refused.ends.tolist()]
+    assert len(refused) == len(set(refused))
+    assert not accepted & set(refused)
+
+
+def test_who_takes_a_loop_back_finds_it_among_the_refused(tmp_path, graph):
+    save_map(tmp_path, TILES, 1, graph=graph)
+    gone = map_loops(tmp_path)["accepted"][1]
+    assert main(["map", "edit", str(tmp_path), "--refuse-loop", "1", "--who", "ada"]) == 0
+    told = map_loops(tmp_path)
+    assert gone["keyframes"] not in [loop["keyframes"] for loop in told["accepted"]]
+    (found,) = [loop for loop in told["refused"] if loop["keyframes"] == gone["keyframes"]]
+    assert found["why"] == "taken back by hand"
+    assert found["points"] == gone["points"]
+    assert len(map_loops(tmp_path, 1)["accepted"]) == len(told["accepted"]) + 1
+
+
+def test_what_was_refused_is_known_to_the_session_after(graph):
+    again = LoopBackEnd(LoopsConfig(), None, graph).work(Batch([], "checkpoint")).saved
+    assert isinstance(again, SavedGraph)
+    for name, array in small_arrays(graph).items():
+        if name == "piece":
+            continue  # numbered anew with each session
+        np.testing.assert_array_equal(small_arrays(again)[name], array, err_msg=name)
+
+
+def test_a_graph_of_before_tells_what_it_has(graph):
+    new = ("refused_", "loop_points", "loop_against", "range_sigma_m")
+    old = {name: array for name, array in small_arrays(graph).items() if not name.startswith(new)}
+    back = from_arrays(old, [packed_points(graph, 0, len(graph))])
+    assert len(back.refused.ends) == 0
+    assert back.loop_points.tolist() == [0] * len(graph.loop_ends)
+    assert np.isnan(back.loop_against).all()
+    np.testing.assert_array_equal(back.range_sigma_m, np.full(len(graph), 0.012))
+
+
+def test_refusals_do_not_fill_memory():
+    refusals = Refusals()
+    for k in range(MAX_REFUSED + 5):
+        refusals.add([Loop(k, k + 100, np.zeros(3), np.eye(3), 0.5)], ALONE)
+    assert refusals.arrays([]).ends[0].tolist() == [5, 105]
+    assert len(refusals.arrays([]).ends) == MAX_REFUSED
+
+
+def test_the_table_names_each_loop_and_json_is_json(tmp_path, graph, capsys):
+    save_map(tmp_path, TILES, 1, graph=graph)
+    assert main(["map", "loops", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1 + len(graph.loop_ends) + len(graph.refused.ends)
+    assert lines[0].startswith("loop")
+    assert main(["map", "loops", f"{tmp_path}@1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["version"] == 1
+    assert main(["map", "loops", f"{tmp_path}@7"]) == 65
+
+
+def test_a_picture_has_no_loops(tmp_path, capsys):
+    save_map(tmp_path, TILES, 1)
+    assert main(["map", "loops", str(tmp_path)]) == 65
+    assert "it has no loops" in capsys.readouterr().err
+
+
+def test_a_version_is_named_behind_the_folder(tmp_path):
+    assert map_and_version("maps/office@12") == (Path("maps/office"), 12)
+    assert map_and_version("maps/office") == (Path("maps/office"), None)
+    assert map_and_version("maps/me@home") == (Path("maps/me@home"), None)
+    (tmp_path / "a@3").mkdir()
+    assert map_and_version(str(tmp_path / "a@3")) == (tmp_path / "a@3", None)

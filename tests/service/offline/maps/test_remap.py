@@ -1,0 +1,181 @@
+"""A bin was put beside the way since the office was mapped: its area is driven again; only that changes."""
+
+import json
+import math
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.encoding import Message, encode_frame, encode_tf_static
+from service.errors import InputError, UsageError
+from service.geometry.se2 import SE2
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.saved_graph import SavedGraph, small_arrays
+from service.mapstore.files import StoredMap, load_map, save_map
+from service.offline.maps.edit import undo
+from service.offline.maps.remap import map_remap
+from service.outputs import OCCUPIED
+from simulators.world import make_world
+from simulators.worlds import WORLDS
+from simulators.worlds.office import START, office_plan
+from tests.service.mapper.offices import LASER, mapped_office
+from tests.service.recording.sessions import T0_NS, write_file
+from tests.simulated import FORWARD, Wheels, drive
+
+BIN, BIN_M = (4.8, 4.95), 0.5  # middle, in the plan, and edge
+AREA_M = ((3.9, 3.2), (5.7, 3.2), (5.7, 5.6), (3.9, 5.6))  # in the plan
+NOW_NS = 1_763_800_000_000_000_000
+
+
+def in_map(x_m: float, y_m: float) -> tuple[float, float]:
+    """A place of the plan in the frame of the map."""
+    at = (START @ mapped_office()[0].world_first).inverse() @ SE2(x_m, y_m, 0.0)
+    return at.x_m, at.y_m
+
+
+def lengths(*corners: tuple[float, float]) -> list[float]:
+    """As the command takes them: x and y of each corner of the plan, in the map."""
+    return [length_m for corner in corners for length_m in in_map(*corner)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    _, begin = mapped_office()
+    shown = OccupancyTiles(OccupancyConfig(), 0.05)
+    shown.replace_by(begin.shown, ())
+    folder = tmp_path_factory.mktemp("maps") / "office"
+    save_map(folder, shown.changed_tiles(), 1, graph=begin.graph)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    """The same way again, past the bin."""
+    plan = office_plan()
+    plan.box(BIN, (BIN_M, BIN_M))
+    known = WORLDS["office"]()
+    world = make_world("office", plan, (), known.drive.seen_from(START.inverse()))
+    made = drive(replace(world, people=known.people, drive=known.drive), LASER, 14.0, 4, Wheels())
+    messages: list[Message] = [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS)]
+    messages += [encode_frame(frame, T0_NS) for frame in made.frames]
+    path = tmp_path_factory.mktemp("drives") / "later.mcap"
+    write_file(path, sorted(messages, key=lambda message: message.log_ns))
+    return path
+
+
+@pytest.fixture(scope="module")
+def remapped(folder, recording) -> tuple[StoredMap, dict, StoredMap]:
+    before = load_map(folder)
+    told = map_remap(folder, [recording], lengths(*AREA_M), "ada", NOW_NS)
+    return before, told, load_map(folder)
+
+
+def cells_of(stored: StoredMap) -> dict[tuple[int, int], np.ndarray]:
+    return {(tile.ix, tile.iy): tile.cells for tile in stored.tiles if tile.level == 0}
+
+
+def is_in_area(xy_map: np.ndarray) -> np.ndarray:
+    """In the plan the area is a rectangle."""
+    pose = START @ mapped_office()[0].world_first
+    c, s = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
+    x, y = (xy_map @ np.array([[c, s], [-s, c]]) + (pose.x_m, pose.y_m)).T
+    (low_x, low_y), (high_x, high_y) = AREA_M[0], AREA_M[2]
+    return (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
+
+
+def test_the_bin_is_in_the_map_now_and_every_cell_outside_of_the_area_is_as_it_was(remapped):
+    before, told, after = remapped
+    old, new = cells_of(before), cells_of(after)
+    assert old.keys() == new.keys()
+    changed = []
+    for (ix, iy), cells in new.items():
+        row, column = np.nonzero(cells != old[ix, iy])
+        edge = len(cells)
+        changed.append(np.column_stack((ix * edge + column + 0.5, iy * edge + row + 0.5)) * 0.05)
+    xy = np.concatenate(changed)
+    assert len(xy) == told["cells_changed"] > 50
+    assert is_in_area(xy).all()
+    x_m, y_m = in_map(BIN[0], BIN[1] - BIN_M / 2.0)  # its side towards the way
+    column, row = math.floor(x_m / 0.05), math.floor(y_m / 0.05)
+    near = [
+        new[(column + q) // 64, (row + r) // 64][(row + r) % 64, (column + q) % 64]
+        for r in (-1, 0, 1)
+        for q in (-1, 0, 1)
+    ]
+    assert max(near) > 0.65 * OCCUPIED
+
+
+def test_of_the_graph_only_points_in_the_area_went_and_key_frames_came(remapped):
+    before, told, after = remapped
+    assert isinstance(before.graph, SavedGraph)
+    assert isinstance(after.graph, SavedGraph)
+    count = len(before.graph)
+    assert len(after.graph) - count == told["keyframes_new"] > 3
+    for name in ("stamp_ns", "odom", "map", "way_m", "covariance", "piece", "score", "sensor_xy_m"):
+        np.testing.assert_array_equal(
+            getattr(after.graph, name)[:count], getattr(before.graph, name), err_msg=name
+        )
+    assert (after.graph.point_count[:count] <= before.graph.point_count).all()
+    gone = int(before.graph.point_count.sum() - after.graph.point_count[:count].sum())
+    assert gone == told["points_gone"] > 100
+    assert int(after.graph.point_count[count:].sum()) == told["points_new"] > 100
+    assert len(after.graph.loop_ends) == len(before.graph.loop_ends) + 2  # what holds the drive to the map
+
+
+def test_the_version_says_who_and_what_and_an_undo_takes_it_back(remapped, folder):
+    before, told, after = remapped
+    assert after.edit is not None
+    assert (after.edit.who, after.edit.what, after.saved_ns) == ("ada", "remap", NOW_NS)
+    assert "m2 about" in after.edit.words
+    assert told["version"] == after.number == before.number + 1
+    undo(folder, None, "ada", NOW_NS + 1)
+    back = load_map(folder)
+    assert back.graph is not None
+    assert before.graph is not None
+    for name, array in small_arrays(before.graph).items():
+        np.testing.assert_array_equal(small_arrays(back.graph)[name], array, err_msg=name)
+    for place, cells in cells_of(before).items():
+        np.testing.assert_array_equal(cells_of(back)[place], cells)
+
+
+def test_an_area_that_the_drive_did_not_see_is_refused_and_nothing_changes(folder, recording):
+    before = load_map(folder).number
+    far = lengths((30, 30), (31, 30), (31, 31))
+    with pytest.raises(InputError, match="saw nothing of the area"):
+        map_remap(folder, [recording], far, "ada", NOW_NS)
+    assert load_map(folder).number == before
+
+
+def test_corners_that_are_no_area_are_refused_before_the_drive_is_read(folder):
+    with pytest.raises(UsageError, match="enclose no area"):
+        map_remap(folder, [Path("nowhere.mcap")], [0.0, 0.0, 1.0, 0.0, 2.0, 0.0], "ada", NOW_NS)
+
+
+def test_the_command_does_the_same_and_says_it(remapped, folder, recording, tmp_path, capsys):
+    before, told, after = remapped
+    own = tmp_path / "office"
+    shutil.copytree(folder, own, symlinks=True)
+    undo(own, before.number, "ada", NOW_NS + 2)
+    area = [f"{length_m:.9f}" for length_m in lengths(*AREA_M)]
+    capsys.readouterr()
+    command = ["map", "remap", str(own), str(recording), "--area", *area, "--who", "ada", "--json"]
+    assert main(command) == 0
+    said = json.loads(capsys.readouterr().out)
+    stored = load_map(own)
+    number = stored.number
+    assert said == {**told, "version": number, "version_before": number - 1, "map": str(own)}
+    assert stored.edit is not None
+    assert (stored.edit.who, stored.edit.what) == ("ada", "remap")
+    for place, cells in cells_of(after).items():
+        np.testing.assert_array_equal(cells_of(stored)[place], cells)
+
+
+def test_the_command_refuses_an_area_that_the_drive_did_not_see(folder, recording, capsys):
+    far = [str(length_m) for length_m in lengths((30, 30), (31, 30), (31, 31))]
+    code = main(["map", "remap", str(folder), str(recording), "--area", *far])
+    assert code == InputError.exit_code
+    assert "saw nothing of the area" in capsys.readouterr().err

@@ -1,0 +1,83 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import InputError
+from service.mapper.by_hand import WALL, ByHand, Drawing
+from service.mapstore.files import save_map
+from service.offline.maps.work import map_info, map_merge, map_verify
+from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import tile
+
+TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
+
+
+def test_a_map_tells_what_it_holds(tmp_path):
+    save_map(tmp_path, TILES, 1_700_000_000_000_000_000, {"vehicle": "veh1"}, graph=graph_of(5))
+    told = map_info(tmp_path)
+    assert told["saved"] == "2023-11-14T22:13:20Z"
+    assert (told["vehicle"], told["keyframes"], told["loops"], told["version"]) == ("veh1", 5, 1, 1)
+    assert told["can_be_gone_on_in"] is True
+    assert (told["edit"], told["refused_loops"], told["walls"], told["areas_erased"]) == (None, 0, 0, 0)
+    assert told["disk_mb"] > 0.0
+
+
+def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
+    graph = graph_of(6)
+    at_s = np.array([10.0, 11.0, 12.5, 100.0, 101.0, 102.0])
+    graph = replace(graph, stamp_ns=(at_s * 1e9).astype(np.int64), piece=np.array([3, 3, 3, 1, 1, 1]))
+    graph = replace(graph, by_hand=ByHand().and_drawn(Drawing(WALL, 0, np.eye(2)), graph.map))
+    save_map(tmp_path, TILES, 1, graph=graph)
+    told = map_info(tmp_path)
+    assert told["walls"] == 1
+    first, second = told["stretches"]
+    assert (first["from"], first["to"]) == ("1970-01-01T00:00:10Z", "1970-01-01T00:00:12Z")
+    assert (first["from_s"], first["to_s"], first["keyframes"]) == (0.0, 2.5, 3)
+    assert (second["from_s"], second["to_s"]) == (90.0, 92.0)
+
+
+def test_an_older_version_tells_what_it_held(tmp_path, capsys):
+    save_map(tmp_path, TILES, 1, graph=graph_of(5))
+    save_map(tmp_path, TILES, 2, graph=graph_of(60))
+    assert map_info(tmp_path, 1)["keyframes"] == 5
+    assert map_info(tmp_path)["disk_mb"] > map_info(tmp_path, 1)["disk_mb"]
+    assert main(["map", "info", f"{tmp_path}@1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["version"] == 1
+
+
+def test_a_map_without_a_graph_says_so(tmp_path):
+    save_map(tmp_path, TILES, 1)
+    told = map_info(tmp_path)
+    assert told["can_be_gone_on_in"] is False
+    assert "keyframes" not in told
+
+
+def test_every_version_is_verified_and_damage_named(tmp_path):
+    save_map(tmp_path, TILES, 1, graph=graph_of(5))
+    save_map(tmp_path, TILES, 2, graph=graph_of(6))
+    assert map_verify(tmp_path)["versions"] == [1, 2]
+    damaged = tmp_path / "v000001" / "graph.npz"
+    damaged.write_bytes(damaged.read_bytes()[:-1] + b"x")
+    with pytest.raises(InputError, match=r"whole: 2; not readable:\n.*v000001/graph.npz"):
+        map_verify(tmp_path)
+
+
+def test_what_is_no_map_is_no_map(tmp_path):
+    with pytest.raises(InputError, match="no stored map"):
+        map_verify(tmp_path)
+
+
+def test_a_merge_overwrites_nothing(tmp_path):
+    save_map(tmp_path / "a", TILES, 1, graph=graph_of(5))
+    with pytest.raises(InputError, match="is there already"):
+        map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / "a", None)
+
+
+def test_a_picture_cannot_be_merged(tmp_path):
+    save_map(tmp_path / "a", TILES, 1)
+    with pytest.raises(InputError, match="it cannot be merged"):
+        map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / "b", None)
+    assert not (tmp_path / "b").exists()

@@ -1,0 +1,175 @@
+import json
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import InputError, StorageError
+from service.offline.past.moments import GO_TO, Moment, MomentCommands, thinned
+from service.offline.past.recording_view import RecordingView
+from tests.browser.scene import Scene, stamp
+from tests.service.offline.past.past_recordings import LASTS_S, write_past
+from tests.service.recording.sessions import drive, write_file
+from tests.service.web.conftest import TIMEOUT_S, talk
+
+SCAN, PATH = 2, 3
+ANY_PORT = "127.0.0.1:0"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_past(tmp_path_factory.mktemp("past"))
+
+
+@pytest.fixture
+def shown(files):
+    view = RecordingView(files, ANY_PORT)
+    yield view
+    view.close()
+
+
+async def at_second(client, socket, seconds):
+    """The moment that comes when that second is asked for."""
+    await client.ask(socket, type="command", n=1, verb=GO_TO, request={"position_s": seconds})
+    assert (await client.next(socket, "answer"))["body"] == {"ok": True}
+    while True:
+        moment = await client.next(socket, "moment")
+        if abs(moment["position_s"] - seconds) < 1e-6:
+            return moment
+
+
+def test_the_last_moment_is_shown_first_and_then_any(shown):
+    async def look(client):
+        async with client.socket() as socket:
+            hello = await client.next(socket, "hello")
+            assert (hello["vehicle"], hello["verbs"]) == ("drive_0001", [GO_TO])
+            path = await client.next(socket, PATH)
+            assert len(np.frombuffer(path, "<f4", offset=8)) > 200
+            last = await client.next(socket, "moment")
+            assert last["position_s"] == last["duration_s"] == pytest.approx(LASTS_S + 0.005)
+            await client.ask(socket, type="token", token=shown.token)
+            for seconds in (11.0, 2.5, 13.0):
+                moment = await at_second(client, socket, seconds)
+                assert moment["at_s"] == pytest.approx(stamp(seconds) / 1e9, abs=1e-6)
+                expected = Scene().pose(seconds - 0.1)  # its pose came 8 ms after it was measured
+                assert moment["poses"][-1]["x_m"] == pytest.approx(expected.x_m, abs=1e-6)
+                health = await client.next(socket, "health")
+                while health["stamp_s"] != moment["at_s"]:
+                    health = await client.next(socket, "health")
+                assert health["latency_ms"]["front"] == pytest.approx(5.0, abs=0.01)
+
+    talk(shown, look)
+
+
+def test_a_scan_comes_with_its_moment(shown):
+    async def look(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=shown.token)
+            moment = await at_second(client, socket, 4.0)
+            stamp_s = 0.0
+            while abs(stamp_s - moment["at_s"]) > 0.2:
+                (stamp_s,) = struct.unpack_from("<d", await client.next(socket, SCAN), 4)
+
+    talk(shown, look)
+
+
+def test_without_the_token_nobody_is_taken_elsewhere(shown):
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="command", n=1, verb=GO_TO, request={"position_s": 1.0})
+            body = (await client.next(socket, "answer"))["body"]
+            assert "token" in body["error"]
+
+    talk(shown, ask)
+
+
+class Line:
+    """A past of ten seconds in which nothing happens."""
+
+    first_ns, last_ns = 10**9, 11 * 10**9
+
+    def __init__(self) -> None:
+        self.asked = []
+
+    def at(self, at_ns):
+        self.asked.append(at_ns)
+        return Moment(at_ns, (), (0, 0), "no map")
+
+
+@pytest.mark.parametrize(
+    ("verb", "request_", "words"),
+    [
+        (GO_TO, {}, "position_s: Field required"),
+        (GO_TO, {"position_s": -1.0}, "greater than or equal to 0"),
+        (GO_TO, {"position_s": "5"}, "valid number"),
+        (GO_TO, {"position_s": 1.0, "x": 1}, "Extra inputs"),
+        ("reset_map", {}, "it knows moment_go_to"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(verb, request_, words):
+    line, shown = Line(), []
+    answer = MomentCommands(line, lambda at_ns, payloads: shown.append(at_ns)).answer(
+        verb, json.dumps(request_).encode()
+    )
+    assert not answer.ok
+    assert words in json.loads(answer.body)["error"]
+    assert shown == line.asked == []
+
+
+def test_behind_the_end_is_the_end():
+    line, shown = Line(), []
+    commands = MomentCommands(line, lambda at_ns, payloads: shown.append(at_ns))
+    for position_s in (0.0, 10.0, 1e9):
+        assert json.loads(commands.answer(GO_TO, json.dumps({"position_s": position_s}).encode()).body)["ok"]
+    assert shown == [10**9, 11 * 10**9, 11 * 10**9]
+
+
+def test_a_way_is_thinned_evenly():
+    way = np.column_stack((np.arange(0.0, 10.0, 0.01), np.zeros(1000)))
+    rows = thinned(way, 0.05, 1000)
+    assert np.diff(way[rows, 0]).min() >= 0.05 - 1e-9
+    assert np.diff(way[rows, 0]).max() < 0.0601
+    rows = thinned(way, 0.05, 60)
+    assert 30 < len(rows) <= 60
+    assert rows[0] == 0
+    assert thinned(np.empty((0, 2)), 0.05, 10) == []
+
+
+def test_a_port_that_is_taken_is_said(shown, files, caplog):
+    taken = shown.address.partition("#")[0].removeprefix("http://").rstrip("/")
+    with pytest.raises(StorageError, match="--listen"):
+        RecordingView(files, taken)
+    assert caplog.text == ""  # said once, by the error
+
+
+def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
+    command = [sys.executable, "-m", "service", "view", "--json", *map(str, files), "--listen", ANY_PORT]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        said = json.loads(process.stdout.readline())
+        assert said["address"].startswith("http://127.0.0.1:")
+        process.send_signal(2)
+        assert process.wait(TIMEOUT_S) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["view", "a", "b"], "of folders give one"),
+        (["view", "a.mcap", "--rerun"], "opened by rerun itself"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(arguments, words, capsys):
+    assert main(arguments) == 64
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["v.mcap.active", "v.mcap.damaged"])
+def test_a_recording_that_was_never_finished_is_sent_to_recover(name, tmp_path, capsys):
+    write_file(tmp_path / "v.mcap", drive(3))
+    (tmp_path / name).write_bytes((tmp_path / "v.mcap").read_bytes()[:-100])
+    assert main(["view", str(tmp_path / name)]) == InputError.exit_code
+    assert f"{name} was never finished; make it whole with `corridor recover" in capsys.readouterr().err

@@ -1,0 +1,312 @@
+import json
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import StorageError, UsageError
+from service.mapstore.files import load_map
+from service.offline.past.replay_page import ReplayPage
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
+from service.outputs import UNKNOWN
+from service.recording.mcap_source import Session
+from tests.in_background import started
+from tests.service.offline.replay.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
+from tests.service.web.conftest import TIMEOUT_S, talk
+
+TILES, SCAN, PATH = 1, 2, 3
+ANY_PORT = "127.0.0.1:0"
+TIMES = ("wall_s", "realtime_factor", "scan_ms", "scan_cpu_ms", "stage_ms_p50", "peak_rss_mb")
+
+
+@pytest.fixture
+def show() -> Iterator[Callable[..., ReplayPage]]:
+    """Opens a page that is always closed again."""
+    opened: list[ReplayPage] = []
+
+    def open_one(rate: float = 0.0, is_paused: bool = False) -> ReplayPage:
+        opened.append(ReplayPage(ANY_PORT, "lap", rate, is_paused))
+        return opened[-1]
+
+    yield open_one
+    for page in opened:
+        page.close()
+
+
+class Eager(ReplayPage):
+    """Shows everything at each scan, as if the clock had gone on far."""
+
+    def mapped(self, scan: Any, output: Any) -> None:
+        self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
+        super().mapped(scan, output)
+
+
+def content(folder: Path) -> dict[str, Any]:
+    """What a replay wrote, without what tells how long it took and when it was."""
+    found: dict[str, Any] = {
+        path.name: path.read_bytes() for path in folder.iterdir() if path.is_file() and path.suffix != ".json"
+    }
+    summary = json.loads((folder / "summary.json").read_text())
+    found["summary"] = {name: value for name, value in summary.items() if name not in TIMES}
+    stored = load_map(folder / "map")
+    found["tiles"] = [(t.ix, t.iy, t.version, t.cells.tobytes()) for t in stored.tiles]
+    assert stored.graph is not None
+    found["graph"] = [stored.graph.map.tobytes(), stored.graph.xy_base.tobytes()]
+    return found
+
+
+def test_what_a_replay_writes_is_the_same_to_the_bit_with_and_without_the_page(
+    record_drive: RecordDrive,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    session = record_drive(scans=90, requests={60: "reset_map"})
+    write_replay(replay([session], ReplayOptions()), tmp_path / "alone")
+    page = Eager(ANY_PORT, "lap", 0.0)
+    try:
+        write_replay(replay([session], ReplayOptions(), watch=page), tmp_path / "watched")
+    finally:
+        page.close()
+    alone, watched = content(tmp_path / "alone"), content(tmp_path / "watched")
+    assert alone.keys() == watched.keys()
+    assert [name for name in alone if alone[name] != watched[name]] == []
+
+
+def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+) -> None:
+    page = show()
+    done = replay([record_drive(scans=60)], ReplayOptions(), watch=page)
+
+    async def look(client: Any) -> None:
+        async with client.socket() as socket:
+            hello = await client.next(socket, "hello")
+            assert hello["vehicle"] == "lap"
+            assert "replay_pause" in hello["verbs"]
+            shown = cells_of(await client.next(socket, TILES))
+            written = {(t.ix, t.iy): t.cells.tobytes() for t in done.tiles if (t.cells != UNKNOWN).any()}
+            assert shown == written
+            way = await path_of(client, socket)
+            while len(way) < 2 or way[-1, 0] < 0.5:  # the first may be of a moment before the end
+                way = await path_of(client, socket)
+            ends = way[[0, -1]]
+            np.testing.assert_allclose(ends, [[0.0, 0.0], [0.55, 0.0]], atol=0.06)
+            by_name: dict[str, dict[str, str]] = {}
+            while by_name.get("mapping", {}).get("state") != "finished":
+                statuses = (await client.next(socket, "health"))["statuses"]
+                by_name = {status["name"]: status["values"] for status in statuses}
+            assert by_name["mapping"]["scans"] == "60"
+            assert by_name["replay"]["state"] == "finished"
+            assert by_name["replay"]["recording"].startswith("v_")
+            assert "front" in (await client.next(socket, "mountings"))["pose_base_sensor"]
+            assert await client.next(socket, SCAN)
+
+    talk(page._server, look)
+
+
+def test_when_it_is_finished_any_moment_can_be_gone_to(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+) -> None:
+    page = show()
+    done = replay([record_drive(scans=60)], ReplayOptions(), watch=page)
+    first_ns = done.outputs[0].stamp_ns
+
+    async def look(client: Any) -> None:
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=page._token)
+            last = await client.next(socket, "moment")
+            assert last["duration_s"] == pytest.approx((done.outputs[-1].stamp_ns - first_ns) / 1e9)
+            for k in (30, 5, 59):
+                asked = {"position_s": (done.outputs[k].stamp_ns - first_ns) / 1e9 + 1e-6}
+                await client.ask(socket, type="command", n=k, verb="moment_go_to", request=asked)
+                moment = {"position_s": -1.0}
+                while abs(moment["position_s"] - asked["position_s"]) > 1e-5:
+                    moment = await client.next(socket, "moment")
+                assert moment["map_words"] == "map as it is in the end"
+                newest, truth = moment["poses"][-1], done.poses_map_base[k]
+                assert newest["stamp_ns"] == str(done.outputs[k].stamp_ns)
+                assert (newest["x_m"], newest["y_m"]) == pytest.approx((truth.x_m, truth.y_m), abs=1e-9)
+                assert newest["twist"][0] == pytest.approx(0.5, abs=0.3)
+                stamp_s = 0.0
+                while stamp_s != done.outputs[k].stamp_ns / 1e9:
+                    (stamp_s,) = struct.unpack_from("<d", await client.next(socket, SCAN), 4)
+
+    talk(page._server, look)
+
+
+def test_of_frames_that_were_made_anew_only_the_way_is_shown(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ready: list[str] = []
+    session = record_drive(scans=20)
+    monkeypatch.setattr(Session, "metadata", {"from_raw": {}})
+    page = show()
+    monkeypatch.setattr(page._server, "put_ready", lambda payloads: ready.extend(payloads))
+    replay([session], ReplayOptions(), watch=page)
+    assert page._moments is not None
+    session.unlink()  # as that of frames made anew
+    ready.clear()
+    page._moments.go_to(0)
+    assert "moment" in ready
+    assert not any(key.startswith("scan/") for key in ready)
+
+
+async def path_of(client: Any, socket: Any) -> Any:
+    """The next whole path; pieces that go on from it are passed over."""
+    while (message := await client.next(socket, PATH))[1]:
+        pass
+    return np.frombuffer(message, "<f4", offset=8).reshape(-1, 2)
+
+
+def cells_of(message: bytes) -> dict[tuple[int, int], bytes]:
+    (edge,) = struct.unpack_from("<H", message, 2)
+    (count,) = struct.unpack_from("<I", message, 8)
+    body = zlib.decompress(message[12:])
+    places = np.frombuffer(body, "<i4", 2 * count).reshape(-1, 2).tolist()
+    cells = [body[8 * count + k * edge * edge : 8 * count + (k + 1) * edge * edge] for k in range(count)]
+    return {(ix, iy): square for (ix, iy), square in zip(places, cells, strict=True)}
+
+
+def test_what_stands_is_shown_while_it_is_mapped_and_not_of_the_finished_map(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[bytes] = []
+    page = show()
+    put_ready = page._server.put_ready
+    monkeypatch.setattr(
+        page._server,
+        "put_ready",
+        lambda ready: (told.extend(v for k, v in ready.items() if k == "standing"), put_ready(ready)),
+    )
+    replay([record_drive(scans=60)], ReplayOptions(), watch=page)
+    cells = [struct.unpack_from("<II", payload, 16) for payload in told]
+    assert cells[0] == cells[-1] == (0, 0)
+    assert any(width * height > 100 for width, height in cells)
+
+
+def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+) -> None:
+    """40 scans in 0.8 s of log time."""
+    page = show(is_paused=True)
+    session = record_drive()
+    working = started(lambda: replay([session], ReplayOptions(), watch=page))
+
+    async def steer(client: Any) -> None:
+        async with client.socket() as socket:
+            await client.ask(socket, type="command", n=1, verb="replay_resume", request={})
+            assert "token" in (await client.next(socket, "answer"))["body"]["error"]
+            await client.ask(socket, type="token", token=page.address.partition("#token=")[2])
+            assert (await client.next(socket, "access"))["may_control"]
+
+            async def command(verb: str, **request: Any) -> dict[str, Any]:
+                await client.ask(socket, type="command", n=2, verb=verb, request=request)
+                body: dict[str, Any] = (await client.next(socket, "answer"))["body"]
+                return body
+
+            async def state_of(wanted: str, least_s: float) -> dict[str, str]:
+                while True:
+                    for status in (await client.next(socket, "health"))["statuses"]:
+                        values: dict[str, str] = status["values"]
+                        if (
+                            status["name"] == "replay"
+                            and values["state"] == wanted
+                            and float(values["position_s"]) >= least_s
+                        ):
+                            return values
+
+            await state_of("paused", 0.0)
+            assert (await command("replay_go_to", position_s=0.4))["ok"]
+            values = await state_of("paused", 0.4)
+            assert float(values["position_s"]) == pytest.approx(0.4, abs=0.021)
+            pose = await client.next(socket, "pose")
+            while pose["x_m"] < 0.17:  # on its way there
+                pose = await client.next(socket, "pose")
+            assert pose["x_m"] == pytest.approx(0.2, abs=0.03)  # half a metre a second
+            backwards = await command("replay_go_to", position_s=0.1)
+            assert "goes forward only" in backwards["error"]
+            assert "less than or equal to 10000" in (await command("replay_rate", rate=1e9))["error"]
+            assert "reset_map" not in (await command("reset_map"))["error"]
+            assert (await command("replay_rate", rate=100.0))["ok"]
+            assert not working.done()
+            assert (await command("replay_resume"))["ok"]
+            assert float((await state_of("finished", 0.7))["rate"]) == 100.0
+            assert "finished" in (await command("replay_pause"))["error"]
+
+    talk(page._server, steer)
+    assert len(working.result(TIMEOUT_S).outputs) == 40
+
+
+def test_two_recordings_are_shown_one_after_the_other(
+    record_drive: RecordDrive,  # noqa: F811
+    show: Callable[..., ReplayPage],
+) -> None:
+    page = show()
+    replay([record_drive("a", scans=60)], ReplayOptions(), watch=page)
+    done = replay([record_drive("b", scans=10)], ReplayOptions(), watch=page)
+
+    async def look(client: Any) -> None:
+        async with client.socket() as socket:
+            way = await path_of(client, socket)
+            while not len(way) or way.max() > 0.15:
+                way = await path_of(client, socket)
+            shown = cells_of(await client.next(socket, TILES))
+            known = {key for key, cells in shown.items() if cells.strip(b"\xff")}
+            assert known == {(t.ix, t.iy) for t in done.tiles}
+
+    talk(page._server, look)
+
+
+def test_a_port_that_is_taken_is_said(show: Callable[..., ReplayPage], caplog: pytest.LogCaptureFixture):
+    taken = show().address.removeprefix("http://").partition("/")[0]
+    with pytest.raises(StorageError, match="--listen"):
+        ReplayPage(taken, "lap", 0.0)
+    assert caplog.text == ""  # said once, by the error
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["a.mcap", "--paused"],
+        ["a.mcap", "--web", "--listen", "here"],
+        ["a.mcap", "b.mcap", "--web", "--jobs", "2"],
+    ],
+)
+def test_what_does_not_go_together_is_refused(arguments: list[str]) -> None:
+    assert main(["replay", *arguments]) == UsageError.exit_code
+
+
+def test_the_command_writes_says_and_goes_on_showing(
+    record_drive: RecordDrive,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    command = [sys.executable, "-m", "service", "replay", str(record_drive()), "--web", "--json"]
+    command += ["--listen", ANY_PORT, "--out", str(tmp_path / "out")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        told = json.loads(process.stdout.readline())
+        assert told["scans"] == 40
+        assert (tmp_path / "out" / "trajectory.tum").is_file()
+        said: list[str] = []
+        deadline_s = time.monotonic() + TIMEOUT_S
+        while not said or "stays until" not in said[-1]:
+            assert time.monotonic() < deadline_s
+            said.append(process.stderr.readline())
+        assert any(line.startswith("The map, live: http://127.0.0.1:") and "#token=" in line for line in said)
+        process.send_signal(2)
+        assert process.wait(TIMEOUT_S) == 0

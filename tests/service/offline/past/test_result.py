@@ -1,0 +1,258 @@
+"""A result whose map was edited: every export and every file of the result is that of the edited version."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import InputError, StorageError
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
+from service.mapper.graph.pose_graph import to_g2o
+from service.mapper.methods.corridor.graph.editing import graph_of
+from service.mapstore.files import load_map, save_map
+from service.mapstore.geo_file import write_geo
+from service.mapstore.picture import picture_of_tiles
+from service.mapstore.ros_map import write_ros_map
+from service.offline.export.export import Format, export
+from service.offline.maps import edit as map_edit
+from service.offline.maps.corrected_path import corrected_path
+from service.offline.past.result import open_result
+from service.offline.past.view import View
+from service.offline.replay import result as replay_result
+from service.offline.replay.result import Replay, write_replay
+from service.offline.score.trajectory import read_tum, write_tum
+from service.outputs import NO_REASON, MapperOutput
+from tests.service.offline.maps.bent_maps import ROUND, BentMap, graph_in
+
+GEO = GeoReference(LocalFrame(48.1, 11.6, 520.0), SE2(12.0, -7.0, 0.5), 0.8, 0.005, 41)
+WALL = ("--wall", 1.0, -0.5, 1.0, 0.5)
+FILES = (
+    "trajectory.tum",
+    "graph.g2o",
+    "map.pgm",
+    "map.yaml",
+    "map.png",
+    "map.pgw",
+    "map.png.aux.xml",
+    "geo.json",
+    "summary.json",
+)
+
+
+def replay_of(bent: BentMap) -> Replay:
+    """A drive along the key frames of the bent map, with a scan half way between two of them."""
+    ns, poses = bent.graph.stamp_ns, bent.graph.map
+    stamps = np.sort(np.concatenate((ns, ns[:-1] + np.diff(ns) // 2))).tolist()
+    xy = np.column_stack([np.interp(stamps, ns, poses[:, k]) for k in (0, 1)])
+    theta = np.interp(stamps, ns, np.unwrap(poses[:, 2]))
+    way = [SE2(x, y, a) for (x, y), a in zip(xy.tolist(), theta.tolist(), strict=True)]
+    rest = SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
+    outputs = [MapperOutput(stamp_ns, pose, *rest) for stamp_ns, pose in zip(stamps, way, strict=True)]
+    summary = {"profile": "corridor", "keyframes": len(bent.graph), "loop_closures": 0, "map_tiles": 1}
+    g2o = to_g2o(graph_of(bent.graph))
+    lasers = ["front"] * len(outputs)
+    return Replay(
+        outputs, lasers, {}, frozenset(), way, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph
+    )
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory, bent: BentMap) -> Path:
+    folder = tmp_path_factory.mktemp("result")
+    write_replay(replay_of(bent), folder)
+    return folder
+
+
+@pytest.fixture
+def result(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "result"))
+
+
+def edit(result: Path, *arguments: object) -> None:
+    assert main(["map", "edit", str(result / "map"), *map(str, arguments), "--who", "ada"]) == 0
+
+
+def join_rounds(result: Path, bent: BentMap) -> None:
+    """Two pairs of points that put the second round where it belongs: key frames move by up to 3 m."""
+    pairs = [(points.ravel().tolist(), (k, k + ROUND)) for k in (6, 22) for points in bent.common_points(k)]
+    map_edit.edit_map(result / "map", "add-pair", map_edit.add_pairs(pairs), "ada", 2_000)
+
+
+def files_of(result: Path) -> dict[str, bytes]:
+    return {name: (result / name).read_bytes() for name in FILES}
+
+
+def expected_folder(result: Path, bent: BentMap, folder: Path) -> Path:
+    """The newest version of the map and its path as the files of a plain folder."""
+    folder.mkdir()
+    stored, driven = load_map(result / "map"), read_tum(result / "unedited" / "trajectory.tum")
+    assert stored.graph is not None
+    stamp_ns, poses = corrected_path(driven.stamp_ns, driven.pose, bent.graph, stored.graph)
+    way = [SE2(*pose) for pose in poses.tolist()]
+    write_tum(folder / "trajectory.tum", zip(stamp_ns.tolist(), way, strict=True))
+    write_ros_map(folder / "map.pgm", folder / "map.yaml", picture_of_tiles(stored.tiles))
+    (folder / "graph.g2o").write_text(to_g2o(graph_of(stored.graph)))
+    write_geo(folder / "geo.json", GEO)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def edited(tmp_path_factory, bent: BentMap) -> tuple[Path, Path, Path]:
+    """A result as it was, the same one edited, and what its exports are expected to be made of."""
+    folder = tmp_path_factory.mktemp("edited")
+    for name in ("before", "after"):
+        write_replay(replay_of(bent), folder / name)
+    edit(folder / "after", *WALL)
+    join_rounds(folder / "after", bent)
+    return folder / "before", folder / "after", expected_folder(folder / "after", bent, folder / "expected")
+
+
+def rounded(files: dict[str, bytes]) -> list[str]:
+    """Each file with its numbers in steps of 1e-5."""
+    number = re.compile(rb"-?\d+\.\d+(e-?\d+)?")
+    short = [number.sub(lambda m: b"%.5f" % (round(float(m[0]), 5) + 0.0), text) for text in files.values()]
+    return [text.decode() for text in short]
+
+
+@pytest.mark.parametrize("to", get_args(Format))
+def test_an_export_is_that_of_the_edited_version(edited, tmp_path, to):
+    made = {}
+    for source in edited:
+        out = tmp_path / source.name / f"hall.{to}"
+        export(source, to, out)
+        made[source.name] = {path.name: path.read_bytes() for path in out.parent.iterdir()}
+    if to in ("dxf", "tum", "csv"):  # what is expected was read from a TUM file, which has nine decimals
+        made = {name: rounded(files) for name, files in made.items()}
+    assert made["after"] == made["expected"]
+    assert made["after"] != made["before"]
+
+
+def test_the_files_of_an_edited_result_are_those_of_its_exports(edited, tmp_path):
+    before, after, _ = edited
+    for name, to in (("trajectory.tum", "tum"), ("graph.g2o", "g2o"), ("map.pgm", "pgm")):
+        export(after, to, tmp_path / name)
+        assert (after / name).read_bytes() == (tmp_path / name).read_bytes()
+        assert (after / name).read_bytes() != (before / name).read_bytes()
+    assert (after / "map.yaml").read_bytes() == (tmp_path / "map.yaml").read_bytes()
+    assert (after / "map.png").read_bytes() != (before / "map.png").read_bytes()
+    live = "trajectory_live.tum"
+    assert (after / live).read_bytes() == (before / live).read_bytes()
+
+
+def test_the_trajectory_moves_with_the_key_frames(edited, bent):
+    before, after, _ = edited
+    error_m = []
+    for source in (before, after):
+        read = read_tum(source / "trajectory.tum")
+        at = np.isin(read.stamp_ns, bent.graph.stamp_ns)
+        error_m.append(float(np.hypot(*(read.pose[at, :2] - bent.truth[:, :2]).T).max()))
+    assert error_m[0] > 0.5
+    assert error_m[1] < 0.1
+    read = read_tum(after / "trajectory.tum")
+    np.testing.assert_allclose(
+        read.pose[np.isin(read.stamp_ns, bent.graph.stamp_ns)], graph_in(after / "map").map, atol=1e-8
+    )
+
+
+def test_an_undo_brings_back_every_file(result, bent):
+    before = files_of(result)
+    join_rounds(result, bent)
+    assert files_of(result) != before
+    edit(result, "--undo")
+    after = files_of(result)
+    for files in before, after:
+        del files["map.png"]  # drawn from the TUM file: a pixel at the edge of a cell may differ
+    told = json.loads(after.pop("summary.json"))
+    assert told == json.loads(before.pop("summary.json")) | {
+        "map_version": 3,
+        "map_tiles": len(load_map(result / "map").tiles),
+    }
+    assert after == before
+
+
+def test_an_edit_that_moves_nothing_keeps_the_trajectory_to_the_bit(result):
+    before = files_of(result)
+    edit(result, *WALL)
+    after = files_of(result)
+    assert [name for name in FILES if after[name] == before[name]] == [
+        "trajectory.tum", "graph.g2o", "map.yaml", "map.pgw", "map.png.aux.xml", "geo.json",
+    ]  # fmt: skip
+
+
+def test_the_edits_of_the_page_are_in_the_files_too(result):
+    before = files_of(result)
+    view = View(result, "127.0.0.1:0")
+    try:
+        corners = [[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]]
+        request = {"version": 1, "change": {"what": "erase", "corners": corners}}
+        answer = view._answer("map_edit", json.dumps(request).encode())
+    finally:
+        view.close()
+    assert answer.ok, answer.body
+    assert (result / "map.pgm").read_bytes() != before["map.pgm"]
+
+
+def test_summary_and_graph_of_an_edited_result_agree(result):
+    edit(result, "--cut", 6.0, 7.5, "--bridge")
+    summary = json.loads((result / "summary.json").read_text())
+    graph = (result / "graph.g2o").read_text()
+    assert summary["keyframes"] == graph.count("VERTEX_SE2") == len(graph_in(result / "map"))
+    assert summary["map_version"] == 2
+    assert open_result(result).summary == summary
+
+
+def test_a_session_that_extends_the_map_moves_the_trajectory_as_often_as_it_saves(result, bent):
+    """The version that the replay stored is kept, however many follow."""
+    moved = replace(bent.graph, map=bent.graph.map + np.array([0.25, 0.0, 0.0]))
+    for saved_ns in range(1, 6):
+        save_map(result / "map", bent.tiles, saved_ns, graph=moved)
+    driven = read_tum(result / "trajectory.tum")
+    trajectory = open_result(result).trajectory
+    assert trajectory is not None
+    expected = driven.pose + np.array([0.25, 0.0, 0.0])
+    np.testing.assert_allclose(trajectory.pose, expected, atol=1e-6)
+
+
+def test_a_replay_into_the_same_folder_begins_without_edits(result, bent):
+    before = files_of(result)
+    join_rounds(result, bent)
+    write_replay(replay_of(bent), result)
+    assert files_of(result) == before
+    assert not (result / "unedited").exists()
+
+
+def test_a_result_is_scored_as_it_is_now(edited, capsys):
+    before, after, _ = edited
+    assert main(["score", str(after), str(after / "trajectory.tum"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ate_m"]["max"] == pytest.approx(0.0, abs=1e-9)
+    assert main(["score", str(after), str(before / "trajectory.tum"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ate_m"]["max"] > 0.5
+    assert main(["score", str(after / "map"), str(before / "trajectory.tum")]) == InputError.exit_code
+
+
+def test_files_that_cannot_be_rewritten_are_an_error_and_exports_are_right_all_the_same(
+    result, tmp_path, monkeypatch
+):
+    def no_room(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    before = files_of(result)
+    monkeypatch.setattr(replay_result, "write_png", no_room)
+    with pytest.raises(StorageError, match=r"version 2 of .* is stored; .*No space left on device"):
+        map_edit.edit_map(result / "map", "wall", map_edit.wall([1.0, -0.5, 1.0, 0.5]), "ada", 2_000)
+    assert files_of(result) == before
+    export(result, "pgm", tmp_path / "hall.pgm")
+    assert (tmp_path / "hall.pgm").read_bytes() != before["map.pgm"]
+
+
+def test_a_stored_map_by_itself_exports_its_graph(result, bent, tmp_path):
+    export(result / "map", "g2o", tmp_path / "hall.g2o")
+    assert (tmp_path / "hall.g2o").read_text() == to_g2o(graph_of(bent.graph))

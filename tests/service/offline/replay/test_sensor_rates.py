@@ -1,0 +1,38 @@
+from dataclasses import replace
+
+from service.offline.replay.sensor_rates import MAX_GAPS, SensorRates
+from tests.service.offline.replay.test_replay import T0_NS, odometry_at, room_scan
+
+PERIOD_NS = 20_000_000
+
+
+def rates_of(*scans: int) -> dict:
+    """Of a laser that scanned at these multiples of 20 ms."""
+    rates = SensorRates()
+    for k in scans:
+        rates.add(room_scan(T0_NS + k * PERIOD_NS, 0.0))
+    return rates.as_dict(T0_NS)["front/scan"]
+
+
+def test_an_interval_of_more_than_three_periods_is_a_gap():
+    assert rates_of(*range(10), *range(12, 20), *range(60, 70)) == {
+        "frames": 28,
+        "rate_hz": 50.0,
+        "gaps": 1,
+        "longest_gaps": [[0.38, 0.82]],
+    }
+
+
+def test_only_the_longest_gaps_are_listed_and_all_are_counted():
+    begins = [10 * n + 3 for n in range(MAX_GAPS + 5)]
+    told = rates_of(*(10 * n + k for n in range(MAX_GAPS + 6) for k in range(4)))
+    assert told["gaps"] == len(begins)
+    assert [at_s for at_s, _ in told["longest_gaps"]] == [round(0.02 * k, 3) for k in begins[:MAX_GAPS]]
+
+
+def test_kinds_of_one_sensor_are_told_apart_and_a_single_frame_has_no_rate():
+    rates = SensorRates()
+    rates.add(replace(odometry_at(0, 0.0), sensor="front"))
+    rates.add(room_scan(T0_NS, 0.0))
+    assert list(rates.as_dict(T0_NS)) == ["front/odom", "front/scan"]
+    assert rates.as_dict(T0_NS)["front/odom"]["rate_hz"] is None

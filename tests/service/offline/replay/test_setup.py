@@ -1,0 +1,128 @@
+"""In which version of a stored map a replay begins. Nothing is mapped here."""
+
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.cli.arguments import new_parser
+from service.errors import InputError, UsageError
+from service.mapstore.begin_in import MapVersion, begin_in
+from service.mapstore.files import load_map, save_map
+from service.offline.replay.setup import ReplayOptions, set_up
+from service.outputs import TileUpdate
+from service.recording.mcap_recorder import McapRecorder
+from service.recording.mcap_source import Session, open_session
+from tests.service.mapstore.graphs import graph_of
+from tests.service.recording.sessions import drive
+
+CONFIG = """\
+vehicle: v
+sensors: {front: {type: sick_lms100, host: a}}
+recording: {directory: s}
+map: {directory: m, load: %s}
+"""
+
+
+def save_version(folder: Path, number: int) -> None:
+    cells = np.zeros((64, 64), np.int8)
+    save_map(folder, [TileUpdate(0, 0, 0, number, 0.05, cells)], number, graph=graph_of(4 * number))
+
+
+@pytest.fixture
+def office(tmp_path: Path) -> Path:
+    """Of two versions."""
+    for number in (1, 2):
+        save_version(tmp_path / "office", number)
+    return tmp_path / "office"
+
+
+@pytest.fixture
+def session(tmp_path: Path, office: Path) -> Session:
+    """It began in the first version, and the second came of it."""
+    begun_in = MapVersion(office, 1, load_map(office, 1).digest)
+    metadata = {"config": {"yaml": CONFIG % office}, "map": begun_in.as_metadata()}
+    recorder = McapRecorder(tmp_path, "v", keep_free_bytes=0, metadata=metadata)
+    recorder.start()
+    for message in drive(2):
+        recorder.put(message)
+    return open_session(recorder.finish())
+
+
+def test_without_a_version_it_is_the_recorded_one(session: Session, office: Path):
+    setup = set_up(session, ReplayOptions(map=office))
+    assert (setup.map_version, setup.is_as_live) == (1, True)
+    begun = begin_in(office, setup.mapping, setup.map_version)
+    assert len(begun.graph.stamp_ns) == 4
+
+
+def test_a_copy_of_the_map_is_the_same_map(session: Session, office: Path, tmp_path: Path):
+    shutil.copytree(office, tmp_path / "elsewhere", symlinks=True)
+    assert set_up(session, ReplayOptions(map=tmp_path / "elsewhere")).map_version == 1
+
+
+def test_a_version_that_is_named_counts(session: Session, office: Path):
+    parsed = new_parser().parse_args(["replay", "f.mcap", "--map", f"{office}@2"])
+    assert parsed.map == (office, 2)
+    setup = set_up(session, ReplayOptions(map=office, version=2))
+    assert (setup.map_version, setup.is_as_live) == (2, False)
+
+
+def test_another_map_begins_in_its_newest_version(session: Session, tmp_path: Path):
+    save_version(tmp_path / "library", 3)
+    setup = set_up(session, ReplayOptions(map=tmp_path / "library"))
+    assert (setup.map_version, setup.is_as_live) == (None, False)
+
+
+def test_a_version_that_is_gone_is_said(session: Session, office: Path, caplog: pytest.LogCaptureFixture):
+    shutil.rmtree(office / "v000001")
+    assert set_up(session, ReplayOptions(map=office)).map_version is None
+    assert "version 1 of" in caplog.text
+    assert "is not there any more" in caplog.text
+
+
+def test_a_map_that_is_left_out_is_said_with_the_option(
+    session: Session, office: Path, caplog: pytest.LogCaptureFixture
+):
+    setup = set_up(session, ReplayOptions())
+    assert not setup.is_as_live
+    assert f"--map {office}@1 begins there" in caplog.text
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        set_up(session, ReplayOptions(map=office))
+    assert caplog.text == ""
+
+
+def test_an_older_recording_names_the_map_of_its_config(
+    session: Session, office: Path, caplog: pytest.LogCaptureFixture
+):
+    del session.metadata["map"]
+    set_up(session, ReplayOptions())
+    assert f"--map {office} begins there" in caplog.text
+    assert set_up(session, ReplayOptions(map=office)).is_as_live
+
+
+def test_a_version_that_is_not_there_is_refused_with_those_there_are(session: Session, office: Path):
+    setup = set_up(session, ReplayOptions(map=office, version=9))
+    with pytest.raises(InputError, match="no version 9; there are 1, 2"):
+        begin_in(office, setup.mapping, setup.map_version)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--localize"], "--localize is in a stored map; name it by --map"),
+        (
+            ["--profile", "submap_graph", "--map", "m"],
+            "profile submap_graph cannot begin in a stored map",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together_are_wrong_usage(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["replay", "nowhere.mcap", *options]) == UsageError.exit_code
+    assert words in capsys.readouterr().err

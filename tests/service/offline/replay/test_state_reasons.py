@@ -1,0 +1,59 @@
+import numpy as np
+
+from service.geometry.se2 import SE2
+from service.offline.replay.state_reasons import MAX_KINDS, StateReasons, doubts
+from service.outputs import MapperOutput, Reason, State
+
+T0_NS = 1_700_000_000_000_000_000
+STEP_NS = 100_000_000
+
+
+def reasons_of(told: list[tuple[State, str]]) -> StateReasons:
+    """Of outputs a tenth of a second apart."""
+    reasons = StateReasons()
+    for k, (state, words) in enumerate(told):
+        pose, reason = SE2(), Reason("off_map" if words else "", words)
+        reasons.add(
+            MapperOutput(T0_NS + k * STEP_NS, pose, pose, (0.0, 0.0, 0.0), np.eye(3), state, reason, 1.0)
+        )
+    return reasons
+
+
+def test_reasons_that_differ_in_numbers_alone_are_one_kind():
+    reasons = reasons_of(
+        [
+            ("ok", ""),
+            ("lost", "12% of 180 returns lie on the map"),
+            ("lost", "front_1: 0 of 180 beams returned"),
+            ("lost", "9% of 181 returns lie on the map"),
+            ("lost", "front_2: 3 of 180 beams returned"),
+            ("degraded", "12% of 180 returns lie on the map"),
+            ("lost", "+0.50 m ahead, -1 m left"),
+            ("lost", "-3 m ahead, +1.25 m left"),
+            ("lost", "10% of 180 returns lie on the map"),
+        ]
+    )
+    assert reasons.as_dict() == {
+        "degraded": [
+            {"id": "off_map", "reason": "12% of 180 returns lie on the map", "scans": 1, "first_s": 0.5}
+        ],
+        "lost": [
+            {"id": "off_map", "reason": "12% of 180 returns lie on the map", "scans": 3, "first_s": 0.1},
+            {"id": "off_map", "reason": "+0.50 m ahead, -1 m left", "scans": 2, "first_s": 0.6},
+            {"id": "off_map", "reason": "front_1: 0 of 180 beams returned", "scans": 1, "first_s": 0.2},
+            {"id": "off_map", "reason": "front_2: 3 of 180 beams returned", "scans": 1, "first_s": 0.4},
+        ],
+    }
+
+
+def test_only_the_most_frequent_kinds_are_told():
+    rare = [("degraded", f"reason {letter}") for letter in "abcdefg"]
+    kinds = reasons_of([*rare, ("degraded", "reason g")]).as_dict()["degraded"]
+    assert len(kinds) == MAX_KINDS
+    assert kinds[0] == {"id": "off_map", "reason": "reason g", "scans": 2, "first_s": 0.6}
+
+
+def test_of_each_state_but_ok_the_main_reason_is_said():
+    told = reasons_of([("ok", ""), *[("lost", "no returns")] * 2, ("lost", "elsewhere")]).as_dict()
+    summary = {"scans": 4, "state": {"ok": 1, "degraded": 0, "lost": 3}, "state_reasons": told}
+    assert list(doubts(summary)) == ["3 of 4 scans were lost; 2 of them, from 0.1 s on: no returns"]

@@ -1,0 +1,88 @@
+from pathlib import Path
+
+import pytest
+
+from service.errors import UsageError
+from service.offline.setup.discovery import Wire, discover, parse_wire, serial_ports
+from simulators.hokuyo_setup import Utm30lxSetup
+from simulators.hokuyo_utm30lx import FakeUtm30lx
+from simulators.sick_lms100 import FakeLms100
+from simulators.sick_setup import Lms100Setup
+from simulators.wire import serve_pty, serve_tcp
+from tests.drivers import utm30lx
+from tests.drivers.lms100 import Room
+
+
+@pytest.mark.parametrize(
+    ("text", "wire"),
+    [
+        ("192.168.0.1", Wire(host="192.168.0.1")),
+        ("lms-front:2112", Wire(host="lms-front", port=2112)),
+        ("::1", Wire(host="::1")),
+        ("/dev/ttyUSB0", Wire(device="/dev/ttyUSB0")),
+        ("usb", Wire(device="usb")),
+        ("socket://10.0.0.7:4000", Wire(device="socket://10.0.0.7:4000")),
+        ("xsens_mtig=/dev/ttyUSB0", Wire(device="/dev/ttyUSB0", type="xsens_mtig")),
+        ("ibeo_lux=10.0.0.7:12003", Wire(host="10.0.0.7", port=12003, type="ibeo_lux")),
+    ],
+)
+def test_hosts_ports_and_types_are_read(text: str, wire: Wire):
+    assert parse_wire(text) == wire
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sick=10.0.0.1", "sick is no type of sensor; known: sick_lms100"),
+        ("a:port", "port is no port"),
+        ("a:70000", "70000 is no port"),
+        ("", "name a host or a device file"),
+        ("999.1.1.1", "name a host or a device file"),
+        ("a b:2111", "name a host or a device file"),
+        ("a:\u00b2", "is no port"),
+    ],
+)
+def test_what_is_no_wire_is_wrong_usage(text: str, words: str):
+    with pytest.raises(UsageError, match=words):
+        parse_wire(text)
+
+
+def test_each_serial_port_is_asked_once_by_the_name_that_stays(tmp_path: Path):
+    for name in ("ttyUSB0", "ttyUSB1", "ttyACM0", "ttyS0"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "corridor").mkdir()
+    (tmp_path / "corridor" / "xsens").symlink_to(tmp_path / "ttyUSB0")
+    (tmp_path / "serial" / "by-id").mkdir(parents=True)
+    for name, target in (("usb-Xsens", "ttyUSB0"), ("usb-Hokuyo", "ttyACM0")):
+        (tmp_path / "serial" / "by-id" / name).symlink_to(tmp_path / target)
+    names = ("corridor/xsens", "serial/by-id/usb-Hokuyo", "ttyUSB1")
+    assert serial_ports(tmp_path) == [Wire(device=str(tmp_path / name)) for name in names]
+
+
+ASK_S = 60.0  # a fake device on a busy machine; the first answer ends it
+
+
+def found_at_a(setup: Lms100Setup):
+    with serve_tcp(FakeLms100(Room(), setup)) as (host, port):
+        [found] = discover([Wire(host=host, port=port, type="sick_lms100")], ASK_S)
+    return found
+
+
+def test_another_model_of_the_same_telegram_is_found_with_the_setting_that_reads_it():
+    found = found_at_a(Lms100Setup(model="lms5xx"))
+    assert found.type == "sick_lms100"
+    assert found.settings["model"] == "lms5xx"
+    assert found.identity["device"] == "LMS511_FieldEval"
+
+
+def test_scanner_that_is_not_read_is_named_with_what_it_would_need():
+    found = found_at_a(Lms100Setup(ident="MRS1xxxx"))
+    assert found.type == ""
+    assert "MRS1000 (it calls itself MRS1xxxx), which is not read: that would need one of its" in found.words
+
+
+def test_model_on_a_wire_it_does_not_have_is_named_with_the_wire_to_give():
+    setup = Utm30lxSetup(product="UST-05LA")
+    with serve_pty(FakeUtm30lx(utm30lx.Room(), setup)) as path:
+        [found] = discover([Wire(device=str(path), type="hokuyo_utm30lx")], ASK_S)
+    assert found.words == f"no hokuyo_utm30lx: {path}: model ust has no device; give host"
