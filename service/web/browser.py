@@ -8,7 +8,6 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from service.web.access import is_token
-from service.web.mailbox import Mailbox
 from service.web.protocol import (
     AskedError,
     CommandAsked,
@@ -17,7 +16,8 @@ from service.web.protocol import (
     read_asked,
     to_json,
 )
-from service.web.tile_feed import TileFeed
+from service.web.send_queue import SendQueue
+from service.web.tile_stream import TileFeed
 
 log = logging.getLogger(__name__)
 
@@ -33,12 +33,12 @@ CarryOut = Callable[[CommandAsked | ResourceAsked], Awaitable[dict[str, Any]]]  
 
 
 class Browser:
-    """Sends from its mailbox and tiles from the feed; reads tokens and commands. Lives in the event loop."""
+    """Sends from its queue, and tiles; reads tokens and commands. Lives in the event loop."""
 
     def __init__(
         self, socket: web.WebSocketResponse, name: str, token: str, feed: TileFeed, carry_out: CarryOut
     ) -> None:
-        self.mailbox = Mailbox()
+        self.send_queue = SendQueue()
         self.may_control = False
         self.reads = True  # False: it has not taken what was sent for too long
         self._socket = socket
@@ -75,8 +75,8 @@ class Browser:
     async def _send(self) -> None:
         clock = asyncio.get_running_loop().time
         while True:
-            await self.mailbox.filled.wait()
-            for payload in self.mailbox.take():
+            await self.send_queue.filled.wait()
+            for payload in self.send_queue.take():
                 await self._put(payload)
             if clock() >= self._tiles_due_s and (batch := await self._feed.after(self._version)):
                 await self._put(batch.payload)
@@ -84,7 +84,7 @@ class Browser:
                 if batch.is_last:
                     self._tiles_due_s = clock() + TILE_PERIOD_S
                 else:
-                    self.mailbox.wake()  # the rest at once: poses go between the parts
+                    self.send_queue.wake()  # the rest at once: poses go between the parts
 
     async def _put(self, payload: str | bytes) -> None:
         try:
@@ -106,7 +106,7 @@ class Browser:
             try:
                 asked = read_asked(message.data)
             except AskedError as error:
-                self.mailbox.answer(to_json("refused", error=str(error)))
+                self.send_queue.answer(to_json("refused", error=str(error)))
                 continue
             match asked:
                 case TokenShown(token=token):
@@ -126,7 +126,7 @@ class Browser:
         """False where it has tried too often and is let go."""
         self.may_control = is_token(token, self._token)
         words = "" if self.may_control else "this is not the token of this service"
-        self.mailbox.answer(to_json("access", may_control=self.may_control, error=words))
+        self.send_queue.answer(to_json("access", may_control=self.may_control, error=words))
         if not self.may_control:
             self._wrong_tokens += 1
             log.warning("web: wrong token from %s", self._name)
@@ -151,4 +151,4 @@ class Browser:
         self._answer(asked.n, await self._carry_out(asked))
 
     def _answer(self, n: int, body: dict[str, Any]) -> None:
-        self.mailbox.answer(to_json("answer", n=n, body=body))
+        self.send_queue.answer(to_json("answer", n=n, body=body))

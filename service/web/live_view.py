@@ -33,7 +33,6 @@ from service.encoding import (
     decode_upside_down,
 )
 from service.errors import InputError
-from service.web.mailbox import Payload
 from service.web.protocol import (
     FloatArray,
     encode_changes,
@@ -46,6 +45,7 @@ from service.web.protocol import (
     pose_json,
     to_json,
 )
+from service.web.send_queue import Payload
 
 SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive and take 20 kB
 GRAPH_PERIOD_NS = 2_000_000_000  # at most 25 kB

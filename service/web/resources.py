@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from service.errors import words_of
-from service.web.work import ResourceError, SessionMapProcess, run
+from service.web.jobs import ResourceError, SessionMapProcess, run
 
 Kind = Literal["session", "map"]
 

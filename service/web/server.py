@@ -1,6 +1,6 @@
 """Serves the operator's page from a thread with its own event loop; no driver and no mapper waits for it.
 
-    any thread --put--> LiveView --twenty times a second--> a Mailbox a browser --> its websocket
+    any thread --put--> LiveView --twenty times a second--> a SendQueue a browser --> its websocket
                         TileStore --TileFeed, when the browser has taken what came before--'
 
 A page that cannot be served is said in health and tried again; mapping goes on without it.
@@ -31,13 +31,13 @@ from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser
 from service.web.config import WebConfig, split_listen
-from service.web.doorway import Doorway
+from service.web.connections import Listener
+from service.web.downloads import Downloads
 from service.web.live_view import LiveView, Shown
-from service.web.mailbox import Payload
 from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
 from service.web.resources import Kind, Resources
-from service.web.shelf import Shelf
-from service.web.tile_feed import MapSource, TileFeed
+from service.web.send_queue import Payload
+from service.web.tile_stream import MapSource, TileFeed
 
 log = logging.getLogger(__name__)
 
@@ -107,13 +107,13 @@ class WebServer:
         self._view = LiveView(time.monotonic_ns)
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._files = _static_files()
-        self._shelf = Shelf(self._resources(folders) if folders else None)
+        self._downloads = Downloads(self._resources(folders) if folders else None)
         self._browsers: set[Browser] = set()
         self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
         self._map_number = tiles.number
         self._verbs = list(about.verbs())
         self._dropped = self._refused = 0
-        self._doorway = Doorway(config.most_browsers, self._refuse)
+        self._listener = Listener(config.most_browsers, self._refuse)
         self._fault = "not started"
         self._has_failed = False
         self._address = ""
@@ -160,7 +160,7 @@ class WebServer:
         values = {
             "address": self._address,
             "browsers": str(len(self._browsers)),
-            "dropped": str(self._dropped + sum(b.mailbox.dropped for b in list(self._browsers))),
+            "dropped": str(self._dropped + sum(b.send_queue.dropped for b in list(self._browsers))),
             "refused": str(self._refused),
         }
         return Status("web", ERROR if self._fault else OK, self._fault or "ok", values)
@@ -177,7 +177,7 @@ class WebServer:
             self._thread.join(CLOSE_TIMEOUT_S)
             if self._thread.is_alive():
                 log.error("web: still serving after %.0f s; the page is left behind", CLOSE_TIMEOUT_S)
-        self._shelf.close()
+        self._downloads.close()
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _resources(self, folders: Mapping[Kind, Path]) -> Resources:
@@ -192,10 +192,10 @@ class WebServer:
             if self._is_closed:
                 return
         self._feed = TileFeed(self._tiles)
-        runner = self._doorway.runner(self._app())
+        runner = self._listener.runner(self._app())
         await runner.setup()
         showing = asyncio.create_task(self._show())
-        self._shelf.purge(self._workers)
+        self._downloads.purge(self._workers)
         try:
             while not await self._listen(runner):
                 if await self._ends_within(self._retry_s, showing):
@@ -213,7 +213,7 @@ class WebServer:
     async def _listen(self, runner: web.AppRunner) -> bool:
         host, port = split_listen(self._config.listen)
         try:
-            self._listening = await self._doorway.open(runner, host, port, self._tls())
+            self._listening = await self._listener.open(runner, host, port, self._tls())
         except (OSError, ssl.SSLError) as error:
             words = f"the page cannot be served at {self._config.listen}: {words_of(error)}"
             if words != self._fault and self._retry_s is not None:
@@ -258,7 +258,7 @@ class WebServer:
         for name in self._files:
             app.router.add_get(f"/{name}", partial(self._file, name))
         app.router.add_get("/ws", self._websocket)
-        app.router.add_get("/download/{ticket}/{name}", self._shelf.hand_out)
+        app.router.add_get("/download/{ticket}/{name}", self._downloads.hand_out)
         return app
 
     @web.middleware
@@ -288,7 +288,7 @@ class WebServer:
         )
         await socket.prepare(request)
         browser = Browser(socket, str(request.remote), self._token, self._feed, self._carry_out)
-        browser.mailbox.answer(self._hello())
+        browser.send_queue.answer(self._hello())
         for shown in self._view.snapshot():
             _post(browser, shown)
         self._browsers.add(browser)
@@ -296,7 +296,7 @@ class WebServer:
             await browser.serve()
         finally:
             self._browsers.discard(browser)
-            self._dropped += browser.mailbox.dropped
+            self._dropped += browser.send_queue.dropped
             if request.transport is not None and not browser.reads:
                 request.transport.abort()  # what waits for it would stay for minutes
         return socket
@@ -310,7 +310,7 @@ class WebServer:
             profile=self._about.profile,
             profiles=list(self._about.profiles),
             verbs=self._verbs,
-            stores=self._shelf.stores,
+            stores=self._downloads.stores,
             now_s=time.time(),
         )
 
@@ -321,7 +321,7 @@ class WebServer:
                 for browser in self._browsers:
                     _post(browser, shown)
             for browser in self._browsers:
-                browser.mailbox.wake()  # tiles may be due
+                browser.send_queue.wake()  # tiles may be due
             # the pace at which a picture changes, not a wait for something
             await asyncio.sleep(SHOW_PERIOD_S if self._browsers else IDLE_PERIOD_S)
 
@@ -338,7 +338,7 @@ class WebServer:
 
     async def _carry_out(self, asked: CommandAsked | ResourceAsked) -> dict[str, Any]:
         if isinstance(asked, ResourceAsked):
-            return await self._shelf.carry_out(asked, self._workers)
+            return await self._downloads.carry_out(asked, self._workers)
         loop = asyncio.get_running_loop()
         request = json.dumps(asked.request).encode()
         answer = await loop.run_in_executor(self._workers, self._answer, asked.verb, request)
@@ -353,9 +353,9 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
 
 def _post(browser: Browser, shown: Shown) -> None:
     if shown.key:
-        browser.mailbox.put(shown.key, shown.payload)
+        browser.send_queue.put(shown.key, shown.payload)
     else:
-        browser.mailbox.note(shown.payload)
+        browser.send_queue.note(shown.payload)
 
 
 def _static_files() -> Mapping[str, tuple[bytes, str, str]]:

@@ -18,7 +18,7 @@ from service.mapper.methods.corridor.graph.loop_batches import Batch
 from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapstore.files import save_map
 from service.publishing.commands import Answer
-from service.web.work import SessionMapProcess
+from service.web.jobs import SessionMapProcess
 from tests.browser.conftest import PHONE
 from tests.browser.test_edit import PAIRED, drag_map, optimise, pick_pairs, residuals_m
 from tests.browser.test_page import serious_faults

@@ -17,7 +17,6 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, Grid
 from service.publishing.commands import Answer, refusal
-from service.web.mailbox import Payload
 from service.web.protocol import (
     encode_changes,
     encode_graph,
@@ -27,6 +26,7 @@ from service.web.protocol import (
     moment_json,
     mountings_json,
 )
+from service.web.send_queue import Payload
 
 GO_TO = "moment_go_to"
 STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of a running service

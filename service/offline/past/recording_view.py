@@ -12,8 +12,8 @@ from service.offline.past.shown_tiles import ShownTiles
 from service.offline.past.view import start_serving
 from service.web.access import new_token
 from service.web.config import WebConfig
-from service.web.mailbox import Payload
 from service.web.protocol import encode_path
+from service.web.send_queue import Payload
 from service.web.server import About, WebServer
 
 

@@ -25,8 +25,8 @@ from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.web.access import new_token
 from service.web.config import WebConfig
-from service.web.mailbox import Payload
 from service.web.protocol import encode_changes, encode_path
+from service.web.send_queue import Payload
 from service.web.server import About, WebServer
 
 SERVED_WITHIN_S = 5.0

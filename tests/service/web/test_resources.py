@@ -10,8 +10,8 @@ import pytest
 from service.mapstore.files import save_map
 from service.offline.export.export import Format
 from service.outputs import TileUpdate
+from service.web.jobs import ResourceError
 from service.web.resources import DELETED, FORMATS, Resources
-from service.web.work import ResourceError
 
 KINDS = ("session", "map")
 

@@ -15,7 +15,7 @@ import pytest
 from service.encoding import encode_pose
 from service.web import browser
 from service.web.live_view import MAX_EVENTS
-from service.web.mailbox import MAX_NOTES
+from service.web.send_queue import MAX_NOTES
 from service.web.server import WebServer
 from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile

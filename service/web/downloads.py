@@ -13,15 +13,15 @@ from typing import Any
 
 from aiohttp import web
 
+from service.web.jobs import ResourceError
 from service.web.protocol import ResourceAsked
 from service.web.resources import Download, Resources
-from service.web.work import ResourceError
 
 TICKET_S = 60.0
 MAX_TICKETS = 16
 
 
-class Shelf:
+class Downloads:
     """Lives in the event loop. resources: None where nothing is stored."""
 
     def __init__(self, resources: Resources | None) -> None:

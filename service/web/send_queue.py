@@ -8,7 +8,7 @@ Payload = str | bytes
 MAX_NOTES = 64  # the oldest goes
 
 
-class Mailbox:
+class SendQueue:
     """Filled and emptied in the event loop; `filled` is set while something waits."""
 
     def __init__(self) -> None:

@@ -2,8 +2,8 @@ import asyncio
 import struct
 
 from service.mapstore.tiles import TileStore
-from service.web import tile_feed
-from service.web.tile_feed import TileFeed
+from service.web import tile_stream
+from service.web.tile_stream import TileFeed
 from tests.service.mapstore.tile_makers import EDGE, tile
 
 
@@ -48,7 +48,7 @@ def test_browsers_that_ask_for_the_same_share_one_message():
 
 
 def test_a_large_map_comes_in_parts_between_versions(monkeypatch):
-    monkeypatch.setattr(tile_feed, "MAX_CELLS", 2 * EDGE**2)
+    monkeypatch.setattr(tile_stream, "MAX_CELLS", 2 * EDGE**2)
     store = TileStore()
     store.update([tile(ix, 0, version) for ix, version in enumerate((1, 2, 2, 3, 4))])
 

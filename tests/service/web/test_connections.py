@@ -3,7 +3,7 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
-from service.web import doorway
+from service.web import connections
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, talk
 
 IDLE_S = 0.3
@@ -27,8 +27,8 @@ def is_closed(connection):
 @pytest.fixture
 def narrow(serve, monkeypatch):
     """A page with room for two connections."""
-    monkeypatch.setattr(doorway, "MIN_CONNECTIONS", 2)
-    monkeypatch.setattr(doorway, "CONNECTIONS_A_BROWSER", 2)
+    monkeypatch.setattr(connections, "MIN_CONNECTIONS", 2)
+    monkeypatch.setattr(connections, "CONNECTIONS_A_BROWSER", 2)
     return serve(most_browsers=1)
 
 
@@ -55,12 +55,12 @@ def test_connections_that_come_all_at_once_are_not_all_let_in(narrow):
             with suppress(ConnectionError):  # closed already
                 connection.sendall(b"GET /icon.svg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         let_in = sum(not is_closed(connection) for connection in crowd)
-        assert 2 <= let_in <= 2 + doorway.AT_ONCE
+        assert 2 <= let_in <= 2 + connections.AT_ONCE
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost:"])
 def test_who_asks_for_nothing_whole_is_let_go_and_a_browser_stays(serve, monkeypatch, said):
-    monkeypatch.setattr(doorway, "IDLE_S", IDLE_S)
+    monkeypatch.setattr(connections, "IDLE_S", IDLE_S)
     server = serve()
 
     async def look(client):

@@ -8,7 +8,7 @@ import pytest
 
 from service.mapstore.files import save_map
 from service.outputs import TileUpdate
-from service.web.work import ResourceError, SessionMapProcess
+from service.web.jobs import ResourceError, SessionMapProcess
 
 
 @pytest.fixture
@@ -48,6 +48,6 @@ def test_one_that_was_killed_is_told_and_the_next_question_starts_another(proces
 
 
 def test_one_that_dies_at_a_question_is_told_in_words(process, office, monkeypatch):
-    monkeypatch.setattr("service.web.work._gentle", lambda *arguments: ["false"])
+    monkeypatch.setattr("service.web.jobs._gentle", lambda *arguments: ["false"])
     with pytest.raises(ResourceError, match=r"has ended|was ended"):
         process.ask("look", office, {})

@@ -28,7 +28,7 @@ class _Refused(asyncio.Protocol):
         transport.abort()
 
 
-class Doorway:
+class Listener:
     """refused(): called for each connection too many, and for each request that breaks HTTP."""
 
     def __init__(self, most_browsers: int, refused: Callable[[], None]) -> None:

@@ -1,0 +1,38 @@
+from service.web.send_queue import MAX_NOTES, SendQueue
+
+
+def test_of_a_picture_only_the_newest_waits():
+    send_queue = SendQueue()
+    for payload in ("a", "b", "c"):
+        send_queue.put("pose", payload)
+    send_queue.put("scan/front", "d")
+    assert send_queue.filled.is_set()
+    assert send_queue.take() == ["c", "d"]
+    assert send_queue.dropped == 2
+    assert not send_queue.filled.is_set()
+    assert send_queue.take() == []
+
+
+def test_each_note_waits_and_the_oldest_goes_first():
+    send_queue = SendQueue()
+    for number in range(MAX_NOTES + 2):
+        send_queue.note(str(number))
+    assert send_queue.take() == [str(number) for number in range(2, MAX_NOTES + 2)]
+    assert send_queue.dropped == 2
+
+
+def test_notes_go_before_pictures():
+    send_queue = SendQueue()
+    send_queue.put("pose", "picture")
+    send_queue.note("hello")
+    assert send_queue.take() == ["hello", "picture"]
+
+
+def test_no_answer_is_left_out_however_much_happens():
+    send_queue = SendQueue()
+    send_queue.answer("hello")
+    for number in range(2 * MAX_NOTES):
+        send_queue.note(str(number))
+    send_queue.answer("done")
+    assert send_queue.take()[:3] == ["hello", "done", str(MAX_NOTES)]
+    assert send_queue.take() == []
