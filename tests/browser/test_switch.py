@@ -107,7 +107,11 @@ def test_a_stored_map_is_loaded(page, serve, dispatcher, tmp_path):
     assert asked(dispatcher) == [("load_map", {"map": "office"})]
 
 
-def test_a_stored_map_is_loaded_to_be_localised_in_with_three_clicks(page, serve, dispatcher, tmp_path):
+@pytest.mark.parametrize("fault", ["", "there is no map yet"])
+def test_a_stored_map_is_loaded_to_be_localised_in_with_three_clicks(
+    page, serve, dispatcher, tmp_path, fault
+):
+    dispatcher.faults["set_mode"] = fault
     save_map(tmp_path / "office", [tile(1)], 1)
     page.open(serve(folders={"session": tmp_path / "none", "map": tmp_path}).address, TOKEN)
     page.wait_for("return corridor.report().mayControl")
@@ -116,7 +120,9 @@ def test_a_stored_map_is_loaded_to_be_localised_in_with_three_clicks(page, serve
     page.wait_for_text("resources", "office")
     page.driver.find_element("css selector", '[aria-label="Load\u2026 office"]').click()
     page.element("confirm-other").click()
-    page.wait_for_text("notices", "office is loaded")
+    page.wait_for_text(
+        "notices", f"office is loaded, but the vehicle maps in it: {fault}" if fault else "office is loaded."
+    )
     assert asked(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
 
 

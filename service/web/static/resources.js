@@ -97,10 +97,11 @@ export class Resources {
       + "It is lost until it is found there; Set pose helps it. The recording goes on.", "Load and map", null, this.verbs.includes("set_mode") ? "Load and localise" : "");
     if (!way) return;
     const pose = this.lastPose();
-    let answer = await this.connection.command("load_map", { map: name });
-    if (answer.ok && way === "other") answer = { ...answer, ...await this.connection.command("set_mode", { mode: "localization" }) };
+    const answer = await this.connection.command("load_map", { map: name });
+    const mode = answer.ok && way === "other" ? await this.connection.command("set_mode", { mode: "localization" }) : answer;
     const before = answer.folder_before ? `, the map before is in ${answer.folder_before}` : "";
     if (!answer.ok) notice(`Load ${name}: ${answer.error}.`, "error");
+    else if (!mode.ok) notice(`${name} is loaded${before}, but the vehicle maps in it: ${mode.error}.`, "error");
     else if (!pose) notice(`${name} is loaded${before}.`, "ok");
     else {
       notice(`${name} is loaded${before}. Is it a copy of that one, and the vehicle where it was?`, "ok",

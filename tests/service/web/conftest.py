@@ -28,11 +28,14 @@ class FakeDispatcher:
 
     asked: list[tuple[str, bytes]] = field(default_factory=list)
     go_on: threading.Event = field(default_factory=threading.Event)
+    faults: dict[str, str] = field(default_factory=dict)  # by verb
 
     def answer(self, verb: str, payload: bytes) -> Answer:
         self.asked.append((verb, payload))
         if verb == "wait":
             assert self.go_on.wait(TIMEOUT_S)
+        if fault := self.faults.get(verb):
+            return Answer(False, json.dumps({"ok": False, "error": fault}).encode())
         return Answer(True, json.dumps({"ok": True, "verb": verb}).encode())
 
 
