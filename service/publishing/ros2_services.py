@@ -127,11 +127,12 @@ class Ros2Services:
         return encode_response(TRIGGER, success=True, message=answer.body.decode())
 
     def _load_map(self, payload: bytes) -> bytes:
-        name = _map_named(read_request(LOAD_MAP, payload).map_url)
+        name = self._map_named(read_request(LOAD_MAP, payload).map_url)
         answer = self._command("load_map", json.dumps({"map": name}).encode())
         if answer.ok:
             return _map_response(self._present_map(), SUCCESS)
-        is_there = self._map_folder is not None and (self._map_folder / name).exists()
+        is_name = "/" not in name  # of another path it is not told whether it is there
+        is_there = is_name and self._map_folder is not None and (self._map_folder / name).exists()
         result = UNDEFINED_FAILURE if is_there else MAP_DOES_NOT_EXIST
         return self._refusal("load_map", lambda _: _map_response(None, result), _error(answer))
 
@@ -142,11 +143,24 @@ class Ros2Services:
                 f"a map of format {request.image_format!r} and mode {request.map_mode!r}; maps are stored as "
                 "'pgm' and 'trinary', and corridor export makes other formats of them"
             )
-        name = _map_named(request.map_url)
+        name = self._map_named(request.map_url)
         answer = self._command("save_map", json.dumps({"name": name} if name else {}).encode())
         if not answer.ok:
             raise CommandError(_error(answer))
         return encode_response(SAVE_MAP, result=True)
+
+    def _map_named(self, url: str) -> str:
+        """A stored map as the commands name it; the path of one in map.directory counts as its name.
+
+        Raises InputError.
+        """
+        scheme, separator, rest = url.rpartition("://")
+        if separator and scheme != "file":
+            raise InputError(
+                f"map_url {url!r}: expected a name, or file:// and the path of a map in map.directory"
+            )
+        path = Path(rest).parent if Path(rest).name == "map.yaml" else Path(rest)
+        return path.name if separator and path.parent == self._map_folder else rest
 
 
 def _error(answer: Answer) -> str:
@@ -162,11 +176,3 @@ def _map_response(present: Message | None, result: int) -> bytes:
     """To load_map; without a map an empty one."""
     grid = present or encode_grid(Grid(0, 1.0, 0.0, 0.0, np.empty((0, 0), np.int8)), 0, 0)
     return encode_response(LOAD_MAP, map=read(OCCUPANCY_GRID, grid.payload), result=result)
-
-
-def _map_named(url: str) -> str:
-    """A stored map as the commands name it: below map.directory, or a whole path. Raises InputError."""
-    scheme, separator, rest = url.rpartition("://")
-    if separator and scheme != "file":
-        raise InputError(f"map_url {url!r}: expected a name below map.directory, or file:///path/of/the/map")
-    return str(Path(rest).parent) if Path(rest).name == "map.yaml" else rest

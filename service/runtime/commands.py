@@ -77,10 +77,12 @@ def _check_map_name(name: str) -> str:
     return name
 
 
-def _check_path(path: str) -> str:
-    if "\0" in path:
+def _check_folder_name(name: str) -> str:
+    if "\0" in name:
         raise ValueError("holds a NUL, which no path does")
-    return path
+    if "/" in name or name in (".", ".."):
+        raise ValueError("is a path; write the name of a folder in map.directory, without a slash")
+    return name
 
 
 class SaveRequest(Request):
@@ -90,9 +92,9 @@ class SaveRequest(Request):
 
 
 class MapRequest(Request):
-    """A stored map: a name below map.directory or a whole path; version: left out, the current one."""
+    """A stored map: the name of its folder in map.directory; version: left out, the current one."""
 
-    map: Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_check_path)]
+    map: Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_check_folder_name)]
     version: Annotated[int, Field(ge=1)] | None = None
 
 

@@ -357,7 +357,7 @@ class Service:
         Raises CommandError.
         """
         try:
-            path = os.path.realpath(self._config.sinks["map"].directory / name)  # an absolute name is itself
+            path = os.path.realpath(self._config.sinks["map"].directory / name)
             return Path(path), stored_for(Path(path), self._present.config, version).number
         except CorridorError as error:
             raise CommandError(str(error)) from error

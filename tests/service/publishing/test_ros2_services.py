@@ -125,11 +125,16 @@ def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session,
     ("url", "name"),
     [
         ("office", "office"),
-        ("file:///srv/maps/office", "/srv/maps/office"),
-        ("file:///srv/maps/office/map.yaml", "/srv/maps/office"),
+        ("file://{maps}/office", "office"),
+        ("file://{maps}/office/map.yaml", "office"),
+        ("file:///srv/office/map.yaml", "/srv/office/map.yaml"),  # which the command refuses
+        ("file://{maps}/../office", "{maps}/../office"),
     ],
 )
-def test_load_map_loads_by_name_or_file(session, asked, store, url, name):
+def test_load_map_takes_a_name_or_the_file_of_a_map_in_the_folder_of_maps(
+    session, asked, store, maps, url, name
+):
+    url, name = url.format(maps=maps), name.format(maps=maps)
     store.update([TileUpdate(0, 0, 0, 3, 0.05, np.full((64, 64), 3, np.int8))])
     response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
     assert asked.heard == [("load_map", json.dumps({"map": name}).encode())]
@@ -142,7 +147,8 @@ def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
 
 
 @pytest.mark.parametrize(
-    ("url", "result"), [("nowhere", 1), ("office", 255), ("package://nav2/maps/office.yaml", 255)]
+    ("url", "result"),
+    [("nowhere", 1), ("office", 255), ("package://nav2/maps/office.yaml", 255), ("/etc", 1), ("../..", 1)],
 )
 def test_load_map_says_whether_the_map_is_missing_or_wrong(
     session, topics, asked, monkeypatch, caplog, url, result

@@ -300,6 +300,9 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
     [
         ("load_map", {"map": "a\0b"}, "'map' holds a NUL"),
         ("load_map", {"map": "a" * 300}, "File name too long"),
+        ("load_map", {"map": "/srv/maps/office"}, "'map' is a path; write the name of a folder"),
+        ("load_map", {"map": "../office"}, "'map' is a path"),
+        ("load_map", {"map": ".."}, "'map' is a path"),
         (
             "set_pose",
             {"x_m": 100_001.0, "y_m": 0.0, "theta_rad": 0.0},
