@@ -32,6 +32,7 @@ _COMMANDS = {
     "doctor": ("service.cli.upkeep", "doctor"),
     "init": ("service.cli.upkeep", "init"),
     "install-unit": ("service.cli.upkeep", "install_unit"),
+    "security": ("service.cli.security", "security"),
     "warmup": ("service.cli.upkeep", "warmup"),
     "completion": ("service.cli.completion", "completion"),
     "man": ("service.cli.manual", "man"),

@@ -9,6 +9,7 @@ from service.cli.choices import PROFILES, WORLDS, OneOf
 from service.cli.map_arguments import add_maps
 from service.cli.map_names import map_and_version
 from service.cli.recordings import add_choice
+from service.cli.security import add_security
 from service.cli.version import ShowVersion
 from service.errors import UsageError
 
@@ -57,6 +58,7 @@ def new_parser() -> Parser:
     _add_recover(commands)
     _add_init(commands)
     _add_install_unit(commands)
+    add_security(commands, _add)
     _add(commands, "warmup", "compile the kernels and keep them in the cache")
     completion = _add(commands, "completion", "print the script by which a shell completes this command line")
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))

@@ -1,5 +1,6 @@
 """Settings of the Zenoh publisher."""
 
+import ipaddress
 import re
 from typing import Annotated, Literal
 
@@ -8,9 +9,12 @@ from pydantic import AfterValidator, Field, model_validator
 from drivers.rmw_zenoh import Distro, absolute_name
 from drivers.section import Section
 from drivers.wires import is_host
+from service.publishing.security import Security, SecurityConfig
 
-_EXAMPLE = 'write an endpoint as "tcp/127.0.0.1:7447" (tcp, udp, ws) or "unixsock-stream//path"'
-_ENDPOINT = re.compile(r"(tcp|udp|ws)/(\[[0-9A-Fa-f:.%\w]+\]|[A-Za-z0-9_.-]+):(\d{1,5})|unixsock-stream/\S+")
+_EXAMPLE = 'write an endpoint as "tcp/127.0.0.1:7447" (tcp, tls, udp, ws) or "unixsock-stream//path"'
+_ENDPOINT = re.compile(
+    r"(tcp|tls|udp|ws)/(\[[0-9A-Fa-f:.%\w]+\]|[A-Za-z0-9_.-]+):(\d{1,5})|unixsock-stream/\S+"
+)
 
 
 def _check_endpoint(endpoint: str) -> str:
@@ -22,7 +26,31 @@ def _check_endpoint(endpoint: str) -> str:
     return endpoint
 
 
+def _refuse_tls(endpoint: str) -> str:
+    if endpoint.startswith("tls/"):
+        raise ValueError(
+            "a sensor's router is reached without TLS; write that of this machine, tcp/127.0.0.1:7447"
+        )
+    return endpoint
+
+
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+PlainEndpoint = Annotated[Endpoint, AfterValidator(_refuse_tls)]
+
+
+def host_of(endpoint: str) -> str:
+    """Of an Endpoint, without brackets; "" of a socket file."""
+    found = _ENDPOINT.fullmatch(endpoint)
+    return (found[2] or "").strip("[]") if found is not None else ""
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether nothing of it leaves this machine."""
+    host = host_of(endpoint)
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host in ("", "localhost")
 
 
 class Ros2Config(Section):
@@ -44,6 +72,36 @@ class PublishingConfig(Section):
     # On, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages.
     shared_memory: bool = False
     ros2: Ros2Config = Ros2Config()
+    security: Security = SecurityConfig()
+
+    @property
+    def secured(self) -> SecurityConfig | None:
+        """The settings of security where there is any."""
+        return self.security if self.security != "none" and self.security.is_on else None
+
+    @model_validator(mode="after")
+    def _refuse_strangers(self) -> "PublishingConfig":
+        has_tls = self.secured is not None and self.secured.tls is not None
+        for endpoint in (*self.listen, *self.connect):
+            if endpoint.startswith("tls/"):
+                if not has_tls:
+                    raise ValueError(
+                        f"{endpoint} needs security: {{tls: {{ca: ..., certificate: ..., key: ...}}}}; "
+                        "`corridor security init` makes the files"
+                    )
+            elif not is_local(endpoint) and self.security != "none":
+                raise ValueError(
+                    f"{endpoint} is open to the network without security; write tls/ and "
+                    "security: {tls: ...}, for which `corridor security init` makes the files, "
+                    "or security: none where each machine on the network may command the vehicle"
+                )
+        users = self.secured.users if self.secured is not None else None
+        if users is not None and users.name is None and self.connect:
+            raise ValueError(
+                "connect names a router, and security.users no name; write the user by which this service "
+                "connects there, name: veh1, say"
+            )
+        return self
 
     @model_validator(mode="after")
     def _refuse_no_router(self) -> "PublishingConfig":

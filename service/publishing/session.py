@@ -1,7 +1,9 @@
 """Opens the Zenoh session; a failure gets a reason."""
 
 import json
+import os
 import re
+import socket
 from pathlib import Path
 
 import zenoh
@@ -9,9 +11,17 @@ import zenoh
 from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
+from service.publishing.keys import ROOT
+from service.publishing.security import access_control, link_settings
 
 # Batches a link and priority. With Zenoh's own 2 a burst of scan, pose, odom and tf loses one now and then.
 QUEUE_SIZE = 16
+# Together with the page's connections fewer than the 1024 files that a process may open.
+MAX_SESSIONS = 200
+MAX_UNKNOWN = 400  # connections that have not said who they are, for 10 s each
+MAX_MESSAGE_BYTES = 64 << 20
+MAX_COMMAND_BYTES = 1 << 20  # of which `commands` reads less, and says so
+_SILENT_S = 600  # the kernel keeps a connection so long to itself until something is sent
 _LISTENING = "0A"  # state in /proc/net/tcp
 
 
@@ -33,15 +43,53 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         "timestamping/enabled": True,
         "transport/shared_memory/enabled": config.shared_memory,
         "adminspace/enabled": _has_free_choice(config),  # read by listened_at only
+        "transport/unicast/max_sessions": MAX_SESSIONS,
+        "transport/unicast/accept_pending": MAX_UNKNOWN,
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+        "low_pass_filter": [
+            {
+                "messages": ["query"],
+                "flows": ["ingress"],
+                "key_exprs": [f"{ROOT}/*/cmd/**"],
+                "size_limit": MAX_COMMAND_BYTES,
+            }
+        ],
         "transport/link/tx/queue/size/data_high": QUEUE_SIZE,
         "transport/link/tx/queue/size/data": QUEUE_SIZE,
         "transport/link/tx/queue/size/data_low": QUEUE_SIZE,
     }
+    if config.secured is not None:
+        domain = config.ros2.domain if config.ros2.enabled else None
+        settings |= link_settings(config.secured)
+        settings["access_control"] = access_control(config.secured, domain)
     try:
-        return zenoh.open(zenoh_config(settings))
+        session = zenoh.open(zenoh_config(settings))
     except zenoh.ZError as error:
         text = re.sub(r" at /\S+?:\d+\.?", "", str(error))  # where in Zenoh's own source
         raise StorageError(_explain(text, config)) from error
+    _keep_silent_connections_out(session, config)
+    return session
+
+
+def _keep_silent_connections_out(session: zenoh.Session, config: PublishingConfig) -> None:
+    """Zenoh waits 10 s for what a connection sends first, for some hundred at once; by TLS it then takes in
+    nobody for 0.1 s each. A client speaks first: the kernel can keep a connection to itself until it has.
+    """
+    found = [re.search(r":(\d+)$", place) for place in listened_at(session, config)]
+    ports = {int(port[1]) for port in found if port is not None}
+    for descriptor in Path("/proc/self/fd").iterdir():
+        try:
+            if not str(descriptor.readlink()).startswith("socket:"):
+                continue
+            with socket.socket(fileno=os.dup(int(descriptor.name))) as door:
+                if (
+                    door.family in (socket.AF_INET, socket.AF_INET6)
+                    and door.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+                    and door.getsockname()[1] in ports
+                ):
+                    door.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_S)
+        except OSError:
+            continue  # closed meanwhile
 
 
 def listened_at(session: zenoh.Session, config: PublishingConfig) -> list[str]:
@@ -60,7 +108,7 @@ def _has_free_choice(config: PublishingConfig) -> bool:
 
 
 def _explain(error: str, config: PublishingConfig) -> str:
-    found = re.search(r"(tcp|udp|ws)/\S*?:(\d+)(?=[\s:\]])", error)
+    found = re.search(r"(tcp|tls|udp|ws)/\S*?:(\d+)(?=[\s:\]])", error)
     where = found[0] if found else ", ".join(config.listen)
     if "os error 98" in error:
         owner = _owner_of_port(int(found[2])) if found else ""
@@ -71,7 +119,7 @@ def _explain(error: str, config: PublishingConfig) -> str:
     if "os error 99" in error:
         return (
             f"Zenoh cannot listen at {where}: this machine has no such address (yet); "
-            "change publishing.listen, tcp/[::]:7447 takes every address"
+            "change publishing.listen; the host [::] takes every address"
         )
     return f"Zenoh does not open with publishing.listen [{', '.join(config.listen)}]: {error}"
 

@@ -41,6 +41,7 @@ from service.publishing.shared import GridSource, SharedZenoh
 
 TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not each step on the way
 PICTURE_PERIOD_S = 1.0
+MAX_VERSION_DIGITS = 19  # of a version, which has 63 bits in an attachment
 
 POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would cost them its wake-up
 STATES = ("tf_static", "health", "graph", CHANGES)  # newest counts; cached for late joiners
@@ -277,8 +278,9 @@ class ZenohPublisher:
 
     def _answer_tiles(self, query: zenoh.Query) -> None:
         since = query.parameters.get("since", "0") or ""
-        if not (since.isascii() and since.isdigit()):
-            query.reply_err(f'since={since}: expected a version, as in "map/tile/**?since=0"'.encode())
+        if not (since.isascii() and since.isdigit() and len(since) <= MAX_VERSION_DIGITS):
+            shown = since[:MAX_VERSION_DIGITS]
+            query.reply_err(f'since={shown}: expected a version, as in "map/tile/**?since=0"'.encode())
             return
         for tile in self._map.since(int(since)):
             key = vehicle_key(self._vehicle, tile_channel(tile))

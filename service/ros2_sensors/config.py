@@ -8,7 +8,7 @@ from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.rmw_zenoh import absolute_name
 from drivers.section import Section
-from service.publishing.config import Endpoint
+from service.publishing.config import PlainEndpoint
 
 
 def _check_topic(topic: str) -> str:
@@ -22,7 +22,7 @@ class Ros2SensorConfig(Section):
 
     name: str = Field(min_length=1)
     topic: Annotated[str, AfterValidator(_check_topic)]
-    router: Endpoint = "tcp/127.0.0.1:7447"  # this service, or rmw_zenohd
+    router: PlainEndpoint = "tcp/127.0.0.1:7447"  # this service, or rmw_zenohd
     domain: int = Field(default=0, ge=0, le=232)  # ROS_DOMAIN_ID of the node
     latency_ms: LatencyMs = 0.0  # shortest delay from measurement to arrival, from calibration
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a message: subscribe again

@@ -35,7 +35,7 @@ def look_at_zenoh(machine: Machine, config: ServiceConfig) -> tuple[list[Finding
     """A finding for each place to listen at, and the running service that holds one."""
     found, service = [], None
     for endpoint in config.sinks["publishing"].listen:
-        parts = re.fullmatch(r"(tcp|udp|ws)/\[?([^\]]+?)\]?:(\d+)", endpoint)
+        parts = re.fullmatch(r"(tcp|tls|udp|ws)/\[?([^\]]+?)\]?:(\d+)", endpoint)
         if parts is None:
             found.append(ok("zenoh", f"{endpoint} is not tried"))
             continue

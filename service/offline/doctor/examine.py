@@ -9,6 +9,7 @@ from service.config import ServiceConfig, load_config
 from service.errors import ConfigError
 from service.offline.doctor import endpoints, folders, host
 from service.offline.doctor.cache import look_at_cache
+from service.offline.doctor.certificates import look_at_certificates
 from service.offline.doctor.devices import Patience, examine_sensor, look_at_shared
 from service.offline.doctor.findings import Finding, Report, fault, ok
 from service.offline.doctor.machine import Machine
@@ -52,13 +53,14 @@ def _with_config(
     kinds = ", ".join(f"{name} ({sensor.type})" for name, sensor in config.sensors.items())
     zenoh, running = endpoints.look_at_zenoh(machine, config)
     if running is not None:
-        statuses = ask_health(running, config.vehicle)
+        statuses = ask_health(running, config.vehicle, config.sinks["publishing"].secured)
         devices = from_health(running, config.vehicle, list(config.sensors), statuses)
     else:
         devices = _devices(machine, config, patience)
     return (
         ok("config", f"{path} is valid: vehicle {config.vehicle} with {kinds}"),
         *zenoh,
+        *look_at_certificates(machine, config),
         *endpoints.look_at_pages(machine, config, running),
         *look_at_shared(machine, config.sensors),
         *devices,

@@ -1,18 +1,21 @@
 """The service runs already: then its devices are its own, and it is asked for their state instead."""
 
 import queue
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import zenoh
 
 from drivers.zenoh_callback import daemon_callback
 from drivers.zenoh_config import zenoh_config
 from service.encoding import Status, decode_diagnostics
-from service.errors import InputError
+from service.errors import InputError, StorageError
 from service.offline.doctor.findings import Finding, Severity, fault, note
 from service.offline.doctor.processes import Process
 from service.publishing.keys import vehicle_key
+from service.publishing.security import SecurityConfig, link_settings
 
 HEALTH_WAIT_S = 3.0  # it comes each second
 _SEVERITIES: Mapping[int, Severity] = {0: "ok", 1: "note"}
@@ -25,19 +28,30 @@ class RunningService:
     endpoint: str  # of Zenoh, where it listens
 
 
-def ask_health(running: RunningService, vehicle: str, wait_s: float = HEALTH_WAIT_S) -> list[Status]:
-    """The newest health message of this vehicle's service; empty where none comes in time."""
-    settings = {
+def ask_health(
+    running: RunningService,
+    vehicle: str,
+    security: SecurityConfig | None = None,
+    wait_s: float = HEALTH_WAIT_S,
+) -> list[Status]:
+    """The newest health message of this vehicle's service; empty where none comes in time.
+
+    security   by whose files it connects
+    """
+    endpoint = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", running.endpoint)  # as a certificate has it
+    settings: dict[str, Any] = {
         "mode": "client",
-        "connect/endpoints": [running.endpoint],
+        "connect/endpoints": [endpoint],
         "connect/timeout_ms": round(wait_s * 1e3),
     }
     heard: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     try:
+        if security is not None:
+            settings |= link_settings(security)
         with zenoh.open(zenoh_config(settings)) as session:
             session.declare_subscriber(vehicle_key(vehicle, "health"), daemon_callback(heard.put, "health"))
             return decode_diagnostics(heard.get(timeout=wait_s).payload.to_bytes())
-    except (zenoh.ZError, queue.Empty, InputError):
+    except (zenoh.ZError, queue.Empty, InputError, StorageError):
         return []
 
 

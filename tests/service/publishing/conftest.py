@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -14,6 +15,7 @@ from service.publishing.zenoh_publisher import ZenohPublisher
 
 ANY_PORT = PublishingConfig(listen=("tcp/127.0.0.1:0",))
 TIMEOUT_S = 30.0
+HOSTS = ("localhost", "127.0.0.1")
 
 
 class Inbox:
@@ -98,3 +100,46 @@ def open_client(open_session) -> Callable[[str], zenoh.Session]:
 @pytest.fixture
 def client(publisher, open_client) -> zenoh.Session:
     return open_client(publisher.endpoints[0])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """Certificates by name, those of another site in `other`, and a file of users."""
+    pytest.importorskip("cryptography", reason="certificates are made with it: make venv")
+    from service.offline.security.authority import Holder, init_site
+
+    folder = tmp_path_factory.mktemp("site")
+    names = {"veh1": "vehicle", "veh2": "vehicle", "operator": "operator", "viewer": "viewer"}
+    init_site(folder, [Holder(name, role, HOSTS) for name, role in names.items()], days=30)
+    init_site(folder / "other", [Holder("operator", "operator", HOSTS)], days=30)
+    (folder / "users").write_text("viewer:v1\noperator:o1\nidle:i1\n")
+    (folder / "users").chmod(0o600)
+    return folder
+
+
+def tls(site: Path, name: str) -> dict[str, str]:
+    return {"ca": str(site / "ca.pem"), "certificate": f"{site}/{name}.pem", "key": f"{site}/{name}.key"}
+
+
+@pytest.fixture
+def client_of(site, open_session) -> Callable[..., zenoh.Session]:
+    """A client with the certificate of a name, or with none."""
+
+    def open_one(endpoint: str, name: str = "", folder: Path = site, timeout_ms=20_000) -> zenoh.Session:
+        settings = {"root_ca_certificate": str(site / "ca.pem")}
+        if name:
+            files = tls(folder, name)
+            settings |= {"connect_certificate": files["certificate"], "connect_private_key": files["key"]}
+            settings |= {"enable_mtls": True}
+        return open_session(
+            zenoh_config(
+                {
+                    "mode": "client",
+                    "connect/endpoints": [endpoint],
+                    "connect/timeout_ms": timeout_ms,
+                    "transport/link/tls": settings,
+                }
+            )
+        )
+
+    return open_one

@@ -300,7 +300,7 @@ def test_a_taken_port_is_refused_with_who_has_it(publisher, open_publisher):
 
 def test_an_address_of_another_machine_is_refused_in_words(open_publisher):
     with pytest.raises(StorageError, match=r"192\.0\.2\.1:7447: this machine has no such address"):
-        open_publisher(PublishingConfig(listen=("tcp/192.0.2.1:7447",)))
+        open_publisher(PublishingConfig(listen=("tcp/192.0.2.1:7447",), security="none"))
 
 
 def test_the_port_is_free_and_the_threads_are_gone_after_close(open_publisher, open_client):

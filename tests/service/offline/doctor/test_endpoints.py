@@ -21,7 +21,7 @@ map: {directory: m}
 
 
 def look(machine: Machine, endpoint: str) -> tuple[Finding, RunningService | None]:
-    config = parse_config(f'{CONFIG}publishing: {{listen: ["{endpoint}"]}}\n', "v.yaml")
+    config = parse_config(f'{CONFIG}publishing: {{listen: ["{endpoint}"], security: none}}\n', "v.yaml")
     (finding,), running = look_at_zenoh(machine, config)
     return finding, running
 

@@ -47,7 +47,7 @@ def test_health_is_read_from_zenoh(publisher: ZenohPublisher):
     (endpoint,) = publisher.endpoints
     running = RunningService(PROCESS, endpoint)
     with ThreadPoolExecutor(1) as worker:
-        asked = worker.submit(ask_health, running, "veh1", 5.0)
+        asked = worker.submit(ask_health, running, "veh1", None, 5.0)
         for number in range(100):  # as the service does each second
             publisher.put(encode_diagnostics("health", STATUSES, number, number))
             if wait([asked], timeout=0.1).done:
@@ -56,4 +56,4 @@ def test_health_is_read_from_zenoh(publisher: ZenohPublisher):
 
 
 def test_nobody_at_the_endpoint_ends_in_time(closed_port: int):
-    assert ask_health(RunningService(PROCESS, f"tcp/127.0.0.1:{closed_port}"), "veh1", 0.3) == []
+    assert ask_health(RunningService(PROCESS, f"tcp/127.0.0.1:{closed_port}"), "veh1", None, 0.3) == []

@@ -1,0 +1,203 @@
+"""Who may connect to Zenoh, and what each may do there: settings, and the rules that Zenoh keeps.
+
+A name is the common name of a certificate, or that of a user. Its role decides: a viewer reads, an operator
+commands besides, a vehicle publishes below its own name. Whoever has no role may nothing.
+"""
+
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from drivers.section import Section
+from service.errors import StorageError, words_of
+from service.publishing.keys import ROOT
+
+LOCAL_PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")  # a config has these on this machine alone
+MAX_PASSWORDS_BYTES = 1_000_000
+
+_READ = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
+_WRITE = ("put", "delete", "reply", "declare_queryable", "liveliness_token")
+_ALL = (*_READ, *_WRITE)
+
+# Not one that ends another key: it stands between slashes, and Zenoh's file of users divides at the colon.
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.@-]*$", max_length=64)]
+Rule = dict[str, Any]
+
+
+class TlsConfig(Section):
+    """PEM files. Without `users`, who connects shows a certificate of the same authority."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+class UsersConfig(Section):
+    """file: lines name:password; name: the one of them by which this service connects to other routers."""
+
+    file: Path
+    name: Name | None = None
+
+
+class RolesConfig(Section):
+    """Names of each role."""
+
+    viewer: tuple[Name, ...] = ("viewer",)
+    operator: tuple[Name, ...] = ("operator",)
+    vehicle: tuple[Name, ...] = ()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """All that have a role."""
+        return frozenset((*self.viewer, *self.operator, *self.vehicle))
+
+    @model_validator(mode="after")
+    def _one_role_each(self) -> "RolesConfig":
+        names = [*self.viewer, *self.operator, *self.vehicle]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"{twice[0]} has two roles; list each name once")
+        return self
+
+
+class SecurityConfig(Section):
+    """Neither tls nor users: none is asked for, as where the section is left out."""
+
+    tls: TlsConfig | None = None
+    users: UsersConfig | None = None
+    roles: RolesConfig = RolesConfig()
+
+    @property
+    def is_on(self) -> bool:
+        return self.tls is not None or self.users is not None
+
+
+# "none": in words, that strangers may connect from other machines, too.
+Security = Annotated[
+    Annotated[SecurityConfig, Tag("settings")] | Annotated[Literal["none"], Tag("none")],
+    Discriminator(lambda given: "none" if isinstance(given, str) else "settings"),
+]
+
+
+def link_settings(security: SecurityConfig) -> dict[str, Any]:
+    """Settings of a Zenoh session by which it shows who it is, and sees who others are, by path.
+
+    Raises StorageError where a file cannot be read, or others may read it.
+    """
+    settings: dict[str, Any] = {}
+    if (tls := security.tls) is not None:
+        _check_private(tls.key, "the key")
+        settings["transport/link/tls"] = {
+            "root_ca_certificate": str(tls.ca),
+            **{f"{way}_certificate": str(tls.certificate) for way in ("listen", "connect")},
+            **{f"{way}_private_key": str(tls.key) for way in ("listen", "connect")},
+            "enable_mtls": security.users is None,
+            "verify_name_on_connect": True,
+        }
+    if (users := security.users) is not None:
+        _check_private(users.file, "passwords")
+        settings["transport/auth/usrpwd"] = {"dictionary_file": str(users.file)}
+        if users.name is not None:
+            settings["transport/auth/usrpwd"] |= {
+                "user": users.name,
+                "password": _password(users.file, users.name),
+            }
+    return settings
+
+
+def access_control(security: SecurityConfig, ros2_domain: int | None) -> dict[str, Any]:
+    """Zenoh's section of that name; ros2_domain: None where there are no topics of ROS 2."""
+    native = _with_caches(f"{ROOT}/**")
+    topics, tokens = [], []
+    if ros2_domain is not None:
+        topics, tokens = _with_caches(f"{ros2_domain}/**"), [f"@ros2_lv/{ros2_domain}/**"]
+    rules: list[Rule] = [
+        _rule("send", _ALL, [*native, *topics, *tokens], flow="egress"),
+        _rule("read", _READ, native),
+        _rule("view", ("query",), [f"{ROOT}/*/cmd/**"], permission="deny"),
+        _rule("command", ("put",), [f"{ROOT}/*/initialpose"]),
+    ]
+    of_role = {"viewer": ["send", "read", "view"], "operator": ["send", "read", "command"]}
+    if topics:
+        rules += [
+            _rule("read-topics", [one for one in _READ if one != "query"], [*topics, *tokens]),
+            _rule("read-late", ("query",), topics[1:]),
+            _rule("call", ("query",), topics),
+            _rule("set-pose", ("put",), [f"{ros2_domain}/**/initialpose/**"]),
+            _rule("join", ("liveliness_token",), tokens),
+            _rule("publish-topics", _ALL, [*topics, *tokens]),
+        ]
+        of_role["viewer"] += ["read-topics", "read-late"]
+        of_role["operator"] += ["read-topics", "call", "set-pose", "join"]
+    subjects, policies = [], []
+
+    def allow(who: str, names: Sequence[str], allowed: list[str]) -> None:
+        """By user where there are users; by certificate that of a router to which this service connects."""
+        kinds = {"usernames": security.users is not None, "cert_common_names": security.tls is not None}
+        for kind in (kind for kind, is_used in kinds.items() if is_used and names):
+            subjects.append({"id": f"{who}-{kind}", kind: list(names)})
+            policies.append({"rules": allowed, "subjects": [f"{who}-{kind}"]})
+
+    for role, allowed in of_role.items():
+        allow(role, getattr(security.roles, role), allowed)
+    for name in security.roles.vehicle:
+        rules.append(_rule(f"publish-{name}", _ALL, _with_caches(f"{ROOT}/{name}/**")))
+        allowed = [*of_role["viewer"][:2], f"publish-{name}", *(["publish-topics"] if topics else [])]
+        allow(f"vehicle-{name}", (name,), allowed)
+    if security.users is None:  # a program of this machine needs nothing, as without security
+        everything = [*_with_caches("**"), "@ros2_lv/**", "@/**"]
+        rules += [_rule(f"local-{flow}", _ALL, everything, flow=flow) for flow in ("ingress", "egress")]
+        subjects.append({"id": "local", "link_protocols": list(LOCAL_PROTOCOLS)})
+        policies.append({"rules": ["local-ingress", "local-egress"], "subjects": ["local"]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _with_caches(keys: str) -> list[str]:
+    """And those by which an advanced subscriber asks for what it has missed: ** stands for no @adv."""
+    return [keys, f"{keys}/@adv/**"]
+
+
+def _rule(
+    name: str, messages: Sequence[str], keys: list[str], flow: str = "ingress", permission: str = "allow"
+) -> Rule:
+    return {
+        "id": name,
+        "permission": permission,
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": keys,
+    }
+
+
+def _check_private(path: Path, what: str) -> None:
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError as error:
+        raise StorageError(
+            f"{path}: {what} of publishing.security cannot be read: {words_of(error)}"
+        ) from error
+    if mode & 0o077:
+        raise StorageError(f"{path}: others may read {what} (mode {mode:04o}); chmod 600 {path}")
+
+
+def _password(path: Path, name: str) -> str:
+    try:
+        with path.open(encoding="utf-8") as file:
+            lines = file.read(MAX_PASSWORDS_BYTES).splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise StorageError(
+            f"{path}: passwords of publishing.security cannot be read: {words_of(error)}"
+        ) from error
+    for line in lines:
+        user, separator, password = line.partition(":")
+        if separator and user == name:
+            return password
+    raise StorageError(f"{path}: no line {name}:<password>, and publishing.security.users.name is {name}")
