@@ -8,7 +8,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
-VENV_MB := 1100
+VENV_MB := 1600
 AXE := build/node_modules/axe-core/axe.min.js
 export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.

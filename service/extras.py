@@ -3,9 +3,23 @@
 import re
 import shlex
 import sys
+from importlib import import_module
 from importlib.metadata import requires
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+
+from service.errors import CorridorError
+
+
+def optional(module: str, extra: str, what: str) -> Any:
+    """A module of an extra, which `what` needs. Raises CorridorError where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise CorridorError(
+            f"{what} needs {module.partition('.')[0]}, which is not installed: {install_command(extra)}"
+        ) from error
 
 
 def install_command(extra: str) -> str:

@@ -6,13 +6,15 @@ user's cache folder; so does this, before numba is imported.
 """
 
 import atexit
+import fcntl
 import hashlib
 import logging
 import os
 import shutil
 import sys
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -23,6 +25,7 @@ log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parent / "kernels"
 DIGEST_NAME = "corridor-kernels.sha256"
+LOCK_NAME = "corridor-kernels.lock"
 WARM_NAME = "corridor-kernels.warm"  # written when the kernels of all profiles are in the cache
 
 
@@ -96,6 +99,20 @@ def is_warm(place: Path | None = None) -> bool:
         return ((place or _place()) / WARM_NAME).read_text(encoding="utf-8") == _compiled_for()
     except OSError:
         return False
+
+
+@contextmanager
+def compiling_alone() -> Iterator[None]:
+    """One process at a time of those that share the cache, so that each kernel is compiled once; all at once
+    where nothing is left to compile.
+    """
+    place = _place()
+    if is_warm(place) or not _is_writable(place):
+        yield
+        return
+    with (place / LOCK_NAME).open("w", encoding="ascii") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def cache_key() -> str:

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import current_process, get_context
 from multiprocessing.connection import Connection
 from types import ModuleType
 from typing import Any
@@ -24,7 +24,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 
 from service.interruption import children_do_not_hear, end_with_parent
-from service.kernel_cache import forget_kernels
+from service.kernel_cache import compiling_alone, forget_kernels
 from service.kernel_compiler import load_compiler
 from service.mapper.profiles import MappingConfig, mapping_config, seldom_steps, warm_up_steps
 
@@ -118,7 +118,8 @@ def warm_up_once(config: MappingConfig, progress: KernelProgress) -> None:
     than a short recording takes to be mapped.
     """
     if (known := config.model_dump_json()) not in _loaded:
-        warm_up(config, progress=progress)
+        with compiling_alone():
+            warm_up(config, progress=progress)
         _loaded.add(known)
 
 
@@ -304,7 +305,7 @@ class _Helper:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        if not self._pieces.left:
+        if not self._pieces.left or current_process().daemon:  # a daemon of multiprocessing has no children
             return
         context = get_context("spawn")  # a forked child would inherit locks that it does not have
         ours, theirs = context.Pipe()

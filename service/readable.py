@@ -3,11 +3,15 @@
 import os
 from pathlib import Path
 
+from service.archive import is_remote, refuse_unreachable
 from service.errors import InputError
 
 
 def refuse_unreadable(path: Path) -> None:
     """Raises InputError where `path` is not there, or is a folder that may not be looked into."""
+    if is_remote(path):
+        refuse_unreachable(path)
+        return
     try:
         path.stat()
         if path.is_dir():

@@ -10,7 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("service", "drivers", "simulators")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-NAMES = {"rerun": "rerun-sdk"}  # of distributions that need not be installed here
+NAMES = {
+    "rerun": "rerun-sdk",
+    "upath": "universal-pathlib",
+}  # of distributions that need not be installed here
 FOR_DEVELOPMENT = "dev"  # the extra that the packages themselves may not need
 
 

@@ -118,7 +118,7 @@ def _add_replay(commands: Any) -> None:
     replay = _add(
         commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
     )
-    replay.add_argument("files", type=Path, nargs="+", metavar="FILE", help=RECORDINGS)
+    replay.add_argument("files", nargs="+", metavar="FILE", help=f"{RECORDINGS}; a path or a URL")
     _add_profile(replay, "map with this profile instead of the recorded one")
     replay.add_argument(
         "--config",
@@ -129,9 +129,8 @@ def _add_replay(commands: Any) -> None:
     )
     replay.add_argument(
         "--out",
-        type=Path,
         metavar="DIR",
-        help="trajectories, map and summary go here (several files: a folder each); "
+        help="trajectories, map and summary go here, to a folder or a URL (several files: a folder each); "
         "default: out/replay_<name>",
     )
     replay.add_argument(
@@ -154,12 +153,11 @@ def _add_replay(commands: Any) -> None:
         action="store_true",
         help="run the recorded bytes (/<sensor>/raw) through the drivers again and map what comes out",
     )
+    _add_engine(replay)
     replay.add_argument(
-        "--jobs",
-        type=_positive_int,
-        default=1,
-        metavar="N",
-        help="so many files at the same time (default: 1)",
+        "--again",
+        action="store_true",
+        help="with --jobs or --cluster: replay, too, what is done already with the same input and config",
     )
     replay.add_argument(
         "--web",
@@ -360,6 +358,22 @@ def _add_config(parser: argparse.ArgumentParser) -> Any:
         "--config", type=Path, dest="config_option", metavar="CONFIG.yaml", help=argparse.SUPPRESS
     )
     return given
+
+
+def _add_engine(parser: argparse.ArgumentParser) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs",
+        type=_positive_int,
+        metavar="N",
+        help="so many sessions at the same time, each in a process of this machine",
+    )
+    where.add_argument(
+        "--cluster",
+        metavar="WHERE",
+        help="each session as a task of Dask (extra cluster): local:N, slurm:N or the address of a "
+        "scheduler, tcp://HOST:8786",
+    )
 
 
 def _add_listen(parser: argparse.ArgumentParser) -> None:

@@ -86,19 +86,22 @@ class Progress:
         self._lock = threading.Lock()
         self._is_line_open = self._has_begun = False
         self._share: float | None = None
+        self._note = ""
         self._phase_began_s = monotonic_s()
         self._written_s = -math.inf
         self._plain_steps: dict[str, int] = {}  # told so far, by phase
 
-    def __call__(self, share: float | None, phase: str = "") -> None:
+    def __call__(self, share: float | None, phase: str = "", note: str = "") -> None:
         """share    of the phase, 0 to 1; None: not known
         phase    left out: that of before
+        note     stands behind the share, in the place of rate and time left
         """
         with self._lock:
             if is_new := phase not in ("", self._phase):
                 self._leave_line()
                 self._phase, self._phase_began_s, self._written_s = phase, self._monotonic_s(), -math.inf
             self._has_begun = True
+            self._note = note
             self._share = None if share is None else min(max(share, 0.0), 1.0)
             if self._terminal:
                 if is_new or self._share == 1.0 or self._quiet_s() >= REDRAW_S:
@@ -108,7 +111,7 @@ class Progress:
                     self._write(f"{self._phase} ...\n")
             elif (step := math.floor(self._share * PLAIN_STEPS + 1e-9)) > self._plain_steps.get(phase, 0):
                 self._plain_steps[phase] = step
-                self._write(f"{self._phase}: {step / PLAIN_STEPS:.0%}\n")
+                self._write(f"{self._phase}: {step / PLAIN_STEPS:.0%}{note}\n")
 
     def still_at_work(self) -> None:
         """Show since when the phase lasts, where nothing was written for SILENCE_S."""
@@ -126,8 +129,8 @@ class Progress:
         if self._share is None:
             return f"{self._phase} ..."
         if not self._terminal:
-            return f"{self._phase}: {self._share:.0%}"
-        return f"{self._phase} {bar(self._share)}{self._pace()}"
+            return f"{self._phase}: {self._share:.0%}{self._note}"
+        return f"{self._phase} {bar(self._share)}{self._note or self._pace()}"
 
     def _pace(self) -> str:
         """Rate of the phase so far and the time that the rest takes at it, once some seconds show it."""

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from service.archive import path_or_url
 from service.cli.console import print_report, print_result, print_table, progress
 from service.cli.recordings import choice_of
 from service.errors import CorridorError, UsageError
@@ -17,6 +18,8 @@ from service.kernel_cache import ensure_cache_dir
 from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
+    from service.offline.cluster.engines import Engine
+    from service.offline.cluster.tasks import Task
     from service.offline.past.recording_view import RecordingView
     from service.offline.past.replay_page import ReplayPage
     from service.offline.past.view import View
@@ -27,7 +30,8 @@ log = logging.getLogger(__name__)
 
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.offline.replay.replay import group_sessions, replay_all, result_folders
+    from service.offline.cluster.tasks import new_tasks
+    from service.offline.replay.replay import DEFAULT_OUT, group_sessions, replay_all, result_folders
     from service.offline.replay.setup import ReplayOptions, refuse_contradictions
 
     folder, version = parsed.map or (None, None)
@@ -42,13 +46,23 @@ def replay(parsed: argparse.Namespace) -> int:
         from_raw=parsed.from_raw,
     )
     refuse_contradictions(options)
-    sessions = group_sessions(parsed.files)
-    folders = result_folders(sessions, parsed.out)
-    if parsed.out is None:
+    sessions = group_sessions([path_or_url(one) for one in parsed.files])
+    out = None if parsed.out is None else path_or_url(parsed.out)
+    folders = result_folders(sessions, out)
+    if out is None:
         print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
+    if parsed.jobs is not None or parsed.cluster is not None:
+        if parsed.web or parsed.paused:
+            raise UsageError("--web shows one recording after the other; leave --jobs and --cluster out")
+        tasks = new_tasks(sessions, options, folders, parsed.extras, parsed.again)
+        outcomes = _replay_batch(parsed, tasks, out or DEFAULT_OUT)
+        _tell_outcomes([str(session[0]) for session in sessions], outcomes, folders, parsed.json)
+        return next((one.exit_code for one in outcomes if isinstance(one, CorridorError)), 0)
+    if parsed.again:
+        raise UsageError("--again: without --jobs or --cluster everything is replayed again anyway")
     with _page_of(parsed, sessions) as page:
         with progress("mapping") as shown:
-            outcomes = replay_all(sessions, options, folders, parsed.jobs, shown, page, parsed.extras)
+            outcomes = replay_all(sessions, options, folders, shown, page, parsed.extras)
         failed = [outcome for outcome in outcomes if isinstance(outcome, CorridorError)]
         if failed and len(sessions) == 1:
             raise failed[0]
@@ -60,6 +74,28 @@ def replay(parsed: argparse.Namespace) -> int:
                 print(f"{page.address} stays until Ctrl-C", file=sys.stderr, flush=True)
                 threading.Event().wait()
     return failed[0].exit_code if failed else 0
+
+
+def _replay_batch(parsed: argparse.Namespace, tasks: Sequence["Task"], out: Path) -> list["Outcome"]:
+    from service.offline.cluster.batch import run_batch, write_table
+
+    with engine_of(parsed) as engine, progress("mapping") as shown:
+        done = run_batch(tasks, engine, shown)
+    if (table := write_table(out, tasks, done)) is not None:
+        print(f"summaries of all sessions: {table}", file=sys.stderr)
+    return [one.outcome for one in done]
+
+
+@contextmanager
+def engine_of(parsed: argparse.Namespace) -> Iterator["Engine"]:
+    """Where tasks run, by --jobs and --cluster. Raises UsageError."""
+    from service.offline.cluster.engines import Cluster, Processes, in_turn
+
+    if parsed.cluster is not None:
+        with Cluster(parsed.cluster) as cluster:
+            yield cluster
+    else:
+        yield Processes(parsed.jobs) if (parsed.jobs or 1) > 1 else in_turn
 
 
 def _tell_outcomes(
@@ -100,8 +136,6 @@ def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> 
     from service.offline.past.replay_page import ReplayPage
     from service.recording.opening import name_of
 
-    if parsed.jobs > 1 and len(sessions) > 1:
-        raise UsageError("--web shows one recording after the other; leave --jobs out")
     _check_listen(parsed.listen)
     page = ReplayPage(parsed.listen, name_of(sessions[0][0]), parsed.rate, parsed.paused)
     try:

@@ -7,11 +7,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from service.archive import is_remote
 from service.errors import StorageError
 
 
 def refuse_unwritable_folder(folder: Path) -> None:
-    """Raises StorageError where `folder` cannot be made, or no file in it. Nothing is made here."""
+    """Raises StorageError where `folder` cannot be made, or no file in it. Nothing is made here.
+
+    Of a URL that shows only when it is written.
+    """
+    if is_remote(folder):
+        return
     nearest = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not nearest.is_dir():
         raise StorageError(f"cannot write to {folder}: {nearest} is no folder")

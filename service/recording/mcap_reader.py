@@ -15,9 +15,10 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
+from service.archive import open_binary
 from service.encoding import Message
 from service.encoding.ros_messages import FIELDDEFS
-from service.errors import InputError
+from service.errors import InputError, words_of
 from service.recording.ros1_messages import cdr_of_ros1, ros2_type
 from service.recording.unpacking import MCAP, Unpacked, plain
 
@@ -128,11 +129,11 @@ def _expand(paths: Sequence[Path | Unpacked]) -> list[Unpacked]:
 
 def _open(file: Unpacked) -> _File:
     try:
-        with file.path.open("rb") as stream:
+        with open_binary(file.path) as stream:
             _check_ends(file, stream)
             return _read_index(file, stream)
     except OSError as error:
-        raise InputError(f"cannot read {file.given}: {error.strerror}") from error
+        raise InputError(f"cannot read {file.given}: {words_of(error)}") from error
     except InputError:
         raise
     except Exception as error:  # a broken index may fail in any way inside the library
@@ -263,7 +264,7 @@ def _messages(
     file: _File, topics: Collection[str] | None, from_ns: int | None, to_ns: int | None
 ) -> Iterator[Message]:
     try:
-        with file.file.path.open("rb") as stream:
+        with open_binary(file.file.path) as stream:
             wanted = _Reader(stream, file.summary).iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
             for schema, channel, record in wanted:
                 type_name = _type_name(schema.name if schema is not None else "")

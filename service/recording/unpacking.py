@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 import lz4.frame
 import zstandard
 
+from service.archive import copy_here, is_remote, open_binary
 from service.errors import InputError, StorageError, words_of
 
 MCAP, ROS1, SQLITE = "MCAP", "ROS 1", "SQLite"
@@ -60,6 +61,9 @@ class Unpacked:
             self.kind = next((kind for mark, kind in _KINDS.items() if magic.startswith(mark)), "")
             cut = "it is cut off, and unpacked " if self.losses else ""
             self.beginning = f"{cut}it begins with {magic[:8].hex(' ') or 'nothing'}"
+            if is_remote(self.path) and self.kind in (ROS1, SQLITE):  # rosbags reads local files alone
+                self.path = self._new_path()
+                copy_here(given, self.path)
             if self.kind == SQLITE:
                 self._prepare_sqlite()
             elif self.path != given and self.kind:
@@ -76,7 +80,7 @@ class Unpacked:
 
     def _unpack(self, new: NewDecompressor) -> None:
         self.path = self._new_path()
-        with self.given.open("rb") as source, self.path.open("xb") as target:
+        with open_binary(self.given) as source, self.path.open("xb") as target:
             is_cut = self._decompress(source, new, target)
             if is_cut:
                 self.losses = [f"{self.given} is cut off; {target.tell()} bytes of it could be unpacked"]
@@ -100,7 +104,7 @@ class Unpacked:
     def _prepare_sqlite(self) -> None:
         """rosbags reads the file alone, without the log in which a writer that died left its last rows."""
         log = self.given.with_name(f"{self.given.name}-wal")
-        has_log = not self.is_packed and log.is_file() and log.stat().st_size > 0
+        has_log = not self.is_packed and not is_remote(log) and log.is_file() and log.stat().st_size > 0
         if has_log:
             path = self._new_path()
             shutil.copyfile(self.given, path)
@@ -135,7 +139,7 @@ def plain(payload: bytes) -> bytes:
 
 def _magic(path: Path) -> bytes:
     try:
-        with path.open("rb") as stream:
+        with open_binary(path) as stream:
             return stream.read(_MAX_MAGIC_BYTES)
     except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
+        raise InputError(f"cannot read {path}: {words_of(error)}") from error

@@ -1,3 +1,4 @@
+import fcntl
 import logging
 import os
 import subprocess
@@ -128,3 +129,19 @@ def test_a_cache_is_warm_until_sources_place_or_compiler_change(
     (tmp_path / "moved").rename(sources)
     kernel_cache.forget_kernels()
     assert not kernel_cache.is_warm()
+
+
+def test_one_process_at_a_time_compiles_until_all_is_compiled(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    with (
+        kernel_cache.compiling_alone(),
+        (tmp_path / kernel_cache.LOCK_NAME).open() as second,
+        pytest.raises(BlockingIOError),
+    ):
+        fcntl.flock(second, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    kernel_cache.mark_warm()
+    (tmp_path / kernel_cache.LOCK_NAME).unlink()
+    with kernel_cache.compiling_alone():
+        assert not (tmp_path / kernel_cache.LOCK_NAME).exists()

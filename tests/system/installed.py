@@ -13,7 +13,17 @@ from tests.docs.blocks import blocks_of
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("service", "drivers", "simulators")
 # Packages of tests and extras: an import of one fails as where it is not installed.
-NOT_OF_THE_CORE = ("scipy", "matplotlib", "filterpy", "tifffile", "ezdxf", "foxglove", "rerun")
+NOT_OF_THE_CORE = (
+    "scipy",
+    "matplotlib",
+    "filterpy",
+    "tifffile",
+    "ezdxf",
+    "foxglove",
+    "rerun",
+    "dask",
+    "upath",
+)
 TIMEOUT_S = 300.0  # kernels are compiled where those of the tree do not fit
 
 

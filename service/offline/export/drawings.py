@@ -3,14 +3,11 @@
 import logging
 import math
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from service.errors import CorridorError
-from service.extras import install_command
+from service.extras import optional
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapstore.annotated import scale_bar_m
@@ -20,16 +17,6 @@ from service.offline.export.outlines import Points, outlines
 MM_A_METRE = 10.0  # printed as it is, the plan is 1 : 100
 MARGIN = 0.06  # of the longer side, around the walls
 BAR_SHARE = 0.2  # of the width: about how long the scale bar is
-
-
-def optional(module: str, to: str) -> Any:
-    """A library that only some exports need. Raises CorridorError where it is not installed."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise CorridorError(
-            f"--format {to} needs {module}, which is not installed: {install_command('export')}"
-        ) from error
 
 
 def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: GeoReference | None) -> None:
@@ -86,7 +73,7 @@ def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
 
     Raises OSError, and CorridorError where ezdxf is not installed.
     """
-    ezdxf = optional("ezdxf", "dxf")
+    ezdxf = optional("ezdxf", "export", "--format dxf")
     logging.getLogger("ezdxf").setLevel(logging.WARNING)  # it tells of every dictionary it makes
     # No time and no random number: same map, same file.
     ezdxf.options.write_fixed_meta_data_for_testing = True

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from service.extras import optional
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.picture import GREY_UNKNOWN, Picture
-from service.offline.export.drawings import optional
 from service.offline.export.geo_export import utm_affine
 
 MODEL_TRANSFORMATION, GEO_KEYS, GEO_ASCII, GDAL_NODATA = 34264, 34735, 34737, 42113
@@ -23,7 +23,7 @@ def write_geotiff(path: Path, picture: Picture, reference: GeoReference | None) 
 
     Raises OSError, InputError where UTM ends, CorridorError where tifffile is not installed.
     """
-    tifffile = optional("tifffile", "geotiff")
+    tifffile = optional("tifffile", "export", "--format geotiff")
     top_m = picture.y_min_m + picture.height * picture.cell_m
     a, d, b, e, x, y = picture.cell_m, 0.0, 0.0, -picture.cell_m, picture.x_min_m, top_m
     keys = [(MODEL_TYPE, 0, 1, USER_DEFINED), (RASTER_TYPE, 0, 1, PIXEL_IS_AREA)]

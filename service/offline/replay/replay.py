@@ -4,17 +4,15 @@ import itertools
 import logging
 import re
 from collections.abc import Collection, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from service.archive import is_remote, refuse_unreachable, written_to
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError
-from service.interruption import children_do_not_hear
 from service.kernel_warm_up import KernelProgress, warm_up_once
 from service.mapstore.begin_in import begin_in
 from service.offline.replay.pace import Unwatched, Watch
@@ -45,6 +43,8 @@ def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
     """
     files: list[Path] = []
     for path in paths:
+        if is_remote(path):
+            refuse_unreachable(path)
         if not path.is_dir() or is_recording(path):
             files.append(path)
             continue
@@ -89,31 +89,21 @@ def replay_all(
     sessions: Sequence[Sequence[Path]],
     options: ReplayOptions,
     folders: Sequence[Path],
-    jobs: int,
     progress: Progress,
     watch: Watch | None = None,
     extras: Collection[Extra] = (),
 ) -> list[Outcome]:
     """Replay each session and write what `write_replay` says to its folder; their outcomes, in order. One
-    that fails keeps none of the others back.
-
-    With `jobs` above 1 so many at a time, each in a process of its own; then nobody can watch.
+    that fails keeps none of the others back. Several at a time: see service.offline.cluster.
     """
-    if jobs == 1 or len(sessions) == 1:
-        return [
-            _try_replay_to(session, options, folder, extras, _part_of(progress, k, len(sessions)), watch)
-            for k, (session, folder) in enumerate(zip(sessions, folders, strict=True))
-        ]
-    # spawn: a forked child would inherit locks of numba's and of threads that it does not have
-    with ProcessPoolExecutor(min(jobs, len(sessions)), mp_context=get_context("spawn")) as pool:
-        with children_do_not_hear():
-            futures = [
-                pool.submit(_try_replay_to, session, options, folder, extras)
-                for session, folder in zip(sessions, folders, strict=True)
-            ]
-        for done, _ in enumerate(as_completed(futures), start=1):
-            progress(done / len(sessions), MAPPING)
-        return [future.result() for future in futures]
+    outcomes: list[Outcome] = []
+    for k, (session, folder) in enumerate(zip(sessions, folders, strict=True)):
+        try:
+            shown = _part_of(progress, k, len(sessions))
+            outcomes.append(replay_to(session, options, folder, extras, shown, watch))
+        except CorridorError as error:
+            outcomes.append(error)
+    return outcomes
 
 
 def replay(
@@ -160,26 +150,21 @@ def _replay_from_raw(
     return done
 
 
-def _try_replay_to(*arguments: Any) -> Outcome:
-    try:
-        return _replay_to(*arguments)
-    except CorridorError as error:
-        return error
-
-
-def _replay_to(
+def replay_to(
     session: Sequence[Path],
     options: ReplayOptions,
     out: Path,
-    extras: Collection[Extra],
+    extras: Collection[Extra] = (),
     progress: Progress = lambda share, phase: None,
     watch: Watch | None = None,
 ) -> dict[str, Any]:
+    """Replay one session and write its result to a folder or a URL; its summary. Raises CorridorError."""
     refuse_unwritable_folder(out)
     done = replay(session, options, progress, watch)
-    write_replay(done, out, extras)
-    if "report" in extras:
-        write_report(out, out / REPORT_FILE)
+    with written_to(out) as folder:
+        write_replay(done, folder, extras)
+        if "report" in extras:
+            write_report(folder, folder / REPORT_FILE)
     return done.summary
 
 

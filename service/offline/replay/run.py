@@ -242,7 +242,7 @@ class ReplayRun:
         summary = {
             "corridor": VERSION,
             "profile": self._switches.present.profile,
-            "recording": [Path(path).name for path in self._recording.paths],
+            "recording": [path.name for path in self._recording.paths],
             "scans": len(outputs),
             "scans_dropped": _dropped(self._session, self._mapper),
             "scans_not_mapped": counters["scans_not_mapped"],

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from service.config import (
     ReplayConfig,
@@ -36,6 +37,7 @@ class ReplayOptions:
     version: int | None = None  # of it; None: that in which the recording began, else the newest
     localize: bool = False  # ... which stays as it is
     choice: Choice = field(default_factory=Choice)  # topics and frames; what is not set is as in the config
+    mapping: Mapping[str, Any] = field(default_factory=dict)  # laid over the mapping section of the config
     from_raw: bool = False  # map what the drivers make of the recorded bytes, not the recorded frames
 
 
@@ -156,12 +158,24 @@ def _recorded_config(session: Session, is_needed: bool) -> ReplayConfig | None:
 
 def _mapping(config: ReplayConfig | None, options: ReplayOptions) -> MappingConfig:
     mapping = config.mapping if config is not None else mapping_config()
-    if options.profile is None or options.profile == mapping.profile:
+    if options.profile is not None and options.profile != mapping.profile:
+        try:
+            mapping = with_profile(options.profile, mapping)
+        except ValueError as error:
+            raise ConfigError([f"--profile: {error}"]) from error
+    if not options.mapping:
         return mapping
-    try:
-        return with_profile(options.profile, mapping)
-    except ValueError as error:
-        raise ConfigError([f"--profile: {error}"]) from error
+    return mapping_config(overlaid(mapping.model_dump(mode="json"), options.mapping))
+
+
+def overlaid(section: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """A section of a config with other values in it; of nested sections only what `over` names."""
+    merged = dict(section)
+    for key, value in over.items():
+        below = merged.get(key)
+        is_nested = isinstance(value, Mapping) and isinstance(below, Mapping)
+        merged[key] = overlaid(below, value) if is_nested else value  # type: ignore[arg-type]
+    return merged
 
 
 def _lasers(session: Session, config: ReplayConfig | None, are_named: bool) -> Sequence[str]:

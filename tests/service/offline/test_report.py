@@ -188,7 +188,7 @@ def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
     tmp_path: Path,
 ):
     (summary,) = replay_all(
-        [[record_drive()]], ReplayOptions(), [tmp_path / "out"], 1, lambda *_: None, extras=["report"]
+        [[record_drive()]], ReplayOptions(), [tmp_path / "out"], lambda *_: None, extras=["report"]
     )
     assert isinstance(summary, dict)
     written = (tmp_path / "out" / REPORT_FILE).read_bytes()

@@ -16,6 +16,9 @@ from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
 from service.geometry.se2 import SE2
 from service.mapper.profiles import mapping_config, with_profile
+from service.offline.cluster.batch import run_batch
+from service.offline.cluster.engines import Processes
+from service.offline.cluster.tasks import new_tasks
 from service.offline.replay.replay import (
     ReplayOptions,
     group_sessions,
@@ -347,8 +350,9 @@ def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     sessions = [[record_drive("a")], [bad], [record_drive("b", scans=30)]]
     told: list[tuple[float | None, str]] = []
     folders, others = (result_folders(sessions, tmp_path / name) for name in "12")
-    one_by_one = replay_all(sessions, ReplayOptions(), folders, 1, lambda *how_far: told.append(how_far))
-    at_once = replay_all(sessions, ReplayOptions(), others, 2, lambda share, phase: None)
+    one_by_one = replay_all(sessions, ReplayOptions(), folders, lambda *how_far: told.append(how_far))
+    tasks = new_tasks(sessions, ReplayOptions(), others)
+    at_once = [done.outcome for done in run_batch(tasks, Processes(2), lambda *_: None)]
     assert [s["scans"] for s in one_by_one[::2]] == [s["scans"] for s in at_once[::2]] == [40, 30]
     assert "bad.mcap is no recording" in str(at_once[1])
     assert str(at_once[1]) == str(one_by_one[1])

@@ -1,0 +1,181 @@
+"""One session, one task: it is replayed to its folder, unless that holds the same result already."""
+
+import hashlib
+import json
+import logging
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import service
+from service.archive import fingerprint
+from service.errors import CorridorError, InputError, StorageError, words_of
+from service.kernel_cache import ensure_cache_dir
+from service.offline.past.result import SUMMARY_FILE
+from service.offline.replay.replay import Outcome, replay_to
+from service.offline.replay.result import Extra
+from service.offline.replay.setup import ReplayOptions
+from service.readable import refuse_unreadable
+from service.version import VERSION
+
+DONE_FILE = "done.json"  # written last: a folder that has it is whole
+LOGGER = logging.getLogger("service")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """program    digest of the sources of whoever asks for it
+    is_again   do it although it is done
+    """
+
+    session: tuple[Path, ...]
+    options: ReplayOptions
+    folder: Path
+    extras: tuple[Extra, ...] = ()
+    program: str = ""
+    is_again: bool = False
+
+    @property
+    def name(self) -> str:
+        return str(self.session[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """manifest   what the result was made of, as in DONE_FILE; {} where there is none
+    was_done   by an earlier run
+    """
+
+    outcome: Outcome
+    manifest: dict[str, Any]
+    was_done: bool = False
+
+
+@cache
+def program_digest() -> str:
+    """SHA-256 of the sources that make a result, so that workers of another version are found out."""
+    root = Path(service.__file__).parents[1]
+    digest = hashlib.sha256()
+    for path in sorted(path for package in ("drivers", "service") for path in (root / package).rglob("*.py")):
+        digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def run(task: Task) -> Done:
+    """Never raises: a fault of the program, too, is the outcome of its session alone."""
+    ensure_cache_dir()
+    try:
+        return _run(task)
+    except CorridorError as error:
+        return Done(error, {})
+    except Exception:
+        words = traceback.format_exc()
+        return Done(CorridorError(f"{task.name}: this is a fault of the program\n{words}"), {})
+
+
+def _run(task: Task) -> Done:
+    if task.program not in ("", program_digest()):
+        raise CorridorError(
+            f"{task.name}: the worker has other sources of corridor ({VERSION}) than the command; install "
+            "the same wheel on every node"
+        )
+    manifest = _manifest(task)
+    place = task.folder / DONE_FILE
+    try:
+        if not task.is_again and (summary := _summary_of(task.folder, manifest)) is not None:
+            return Done(summary, manifest, was_done=True)
+        place.unlink(missing_ok=True)
+        summary = replay_to(task.session, task.options, task.folder, task.extras)
+        place.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    except CorridorError:
+        raise
+    except OSError as error:
+        raise StorageError(f"cannot write to {task.folder}: {words_of(error)}") from error
+    return Done(summary, manifest)
+
+
+def _manifest(task: Task) -> dict[str, Any]:
+    """What the bytes of the result depend on. Raises InputError."""
+    options = asdict(replace(task.options, config=None, map=None))
+    of_files = {"config": task.options.config, "map": task.options.map}
+    return {
+        "corridor": VERSION,
+        "program": program_digest(),
+        "input": {path.name: _fingerprint(path) for path in task.session},
+        "options": json.loads(json.dumps(options, default=str)),
+        "files": {name: _fingerprint(path) for name, path in of_files.items() if path is not None},
+        "extras": sorted(task.extras),
+    }
+
+
+def _fingerprint(path: Path) -> str:
+    refuse_unreadable(path)
+    try:
+        return fingerprint(path)
+    except OSError as error:
+        raise InputError(f"{path}: {words_of(error)}") from error
+
+
+def _summary_of(folder: Path, manifest: dict[str, Any]) -> dict[str, Any] | None:
+    """Of the result there, where it was made of the very same; else None."""
+    try:
+        if json.loads((folder / DONE_FILE).read_text(encoding="utf-8")) != manifest:
+            return None
+        summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return None
+    return summary if isinstance(summary, dict) else None
+
+
+@contextmanager
+def logged(write: Callable[[str], object]) -> Iterator[None]:
+    """Inside, what the service logs in this process goes to `write`, a line each."""
+    handler = _Lines(write)
+    before = LOGGER.level
+    LOGGER.addHandler(handler)
+    LOGGER.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        LOGGER.setLevel(before)
+        LOGGER.removeHandler(handler)
+
+
+class _Lines(logging.Handler):
+    def __init__(self, write: Callable[[str], object]) -> None:
+        super().__init__(logging.INFO)
+        self._write = write
+        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._write(self.format(record))
+
+
+def new_tasks(
+    sessions: Sequence[Sequence[Path]],
+    options: ReplayOptions,
+    folders: Sequence[Path],
+    extras: Sequence[Extra] = (),
+    is_again: bool = False,
+) -> list[Task]:
+    """With paths that mean the same in another process or, on a shared disk, on another node."""
+    options = replace(options, config=_absolute(options.config), map=_absolute(options.map))
+    return [
+        Task(
+            tuple(path.absolute() for path in session),
+            options,
+            folder.absolute(),
+            tuple(extras),
+            program_digest(),
+            is_again,
+        )
+        for session, folder in zip(sessions, folders, strict=True)
+    ]
+
+
+def _absolute(path: Path | None) -> Path | None:
+    return None if path is None else path.absolute()

@@ -1,0 +1,198 @@
+"""Sessions as tasks: the same bytes on every engine, nothing done twice, a death costs its own task."""
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path, PosixPath
+
+import pytest
+
+from service.cli import main
+from service.errors import CorridorError, InputError, UsageError
+from service.offline.cluster.batch import TABLE_FILE, run_batch
+from service.offline.cluster.engines import MAX_TRIES, Cluster, Engine, Processes, in_turn
+from service.offline.cluster.tasks import DONE_FILE, Done, Task, new_tasks
+from service.offline.replay.replay import ReplayOptions
+from tests.service.offline.replay.test_replay import RecordDrive, record_drive
+from tests.soaked import in_soak
+
+__all__ = ["record_drive"]  # a fixture
+
+
+def run_all(tasks: list[Task], engine: Engine = in_turn) -> list[Done]:
+    return run_batch(tasks, engine, lambda *_: None)
+
+
+def results_in(folder: Path) -> dict[str, bytes]:
+    """All files but those that have times of the computer."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    own = {path for path in files if path.name in ("summary.json", TABLE_FILE)}
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files if path not in own}
+
+
+class Deadly(PosixPath):
+    """The folder of a task that kills its process, the first N times; N ends its name."""
+
+    def __truediv__(self, name: str) -> Path:
+        killed = Path(f"{self}.killed")
+        times = len(killed.read_text()) if killed.exists() else 0
+        if times < int(self.name.rpartition("_")[2]):
+            killed.write_text("x" * (times + 1))
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Path(str(self)) / name
+
+
+Judge = Callable[..., None]
+
+
+@pytest.fixture
+def judge(record_drive: RecordDrive, tmp_path: Path) -> Judge:
+    """Has an engine do a task whose process dies once and, where asked, one whose process always dies."""
+    session = record_drive(scans=10)
+
+    def run(engine: Engine, log_line: str | None) -> None:
+        folders = [tmp_path / name for name in ("good", "dies_1", "dies_99")]
+        good, *tasks = new_tasks([[session]] * 3, ReplayOptions(), folders)
+        run_all([good])
+        deadly = [replace(task, folder=Deadly(task.folder)) for task in tasks]
+        once, *always = run_all(deadly if log_line is not None else deadly[:1], engine)
+        assert isinstance(once.outcome, dict)
+        assert results_in(folders[0]) == results_in(folders[1]) != {}
+        assert (tmp_path / "dies_1.killed").read_text() == "x"
+        for lost in always:
+            assert "died, each of 3 times" in str(lost.outcome)
+            assert str(log_line) in str(lost.outcome)
+            # fewer by itself where it was cut off with the other before it came so far
+            assert 1 < len((tmp_path / "dies_99.killed").read_text()) <= MAX_TRIES
+
+    return run
+
+
+def test_a_process_that_dies_costs_its_own_task_alone(judge: Judge):
+    judge(Processes(2), "The last of its log")
+
+
+@pytest.mark.parametrize("log_line", [None, in_soak("begins on tcp://127.0.0.1:")])
+def test_dask_tries_the_task_of_a_dead_worker_again_and_gives_the_same_bytes(
+    log_line: str | None, judge: Judge, caplog: pytest.LogCaptureFixture
+):
+    pytest.importorskip("distributed")
+    caplog.set_level("INFO")
+    with Cluster("local:1" if log_line is None else "local:2") as cluster:
+        judge(cluster, log_line)
+    assert "Dask's dashboard: http://127.0.0.1:" in caplog.text
+
+
+def test_what_is_done_is_not_done_again(record_drive: RecordDrive, tmp_path: Path):
+    session, out = record_drive(scans=10), tmp_path / "out"
+    config = tmp_path / "c.yaml"
+    config.write_text("mapping: {cell_m: 0.05}\nsensors: {front: {type: sick_lms100, host: a}}\n")
+
+    def was_done(options: ReplayOptions, is_again: bool = False) -> bool:
+        (done,) = run_all(new_tasks([[session]], options, [out], is_again=is_again))
+        assert isinstance(done.outcome, dict)
+        return done.was_done
+
+    assert not was_done(ReplayOptions())
+    first = results_in(out)
+    assert was_done(ReplayOptions())
+    assert not was_done(ReplayOptions(), is_again=True)
+    assert results_in(out) == first
+    assert not was_done(ReplayOptions(config=config))
+    assert was_done(ReplayOptions(config=config))
+    config.write_text(config.read_text().replace("0.05", "0.1"))
+    assert not was_done(ReplayOptions(config=config))
+    (out / DONE_FILE).write_text("{")
+    assert not was_done(ReplayOptions(config=config))
+    record_drive(name="w", scans=11).replace(session)
+    assert not was_done(ReplayOptions(config=config))
+
+
+def test_a_result_that_is_only_begun_counts_as_not_done(record_drive: RecordDrive, tmp_path: Path):
+    session, bad = record_drive(scans=10), tmp_path / "bad.yaml"
+    bad.write_text("mapping: {profile: none_such}\n")
+    assert isinstance(run_all(new_tasks([[session]], ReplayOptions(), [tmp_path / "out"]))[0].outcome, dict)
+    (failed,) = run_all(new_tasks([[session]], ReplayOptions(config=bad), [tmp_path / "out"]))
+    assert isinstance(failed.outcome, CorridorError)
+    assert not (tmp_path / "out" / DONE_FILE).exists()
+
+
+def test_a_worker_with_other_sources_is_refused(record_drive: RecordDrive, tmp_path: Path):
+    (task,) = new_tasks([[record_drive(scans=1)]], ReplayOptions(), [tmp_path / "out"])
+    (done,) = run_all([replace(task, program="of another wheel")])
+    assert "install the same wheel on every node" in str(done.outcome)
+
+
+def test_a_fault_of_the_program_is_the_outcome_of_its_session(
+    record_drive: RecordDrive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr("service.offline.cluster.tasks.replay_to", lambda *_: 1 / 0)
+    (done,) = run_all(new_tasks([[record_drive(scans=1)]], ReplayOptions(), [tmp_path / "out"]))
+    assert "this is a fault of the program\nTraceback" in str(done.outcome)
+    assert "ZeroDivisionError" in str(done.outcome)
+
+
+def test_the_command_tells_how_far_it_is_and_writes_one_table(
+    record_drive: RecordDrive,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    bad = tmp_path / "in" / "bad.mcap"
+    asked = ["replay", str(record_drive(scans=10).parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    bad.write_text("no recording")
+    assert main([*asked, "--json"]) == InputError.exit_code
+    assert "2 of 2 sessions, 1 failed" in capfd.readouterr().err
+    table = parquet.read_table(tmp_path / "out" / TABLE_FILE).to_pylist()
+    assert [(row["session"], row["scans"]) for row in table] == [
+        (str(bad), None),
+        (str(next((tmp_path / "in").glob("v_*"))), 10),
+    ]
+    assert "bad.mcap is no recording" in table[0]["error"]
+    assert (table[1]["ok"], table[1]["error"], len(table[1]["warnings"])) == (10, None, 1)
+    assert table[1]["input"][0].startswith("sha256 ")
+    summary = json.loads((Path(table[1]["result"]) / "summary.json").read_text())
+    assert table[1]["scan_ms_p50"] == summary["scan_ms"]["p50"]
+    assert main(asked) == InputError.exit_code
+    assert "1 of 2 sessions are done already" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("cluster", ["local:0", "local:two", "k8s:4", "10.0.0.1:8786", "slurm:"])
+def test_another_kind_of_cluster_is_refused_by_a_sentence(cluster: str, capfd: pytest.CaptureFixture[str]):
+    assert main(["replay", "a.mcap", "--cluster", cluster]) == UsageError.exit_code
+    assert "expected local:N (processes of this machine), slurm:N (jobs)" in capfd.readouterr().err
+
+
+@pytest.mark.soak
+def test_slurm_starts_workers_by_dask_jobqueue(
+    record_drive: RecordDrive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """An sbatch that runs the job here and at once."""
+    pytest.importorskip("dask_jobqueue")
+    sbatch, scancel = tmp_path / "bin" / "sbatch", tmp_path / "bin" / "scancel"
+    sbatch.parent.mkdir()
+    sbatch.write_text(
+        f"#!/bin/sh\ncp $1 {tmp_path}/job\nsetsid sh {tmp_path}/job >/dev/null 2>&1 &\n"
+        "echo Submitted batch job $!\n"
+    )
+    scancel.write_text("#!/bin/sh\nkill -- -$1\n")
+    sbatch.chmod(0o755)
+    scancel.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{sbatch.parent}:{os.environ['PATH']}")
+    dask = pytest.importorskip("dask")
+    settings = {"cores": 1, "memory": "2GB", "interface": "lo"}
+    dask.config.set({f"jobqueue.slurm.{name}": value for name, value in settings.items()})
+    tasks = new_tasks([[record_drive(scans=10)]], ReplayOptions(), [tmp_path / "out"])
+    with Cluster("slurm:1") as cluster:
+        assert isinstance(run_all(tasks, cluster)[0].outcome, dict)
+
+
+@pytest.mark.parametrize("arguments", [["--again"], ["--jobs", "2", "--web"]])
+def test_options_that_contradict_each_other_are_refused(arguments: list[str]):
+    assert main(["replay", "a.mcap", *arguments]) == UsageError.exit_code

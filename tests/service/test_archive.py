@@ -1,0 +1,153 @@
+"""URLs as source and sink: an S3 server and a web server on loopback."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from aiohttp import web
+
+from service import archive
+from service.archive import fingerprint, open_binary, path_or_url
+from service.cli import main
+from service.errors import InputError, UsageError
+from tests.service.offline.cluster.test_cluster import results_in
+from tests.service.offline.replay.test_replay import RecordDrive, record_drive
+
+__all__ = ["record_drive"]  # a fixture
+
+pytest.importorskip("upath")
+
+
+@pytest.fixture(scope="module")
+def bucket() -> Iterator[Path]:
+    """An empty one of an S3 server that runs here."""
+    server_module = pytest.importorskip("moto.server")
+    server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
+        patch.setenv("AWS_ACCESS_KEY_ID", "any")
+        patch.setenv("AWS_SECRET_ACCESS_KEY", "any")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        path = path_or_url("s3://site")
+        path.mkdir()
+        yield path
+    server.stop()
+
+
+def test_s3_is_source_and_sink_of_the_same_bytes(
+    bucket: Path,
+    record_drive: RecordDrive,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    sessions = [record_drive("a", scans=10), record_drive("b", scans=12)]
+    local = [str(sessions[0].parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    assert main(["replay", *local]) == 0
+    for session in sessions:
+        (bucket / "in" / session.name).write_bytes(session.read_bytes())
+    copies = partial(pytest.fail, "a session is copied whole")
+    monkeypatch.setattr("service.recording.unpacking.copy_here", copies)
+    remote = ["s3://site/in", "--out", "s3://site/out", "--jobs", "1"]
+    assert main(["replay", *remote]) == 0
+    assert "summaries of all sessions: s3://site/out/sessions.parquet" in capfd.readouterr().err
+    bucket.fs.get("site/out", str(tmp_path / "fetched"), recursive=True)  # type: ignore[attr-defined]
+    here, fetched = results_in(tmp_path / "out"), results_in(tmp_path / "fetched")
+    assert here.keys() == fetched.keys()
+    assert [name for name in here if here[name] != fetched[name]] == [
+        name for name in here if name.endswith("done.json")
+    ]
+    with (bucket / "out" / "sessions.parquet").open("rb") as file:
+        assert [row["scans"] for row in parquet.read_table(file).to_pylist()] == [10, 12]
+    assert main(["replay", *remote]) == 0
+    assert "2 of 2 sessions are done already" in capfd.readouterr().err
+    assert main(["replay", "s3://site/none.mcap", "--out", str(tmp_path / "none")]) == InputError.exit_code
+    assert "s3://site/none.mcap: no such file or folder" in capfd.readouterr().err
+
+
+def test_only_the_parts_of_a_file_that_are_read_are_fetched(bucket: Path, monkeypatch: pytest.MonkeyPatch):
+    (bucket / "large").write_bytes(bytes(1_000_000))
+    monkeypatch.setattr(archive, "READ_BYTES", 10_000)
+    with open_binary(bucket / "large") as file:
+        file.read(8)
+        file.seek(-8, 2)
+        assert file.read(8) == bytes(8)
+        assert file.cache.total_requested_bytes < 30_000  # type: ignore[attr-defined]
+
+
+def test_a_file_of_a_store_is_known_by_what_the_store_says_of_its_content(bucket: Path, tmp_path: Path):
+    for place in (bucket, tmp_path):
+        (place / "one").write_bytes(b"content")
+        (place / "same").write_bytes(b"content")
+        (place / "other").write_bytes(b"Content")
+        assert fingerprint(place / "one") == fingerprint(place / "same") != fingerprint(place / "other")
+    assert fingerprint(bucket / "one").startswith("ETag ")
+    assert fingerprint(tmp_path / "one").startswith("sha256 ")
+
+
+@contextmanager
+def web_server(folder: Path, sends_parts: bool) -> Iterator[str]:
+    """The address of a server of the files in a folder."""
+
+    async def whole(request: web.Request) -> web.Response:
+        return web.Response(body=(folder / request.path[1:]).read_bytes())
+
+    async def serve() -> None:
+        app = web.Application()
+        if sends_parts:
+            app.router.add_static("/", folder)
+        else:
+            app.router.add_get("/{name}", whole)
+        runner = web.AppRunner(app)
+        await runner.setup()
+        site = web.TCPSite(runner, "127.0.0.1", 0)
+        await site.start()
+        addresses.put("http://{}:{}".format(*runner.addresses[0]))
+        await asyncio.to_thread(ended.wait)
+        await runner.cleanup()
+
+    addresses: SimpleQueue[str] = SimpleQueue()
+    ended = threading.Event()
+    thread = threading.Thread(target=asyncio.run, args=(serve(),))
+    thread.start()
+    try:
+        yield addresses.get(timeout=10.0)
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.mark.parametrize(("sends_parts", "code"), [(True, 0), (False, InputError.exit_code)])
+def test_a_recording_is_read_from_a_web_server_that_sends_parts_of_files(
+    sends_parts: bool,
+    code: int,
+    record_drive: RecordDrive,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+):
+    session = record_drive(scans=10)
+    with web_server(session.parent, sends_parts) as address:
+        assert main(["replay", f"{address}/{session.name}", "--out", str(tmp_path / "out")]) == code
+    assert ("sends no parts of files (Range)" in capfd.readouterr().err) is not sends_parts
+
+
+def test_file_urls_are_local_paths():
+    assert path_or_url("file:///a%20b/c.mcap") == Path("/a b/c.mcap")
+    assert path_or_url("drive.mcap") == Path("drive.mcap")
+
+
+def test_a_url_of_no_known_kind_is_wrong_usage(capfd: pytest.CaptureFixture[str]):
+    assert main(["replay", "gopher://a/b.mcap"]) == UsageError.exit_code
+    assert "gopher://a/b.mcap cannot be opened" in capfd.readouterr().err
+
+
+def test_a_server_that_is_not_there_is_named(capfd: pytest.CaptureFixture[str]):
+    assert main(["replay", "http://127.0.0.1:9/a.mcap"]) == InputError.exit_code
+    assert "http://127.0.0.1:9/a.mcap" in capfd.readouterr().err
