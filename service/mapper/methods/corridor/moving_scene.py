@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.fusion.estimator import EstimatorConfig
-from service.fusion.motion import Prediction
+from service.fusion.motion import Prediction, Reckoned
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
@@ -49,6 +49,7 @@ ON_WALL_M = 0.05
 MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
 # Between two scans: after more, the vehicle may be elsewhere as well as the scene have moved.
 MAX_UNSEEN_S = 1.0
+MAX_SILENT_S = 0.05  # of odometry that is alive, as it comes at 20 Hz
 STILL_NS = 1_000_000_000  # with less for so long, the scene stands still again
 NOTHING_MOVES = -1  # ns, before all stamps
 
@@ -79,6 +80,7 @@ class Reckoning:
 
     def __init__(self) -> None:
         self._steps: deque[_Step] = deque()
+        self._silent_s = math.inf  # since odometry measured a step
 
     def restart(self, stamp_ns: int, matched: SE2) -> None:
         """Compare from here on."""
@@ -90,10 +92,11 @@ class Reckoning:
 
     def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
         """A scan, and where it was matched; the conflict where both paths do not agree."""
-        if predicted.reckoned is None or not self._steps:
+        self._silent_s = self._silent_s + predicted.elapsed_s if predicted.reckoned is None else 0.0
+        if self._silent_s > MAX_SILENT_S or not self._steps:
             self.restart(stamp_ns, matched)
             return None
-        steps, step = self._steps, predicted.reckoned
+        steps, step = self._steps, predicted.reckoned or _by_speed(predicted)
         last = steps[-1]
         newest = _Step(
             stamp_ns,
@@ -109,6 +112,20 @@ class Reckoning:
         ):
             steps.popleft()
         return _conflict(steps[0], newest)
+
+
+def _by_speed(predicted: Prediction) -> Reckoned:
+    """The step at the last speed: between scans of two lasers there may be no sample of odometry."""
+    elapsed_s = predicted.elapsed_s
+    forward, left, turn = predicted.twist_base
+    way_m2, turn_rad2 = _walked(elapsed_s)
+    return Reckoned(SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), way_m2, turn_rad2)
+
+
+def _walked(elapsed_s: float) -> tuple[float, float]:
+    """(m^2, rad^2) by how much a vehicle may leave the path of its last speed."""
+    walked_s3 = elapsed_s**3 / 3.0
+    return USUAL.acceleration**2 * walked_s3, USUAL.turn_acceleration**2 * walked_s3
 
 
 def _conflict(begin: _Step, end: _Step) -> Conflict | None:
@@ -149,10 +166,10 @@ def inertia_nats(
     elapsed_s     since the last match
     covariance    (3, 3) of the prediction, base axes
     """
-    walked_s3 = elapsed_s**3 / 3.0
-    way_m2 = USUAL.acceleration**2 * walked_s3 + MATCH_SIGMA_M**2
-    turn_rad2 = USUAL.turn_acceleration**2 * walked_s3 + MATCH_SIGMA_RAD**2
-    covariance = covariance + np.diag([way_m2, way_m2, turn_rad2])
+    way_m2, turn_rad2 = _walked(elapsed_s)
+    covariance = covariance + np.diag(
+        [way_m2 + MATCH_SIGMA_M**2, way_m2 + MATCH_SIGMA_M**2, turn_rad2 + MATCH_SIGMA_RAD**2]
+    )
     odometry_cost, laser_cost = (
         student_cost(chi2_between(went_on, pose, covariance), STUDENT) for pose in (by_odometry, by_laser)
     )
@@ -220,8 +237,12 @@ class MovingScene:
         if is_moving if conflict is None else not conflict.is_turned:
             prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
             static, share = self._align_static(attempt, prior, aligned.submap)
-            nats = self._evidence_nats(attempt, static, aligned) + (MOVING_NATS if is_moving else STILL_NATS)
-            if share >= MIN_STATIC_SHARE and nats >= 0.0:
+            if share >= MIN_STATIC_SHARE:
+                nats = self._evidence_nats(attempt, static, aligned)
+                nats += MOVING_NATS if is_moving else STILL_NATS
+            else:  # too little stands still to say anything
+                nats = self._inertia_nats(attempt, aligned) + STILL_NATS
+            if nats >= 0.0:
                 return self._begun(static, attempt)
         if conflict is not None:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
@@ -257,12 +278,17 @@ class MovingScene:
             for one in (by_odometry, by_laser)
         )
         nats = evidence_nats(of_odometry, of_laser, attempt.points.beam)
+        return nats + self._inertia_nats(attempt, by_laser)
+
+    def _inertia_nats(self, attempt: Attempt, by_laser: Aligned) -> float:
+        """The part of inertia in that; 0 where the motion of the last matches is not known."""
         last, went_on = self._steady.last, self._steady.pose_at(attempt.stamp_ns)
-        reckoned = attempt.predicted.reckoned
-        if reckoned is None or last is None or went_on is None:
-            return nats
-        poses = last @ reckoned.pose, by_laser.pose
-        return nats + inertia_nats(went_on, *poses, attempt.predicted.elapsed_s, attempt.prior.covariance)
+        predicted = attempt.predicted
+        if last is None or went_on is None or not predicted.is_measured:
+            return 0.0
+        step = predicted.reckoned or _by_speed(predicted)
+        poses = last @ step.pose, by_laser.pose
+        return inertia_nats(went_on, *poses, predicted.elapsed_s, attempt.prior.covariance)
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all."""

@@ -18,10 +18,10 @@ from tests.soaked import in_soak
 STEP_M, STEP_NS = 0.04, 40_000_000
 
 
-def predicted(step: SE2 | None) -> Prediction:
+def predicted(step: SE2 | None, elapsed_s: float = 0.04) -> Prediction:
     reckoned = None if step is None else Reckoned(step, (0.02**2) * STEP_M, 1e-6)
     no = np.eye(3)
-    return Prediction(SE2(), (1.0, 0.0, 0.0), no, no, no, 0.04, STEP_M, True, reckoned=reckoned)
+    return Prediction(SE2(), (1.0, 0.0, 0.0), no, no, no, elapsed_s, STEP_M, True, reckoned=reckoned)
 
 
 def conflict_of(matched_m: float, scans: int = 10) -> float | None:
@@ -49,6 +49,17 @@ def test_without_odometry_there_is_no_conflict() -> None:
     reckoning = Reckoning()
     reckoning.restart(0, SE2())
     assert reckoning.add(STEP_NS, predicted(None), SE2(3.0)) is None
+
+
+@pytest.mark.parametrize(("matched_m", "is_conflict"), [(0.0, True), (STEP_M, False)])
+def test_scans_of_two_lasers_between_two_samples_of_odometry_are_compared_too(
+    matched_m: float, is_conflict: bool
+) -> None:
+    reckoning, conflicts = Reckoning(), []
+    for k in range(20):
+        step = SE2(STEP_M / 4) if k % 4 == 0 else None
+        conflicts.append(reckoning.add(k * STEP_NS // 4, predicted(step, 0.01), SE2(k * matched_m / 4)))
+    assert any(conflicts) == is_conflict
 
 
 def test_paths_are_compared_from_the_restart_on() -> None:
