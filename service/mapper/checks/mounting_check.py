@@ -20,11 +20,14 @@ from service.outputs import NO_REASON, Reason
 
 TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
-SAME_ERRORS = 20.0  # scans that see the same errors of the map
 MEDIAN_CHI2 = 2.37  # of three degrees of freedom
 ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
 BATCH_SCANS = 25  # after which an offset is judged
-KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
+# Between scans by which a mounting is found right: at rest a corridor looks the same ahead and behind.
+MIN_STEP_M, MIN_STEP_RAD = 0.02, math.radians(2.0)
+KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position
+MIN_AGREEING = 5.0  # scans by which a direction is known: one may be found in a wrong place
+MAP_ERROR = MIN_AGREEING * np.diag([KNOWN_M, KNOWN_M, KNOWN_RAD]) ** 2  # (3, 3) of one scan's place on it
 
 
 class MountingCheck:
@@ -60,11 +63,12 @@ class MountingCheck:
         information and e where the scan alone lies; so I e is found without inverting I.
         """
         off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
-        self._information.append(measured.information / SAME_ERRORS)
-        self._weighed.append(np.linalg.inv(measured.covariance) @ off / SAME_ERRORS)
+        with_map_error = np.linalg.inv(np.eye(3) + measured.information @ MAP_ERROR)  # (I^-1 + M)^-1 = this I
+        self._information.append(with_map_error @ measured.information)
+        self._weighed.append(with_map_error @ np.linalg.inv(measured.covariance) @ off)
+        self._is_apart.append(self._has_moved_to(looked_for.pose_odom_base))
         if len(self._weighed) == BATCH_SCANS:
             self._judge()
-            self._begin_batch()
 
     def miss(self) -> None:
         """A scan that fitted nowhere around."""
@@ -80,20 +84,42 @@ class MountingCheck:
     def _begin_batch(self) -> None:
         self._information: list[Matrix] = []  # (3, 3) of each scan
         self._weighed: list[Matrix] = []  # (3,) its offset, times that
+        self._is_apart: list[bool] = []  # from the place of the one before
+        self._seen_at: SE2 | None = None
         self._missed = 0
+
+    def _keep_those_apart(self) -> None:
+        kept = [number for number, is_apart in enumerate(self._is_apart) if is_apart]
+        self._information = [self._information[number] for number in kept]
+        self._weighed = [self._weighed[number] for number in kept]
+        self._is_apart = [True] * len(kept)
+
+    def _has_moved_to(self, pose_odom_base: SE2) -> bool:
+        step = SE2(math.inf) if self._seen_at is None else self._seen_at.inverse() @ pose_odom_base
+        if math.hypot(step.x_m, step.y_m) < MIN_STEP_M and abs(step.theta_rad) < MIN_STEP_RAD:
+            return False
+        self._seen_at = pose_odom_base
+        return True
 
     def _judge(self) -> None:
         # A direction that no scan has fixed says nothing: there the offset stays what it was.
         further, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
-        self._offset = self._offset + further
-        sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
-        if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
+        offset = self._offset + further
+        best_m, worst_m = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])).tolist()
+        chi2 = float(offset @ np.linalg.solve(covariance + TOLERANCE, offset))
+        is_off = chi2 > CHI2_999_OF_3
+        is_known = math.sqrt(covariance[2, 2]) <= KNOWN_RAD and (best_m if is_off else worst_m) <= KNOWN_M
+        if not all(self._is_apart) and not (is_off and is_known):
+            self._keep_those_apart()
             return
-        chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
-        self.is_right = chi2 <= CHI2_999_OF_3
+        self._begin_batch()
+        self._offset = offset
+        if not is_known:
+            return
+        self.is_right = not is_off
         x_m, y_m, turn_rad = self._offset.tolist()
         self.fault = NO_REASON
-        if not self.is_right:
+        if is_off:
             self.fault = Reason(
                 "laser_mounting",
                 f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead "
@@ -116,7 +142,7 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
         covariance = np.linalg.inv(np.einsum("k,kij->ij", counts, information) + prior)
         offset = covariance @ (counts @ weighed)
         off = information @ offset - weighed
-        chi2 = SAME_ERRORS * np.einsum("ki,kij,kj->k", off, inverse, off)
+        chi2 = np.einsum("ki,kij,kj->k", off, inverse, off)
         excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     return offset, covariance

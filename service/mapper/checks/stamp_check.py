@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from service.geometry.chi2 import CHI2_999_OF_1
 from service.geometry.se2 import wrap_angle
-from service.mapper.checks.mounting_check import SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 LONGEST_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
 MIN_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
 SCANS = 400  # the newest count
+SAME_ERRORS = 20.0  # scans that see the same errors of the map
 JUDGED_EACH = 25  # scans
 TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
 KNOWN_S = 0.002  # sigma from which on stamps that go together are cleared of a fault

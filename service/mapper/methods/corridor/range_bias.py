@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from service.kernels.match import MatchSettings
 from service.kernels.range_bias import see_bias, shorten_ranges
-from service.mapper.checks.mounting_check import SAME_ERRORS
+from service.mapper.checks.stamp_check import SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.methods.corridor.submaps import Submap
 

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 
 from service.fusion.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
@@ -11,16 +10,23 @@ from service.mapper.checks.mounting_check import BATCH_SCANS, MountingCheck
 
 SIGMA = np.diag([0.004, 0.004, math.radians(0.2)])
 TURNED = SE2(0.0, 0.0, math.pi / 2.0)
+ROOM = np.eye(3)
 OPEN = np.diag([0.0, 1.0, 1.0])  # a corridor: nothing is known along it
 
 
-def compare(offsets: list[SE2], seen: np.ndarray | None = None) -> MountingCheck:
-    """What the scans at these offsets make of a mounting, each with noise of SIGMA in the directions seen."""
-    seen, rng = np.eye(3) if seen is None else seen, np.random.default_rng(3)
+def compare(
+    offsets: list[SE2], usual: np.ndarray = ROOM, lone: np.ndarray | None = None, step_m: float = 0.2
+) -> MountingCheck:
+    """What the scans at these offsets make of a mounting, each with noise of SIGMA in the directions seen and
+    step_m farther than the one before. usual: the directions; lone: those of the first scan, where others.
+    """
+    rng = np.random.default_rng(3)
     check = MountingCheck()
     check.begin()
-    here = Prediction(SE2(1.0, 2.0, 0.3), (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
-    for offset in offsets:
+    for number, offset in enumerate(offsets):
+        seen = lone if lone is not None and number == 0 else usual
+        pose = SE2(1.0 + number * step_m, 2.0, 0.3)
+        here = Prediction(pose, (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
         looked_for = check.where_to_look(here, 0.0)
         off = (looked_for.pose_odom_base.inverse() @ here.pose_odom_base @ offset).log()
         information = seen @ np.linalg.inv(SIGMA @ SIGMA)
@@ -31,12 +37,21 @@ def compare(offsets: list[SE2], seen: np.ndarray | None = None) -> MountingCheck
     return check
 
 
-@pytest.mark.parametrize("seen", [np.eye(3), OPEN], ids=["room", "corridor"])
-def test_a_scan_found_turned_by_90_degrees_does_not_accuse_a_right_mounting(seen):
+def test_a_scan_found_turned_by_90_degrees_does_not_accuse_a_right_mounting():
     offsets = [SE2()] * BATCH_SCANS
     offsets[5] = offsets[14] = TURNED
-    check = compare(offsets, seen)
+    check = compare(offsets)
     assert (check.is_right, check.fault) == (True, "")
+
+
+def test_a_corridor_that_looks_the_same_ahead_and_behind_decides_nothing():
+    check = compare([SE2()] * BATCH_SCANS, OPEN)
+    assert (check.is_right, check.fault) == (False, "")
+
+
+def test_one_scan_that_fixes_what_the_others_leave_open_decides_nothing():
+    check = compare([SE2()] * 10 * BATCH_SCANS, OPEN, lone=ROOM)
+    assert (check.is_right, check.fault) == (False, "")
 
 
 def test_a_mounting_that_is_off_is_measured_beside_such_scans():
@@ -47,6 +62,16 @@ def test_a_mounting_that_is_off_is_measured_beside_such_scans():
     assert check.fault.startswith(
         "is off its configured mounting by +5.0 deg, +0.10 m ahead and -0.05 m left"
     )
+
+
+def test_scans_of_a_vehicle_at_rest_decide_nothing():
+    check = compare([SE2()] * 10 * BATCH_SCANS, step_m=0.0)
+    assert (check.is_right, check.fault) == (False, "")
+
+
+def test_a_wrong_heading_is_measured_at_rest():
+    check = compare([SE2(0.0, 0.0, math.radians(5.0))] * BATCH_SCANS, step_m=0.0)
+    assert check.fault.startswith("is off its configured mounting by +5.0 deg")
 
 
 def test_a_laser_that_is_mounted_turned_by_90_degrees_is_said_to_be():
