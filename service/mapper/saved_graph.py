@@ -13,6 +13,10 @@ from service.mapper.refused_loops import RefusedLoops
 
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
 MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
+KINDS = {  # of dtypes; the others are floating
+    **dict.fromkeys(("stamp_ns", "piece", "point_count", "loop_ends", "loop_points"), "i"),
+    "is_lost": "b",
+}
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
 USUAL_RANGE_SIGMA_M = 0.012  # of the key frames of a file that does not say: an LMS-100
 
@@ -68,9 +72,13 @@ class SavedGraph:
 
     def checked(self) -> "SavedGraph":
         """Itself. Raises SavedGraphError where its arrays do not fit each other or hold what is no number."""
+        if self.stamp_ns.ndim != 1 or self.point_count.dtype.kind != "i" or self.loop_ends.ndim != 2:
+            raise SavedGraphError("stamp_ns, point_count or loop_ends is no such array")
         n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
         expected = {
-            **dict.fromkeys(("way_m", "score", "gap_s", "piece", "is_lost", "range_sigma_m"), (n,)),
+            **dict.fromkeys(
+                ("stamp_ns", "way_m", "score", "gap_s", "piece", "is_lost", "range_sigma_m"), (n,)
+            ),
             "point_count": (n,),
             **dict.fromkeys(("odom", "map"), (n, 3)),
             "covariance": (n, 3, 3),
@@ -84,6 +92,8 @@ class SavedGraph:
         }
         for name, shape in expected.items():
             array = getattr(self, name)
+            if array.dtype.kind not in KINDS.get(name, "f"):
+                raise SavedGraphError(f"{name} is of {array.dtype}")
             if array.shape != shape:
                 raise SavedGraphError(f"{name} has the shape {array.shape}, expected {shape}")
             if name not in MAY_BE_NO_NUMBER and array.dtype.kind == "f" and not np.isfinite(array).all():

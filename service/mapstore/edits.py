@@ -32,11 +32,6 @@ def edit_to_json(edit: Edit) -> dict[str, Any]:
     return {name: getattr(edit, name) for name in Edit.__slots__}
 
 
-def edit_from_json(entry: Mapping[str, Any] | None) -> Edit | None:
-    """Raises KeyError or TypeError where it is no edit."""
-    return None if entry is None else Edit(**{name: entry[name] for name in Edit.__slots__})
-
-
 def kept_for_ever(versions: Iterable[Version]) -> set[int]:
     """Numbers of the versions that an edit made, was made in, or went back to."""
     edits = [(version.number, version.edit) for version in versions if version.edit is not None]

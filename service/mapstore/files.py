@@ -12,13 +12,10 @@ made or began with, and each with a file "kept" in it: a session began there, wh
 """
 
 import fcntl
-import hashlib
-import json
 import logging
 import os
 import re
 import shutil
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -26,33 +23,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from drivers.counted import counted
 from service.errors import InputError, StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
-from service.mapstore.arrays import write_arrays
-from service.mapstore.edits import Edit, Version, edit_from_json, edit_to_json, kept_for_ever
+from service.mapstore.arrays import read_arrays, write_arrays
+from service.mapstore.edits import Edit, Version, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, ways_of, write_graph
 from service.mapstore.links import CURRENT, UNFINISHED, point, point_for_others, point_to_current
+from service.mapstore.manifest import check_files, read_manifest, write_manifest
 from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.outputs import TileUpdate
 from service.readable import refuse_unreadable
-from service.version import VERSION
 from service.writable import sync
 
 log = logging.getLogger(__name__)
 
-FORMAT = 3
-# 1 has no graph: it can be shown and exported, and mapping cannot go on in it. 2 has nothing made by hand.
-READ_FORMATS = (1, 2, 3)
 KEEP_VERSIONS = 3
 FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
-_CONTENT = (*FOR_OTHERS, "tiles.npz")
+TILES_FILE = "tiles.npz"
+MAX_TILE_INDEX = 1 << 31
+_CONTENT = (*FOR_OTHERS, TILES_FILE)
 _VERSION_NAME = re.compile(r"v(\d{6,})")
 _KEPT = "kept"  # in the folder of a version: why it is never removed
 
@@ -111,7 +107,7 @@ def restore_version(folder: Path, number: int, saved_ns: int, edit: Edit) -> int
     """
     stored = load_map(folder, number)
     old = folder / _name(number)
-    names = list(_checked_manifest(old)["files"])
+    names = list(read_manifest(old).files)
 
     def write(new: Path) -> list[str]:
         for name in names:
@@ -130,12 +126,11 @@ def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
     problems: list[str] = []
     for number in sorted(_versions_read(folder)):
         try:
-            manifest = _checked_manifest(folder / _name(number))
+            manifest = read_manifest(folder / _name(number))
         except InputError as error:
             problems.append(str(error))
         else:
-            edit = _edit_of(folder / _name(number), manifest)
-            versions.append(Version(number, manifest["saved_ns"], manifest["about"], edit))
+            versions.append(Version(number, manifest.saved_ns, manifest.about, manifest.edit))
     if not versions:
         raise _no_map(folder, problems)
     at = _number(_by_preference(folder)[0])
@@ -218,7 +213,7 @@ def keep_version(folder: Path, number: int, why: str) -> None:
 def has_version(folder: Path, number: int, digest: str) -> bool:
     """Whether version `number` is there and is the one of that digest."""
     try:
-        return _digest(_checked_manifest(folder / _name(number))) == digest
+        return read_manifest(folder / _name(number)).digest == digest
     except InputError:
         return False
 
@@ -260,7 +255,7 @@ def _publish_alone(
         has_geo = GEO_FILE in names
         if has_geo:
             point_for_others(folder, [GEO_FILE], versions)
-        _write_manifest(new, names, saved_ns, about, edit)
+        write_manifest(new, names, saved_ns, about, edit)
         sync(new)
         new.rename(folder / _name(number))
     except (OSError, StorageError):
@@ -302,7 +297,7 @@ def _write_content(
     """The picture of the map, which other programs read."""
     if geo is not None:
         write_geo(new / GEO_FILE, geo)
-    with (new / "tiles.npz").open("wb") as file:
+    with (new / TILES_FILE).open("wb") as file:
         arrays = {
             "index": np.array([(t.level, t.ix, t.iy, t.version) for t in tiles], dtype=np.int64),
             "cell_m": np.array([t.cell_m for t in tiles]),
@@ -314,90 +309,43 @@ def _write_content(
     return picture
 
 
-def _write_manifest(
-    new: Path, names: Sequence[str], saved_ns: int, about: dict[str, str], edit: Edit | None
-) -> None:
-    manifest = {
-        "format": FORMAT,
-        "corridor": VERSION,
-        "saved_ns": saved_ns,
-        "about": about,
-        "edit": None if edit is None else edit_to_json(edit),
-        "files": {
-            name: {"bytes": (new / name).stat().st_size, "sha256": _sha256(new / name)} for name in names
-        },
-    }
-    text = json.dumps({**manifest, "sha256": _digest(manifest)}, indent=1)
-    (new / "manifest.json").write_text(text + "\n", encoding="utf-8")
-    for path in new.iterdir():
-        sync(path)
-
-
 def _load(version: Path, problems: list[str]) -> StoredMap:
-    manifest = _checked_manifest(version)
-    for name, expected in manifest["files"].items():
-        path = version / name
-        try:
-            found = {"bytes": path.stat().st_size, "sha256": _sha256(path)}
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
-        if found != expected:
-            raise InputError(
-                f"{path}: {counted(found['bytes'], 'byte')}, not the {expected['bytes']} saved: damaged"
-            )
-    try:
-        with np.load(version / "tiles.npz", allow_pickle=False) as arrays:
-            index, cell_m, cells = arrays["index"], arrays["cell_m"], arrays["cells"]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{version / 'tiles.npz'}: {words_of(error)}") from error
-    cells.setflags(write=False)
-    tiles = [
-        TileUpdate(level, ix, iy, version_of_tile, size_m, square)
-        for (level, ix, iy, version_of_tile), size_m, square in zip(
-            index.tolist(), cell_m.tolist(), cells, strict=True
-        )
-    ]
-    geo = read_geo(version / GEO_FILE) if GEO_FILE in manifest["files"] else None
-    graph = read_graph(version) if GRAPH_FILE in manifest["files"] else None
+    manifest = read_manifest(version)
+    check_files(version, manifest)
+    tiles = _tiles(version / TILES_FILE, read_arrays(version / TILES_FILE))
+    geo = read_geo(version / GEO_FILE) if GEO_FILE in manifest.files else None
+    graph = read_graph(version, manifest.files) if GRAPH_FILE in manifest.files else None
     return StoredMap(
         _number(version.name),
-        manifest["about"],
-        manifest["saved_ns"],
+        manifest.about,
+        manifest.saved_ns,
         tiles,
         problems,
         geo,
         graph,
-        _edit_of(version, manifest),
-        _digest(manifest),
+        manifest.edit,
+        manifest.digest,
     )
 
 
-def _edit_of(version: Path, manifest: Mapping[str, Any]) -> Edit | None:
+def _tiles(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> list[TileUpdate]:
     try:
-        return edit_from_json(manifest.get("edit"))
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{version / 'manifest.json'}: its edit is damaged: {error!r}") from error
-
-
-def _checked_manifest(version: Path) -> dict[str, Any]:
-    path = version / "manifest.json"
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: damaged: {words_of(error)}") from error
-    if not isinstance(manifest, dict):
-        raise InputError(f"{path}: damaged: no JSON object")
-    if manifest.pop("sha256", None) != _digest(manifest):
-        raise InputError(f"{path}: damaged: its own checksum does not fit")
-    if manifest["format"] not in READ_FORMATS:
-        raise InputError(
-            f"{path}: format {manifest['format']} of corridor {manifest['corridor']}; "
-            f"this is corridor {VERSION}, which reads the formats up to {FORMAT}"
+        index, cell_m, cells = arrays["index"], arrays["cell_m"], arrays["cells"]
+    except KeyError as error:
+        raise InputError(f"{path}: it holds no {error}") from error
+    count, edge = len(cells), cells.shape[-1]
+    shapes = [(array.dtype.kind, array.dtype.itemsize, array.shape) for array in (index, cell_m, cells)]
+    if shapes != [("i", 8, (count, 4)), ("f", 8, (count,)), ("i", 1, (count, edge, edge))]:
+        raise InputError(f"{path}: its arrays are no tiles: {shapes}")
+    if not (np.isfinite(cell_m).all() and (cell_m > 0.0).all() and (np.abs(index) < MAX_TILE_INDEX).all()):
+        raise InputError(f"{path}: tiles without a place or a size")
+    cells.setflags(write=False)
+    return [
+        TileUpdate(level, ix, iy, version, size_m, square)
+        for (level, ix, iy, version), size_m, square in zip(
+            index.tolist(), cell_m.tolist(), cells, strict=True
         )
-    checked: dict[str, Any] = manifest
-    return checked
+    ]
 
 
 def _by_preference(folder: Path) -> list[str]:
@@ -448,12 +396,3 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink()
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _digest(manifest: Mapping[str, object]) -> str:
-    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from service.errors import InputError, words_of
 from service.geometry.geo_reference import GeoReference
+from service.readable import read_text
 
 GEO_FILE = "geo.json"
 
@@ -17,8 +18,8 @@ def write_geo(path: Path, reference: GeoReference) -> None:
 def read_geo(path: Path) -> GeoReference:
     """Raises InputError for what write_geo cannot have written."""
     try:
-        return GeoReference.from_dict(json.loads(path.read_text(encoding="utf-8")))
+        return GeoReference.from_dict(json.loads(read_text(path)))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: {words_of(error)}") from error

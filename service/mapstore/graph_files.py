@@ -8,7 +8,7 @@ import errno
 import hashlib
 import os
 import shutil
-import zipfile
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from service.mapper.saved_graph import (
     packed_points,
     small_arrays,
 )
-from service.mapstore.arrays import write_arrays
+from service.mapstore.arrays import read_arrays, write_arrays
 
 GRAPH_FILE = "graph.npz"
 FRAMES_A_FILE = 256
@@ -67,8 +67,8 @@ def ways_of(folder: Path) -> list[Floats]:
     """
     if not (folder / GRAPH_FILE).exists():
         return []
-    with np.load(folder / GRAPH_FILE, allow_pickle=False) as arrays:
-        xy, piece = arrays["map"][:, :2], arrays["piece"]
+    arrays = read_arrays(folder / GRAPH_FILE)
+    xy, piece = arrays["map"][:, :2], arrays["piece"]
     return [way for way in np.split(xy, np.flatnonzero(np.diff(piece)) + 1) if len(way)]
 
 
@@ -126,18 +126,14 @@ def link_graph(kept: Path, folder: Path) -> list[str]:
     return names
 
 
-def read_graph(folder: Path) -> SavedGraph:
-    """Raises InputError, which names the file."""
+def read_graph(folder: Path, files: Collection[str]) -> SavedGraph:
+    """files: names of what may be read. Raises InputError, which names the file."""
     path = folder / GRAPH_FILE
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            small = {name: arrays[name] for name in arrays.files if name != "points"}
-            names = [str(name) for name in arrays["points"]]
-        points = []
-        for name in names:
-            path = folder / name
-            with np.load(path, allow_pickle=False) as arrays:
-                points.append({key: arrays[key] for key in arrays.files})
-        return from_arrays(small, points)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, SavedGraphError) as error:
+        small = read_arrays(path)
+        names = [str(name) for name in small.pop("points")]
+        if odd := [name for name in names if name not in files]:
+            raise SavedGraphError(f"{odd[0]!r} is none of the files of this version")
+        return from_arrays(small, [read_arrays(folder / name) for name in names])
+    except (KeyError, TypeError, SavedGraphError) as error:
         raise InputError(f"{path}: {words_of(error)}") from error

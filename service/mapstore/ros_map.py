@@ -2,8 +2,8 @@
 
 import logging
 import math
+import os
 import struct
-import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +14,10 @@ import numpy.typing as npt
 import yaml
 
 from service.errors import InputError, words_of
+from service.limits import MAX_IMAGE_BYTES, MAX_YAML_BYTES, Unpacking, check
 from service.mapstore.picture import FREE_THRESH, MAX_PIXELS, OCCUPIED_THRESH, Picture
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
+from service.readable import open_file, read_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -28,6 +30,7 @@ Cells = npt.NDArray[np.int8]
 MODES = ("trinary", "scale", "raw")
 FORMATS = ("PPM", "PNG", "BMP")  # of Pillow; the first reads PGM, too
 BAND_ROWS = 512  # that are made cells of at a time
+BYTES_A_PIXEL = {"1": 1, "L": 1, "P": 1, "LA": 4, "I;16": 2, "I;16B": 2}  # in memory; of others 4
 ROUNDING = 0.01  # of a cell: a right angle is written as 1.5708
 
 
@@ -52,19 +55,21 @@ def read_ros_map(yaml_path: Path) -> Grid:
     map_server leaves to its subscribers, is resampled here, and a warning says so.
     """
     try:
-        about = yaml.safe_load(yaml_path.read_text(encoding="utf-8"))
+        about = yaml.safe_load(read_text(yaml_path, limit=MAX_YAML_BYTES))
         image_path = yaml_path.parent / about["image"]
         cell_m, (x_min_m, y_min_m, yaw_rad) = float(about["resolution"]), map(float, about["origin"])
         rule = _Rule(
-            str(about.get("mode", "trinary")),
+            about.get("mode", "trinary"),
             int(about["negate"]) != 0,
             float(about["occupied_thresh"]),
             float(about["free_thresh"]),
         )
     except OSError as error:
         raise InputError(f"{yaml_path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{yaml_path}: not the YAML of a ROS map: {error!r}") from error
+    except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(f"{yaml_path}: not the YAML of a ROS map: {repr(error)[:300]}") from error
+    except RecursionError as error:
+        raise InputError(f"{yaml_path}: not the YAML of a ROS map: nested too deep") from error
     if not (all(map(math.isfinite, (cell_m, x_min_m, y_min_m, yaw_rad))) and cell_m > 0.0):
         raise InputError(
             f"{yaml_path}: resolution {cell_m} m and origin [{x_min_m}, {y_min_m}, {yaw_rad}]; "
@@ -97,8 +102,8 @@ class _Rule:
 
     def problem(self) -> str:
         """What map_server could not read by; "" where all is well."""
-        if self.mode not in MODES:
-            return f"mode {self.mode}; expected {', '.join(MODES)}"
+        if not isinstance(self.mode, str) or self.mode not in MODES:
+            return f"mode {str(self.mode)[:60]}; expected {', '.join(MODES)}"
         if not (math.isfinite(self.occupied_thresh) and math.isfinite(self.free_thresh)):
             return f"thresholds {self.free_thresh} and {self.occupied_thresh}; expected finite numbers"
         if self.mode == "scale" and not self.free_thresh < self.occupied_thresh:
@@ -134,17 +139,17 @@ def _read_cells(path: Path, rule: _Rule) -> Cells:
     """(H, W) of a PGM, PNG or BMP, top row first. Raises InputError."""
     from PIL import Image  # takes 0.1 s, and only what reads such a map needs it
 
-    Image.MAX_IMAGE_PIXELS = MAX_PIXELS  # its own limit is for photographs
+    Image.MAX_IMAGE_PIXELS = None  # its own limit is for photographs
     try:
-        with warnings.catch_warnings(), Image.open(path, formats=FORMATS) as image:
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            bands = [
-                image.crop((0, top, image.width, min(top + BAND_ROWS, image.height)))
-                for top in range(0, image.height, BAND_ROWS)
-            ]
-            return np.concatenate([rule.occupancy(*_shades(band)) for band in bands])
-    except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: {words_of(error)}") from error
+        with open_file(path) as file, Image.open(file, formats=FORMATS) as image:
+            size = image.width * image.height * BYTES_A_PIXEL.get(image.mode, 4)
+            check(size, MAX_IMAGE_BYTES, f"{path}: {image.width} x {image.height} pixels, unpacked")
+            Unpacking(path, os.fstat(file.fileno()).st_size).take(size)
+            cells = np.empty((image.height, image.width), dtype=np.int8)
+            for top in range(0, image.height, BAND_ROWS):
+                band = image.crop((0, top, image.width, min(top + BAND_ROWS, image.height)))
+                cells[top : top + BAND_ROWS] = rule.occupancy(*_shades(band))
+            return cells
     except (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) as error:
         raise InputError(f"{path}: no PGM, PNG or BMP that can be read: {words_of(error)}") from error
 

@@ -4,9 +4,11 @@ ROS 1 messages are turned into CDR on the way.
 """
 
 import heapq
+import re
+import sqlite3
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,8 @@ from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError
 from service.recording.mcap_reader import Topic
 from service.recording.ros1_messages import cdr_of_ros1, ros2_type
-from service.recording.ros1_scan import Scan, ScannedReader, scan_bag
-from service.recording.unpacking import ROS1, Unpacked, plain
+from service.recording.ros1_scan import Scan, ScannedReader, scan_bag, unpacked_chunk
+from service.recording.unpacking import ROS1, SQLITE, Unpacked, plain
 
 
 class Bag:
@@ -117,7 +119,12 @@ class Bag:
                 reader: Ros1Reader | Ros2Reader = ScannedReader(file.path, self._scans[file.path])
             else:
                 reader = Ros1Reader(file.path) if file.kind == ROS1 else Ros2Reader(file.path)
+            if file.kind == SQLITE:
+                refuse_other_than_tables(file.path)
             with reader:
+                if isinstance(reader, Ros1Reader):
+                    chunks = reader.chunks.items()
+                    reader.chunks = {at: c._replace(decompressor=unpacked_chunk) for at, c in chunks}
                 yield reader
         except InputError:
             raise
@@ -128,6 +135,14 @@ class Bag:
                 f"{file.given} cannot be read as a {'ROS 1' if file.kind == ROS1 else 'ROS 2'} bag: "
                 f"{error or type(error).__name__}"
             ) from error
+
+
+def refuse_other_than_tables(path: Path) -> None:
+    """A view, or a column that is computed, may have rows without end. Raises InputError."""
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
+            if kind not in ("table", "index") or re.search(r"\bAS\b|VIRTUAL", str(sql), re.IGNORECASE):
+                raise InputError(f"{path}: {name!r} is computed as it is read; expected tables alone")
 
 
 def _is_known(connection: Connection) -> bool:

@@ -2,16 +2,16 @@
 
 import heapq
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
+from mcap.data_stream import ReadDataStream
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, ChunkIndex, Metadata, Schema, Statistics
 from mcap.records import Message as Record
-from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
@@ -19,10 +19,14 @@ from service.archive import open_binary
 from service.encoding import Message
 from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError, words_of
+from service.limits import MAX_WAITING_BYTES, Unpacking, check
+from service.recording.mcap_chunks import all_records, chunk_records
 from service.recording.ros1_messages import cdr_of_ros1, ros2_type
 from service.recording.unpacking import MCAP, Unpacked, plain
 
 ROS1_ENCODING = "ros1"  # of `mcap convert` from a bag of ROS 1
+RECORD_HEAD_BYTES = 9  # opcode, and length of what follows
+MESSAGE_BYTES = 300  # that a message takes in memory besides its payload
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +176,7 @@ def _read_index(file: Unpacked, stream: BinaryIO) -> _File:
     if summary is not None and _is_whole(summary):
         metadata = list(reader.iter_metadata())
     else:
-        summary, metadata = _scan(stream)
+        summary, metadata = _scan(file, stream)
     statistics = summary.statistics
     assert statistics is not None
     topics = tuple(
@@ -204,7 +208,7 @@ def _is_whole(summary: Summary) -> bool:
     )
 
 
-def _scan(stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
+def _scan(file: Unpacked, stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
     """What a summary says, from the data itself. There are no chunk indexes in it: messages are then read
     from the file's beginning to its end.
     """
@@ -213,7 +217,7 @@ def _scan(stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
     last_ns = 0
     counts: Counter[int] = Counter()
     stream.seek(0)
-    for record in StreamReader(stream).records:
+    for record in all_records(stream, Unpacking(file.given, file.size), file.given):
         match record:
             case Schema():
                 summary.schemas[record.id] = record
@@ -239,12 +243,82 @@ def _scan(stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
     return summary, metadata
 
 
-class _Reader(SeekingReader):
-    """Reads messages by a summary that is known already."""
+@dataclass(frozen=True, slots=True, order=True)
+class _Place:
+    """Where a chunk, or a message in it, stands in the order that is read."""
 
-    def __init__(self, stream: BinaryIO, summary: Summary) -> None:
-        super().__init__(stream, validate_crcs=True)
-        self._summary = summary
+    log_ns: int
+    chunk_at: int
+    index: int = -1  # in its chunk; a chunk comes before its messages
+
+
+class _Walk:
+    """The messages of one file by rising log time. Of a file with an index, only chunks that are wanted are
+    unpacked, and those that overlap in time are read ahead.
+    """
+
+    def __init__(
+        self,
+        file: _File,
+        stream: BinaryIO,
+        topics: Collection[str] | None,
+        from_ns: int | None,
+        to_ns: int | None,
+    ) -> None:
+        self._file = file
+        self._stream = stream
+        self._from_ns, self._to_ns = from_ns, to_ns
+        channels = file.summary.channels
+        self._ids = {k for k, channel in channels.items() if topics is None or channel.topic in topics}
+        self._unpacking = Unpacking(file.file.given, file.file.size)
+        self._waiting: list[tuple[_Place, ChunkIndex | Record]] = []
+        self._waiting_bytes = 0
+
+    def messages(self) -> Iterator[Record]:
+        what = self._file.file.given
+        chunks = self._file.summary.chunk_indexes
+        for chunk in filter(self._is_wanted, chunks):
+            self._push(_Place(chunk.message_start_time, chunk.chunk_start_offset), chunk)
+        if not chunks:
+            self._stream.seek(0)
+            self._take(0, all_records(self._stream, self._unpacking, what))
+        while self._waiting:
+            place, item = heapq.heappop(self._waiting)
+            if isinstance(item, Record):
+                self._waiting_bytes -= len(item.data)
+                yield item
+            else:
+                self._stream.seek(place.chunk_at + RECORD_HEAD_BYTES)
+                chunk = Chunk.read(ReadDataStream(self._stream))
+                self._take(place.chunk_at, chunk_records(chunk, self._unpacking, what))
+
+    def _is_wanted(self, chunk: ChunkIndex) -> bool:
+        held = chunk.message_index_offsets.keys()
+        return (
+            (self._from_ns is None or chunk.message_end_time >= self._from_ns)
+            and (self._to_ns is None or chunk.message_start_time <= self._to_ns)
+            and (not held or not self._ids.isdisjoint(held))
+        )
+
+    def _take(self, chunk_at: int, records: Iterable[object]) -> None:
+        for index, record in enumerate(records):
+            if (
+                isinstance(record, Record)
+                and record.channel_id in self._ids
+                and (self._from_ns is None or record.log_time >= self._from_ns)
+                and (self._to_ns is None or record.log_time <= self._to_ns)
+            ):
+                self._push(_Place(record.log_time, chunk_at, index), record)
+
+    def _push(self, place: _Place, item: ChunkIndex | Record) -> None:
+        heapq.heappush(self._waiting, (place, item))
+        if isinstance(item, Record):
+            self._waiting_bytes += len(item.data) + MESSAGE_BYTES
+        check(
+            self._waiting_bytes,
+            MAX_WAITING_BYTES,
+            f"{self._file.file.given}: messages to be put in order (`mcap sort` writes a file that is)",
+        )
 
 
 def _topic(channel: Channel, schemas: dict[int, Schema], count: int) -> Topic:
@@ -265,8 +339,9 @@ def _messages(
 ) -> Iterator[Message]:
     try:
         with open_binary(file.file.path) as stream:
-            wanted = _Reader(stream, file.summary).iter_messages(topics, starting_at=from_ns, ending_at=to_ns)
-            for schema, channel, record in wanted:
+            for record in _Walk(file, stream, topics, from_ns, to_ns).messages():
+                channel = file.summary.channels[record.channel_id]
+                schema = file.summary.schemas[channel.schema_id] if channel.schema_id else None
                 type_name = _type_name(schema.name if schema is not None else "")
                 payload = plain(record.data)
                 if channel.message_encoding == ROS1_ENCODING and type_name in FIELDDEFS:
@@ -278,5 +353,7 @@ def _messages(
                     log_ns=record.log_time,
                     payload=payload,
                 )
+    except InputError:
+        raise
     except Exception as error:  # bad bytes may fail in any way inside the library
         raise _damaged(file.file, error) from error

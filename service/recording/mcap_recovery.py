@@ -14,21 +14,22 @@ import struct
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from drivers.counted import counted
 from service.errors import CorridorError, InputError, StorageError, words_of
+from service.limits import MAX_CHUNK_BYTES, TooLargeError, Unpacking
+from service.readable import open_file
+from service.recording.mcap_chunks import ChunkRecord, chunk_records, whole_records
 from service.recording.mcap_file import (
     ACTIVE_SUFFIX,
     CHUNK_BYTES,
@@ -37,6 +38,7 @@ from service.recording.mcap_file import (
     is_locked,
 )
 from service.recording.mcap_reader import Recording
+from service.recording.unpacking import unpacked, zstd_decompressor
 from service.writable import sync
 
 log = logging.getLogger(__name__)
@@ -52,7 +54,6 @@ _CHUNK_FIXED = struct.Struct("<QQQII")  # first and last log time, size, crc, le
 # Names of compressions as they stand in a chunk, with their length.
 _CHUNK_NAMES = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
 _NAME_OFFSET = _FRAME.size + _CHUNK_FIXED.size - 4
-_SMALLEST_MESSAGE_BYTES = 22
 
 Record = Schema | Channel | Message | Attachment | Metadata
 
@@ -99,14 +100,15 @@ def recover(source: Path) -> RecoveryReport:
     """Recover `x.mcap.active` to `x.mcap`, or a broken `x.mcap` in its place.
 
     Raises InputError where the file cannot be read, is no MCAP, in use, or without one readable message,
-    StorageError where the disk refuses, CorridorError where the result does not read back. The source is
+    or where its schemas are none, StorageError where the disk refuses, CorridorError where messages are
+    missing when the result is read back. The source is
     untouched in all cases.
     """
     path = source.with_name(source.name.removesuffix(ACTIVE_SUFFIX))
     folder = path.with_name(path.name + WORKING_SUFFIX)
     report = RecoveryReport(source, path)
     try:
-        stream = source.open("rb")
+        stream = open_file(source)
     except OSError as error:
         raise InputError(f"cannot read {source}: {error.strerror}") from error
     try:
@@ -132,12 +134,12 @@ def _recover(stream: BinaryIO, working: Path, report: RecoveryReport) -> None:
             "is finished; rename it, then recover it"
         )
     with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        walk = _Walk(data)
+        walk = _Walk(data, source)
         definitions = _definitions(source, walk)
         if walk.complete and source == report.path and _reads_back(source, walk.messages):
             report.complete, report.messages = True, walk.messages
             return
-        _copy(_Walk(data), definitions, working, report)
+        _copy(_Walk(data, source), definitions, working, report)
     _put_in_place(working, report)
 
 
@@ -171,14 +173,15 @@ def _put_in_place(working: Path, report: RecoveryReport) -> None:
 
 
 def _count_by_rosbags(path: Path) -> int:
-    """Messages that a reader written by others finds. Raises CorridorError where it cannot read the file."""
+    """Messages that a reader written by others finds. Raises InputError where it cannot read the file."""
     from rosbags.highlevel import AnyReader  # 0.1 s that few starts need
 
     try:
         with AnyReader([path]) as reader:
             return sum(1 for _ in reader.messages())
     except Exception as error:  # it raises what it likes
-        raise CorridorError(f"{path} cannot be read back: {error}") from error
+        about = str(error) or type(error).__name__
+        raise InputError(f"what is left of {path.name} cannot be read by rosbags: {about}") from error
 
 
 def _reads_back(path: Path, messages: int) -> bool:
@@ -201,8 +204,10 @@ def _check_is_mcap(source: Path, magic: bytes) -> None:
 class _Walk:
     """The records of a file in their order, whatever state it is in; counts what it had to pass over."""
 
-    def __init__(self, data: mmap.mmap) -> None:
+    def __init__(self, data: mmap.mmap, source: Path) -> None:
         self._data = data
+        self._source = source
+        self._unpacking = Unpacking(source, len(data))
         self.bad_chunks = 0
         self.skipped_bytes = 0
         self.messages = 0
@@ -228,7 +233,7 @@ class _Walk:
             body = self._data[offset + _FRAME.size : end]
             if opcode == Opcode.CHUNK:
                 try:
-                    yield from self._counted(_chunk_records(body))
+                    yield from self._counted(_chunk_records(body, self._unpacking, self._source))
                 except _BadChunkError as error:
                     self.bad_chunks += 1
                     end = self._next_chunk(offset + 1) if error.framing_lost else end
@@ -279,14 +284,19 @@ class _Walk:
         if self._data[offset] != Opcode.CHUNK or self._data[name_at : name_at + len(name)] != name:
             return
         start = name_at + len(name) + 8
+        packed = self._data[start : start + MAX_CHUNK_BYTES]
         try:
-            content = zstandard.ZstdDecompressor().decompressobj().decompress(self._data[start:])
-        except zstandard.ZstdError:
+            content = unpacked(packed, zstd_decompressor, MAX_CHUNK_BYTES, f"{self._source}: a chunk")
+            self._unpacking.take(len(content))
+            records, _ = whole_records(content, self._source)
+        except TooLargeError:
+            raise
+        except Exception:  # bad bytes may fail in any way
             return
         _, _, size, crc, _ = _CHUNK_FIXED.unpack_from(self._data, offset + _FRAME.size)
         if len(content) == size and crc and zlib.crc32(content) != crc:
             return
-        yield from self._counted(_whole_records(content))
+        yield from self._counted(records)
 
     def _next_chunk(self, offset: int) -> int:
         """Where the next chunk seems to begin, or the end of the file."""
@@ -306,37 +316,18 @@ class _BadChunkError(Exception):
         self.framing_lost = framing_lost  # the length of the record itself cannot be trusted
 
 
-def _chunk_records(body: bytes) -> list[Record]:
+def _chunk_records(body: bytes, unpacking: Unpacking, source: Path) -> list[ChunkRecord]:
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     except Exception as error:  # bad bytes may fail in any way
         raise _BadChunkError(framing_lost=True) from error
     length = _CHUNK_FIXED.size + len(chunk.compression) + 8 + len(chunk.data)
     try:
-        records = breakup_chunk(chunk, validate_crc=True)
+        return chunk_records(chunk, unpacking, source)
+    except TooLargeError:
+        raise
     except Exception as error:  # as above: zstd, lz4, struct, unicode and checksum errors
         raise _BadChunkError(framing_lost=length != len(body)) from error
-    return [record for record in records if isinstance(record, Schema | Channel | Message)]
-
-
-def _whole_records(content: bytes) -> list[Record]:
-    records: list[Record] = []
-    readers: dict[int, Callable[[ReadDataStream, int], Record]] = {
-        Opcode.SCHEMA: lambda stream, _: Schema.read(stream),
-        Opcode.CHANNEL: lambda stream, _: Channel.read(stream),
-        Opcode.MESSAGE: lambda stream, length: Message.read(stream, length),
-    }
-    offset = 0
-    while offset + _FRAME.size <= len(content):
-        code, length = cast(tuple[int, int], _FRAME.unpack_from(content, offset))
-        body = content[offset + _FRAME.size :][:length]
-        if code not in readers or len(body) < length:
-            break
-        if code == Opcode.MESSAGE and length < _SMALLEST_MESSAGE_BYTES:
-            break
-        records.append(readers[code](ReadDataStream(BytesIO(body)), length))
-        offset += _FRAME.size + length
-    return records
 
 
 @dataclass(slots=True)

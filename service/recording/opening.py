@@ -7,7 +7,8 @@ from pathlib import Path
 import yaml
 
 from service.errors import InputError
-from service.readable import refuse_unreadable
+from service.limits import MAX_YAML_BYTES
+from service.readable import read_text, refuse_unreadable
 from service.recording.bag_reader import Bag
 from service.recording.mcap_reader import Readable, Recording
 from service.recording.unpacking import MCAP, Unpacked
@@ -82,8 +83,8 @@ def _files(path: Path) -> list[Path]:
 def _listed(metadata: Path) -> list[Path]:
     """The files of a ROS 2 bag; none where its metadata is not there or does not tell."""
     try:
-        about = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+        about = yaml.safe_load(read_text(metadata, limit=MAX_YAML_BYTES))
         names = about["rosbag2_bagfile_information"]["relative_file_paths"]
         return [metadata.parent / Path(name).name for name in names]
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError):
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError):
         return []

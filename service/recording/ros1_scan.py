@@ -25,7 +25,8 @@ from rosbags.rosbag1.reader import (
 )
 
 from drivers.counted import counted
-from service.recording.unpacking import decompressor_of
+from service.limits import MAX_CHUNK_BYTES, TooLargeError
+from service.recording.unpacking import decompressor_of, unpacked
 
 _SIZE = struct.Struct("<I")
 _MAX_HEADER_BYTES = 1 << 20
@@ -119,13 +120,13 @@ def _take_chunk(
     if compression not in decompressors:
         scan.bad_chunks += 1
         return end
-    decompress = decompressors[compression]
     is_open = end > len(data) or end == begin
     if is_open:
         end = len(data)
-        decompress = _partly
     try:
-        content = decompress(data[begin:end])
+        content = unpacked_chunk(data[begin:end])
+    except TooLargeError:
+        raise
     except Exception:  # bad bytes may fail in any way
         scan.bad_chunks += 1
         return end
@@ -155,7 +156,7 @@ def _take_chunk(
         for conn, entry in found:
             scan.indexes[conn].append(entry)
         times, counts = [entry.time for _, entry in found], Counter(conn for conn, _ in found)
-        scan.chunks[at] = Chunk(end - begin, begin, decompress)
+        scan.chunks[at] = Chunk(end - begin, begin, unpacked_chunk)
         scan.chunk_infos.append(ChunkInfo(at, min(times), max(times) + 1, dict(counts)))
     return end
 
@@ -172,7 +173,7 @@ def _records(content: bytes) -> Iterator[tuple[int, Header, int]]:
         at = end
 
 
-def _partly(data: bytes) -> bytes:
-    """What can be had of a chunk that is cut off, compressed or not."""
+def unpacked_chunk(data: bytes) -> bytes:
+    """What can be had of a chunk, compressed or not. Raises TooLargeError and UnpackError."""
     new = decompressor_of(data)
-    return data if new is None else bytes(new().decompress(data))
+    return data if new is None else unpacked(data, new, MAX_CHUNK_BYTES, "a chunk")

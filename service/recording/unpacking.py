@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import weakref
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import gettempdir, mkdtemp
 from typing import Any, BinaryIO
@@ -16,23 +16,36 @@ import zstandard
 
 from service.archive import copy_here, is_remote, open_binary
 from service.errors import InputError, StorageError, words_of
+from service.limits import MAX_MESSAGE_BYTES, MAX_XZ_BYTES, Unpacking, check, factor
+from service.readable import refuse_unreadable
 
 MCAP, ROS1, SQLITE = "MCAP", "ROS 1", "SQLite"
 _KINDS = {b"\x89MCAP0\r\n": MCAP, b"#ROSBAG V": ROS1, b"SQLite format 3\0": SQLITE}
 _SUFFIXES = {MCAP: ".mcap", ROS1: ".bag", SQLITE: ".db3"}  # rosbags goes by them
 _MAX_MAGIC_BYTES = 16
-_BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 1 << 12
+_PART_BYTES = 1 << 20
 _SPECIAL_IN_URI = frozenset("?#%")  # rosbags opens a db3 by a URI in which it quotes nothing
 
 NewDecompressor = Callable[[], Any]  # with decompress, eof and unused_data, as those of the standard library
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+def zstd_decompressor() -> Any:
+    return zstandard.ZstdDecompressor().decompressobj()
+
+
 _DECOMPRESSORS: dict[bytes, NewDecompressor] = {
-    _ZSTD_MAGIC: lambda: zstandard.ZstdDecompressor().decompressobj(),
+    _ZSTD_MAGIC: zstd_decompressor,
     b"\x1f\x8b": lambda: zlib.decompressobj(zlib.MAX_WBITS | 16),
     b"BZh": bz2.BZ2Decompressor,
-    b"\xfd7zXZ\0": lzma.LZMADecompressor,
+    b"\xfd7zXZ\0": lambda: lzma.LZMADecompressor(memlimit=round(MAX_XZ_BYTES * factor())),
     b"\x04\x22\x4d\x18": lz4.frame.LZ4FrameDecompressor,
 }
+
+
+class UnpackError(ValueError):
+    """Bytes that no decompressor takes."""
 
 
 class Unpacked:
@@ -43,6 +56,7 @@ class Unpacked:
     is_packed  whether it is compressed as a whole
     kind       MCAP, ROS1, SQLITE; "" for none of them
     beginning  its first bytes, for people
+    size       of the file as it was named, bytes
     losses     what could not be unpacked, for people
 
     Raises InputError where the file cannot be read or unpacked, StorageError where there is no place for it.
@@ -50,6 +64,8 @@ class Unpacked:
 
     def __init__(self, given: Path) -> None:
         self.given = self.path = given
+        refuse_unreadable(given)
+        self.size = given.stat().st_size or 0  # a web server may not say
         self.losses: list[str] = []
         magic = _magic(given)
         new = decompressor_of(magic)
@@ -88,14 +104,16 @@ class Unpacked:
     def _decompress(self, source: BinaryIO, new: NewDecompressor, target: BinaryIO) -> bool:
         """Of a file in one part or several; True where its end is missing."""
         stream = None
+        unpacking = Unpacking(self.given, self.size)
         while block := source.read(_BLOCK_BYTES):
             while block:
                 stream = new() if stream is None else stream
                 try:
-                    content = stream.decompress(block)
-                except Exception as error:  # bad bytes fail in another way in each library
+                    for content in _contents(stream, block):
+                        unpacking.take(len(content))
+                        target.write(content)
+                except UnpackError as error:
                     raise InputError(f"{self.given} cannot be unpacked: {error}") from error
-                target.write(content)
                 block = b""
                 if stream.eof:
                     block, stream = stream.unused_data, None
@@ -132,9 +150,36 @@ def plain(payload: bytes) -> bytes:
     if payload[:4] != _ZSTD_MAGIC:
         return payload
     try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(payload)
-    except zstandard.ZstdError:
+        return unpacked(payload, zstd_decompressor, MAX_MESSAGE_BYTES, "a message")
+    except UnpackError:
         return b""  # which no decoder takes
+
+
+def unpacked(packed: bytes, new: NewDecompressor, limit: int, what: str) -> bytes:
+    """Of one stream, what can be had of it where its end is missing. Raises TooLargeError beyond the limit,
+    UnpackError for bad bytes.
+    """
+    stream, content = new(), bytearray()
+    for at in range(0, len(packed), _BLOCK_BYTES):
+        for part in _contents(stream, packed[at : at + _BLOCK_BYTES]):
+            content += part
+            check(len(content), limit, f"{what}, unpacked")
+        if stream.eof:
+            break
+    return bytes(content)
+
+
+def _contents(stream: Any, block: bytes) -> Iterator[bytes]:
+    """What a block becomes, a part at a time. Raises UnpackError."""
+    try:
+        if not hasattr(stream, "needs_input"):  # zlib and zstd, which cannot be stopped, reach 4 and 130 MB
+            yield stream.decompress(block)
+            return
+        yield stream.decompress(block, _PART_BYTES)
+        while not (stream.eof or stream.needs_input):
+            yield stream.decompress(b"", _PART_BYTES)
+    except Exception as error:  # bad bytes fail in another way in each library
+        raise UnpackError(str(error)) from error
 
 
 def _magic(path: Path) -> bytes:

@@ -11,12 +11,14 @@ odometry unless asked for.
 
 import gzip
 import math
+import os
 import re
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
+from io import TextIOWrapper
 from pathlib import Path
 from typing import IO, Literal
 
@@ -27,8 +29,12 @@ from drivers.counted import counted
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.errors import InputError, words_of
 from service.geometry.se2 import SE2, wrap_angle
+from service.limits import MAX_LINE_BYTES, MAX_LOG_BYTES, Unpacking, check, factor
 from service.offline.importing.session_file import refuse_to_overwrite, write_session
 from service.offline.writing import refuse_unwritable_file
+from service.readable import open_file
+
+GZIP_MAGIC = b"\x1f\x8b"
 
 OdometryChoice = Literal["auto", "logged", "none"]
 Ranges = npt.NDArray[np.float32]  # m
@@ -154,10 +160,12 @@ def _read(path: Path, report: ImportReport) -> _Log:
     log, first_line = _Log(), ""
     last_ns = 0
     try:
-        with path.open("rb") as probe:
-            zipped = probe.read(2) == b"\x1f\x8b"
-        with (gzip.open if zipped else open)(path, "rt", encoding="latin-1") as stream:
-            for line in _lines(stream):
+        with open_file(path) as file:
+            zipped = file.peek(2)[:2] == GZIP_MAGIC
+            unpacking = Unpacking(path, os.fstat(file.fileno()).st_size)
+            content = gzip.GzipFile(fileobj=file) if zipped else file
+            stream = TextIOWrapper(content, encoding="latin-1")
+            for line in _lines(path, stream, unpacking):
                 first_line = first_line or line.strip()[:60]
                 fields = line.split()
                 try:
@@ -193,8 +201,17 @@ def _has_return(scan: LaserScan) -> bool:
     return bool(((scan.range_m > 0.0) & (scan.range_m < scan.range_max_m)).any())
 
 
-def _lines(stream: IO[str]) -> Iterator[str]:
-    return (line for line in stream if line.strip() and not line.startswith("#"))
+def _lines(path: Path, stream: IO[str], unpacking: Unpacking) -> Iterator[str]:
+    longest, total = round(MAX_LINE_BYTES * factor()), 0
+    limit = min(unpacking.left, round(MAX_LOG_BYTES * factor()))
+    while line := stream.readline(longest + 1):
+        total += len(line)
+        if len(line) > longest or total > limit:
+            check(len(line), MAX_LINE_BYTES, f"{path}: a line")
+            check(total, MAX_LOG_BYTES, f"{path}: the log")
+            unpacking.take(total)
+        if line.strip() and not line.startswith("#"):
+            yield line
 
 
 def _take(log: _Log, fields: list[str], report: ImportReport) -> int:

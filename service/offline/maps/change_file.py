@@ -1,12 +1,14 @@
 """changes.csv: the cells that are not what a stored map says, for who looks after it."""
 
 import csv
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from service.errors import InputError
 from service.mapper.map_changes import COARSER, MapChanges
+from service.readable import read_text
 
 CHANGES_FILE = "changes.csv"
 COLUMNS = ("x_m", "y_m", "change", "first_stamp_ns", "last_stamp_ns", "scans")
@@ -44,8 +46,7 @@ def read_changes(path: Path, cell_m: float) -> MapChanges | None:
     if not path.is_file():
         return None
     try:
-        with path.open(encoding="ascii", newline="") as file:
-            rows = list(csv.DictReader(file))
+        rows = list(csv.DictReader(StringIO(read_text(path, "ascii"), newline="")))
         return MapChanges(
             COARSER * cell_m,
             np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows]).reshape(-1, 2),

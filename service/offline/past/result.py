@@ -26,6 +26,7 @@ from service.mapstore.tiles import tiles_of_grid
 from service.offline.maps.corrected_path import corrected_path
 from service.offline.score.trajectory import Trajectory, read_tum
 from service.outputs import Grid, TileUpdate
+from service.readable import read_text
 
 log = logging.getLogger(__name__)
 
@@ -82,7 +83,7 @@ class Drive:
     def g2o(self) -> str | None:
         path = self._file(GRAPH_FILE)
         try:
-            return path.read_text(encoding="ascii") if path.is_file() else None
+            return read_text(path, "ascii") if path.is_file() else None
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: {words_of(error)}") from error
 
@@ -91,8 +92,8 @@ class Drive:
         """{} where there is none."""
         path = self._file(SUMMARY_FILE)
         try:
-            summary = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-        except (OSError, ValueError) as error:
+            summary = json.loads(read_text(path)) if path.is_file() else {}
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: {words_of(error)}") from error
         if not isinstance(summary, dict):
             raise InputError(f"{path}: expected a JSON object")

@@ -23,6 +23,7 @@ from service.offline.past.shown_tiles import ShownTiles
 from service.offline.score.trajectory import Trajectory
 from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
 from service.publishing.commands import Answer, refusal
+from service.readable import read_text
 from service.web.access import new_token
 from service.web.config import WebConfig
 from service.web.protocol import encode_changes, encode_path
@@ -145,7 +146,7 @@ def _graph_of_g2o(path: Path) -> GraphPicture:
         return NO_GRAPH
     places: dict[int, tuple[float, float]] = {}
     edges: list[tuple[int, int]] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         try:
             match line.split():
                 case ["VERTEX_SE2", k, x_m, y_m, *_]:

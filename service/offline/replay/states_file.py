@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from service.errors import InputError
 from service.geometry.poses import Floats
 from service.offline.score.trajectory import NS_PER_S, parse_stamp
 from service.outputs import STATES, MapperOutput
+from service.readable import read_text
 
 STATES_FILE = "states.csv"
 COLUMNS = (
@@ -75,7 +77,7 @@ def read_states(path: Path) -> States:
     """Raises InputError with file and line."""
     stamps, words, figures = [], [], []
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with StringIO(read_text(path), newline="") as file:
             reader = csv.DictReader(file, strict=True)
             if missing := set(COLUMNS) - set(reader.fieldnames or ()):
                 raise InputError(f"{path}:1: no column {', '.join(sorted(missing))}")

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from drivers.counted import counted
 from service.errors import InputError
 from service.geometry.se2 import SE2, wrap_angle
+from service.readable import read_text
 
 NS_PER_S = 1_000_000_000
 LARGEST = 1e9  # m; beyond it no double holds a micrometre
@@ -86,7 +87,7 @@ def read_tum(path: Path) -> Trajectory:
 def read_columns(path: Path, count: int, names: str) -> Iterator[tuple[str, list[str]]]:
     """Lines of `count` fields as ("file:line", fields), without comments. Raises InputError."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

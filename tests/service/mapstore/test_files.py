@@ -16,6 +16,7 @@ from service.geometry.se2 import SE2
 from service.mapstore import files
 from service.mapstore.files import check_versions, has_version, keep_version, load_map, save_map
 from service.mapstore.geo_file import read_geo
+from service.mapstore.manifest import FORMAT, digest_of
 from service.mapstore.ros_map import read_ros_map
 from tests.service.mapstore.tile_makers import same, tile
 
@@ -107,10 +108,10 @@ def test_the_map_of_a_result_is_named(tmp_path):
 def test_a_later_format_is_refused_by_name(tmp_path):
     save_map(tmp_path, TILES, 1)
     path = tmp_path / "v000001" / "manifest.json"
-    manifest = json.loads(path.read_text()) | {"format": files.FORMAT + 1, "corridor": "9.0.0"}
+    manifest = json.loads(path.read_text()) | {"format": FORMAT + 1, "corridor": "9.0.0"}
     del manifest["sha256"]
-    path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
-    with pytest.raises(InputError, match=rf"format {files.FORMAT + 1} of corridor 9.0.0"):
+    path.write_text(json.dumps(manifest | {"sha256": digest_of(manifest)}))
+    with pytest.raises(InputError, match=rf"format {FORMAT + 1} of corridor 9.0.0"):
         load_map(tmp_path)
 
 

@@ -8,10 +8,11 @@ from PIL import Image
 
 from service.errors import ConfigError, InputError
 from service.mapper.profiles import mapping_config
-from service.mapstore import files, graph_files
+from service.mapstore import graph_files
 from service.mapstore.annotated import PALETTE, WAY
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
+from service.mapstore.manifest import digest_of
 from service.outputs import FREE
 from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import CELL_M, tile
@@ -80,7 +81,7 @@ def test_a_map_of_the_first_format_is_shown_and_not_gone_on_in(tmp_path):
     path = tmp_path / "v000001" / "manifest.json"
     manifest = json.loads(path.read_text()) | {"format": 1}
     del manifest["sha256"]
-    path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
+    path.write_text(json.dumps(manifest | {"sha256": digest_of(manifest)}))
     assert load_map(tmp_path).graph is None
     with pytest.raises(InputError, match="mapping cannot go on in it"):
         begin_in(tmp_path, mapping_config())

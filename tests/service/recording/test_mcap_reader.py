@@ -140,7 +140,7 @@ def test_what_is_no_mcap_or_not_there_is_refused(tmp_path):
     path.write_bytes(b"")
     with pytest.raises(InputError, match="begins with nothing"):
         Recording([path])
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         Recording([tmp_path / "missing.mcap"])
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no MCAP files in"):

@@ -231,6 +231,6 @@ def test_a_file_that_may_not_be_read_is_a_bad_input_as_for_every_command(tmp_pat
     def refuse(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(type(tmp_path), "open", refuse)
+    monkeypatch.setattr(type(tmp_path), "stat", refuse)
     with pytest.raises(InputError, match=r"cannot read .*x\.mcap: Permission denied"):
         recover(tmp_path / "x.mcap")
