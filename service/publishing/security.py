@@ -91,8 +91,8 @@ def link_settings(security: SecurityConfig) -> dict[str, Any]:
         _check_private(tls.key, "the key")
         settings["transport/link/tls"] = {
             "root_ca_certificate": str(tls.ca),
-            **{f"{way}_certificate": str(tls.certificate) for way in ("listen", "connect")},
-            **{f"{way}_private_key": str(tls.key) for way in ("listen", "connect")},
+            **{f"{side}_certificate": str(tls.certificate) for side in ("listen", "connect")},
+            **{f"{side}_private_key": str(tls.key) for side in ("listen", "connect")},
             "enable_mtls": security.users is None,
             "verify_name_on_connect": True,
         }

@@ -13,6 +13,7 @@ from service.web.access import new_token, state_folder, token_from_file
 from service.web.config import WebConfig
 from service.web.resources import Kind
 from service.web.server import About, WebServer
+from service.web.tokens import granted_beside
 
 log = logging.getLogger(__name__)
 
@@ -30,6 +31,7 @@ class WebSink(Sink):
         self._command = context.command
         self._is_started = False
         self._token_fault = ""
+        path = config.token_file or state_folder() / "web.token"
         self._server = WebServer(
             config,
             About(
@@ -40,8 +42,9 @@ class WebSink(Sink):
             ),
             context.tiles,
             self._answer,
-            self._token(config),
+            self._token(path),
             _folders(context),
+            granted=granted_beside(path),
         )
         self._server.start()
 
@@ -63,8 +66,7 @@ class WebSink(Sink):
     def close(self) -> None:
         self._server.close()
 
-    def _token(self, config: WebConfig) -> str:
-        path = config.token_file or state_folder() / "web.token"
+    def _token(self, path: Path) -> str:
         try:
             token = token_from_file(path)
         except StorageError as error:

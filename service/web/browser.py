@@ -3,11 +3,11 @@
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from service.web.access import is_token
 from service.web.protocol import (
     AskedError,
     CommandAsked,
@@ -18,6 +18,7 @@ from service.web.protocol import (
 )
 from service.web.send_queue import SendQueue
 from service.web.tile_stream import TileFeed
+from service.web.tokens import Attempts, Grant, Tokens
 
 log = logging.getLogger(__name__)
 
@@ -25,9 +26,19 @@ SEND_TIMEOUT_S = 10.0  # a browser that has not read for so long is let go; it c
 CLOSE_TIMEOUT_S = 1.0
 TILE_PERIOD_S = 0.5
 MAX_WRONG_TOKENS = 5
+SHOW_TOKEN_S = 5.0  # where the places without one are taken
 MAX_COMMANDS = 4  # of one browser, being carried out
 MAX_ASKED_PER_S = 20.0
 ASKED_BURST = 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """By which a page knows who may change something."""
+
+    tokens: Tokens
+    attempts: Attempts
+
 
 CarryOut = Callable[[CommandAsked | ResourceAsked], Awaitable[dict[str, Any]]]  # -> the answer's body
 
@@ -36,14 +47,21 @@ class Browser:
     """Sends from its queue, and tiles; reads tokens and commands. Lives in the event loop."""
 
     def __init__(
-        self, socket: web.WebSocketResponse, name: str, token: str, feed: TileFeed, carry_out: CarryOut
+        self,
+        socket: web.WebSocketResponse,
+        address: str,
+        gate: Gate,
+        must_show: bool,
+        feed: TileFeed,
+        carry_out: CarryOut,
     ) -> None:
         self.send_queue = SendQueue()
-        self.may_control = False
+        self.address = address
+        self.must_show = must_show  # a token, soon
+        self.grant: Grant | None = None  # what it has shown
         self.reads = True  # False: it has not taken what was sent for too long
         self._socket = socket
-        self._name = name
-        self._token = token
+        self._gate = gate
         self._feed = feed
         self._carry_out = carry_out
         self._version = 0  # of the newest tile sent
@@ -53,16 +71,38 @@ class Browser:
         self._allowance = ASKED_BURST  # messages it may send at once
         self._asked_s = asyncio.get_running_loop().time()
 
+    @property
+    def is_guest(self) -> bool:
+        """It has shown no token."""
+        return self.grant is None
+
+    @property
+    def may_control(self) -> bool:
+        return (
+            self.grant is not None
+            and self.grant.role == "operator"
+            and self._gate.tokens.still_holds(self.grant)
+        )
+
+    def look_again(self) -> None:
+        """Take the right away once the token is revoked or has expired."""
+        if self.grant is not None and not self._gate.tokens.still_holds(self.grant):
+            log.info("web: the token of %s, at %s, holds no more", self.grant.name, self.address)
+            self.grant = None
+            self._tell_access("the token was revoked, or has expired")
+
     async def serve(self) -> None:
         """Until it goes away, or is let go."""
         sending = asyncio.create_task(self._send())
         reading = asyncio.create_task(self._read())
+        waiting = [asyncio.create_task(self._leave_without_token())] if self.must_show else []
         try:
             await asyncio.wait((sending, reading), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (sending, reading, *self._commands):
+            tasks = (sending, reading, *waiting, *self._commands)
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(sending, reading, *self._commands, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def let_go(self, code: WSCloseCode, words: str) -> None:
         """Close, without waiting for one who does not listen."""
@@ -71,6 +111,11 @@ class Browser:
                 await self._socket.close(code=code, message=words.encode()[:120])
         except TimeoutError:
             self.reads = False
+
+    async def _leave_without_token(self) -> None:
+        await asyncio.sleep(SHOW_TOKEN_S)
+        if self.is_guest:
+            await self.let_go(WSCloseCode.TRY_AGAIN_LATER, "the places without a token are taken")
 
     async def _send(self) -> None:
         clock = asyncio.get_running_loop().time
@@ -95,7 +140,7 @@ class Browser:
                     await self._socket.send_bytes(payload)
         except TimeoutError:
             self.reads = False
-            log.info("web: %s has not read for %.0f s; it is let go", self._name, SEND_TIMEOUT_S)
+            log.info("web: %s has not read for %.0f s; it is let go", self.address, SEND_TIMEOUT_S)
             raise
 
     async def _read(self) -> None:
@@ -124,21 +169,31 @@ class Browser:
 
     async def _look_at(self, token: str) -> bool:
         """False where it has tried too often and is let go."""
-        self.may_control = is_token(token, self._token)
-        words = "" if self.may_control else "this is not the token of this service"
-        self.send_queue.answer(to_json("access", may_control=self.may_control, error=words))
-        if not self.may_control:
-            self._wrong_tokens += 1
-            log.warning("web: wrong token from %s", self._name)
+        self.grant = self._gate.tokens.grant_of(token)
+        if self.grant is not None:
+            log.info("web: %s is %s, %s", self.address, self.grant.name, self.grant.role)
+            self._tell_access()
+            return True
+        self._wrong_tokens += 1
+        await asyncio.sleep(self._gate.attempts.wrong(self.address))
+        self._tell_access("this is not the token of this service, or it has expired")
         if self._wrong_tokens < MAX_WRONG_TOKENS:
             return True
         await self.let_go(WSCloseCode.POLICY_VIOLATION, "too many wrong tokens")
         return False
 
+    def _tell_access(self, error: str = "") -> None:
+        name, role = (self.grant.name, self.grant.role) if self.grant is not None else ("", "")
+        self.send_queue.answer(
+            to_json("access", may_control=self.may_control, name=name, role=role, error=error)
+        )
+
     def _begin(self, asked: CommandAsked | ResourceAsked) -> None:
         is_looking = isinstance(asked, ResourceAsked) and asked.action == "list"
         if not self.may_control and not is_looking:
-            self._answer(asked.n, {"ok": False, "error": "this needs the token; you may only look"})
+            self._answer(
+                asked.n, {"ok": False, "error": "this needs the token of an operator; you may only look"}
+            )
         elif len(self._commands) >= MAX_COMMANDS:
             words = f"{MAX_COMMANDS} commands of this page are being carried out; wait for one to end"
             self._answer(asked.n, {"ok": False, "error": words})

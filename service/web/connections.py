@@ -29,11 +29,14 @@ class _Refused(asyncio.Protocol):
 
 
 class Listener:
-    """refused(): called for each connection too many, and for each request that breaks HTTP."""
+    """Where there is no room, a new connection takes the place of the oldest that is no websocket.
+
+    refused(): called for each connection too many, and for each request that breaks HTTP."""
 
     def __init__(self, most_browsers: int, refused: Callable[[], None]) -> None:
         self._most = max(MIN_CONNECTIONS, CONNECTIONS_A_BROWSER * most_browsers)
         self._refused = refused
+        self.lasting: set[object] = set()  # protocols of the connections that are websockets
         self._log = logging.Logger(f"{__name__}.http")  # of this page alone: it counts for its health
         self._log.parent = log
         self._log.addFilter(self._is_ours)
@@ -59,6 +62,11 @@ class Listener:
             if len(server.connections) < self._most:
                 return server()
             self._refused()
+            for oldest in server.connections:
+                transport = oldest.transport
+                if oldest not in self.lasting and transport is not None and not transport.is_closing():
+                    transport.abort()
+                    return server()
             return _Refused()
 
         timeout_s = HANDSHAKE_S if tls is not None else None

@@ -29,15 +29,17 @@ from service.encoding import Message, Status
 from service.errors import words_of
 from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
-from service.web.browser import Browser
+from service.web.browser import Browser, Gate
 from service.web.config import WebConfig, split_listen
 from service.web.connections import Listener
 from service.web.downloads import Downloads
 from service.web.live_view import LiveView, Shown
 from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
 from service.web.resources import Kind, Resources
+from service.web.seats import Seats
 from service.web.send_queue import Payload
 from service.web.tile_stream import MapSource, TileFeed
+from service.web.tokens import Attempts, Tokens
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +50,8 @@ HEARTBEAT_S = 20.0
 CLOSE_TIMEOUT_S = 5.0
 COMMAND_THREADS = 4
 WRITE_BUFFER = 262_144  # bytes that wait in the process for a browser that does not read
-OK, ERROR = 0, 2  # levels of diagnostic_msgs/DiagnosticStatus
+NO_PLACE = WSCloseCode.TRY_AGAIN_LATER, "the places without a token are taken"
+OK, WARNING, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 
 _TYPES = {
     "html": "text/html; charset=utf-8",
@@ -82,6 +85,7 @@ class WebServer:
     tiles     the store of the map
     answer    carries out a command: verb, JSON -> JSON; may wait, in bounded time
     token     who shows it may give commands
+    granted   file of further tokens, see tokens.py; None: there are none
     folders   where sessions and maps are stored; None: the page shows none
     retry_s   until a place to serve at is tried again; None: one try is all, and health says why it failed
     """
@@ -95,12 +99,14 @@ class WebServer:
         token: str,
         folders: Mapping[Kind, Path] | None = None,
         retry_s: float | None = RETRY_S,
+        granted: Path | None = None,
     ) -> None:
         self._config = config
         self._about = about
         self._tiles = tiles
         self._answer = answer
-        self._token = token
+        self._gate = Gate(Tokens(token, granted), Attempts())
+        self._seats = Seats(config.most_browsers)
         self._retry_s = retry_s
         self._names = own_names(config.hosts)
         self._scheme = "https" if config.tls_certificate else "http"
@@ -108,10 +114,11 @@ class WebServer:
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._files = _static_files()
         self._downloads = Downloads(self._resources(folders) if folders else None)
-        self._browsers: set[Browser] = set()
+        self._browsers: dict[Browser, None] = {}  # the oldest first
         self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
         self._map_number = tiles.number
         self._verbs = list(about.verbs())
+        self._leaving: set[asyncio.Task[None]] = set()
         self._dropped = self._refused = 0
         self._listener = Listener(config.most_browsers, self._refuse)
         self._fault = "not started"
@@ -163,6 +170,8 @@ class WebServer:
             "dropped": str(self._dropped + sum(b.send_queue.dropped for b in list(self._browsers))),
             "refused": str(self._refused),
         }
+        if not self._fault and (fault := self._gate.tokens.fault):
+            return Status("web", WARNING, f"further tokens are refused: {fault}", values)
         return Status("web", ERROR if self._fault else OK, self._fault or "ok", values)
 
     def close(self) -> None:
@@ -280,22 +289,31 @@ class WebServer:
         return web.Response(body=content, headers={"Content-Type": content_type, "ETag": tag})
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
-        if len(self._browsers) >= self._config.most_browsers:
+        if not self._seats.has_place(self._browsers):
             self._refuse()
-            return web.Response(status=503, text=f"{len(self._browsers)} browsers look already\n")
+            leaving = self._seats.to_leave(self._browsers)
+            if leaving is None:
+                return web.Response(status=503, text=f"{len(self._browsers)} browsers look already\n")
+            del self._browsers[leaving]
+            self._leaving.add(goodbye := asyncio.create_task(leaving.let_go(*NO_PLACE)))
+            goodbye.add_done_callback(self._leaving.discard)
+        address = str(request.remote)
+        must_show = self._seats.must_show(self._browsers, address)
         socket = web.WebSocketResponse(
             heartbeat=HEARTBEAT_S, max_msg_size=LARGEST_ASKED, compress=False, writer_limit=WRITE_BUFFER
         )
         await socket.prepare(request)
-        browser = Browser(socket, str(request.remote), self._token, self._feed, self._carry_out)
+        browser = Browser(socket, address, self._gate, must_show, self._feed, self._carry_out)
         browser.send_queue.answer(self._hello())
         for shown in self._view.snapshot():
             _post(browser, shown)
-        self._browsers.add(browser)
+        self._browsers[browser] = None
+        self._listener.lasting.add(request.protocol)
         try:
             await browser.serve()
         finally:
-            self._browsers.discard(browser)
+            self._browsers.pop(browser, None)
+            self._listener.lasting.discard(request.protocol)
             self._dropped += browser.send_queue.dropped
             if request.transport is not None and not browser.reads:
                 request.transport.abort()  # what waits for it would stay for minutes
@@ -321,6 +339,7 @@ class WebServer:
                 for browser in self._browsers:
                     _post(browser, shown)
             for browser in self._browsers:
+                browser.look_again()
                 browser.send_queue.wake()  # tiles may be due
             # the pace at which a picture changes, not a wait for something
             await asyncio.sleep(SHOW_PERIOD_S if self._browsers else IDLE_PERIOD_S)

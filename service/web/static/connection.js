@@ -21,6 +21,7 @@ export class Connection {
     this.on = on;
     this.token = findToken();
     this.mayControl = false;
+    this.role = ""; // of the token that was shown
     this.retry_ms = FIRST_RETRY_MS;
     this.number = 0;
     this.waiting = new Map(); // number -> what takes the answer
@@ -43,7 +44,7 @@ export class Connection {
       this.order = this.order.then(() => decoded).then((message) => this.#tell(message)).catch(console.error);
     };
     this.socket.onclose = ({ reason }) => {
-      this.mayControl = false;
+      [this.mayControl, this.role] = [false, ""];
       for (const settle of this.waiting.values()) settle({ ok: false, error: "the connection was lost meanwhile" });
       this.waiting.clear();
       this.order = this.order.then(() => this.#tell({ type: "closed", reason }));
@@ -101,7 +102,7 @@ export class Connection {
       this.waiting.delete(message.n);
       return;
     }
-    if (message.type === "access") this.mayControl = message.may_control;
+    if (message.type === "access") [this.mayControl, this.role] = [message.may_control, message.role];
     this.on[message.type]?.(message);
   }
 }

@@ -67,8 +67,8 @@ export class Control {
     this.update();
   }
 
-  putAccess({ may_control, error }) {
-    if (may_control) this.connection.keepToken();
+  putAccess({ role, error }) {
+    if (role) this.connection.keepToken();
     else this.connection.dropToken();
     if (error) notice(`Not unlocked: ${error}.`, "error");
     this.token.value = "";
@@ -79,6 +79,7 @@ export class Control {
     const may = this.connection.mayControl;
     setText(this.accessWords, may
       ? "Unlocked: this page may give commands."
+      : this.connection.role ? "This token is that of a viewer: you may look."
       : "You may look. To give commands, enter the token of the service: `corridor demo` prints it, `corridor run` says at its start in which file it is.");
     this.tokenForm.hidden = may;
     const hasGraph = [GRAPH_PROFILE, ""].includes(this.profile.profile);

@@ -3,7 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import UsageError
+from service.errors import InputError, UsageError
+from service.web.tokens import Tokens
 from tests.service.cli.test_commands import code_of
 
 pytest.importorskip("cryptography", reason="certificates are made with it: make venv")
@@ -12,8 +13,8 @@ pytest.importorskip("cryptography", reason="certificates are made with it: make 
 def test_init_makes_the_files_of_a_site_and_says_what_goes_into_the_config(tmp_path, capsys):
     arguments = ["security", "init", str(tmp_path), "--vehicle", "veh1=10.0.0.7,site.example"]
     assert code_of([*arguments, "--operator", "anna", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["made"], told["kept"]) == (["ca", "veh1", "anna"], [])
+    result = json.loads(capsys.readouterr().out)
+    assert (result["made"], result["kept"]) == (["ca", "veh1", "anna"], [])
     assert code_of(["security", "init", str(tmp_path)]) == 0
     words = capsys.readouterr().out
     assert "kept: anna, veh1\n" in words
@@ -41,3 +42,22 @@ def test_a_folder_that_cannot_be_written_is_an_error_of_storage(tmp_path: Path, 
     (tmp_path / "file").touch()
     assert code_of(["security", "init", str(tmp_path / "file" / "site")]) == 74
     assert "Not a directory" in capsys.readouterr().err
+
+
+def test_tokens_of_the_page_are_added_listed_and_revoked(tmp_path, capsys):
+    place = ["--token-file", str(tmp_path / "web.token"), "--json"]
+
+    def result(*arguments: str) -> dict[str, object]:
+        assert code_of(["security", "token", *arguments, *place]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    token = result("add", "anna", "--days", "30")["token"]
+    result("add", "hall", "--role", "viewer")
+    grant = Tokens("own", tmp_path / "web.tokens.json").grant_of(token)
+    assert (grant.name, grant.role) == ("anna", "operator")
+    anna, hall = result("list")["tokens"]
+    assert anna == {"name": "anna", "role": "operator", "holds": True, "days_left": 30.0}
+    assert hall["days_left"] is None
+    result("revoke", "anna")
+    assert [one["name"] for one in result("list")["tokens"]] == ["hall"]
+    assert code_of(["security", "token", "revoke", "anna", *place]) == InputError.exit_code

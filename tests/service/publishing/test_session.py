@@ -32,7 +32,7 @@ def endpoints(service) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
-def test_silent_connections_keep_nobody_out(endpoints, open_client, client_of, protocol):
+def test_silent_connections_do_not_keep_a_client_out(endpoints, open_client, client_of, protocol):
     host, port = endpoints[protocol].partition("/")[2].rsplit(":")
     with ExitStack() as silent:
         for _ in range(SILENT):
@@ -59,7 +59,7 @@ def test_a_flood_of_commands_is_refused_at_once_and_others_are_served(service, e
     assert sum("commands are being worked on" in words for words in refused) >= 200 - 2 * MAX_AT_ONCE
 
 
-def test_an_oversized_command_reaches_nobody_and_the_next_is_answered(service, endpoints, open_client):
+def test_an_oversized_command_is_dropped_and_the_next_is_answered(service, endpoints, open_client):
     asked: list[int] = []
     service.answer_commands(lambda verb, payload: asked.append(len(payload)) or hello)
     hello = CommandDispatcher({}).answer("x", b"")

@@ -57,11 +57,15 @@ def served(store: TileStore, answer: Callable[[str, bytes], Answer]) -> Iterator
     opened: list[WebServer] = []
 
     def start(
-        wait: bool = True, retry_s: float = 0.05, folders: dict[Any, Path] | None = None, **settings: Any
+        wait: bool = True,
+        retry_s: float = 0.05,
+        folders: dict[Any, Path] | None = None,
+        granted: Path | None = None,
+        **settings: Any,
     ) -> WebServer:
         config = WebConfig(**{"listen": "127.0.0.1:0", **settings})
         about = About("veh1", "corridor", lambda: ["mark", "wait"], ("corridor", "contour_lm", "imle"))
-        opened.append(WebServer(config, about, store, answer, TOKEN, folders, retry_s))
+        opened.append(WebServer(config, about, store, answer, TOKEN, folders, retry_s, granted))
         opened[-1].start()
         assert not wait or opened[-1].wait_served(TIMEOUT_S)
         return opened[-1]

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import threading
 import time
+from contextlib import AsyncExitStack
 
 import aiohttp
 import pytest
@@ -17,6 +18,7 @@ from service.web import browser
 from service.web.live_view import MAX_EVENTS
 from service.web.send_queue import MAX_NOTES
 from service.web.server import WebServer
+from service.web.tokens import add_grant, revoke_grant
 from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
@@ -135,7 +137,7 @@ def test_commands_need_the_token(serve, dispatcher):
             access = await client.next(socket, "access")
             assert (access["may_control"], access["error"]) == (
                 False,
-                "this is not the token of this service",
+                "this is not the token of this service, or it has expired",
             )
             await client.ask(socket, type="command", n=2, verb="mark")
             assert not (await client.next(socket, "answer"))["body"]["ok"]
@@ -304,11 +306,12 @@ def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serv
     talk(serve(folders={"session": tmp_path, "map": tmp_path}), ask)
 
 
-def test_only_so_many_browsers_look_at_once(serve):
+def test_only_so_many_browsers_with_a_token_look_at_once(serve):
     async def look(client):
         async with client.socket() as first, client.socket() as second:
-            await client.next(first, "hello")
-            await client.next(second, "hello")
+            for socket in (first, second):
+                await client.ask(socket, type="token", token=TOKEN)
+                await client.next(socket, "access")
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
                 async with client.socket():
                     raise AssertionError("opened")
@@ -426,3 +429,75 @@ def test_a_certificate_makes_it_https(serve, tmp_path):
     ):
         socket.sendall(HANDSHAKE.format(origin=server.address.rstrip("/"), host=f"{host}:{port}").encode())
         assert b"hello" in read_until(socket, b'"verbs"')
+
+
+def test_sockets_without_a_token_do_not_keep_out_one_that_has_it(serve, dispatcher):
+    """32 of them, then one that shows a token, which stays while more come."""
+
+    async def look(client):
+        async with AsyncExitStack() as crowd:
+            for _ in range(32):
+                await client.next(await crowd.enter_async_context(client.socket()), "hello")
+            async with client.socket() as operator:
+                await client.ask(operator, type="token", token=TOKEN)
+                assert (await client.next(operator, "access"))["may_control"]
+                for _ in range(20):
+                    await client.next(await crowd.enter_async_context(client.socket()), "hello")
+                await client.ask(operator, type="command", n=1, verb="mark")
+                assert (await client.next(operator, "answer"))["body"]["ok"]
+
+    server = serve(most_browsers=32)
+    talk(server, look)
+    assert server.health().values["refused"] == "21"
+    assert [verb for verb, _ in dispatcher.asked] == ["mark"]
+
+
+def test_who_shows_no_token_where_the_places_without_one_are_taken_has_to_go(serve, monkeypatch):
+    monkeypatch.setattr(browser, "SHOW_TOKEN_S", 0.05)
+
+    async def look(client):
+        async with AsyncExitStack() as crowd:
+            for _ in range(3):
+                await client.next(await crowd.enter_async_context(client.socket()), "hello")
+            async with client.socket() as late:
+                assert await client.closed_with(late) == aiohttp.WSCloseCode.TRY_AGAIN_LATER
+
+    talk(serve(most_browsers=4), look)
+
+
+def test_a_viewers_token_gives_no_commands_and_a_revoked_one_no_more(serve, tmp_path, dispatcher):
+    path = tmp_path / "web.tokens.json"
+    anna, hall = (
+        add_grant(path, name, role, None) for name, role in (("anna", "operator"), ("hall", "viewer"))
+    )
+
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=hall)
+            access = await client.next(socket, "access")
+            assert (access["may_control"], access["role"], access["error"]) == (False, "viewer", "")
+            await client.ask(socket, type="command", n=1, verb="mark")
+            assert "token of an operator" in (await client.next(socket, "answer"))["body"]["error"]
+            await client.ask(socket, type="token", token=anna)
+            access = await client.next(socket, "access")
+            assert (access["may_control"], access["name"]) == (True, "anna")
+            revoke_grant(path, "anna")
+            access = await client.next(socket, "access")
+            assert (access["may_control"], access["role"]) == (False, "")
+            assert access["error"] == "the token was revoked, or has expired"
+            await client.ask(socket, type="command", n=2, verb="mark")
+            assert not (await client.next(socket, "answer"))["body"]["ok"]
+
+    server = serve(granted=path)
+    talk(server, ask)
+    assert dispatcher.asked == []
+    path.chmod(0o644)
+
+    async def guess(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=hall)
+            assert not (await client.next(socket, "access"))["may_control"]
+
+    talk(server, guess)
+    assert server.health().level == 1
+    assert "others may use it" in server.health().message

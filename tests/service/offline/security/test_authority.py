@@ -47,17 +47,17 @@ def test_python_takes_such_a_certificate_for_a_web_page(tmp_path):
     client.verify_flags |= ssl.VERIFY_X509_STRICT
     server = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     server.load_cert_chain(tmp_path / "veh1.pem", tmp_path / "veh1.key")
-    ways = [ssl.MemoryBIO() for _ in range(2)]
-    ends_of_it = [
-        client.wrap_bio(ways[0], ways[1], server_hostname="veh1.local"),
-        server.wrap_bio(ways[1], ways[0], server_side=True),
+    pipes = [ssl.MemoryBIO() for _ in range(2)]
+    sides = [
+        client.wrap_bio(pipes[0], pipes[1], server_hostname="veh1.local"),
+        server.wrap_bio(pipes[1], pipes[0], server_side=True),
     ]
     done = 0
     while done < 2:
         done = 0
-        for end in ends_of_it:
+        for side in sides:
             try:
-                end.do_handshake()
+                side.do_handshake()
                 done += 1
             except ssl.SSLWantReadError:
                 pass
@@ -84,7 +84,7 @@ def test_a_vehicle_with_other_hosts_gets_another_certificate(tmp_path):
     assert init_site(tmp_path, [Holder("veh1", "vehicle", ("10.0.0.8",))], days=700).renewed == ("veh1",)
 
 
-def test_a_removed_key_is_made_anew_with_its_certificate(tmp_path):
+def test_a_removed_key_is_made_again_with_its_certificate(tmp_path):
     init_site(tmp_path, [VEH1], days=700)
     (tmp_path / "veh1.key").unlink()
     assert init_site(tmp_path, [], days=700).renewed == ("veh1",)

@@ -1,0 +1,111 @@
+import json
+import stat
+
+import pytest
+
+from service.errors import InputError, StorageError
+from service.web import tokens
+from service.web.tokens import (
+    FREE_ATTEMPTS,
+    LONGEST_WAIT_S,
+    MAX_ADDRESSES,
+    Attempts,
+    Tokens,
+    add_grant,
+    read_grants,
+    revoke_grant,
+)
+
+
+class Clock:
+    now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_a_token_has_name_role_and_end_and_is_kept_as_a_digest(tmp_path):
+    path, clock = tmp_path / "state" / "web.tokens.json", Clock()
+    known = Tokens("own", path, clock)
+    assert known.grant_of("own").role == "operator"
+    assert known.grant_of("anna") is None
+    token = add_grant(path, "anna", "viewer", 2000.0)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert token not in path.read_text()
+    grant = known.grant_of(token)
+    assert (grant.name, grant.role) == ("anna", "viewer")
+    assert known.still_holds(grant)
+    clock.now_s = 2000.0
+    assert known.grant_of(token) is None
+    assert not known.still_holds(grant)
+    assert known.still_holds(known.grant_of("own"))
+
+
+def test_a_revoked_or_replaced_token_holds_no_more_at_once(tmp_path):
+    path = tmp_path / "web.tokens.json"
+    known = Tokens("own", path)
+    anna, bert = (known.grant_of(add_grant(path, name, "operator", None)) for name in ("anna", "bert"))
+    revoke_grant(path, "anna")
+    assert (known.still_holds(anna), known.still_holds(bert)) == (False, True)
+    add_grant(path, "bert", "operator", None)
+    assert not known.still_holds(bert)
+    with pytest.raises(InputError, match="no token of anna; there are: bert"):
+        revoke_grant(path, "anna")
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "words"),
+    [
+        ("[]", 0o644, r"others may use it \(mode 0644\); chmod 600"),
+        ("{", 0o600, "no tokens of corridor: .*; remove the file"),
+        ('[{"name": "a", "role": "root", "sha256": "0"}]', 0o600, "no tokens of corridor"),
+    ],
+)
+def test_a_file_that_is_damaged_or_open_to_others_gives_no_right(tmp_path, caplog, text, mode, words):
+    path = tmp_path / "web.tokens.json"
+    token = add_grant(path, "anna", "operator", None)
+    known = Tokens("own", path)
+    grant = known.grant_of(token)
+    path.write_text(text)
+    path.chmod(mode)
+    assert not known.still_holds(grant)
+    assert known.grant_of("own") is not None
+    with pytest.raises((InputError, StorageError), match=words):
+        read_grants(path)
+    assert known.fault
+    assert len(caplog.records) == 1
+    path.unlink()
+    assert known.grant_of(token) is None
+    assert known.fault == ""
+
+
+def test_wrong_tokens_of_an_address_are_answered_later_and_later_and_seldom_logged(caplog):
+    clock = Clock()
+    attempts = Attempts(clock)
+    waits_s = [attempts.wrong("10.0.0.9") for _ in range(100)]
+    assert waits_s[:FREE_ATTEMPTS] == [0.0] * FREE_ATTEMPTS
+    assert waits_s[FREE_ATTEMPTS : FREE_ATTEMPTS + 3] == [1.0, 2.0, 3.0]
+    assert waits_s[-1] == LONGEST_WAIT_S
+    assert attempts.wrong("10.0.0.8") == 0.0
+    assert [record.args[:2] for record in caplog.records][:7] == [
+        ("10.0.0.9", count) for count in (1, 2, 4, 8, 16, 32, 64)
+    ]
+    clock.now_s += tokens.WINDOW_S + 1.0
+    assert attempts.wrong("10.0.0.9") == 0.0
+
+
+def test_so_many_addresses_are_remembered_and_the_oldest_is_forgotten():
+    attempts = Attempts(Clock())
+    for _ in range(FREE_ATTEMPTS):
+        attempts.wrong("10.0.0.9")
+    for number in range(MAX_ADDRESSES):
+        attempts.wrong(f"10.1.{number // 256}.{number % 256}")
+    assert attempts.wrong("10.0.0.9") == 0.0
+    assert len(attempts._of) == MAX_ADDRESSES
+
+
+def test_the_file_holds_what_the_command_is_to_list(tmp_path):
+    path = tmp_path / "web.tokens.json"
+    add_grant(path, "anna", "operator", 5.0)
+    (entry,) = json.loads(path.read_text())
+    assert (entry["name"], entry["role"], entry["expires_unix_s"]) == ("anna", "operator", 5.0)
