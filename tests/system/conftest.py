@@ -1,7 +1,9 @@
 """Machines that are always switched off again."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import pytest
 
@@ -50,8 +52,8 @@ def live_service(fake_vehicle: FakeVehicle, tmp_path: Path) -> Iterator[LiveServ
 def subscribe() -> Iterator[Callable[[str], Subscriber]]:
     opened = []
 
-    def open_one(endpoint: str) -> Subscriber:
-        opened.append(Subscriber(endpoint))
+    def open_one(endpoint: str, settings: Mapping[str, Any] = MappingProxyType({})) -> Subscriber:
+        opened.append(Subscriber(endpoint, settings))
         return opened[-1]
 
     yield open_one

@@ -8,8 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -175,17 +176,20 @@ class LiveService:
 
 
 class Subscriber:
-    """A Zenoh client that keeps what it hears, by channel, with the moment it heard it."""
+    """A Zenoh client that keeps what it hears, by channel, with the moment it heard it.
 
-    def __init__(self, endpoint: str) -> None:
-        settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 20_000}
-        self._session = zenoh.open(zenoh_config(settings))
+    settings    further ones of its session, by path
+    """
+
+    def __init__(self, endpoint: str, settings: Mapping[str, Any] = MappingProxyType({})) -> None:
+        its = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 20_000}
+        self.session = zenoh.open(zenoh_config(its | settings))
         self._changed = threading.Condition()
         self.heard: dict[str, list[tuple[float, bytes]]] = {}
         self.versions: dict[str, int] = {}  # of tiles, by channel
         self._root = f"corridor/v1/{VEHICLE}/"
         hear = daemon_callback(self._hear, "subscriber")
-        self._subscriber = self._session.declare_subscriber(self._root + "**", hear)
+        self._subscriber = self.session.declare_subscriber(self._root + "**", hear)
 
     def _hear(self, sample: zenoh.Sample) -> None:
         channel = str(sample.key_expr).removeprefix(self._root)
@@ -212,7 +216,7 @@ class Subscriber:
     def get(self, selector: str) -> dict[str, tuple[int, bytes]]:
         """Answers by channel, with their sequence number or version."""
         answers = {}
-        for reply in self._session.get(
+        for reply in self.session.get(
             self._root + selector, timeout=PATIENCE_S, consolidation=zenoh.ConsolidationMode.NONE
         ):
             assert reply.ok is not None, reply.err
@@ -224,7 +228,7 @@ class Subscriber:
 
     def ask(self, verb: str, **request: object) -> dict[str, Any]:
         """The answer to a command, good or not."""
-        (reply,) = self._session.get(
+        (reply,) = self.session.get(
             f"{self._root}cmd/{verb}", payload=json.dumps(request), timeout=PATIENCE_S
         )
         sample = reply.ok if reply.ok is not None else reply.err
@@ -234,7 +238,7 @@ class Subscriber:
         return told
 
     def close(self) -> None:
-        self._session.close()
+        self.session.close()
 
 
 def payloads(messages: list[Message]) -> list[bytes]:
