@@ -5,9 +5,13 @@ import threading
 import time
 from collections.abc import Callable
 
+from service.allowance import Allowance
+
 log = logging.getLogger(__name__)
 
 MAX_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
+MAX_PER_S = 50.0  # each takes processor from the scans
+BURST = 100.0
 CLOSE_TIMEOUT_S = 10.0
 
 
@@ -16,6 +20,7 @@ class QueryWorkers:
 
     def __init__(self, owner: str) -> None:
         self._owner = owner
+        self._allowance = Allowance(MAX_PER_S, BURST)
         self._lock = threading.Lock()
         self._threads: dict[threading.Thread, str] = {}  # each with what it answers
 
@@ -31,6 +36,8 @@ class QueryWorkers:
 
         thread = threading.Thread(target=run, name=f"{self._owner}-command", daemon=True)
         with self._lock:
+            if not self._allowance.takes_one():
+                return f"commands come faster than {MAX_PER_S:.0f} a second; ask again in a moment"
             if len(self._threads) >= MAX_AT_ONCE:
                 return f"{MAX_AT_ONCE} commands are being worked on; ask again in a moment"
             self._threads[thread] = name

@@ -48,9 +48,9 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "low_pass_filter": [
             {
-                "messages": ["query"],
+                "messages": ["query", "put"],
                 "flows": ["ingress"],
-                "key_exprs": [f"{ROOT}/*/cmd/**"],
+                "key_exprs": [f"{ROOT}/*/cmd/**", f"{ROOT}/*/initialpose"],
                 "size_limit": MAX_COMMAND_BYTES,
             }
         ],

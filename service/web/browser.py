@@ -8,6 +8,7 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from service.allowance import Allowance
 from service.web.protocol import (
     AskedError,
     CommandAsked,
@@ -68,8 +69,7 @@ class Browser:
         self._tiles_due_s = 0.0
         self._wrong_tokens = 0
         self._commands: set[asyncio.Task[None]] = set()
-        self._allowance = ASKED_BURST  # messages it may send at once
-        self._asked_s = asyncio.get_running_loop().time()
+        self._asking = Allowance(MAX_ASKED_PER_S, ASKED_BURST)
 
     @property
     def is_guest(self) -> bool:
@@ -145,7 +145,7 @@ class Browser:
 
     async def _read(self) -> None:
         async for message in self._socket:
-            if message.type is not WSMsgType.TEXT or not self._is_allowed_one_more():
+            if message.type is not WSMsgType.TEXT or not self._asking.takes_one():
                 await self.let_go(WSCloseCode.POLICY_VIOLATION, "more or other messages than are read")
                 return
             try:
@@ -159,13 +159,6 @@ class Browser:
                         return
                 case CommandAsked() | ResourceAsked():
                     self._begin(asked)
-
-    def _is_allowed_one_more(self) -> bool:
-        now_s = asyncio.get_running_loop().time()
-        earned = (now_s - self._asked_s) * MAX_ASKED_PER_S
-        self._asked_s = now_s
-        self._allowance = min(ASKED_BURST, self._allowance + earned) - 1.0
-        return self._allowance >= 0.0
 
     async def _look_at(self, token: str) -> bool:
         """False where it has tried too often and is let go."""
