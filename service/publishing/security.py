@@ -18,9 +18,8 @@ from service.publishing.keys import ROOT
 LOCAL_PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")  # a config has these on this machine alone
 MAX_PASSWORDS_BYTES = 1_000_000
 
-_READ = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
-_WRITE = ("put", "delete", "reply", "declare_queryable", "liveliness_token")
-_ALL = (*_READ, *_WRITE)
+_FOLLOW = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
+_ALL = (*_FOLLOW, "query", "put", "delete", "reply", "declare_queryable", "liveliness_token")
 
 # Not one that ends another key: it stands between slashes, and Zenoh's file of users divides at the colon.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.@-]*$", max_length=64)]
@@ -77,7 +76,7 @@ class SecurityConfig(Section):
 # "none": in words, that strangers may connect from other machines, too.
 Security = Annotated[
     Annotated[SecurityConfig, Tag("settings")] | Annotated[Literal["none"], Tag("none")],
-    Discriminator(lambda given: "none" if isinstance(given, str) else "settings"),
+    Discriminator(lambda given: "settings" if isinstance(given, dict | SecurityConfig) else "none"),
 ]
 
 
@@ -107,30 +106,40 @@ def link_settings(security: SecurityConfig) -> dict[str, Any]:
     return settings
 
 
-def access_control(security: SecurityConfig, ros2_domain: int | None) -> dict[str, Any]:
-    """Zenoh's section of that name; ros2_domain: None where there are no topics of ROS 2."""
+def access_control(
+    security: SecurityConfig, ros2_domain: int | None, trusts_plain: bool = True
+) -> dict[str, Any]:
+    """Zenoh's section of that name.
+
+    ros2_domain    None where there are no topics of ROS 2
+    trusts_plain   whether who comes without TLS may do everything, as at endpoints of this machine alone
+    """
     native = _with_caches(f"{ROOT}/**")
     topics, tokens = [], []
     if ros2_domain is not None:
         topics, tokens = _with_caches(f"{ros2_domain}/**"), [f"@ros2_lv/{ros2_domain}/**"]
     rules: list[Rule] = [
         _rule("send", _ALL, [*native, *topics, *tokens], flow="egress"),
-        _rule("read", _READ, native),
+        _rule("follow", _FOLLOW, native),
+        _rule("ask", ("query",), native),
         _rule("view", ("query",), [f"{ROOT}/*/cmd/**"], permission="deny"),
         _rule("command", ("put",), [f"{ROOT}/*/initialpose"]),
     ]
-    of_role = {"viewer": ["send", "read", "view"], "operator": ["send", "read", "command"]}
+    of_role = {
+        "viewer": ["send", "follow", "ask", "view"],
+        "operator": ["send", "follow", "ask", "command"],
+    }
     if topics:
         rules += [
-            _rule("read-topics", [one for one in _READ if one != "query"], [*topics, *tokens]),
-            _rule("read-late", ("query",), topics[1:]),
+            _rule("follow-topics", _FOLLOW, [*topics, *tokens]),
+            _rule("ask-late", ("query",), topics[1:]),
             _rule("call", ("query",), topics),
             _rule("set-pose", ("put",), [f"{ros2_domain}/**/initialpose/**"]),
             _rule("join", ("liveliness_token",), tokens),
             _rule("publish-topics", _ALL, [*topics, *tokens]),
         ]
-        of_role["viewer"] += ["read-topics", "read-late"]
-        of_role["operator"] += ["read-topics", "call", "set-pose", "join"]
+        of_role["viewer"] += ["follow-topics", "ask-late"]
+        of_role["operator"] += ["follow-topics", "call", "set-pose", "join"]
     subjects, policies = [], []
 
     def allow(who: str, names: Sequence[str], allowed: list[str]) -> None:
@@ -144,9 +153,9 @@ def access_control(security: SecurityConfig, ros2_domain: int | None) -> dict[st
         allow(role, getattr(security.roles, role), allowed)
     for name in security.roles.vehicle:
         rules.append(_rule(f"publish-{name}", _ALL, _with_caches(f"{ROOT}/{name}/**")))
-        allowed = [*of_role["viewer"][:2], f"publish-{name}", *(["publish-topics"] if topics else [])]
+        allowed = ["send", "follow", f"publish-{name}", *(["publish-topics"] if topics else [])]
         allow(f"vehicle-{name}", (name,), allowed)
-    if security.users is None:  # a program of this machine needs nothing, as without security
+    if trusts_plain and security.users is None:
         everything = [*_with_caches("**"), "@ros2_lv/**", "@/**"]
         rules += [_rule(f"local-{flow}", _ALL, everything, flow=flow) for flow in ("ingress", "egress")]
         subjects.append({"id": "local", "link_protocols": list(LOCAL_PROTOCOLS)})

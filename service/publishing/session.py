@@ -18,7 +18,7 @@ from service.publishing.security import access_control, link_settings
 QUEUE_SIZE = 16
 # Together with the page's connections fewer than the 1024 files that a process may open.
 MAX_SESSIONS = 200
-MAX_UNKNOWN = 400  # connections that have not said who they are, for 10 s each
+MAX_UNKNOWN = 400  # connections without a session yet, for 10 s each
 MAX_MESSAGE_BYTES = 64 << 20
 MAX_COMMAND_BYTES = 1 << 20  # of which `commands` reads less, and says so
 _SILENT_S = 600  # the kernel keeps a connection so long to itself until something is sent
@@ -73,11 +73,11 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
 
 def _keep_silent_connections_out(session: zenoh.Session, config: PublishingConfig) -> None:
     """Zenoh waits 10 s for what a connection sends first, for some hundred at once; by TLS it then takes in
-    nobody for 0.1 s each. A client speaks first: the kernel can keep a connection to itself until it has.
+    no other for 0.1 s each. A client speaks first: the kernel can keep a connection to itself until it has.
     """
     found = [re.search(r":(\d+)$", place) for place in listened_at(session, config)]
     ports = {int(port[1]) for port in found if port is not None}
-    for descriptor in Path("/proc/self/fd").iterdir():
+    for descriptor in Path("/proc/self/fd").glob("*"):
         try:
             if not str(descriptor.readlink()).startswith("socket:"):
                 continue

@@ -108,7 +108,7 @@ def _time(machine: Machine, who: str, path: Path, certificate: "Certificate") ->
 
 
 def _private(machine: Machine, who: str, path: Path, what: str) -> list[Finding]:
-    """Whether this user can read it, and nobody else."""
+    """Whether this user can read it, and no other."""
     there = machine.path(path)
     try:
         with there.open("rb") as file:

@@ -182,7 +182,7 @@ class _Site:
         """For a router that serves all vehicles of the site."""
         tls = TlsConfig(ca=Path("ca.pem"), certificate=Path("ca.pem"), key=Path("ca.key"))
         security = SecurityConfig(tls=tls, roles=_roles(holders))
-        text = json.dumps({"access_control": access_control(security, None)}, indent=1)
+        text = json.dumps({"access_control": access_control(security, None, trusts_plain=False)}, indent=1)
         _write(self._folder / RULES, f"{text}\n".encode(), 0o644)
 
 

@@ -177,6 +177,13 @@ def test_on_topics_of_ros_2_viewers_read_operators_call_and_the_vehicles_nodes_p
     assert security_rules(None)["operator"](pause) == set()
 
 
+def test_a_vehicle_commands_itself_and_follows_others():
+    rules = security_rules(None)["vehicle-veh1"]
+    assert {"query", "put", "reply"} < rules(f"{ROOT}/cmd/pause")
+    assert rules("corridor/v1/veh2/cmd/pause") == {"declare_subscriber", *LIVELINESS}
+    assert rules("corridor/v1/veh2/pose") == {"declare_subscriber", *LIVELINESS}
+
+
 def test_the_program_of_docs_security_md_commands_by_a_certificate(service, site, monkeypatch, capsys, asked):
     for kind in ("pem", "key"):
         (site / f"anna.{kind}").write_bytes((site / f"operator.{kind}").read_bytes())
@@ -240,6 +247,7 @@ def test_a_late_advanced_subscriber_gets_the_last_message_of_a_viewers_topic(ser
         ({"connect": ["tcp/[::1]:1"], "security": {"users": {"file": "users"}}}, "write the user by which"),
         ({"security": {"roles": {"viewer": ["a"], "operator": ["a"]}}}, "a has two roles"),
         ({"security": "None"}, "should be 'none'"),
+        ({"security": None}, "should be 'none'"),
         ({"security": {"roles": {"viewer": ["a:b"]}}}, "should match pattern"),
     ],
 )

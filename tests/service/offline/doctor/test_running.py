@@ -8,7 +8,11 @@ from service.mapstore.tiles import TileStore
 from service.offline.doctor.processes import Process
 from service.offline.doctor.running import RunningService, ask_health, from_health
 from service.publishing.config import PublishingConfig
+from service.publishing.security import SecurityConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
+from tests.service.publishing.conftest import site, tls
+
+__all__ = ["site"]  # a fixture
 
 STATUSES = [
     Status("sensor/front", 0, "streaming", {"rate_hz": "49.7"}),
@@ -53,6 +57,26 @@ def test_health_is_read_from_zenoh(publisher: ZenohPublisher):
             if wait([asked], timeout=0.1).done:
                 break
         assert asked.result() == STATUSES
+
+
+def test_health_is_read_over_tls_from_an_endpoint_at_every_address(site):
+    files = tls(site, "veh1")
+    security = SecurityConfig(tls=files, roles={"vehicle": ["veh1"]})
+    config = PublishingConfig(listen=("tls/127.0.0.1:0",), security=security)
+    with ZenohPublisher(config, "veh1", TileStore()) as publisher:
+        assert asked_while_published(publisher, security) == STATUSES
+
+
+def asked_while_published(publisher: ZenohPublisher, security: SecurityConfig) -> list[Status]:
+    port = publisher.endpoints[0].rpartition(":")[2]
+    running = RunningService(PROCESS, f"tls/0.0.0.0:{port}")
+    with ThreadPoolExecutor(1) as worker:
+        asked = worker.submit(ask_health, running, "veh1", security, 5.0)
+        for number in range(100):  # as the service does each second
+            publisher.put(encode_diagnostics("health", STATUSES, number, number))
+            if wait([asked], timeout=0.1).done:
+                break
+        return asked.result()
 
 
 def test_nobody_at_the_endpoint_ends_in_time(closed_port: int):

@@ -1,3 +1,4 @@
+import json
 import ssl
 import stat
 from datetime import UTC, datetime, timedelta
@@ -5,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+import zenoh
 
 from service.config import parse_config
 from service.errors import InputError
@@ -120,6 +122,14 @@ def test_files_that_are_none_of_an_authority_are_refused(tmp_path, damage, words
 
     with pytest.raises(InputError, match=words):
         again()
+
+
+def test_the_rules_for_a_router_of_the_site_let_in_certificates_alone(tmp_path):
+    init_site(tmp_path, [VEH1, OPERATOR], days=30)
+    control = json.loads((tmp_path / "access_control.json5").read_text())["access_control"]
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    assert [subject.get("cert_common_names") for subject in control["subjects"]] == [["operator"], ["veh1"]]
+    zenoh.Config().insert_json5("access_control", json.dumps(control))
 
 
 def test_the_config_that_it_prints_is_accepted(tmp_path):
