@@ -29,7 +29,7 @@ class InitialPoseSubscriber:
     ) -> None:
         self._answer = answer
         self._changed = threading.Condition()  # of the two below
-        self._waiting: bytes | None = None
+        self._waiting: tuple[str, bytes] | None = None  # key and payload
         self._closed = False
         self.refused = ""  # why the newest one was not taken, "" if it was
         self._thread = threading.Thread(target=self._run, name=f"{owner}-initialpose", daemon=True)
@@ -51,22 +51,24 @@ class InitialPoseSubscriber:
     def _take(self, sample: zenoh.Sample) -> None:
         """Hand the pose on; Zenoh's own thread, which waits for it."""
         with self._changed:
-            self._waiting = sample.payload.to_bytes()
+            self._waiting = str(sample.key_expr), sample.payload.to_bytes()
             self._changed.notify()
 
     def _run(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting is not None or self._closed)
-                payload, self._waiting = self._waiting, None
-            if payload is None:
+                taken, self._waiting = self._waiting, None
+            if taken is None:
                 return
-            self.refused = self._set_pose(payload)
+            self.refused = self._set_pose(*taken)
             if self.refused:
                 log.warning("%s", self.refused)
 
-    def _set_pose(self, payload: bytes) -> str:
+    def _set_pose(self, key: str, payload: bytes) -> str:
         """Why it was not taken, "" if it was."""
+        if "*" in key:
+            return f"{CHANNEL}: a pose for {key}; a pose, as a command, is for one vehicle, without wildcards"
         try:
             frame, pose = decode_initial_pose(payload)
         except InputError as error:

@@ -13,6 +13,7 @@ from service.errors import InputError, words_of
 from service.extras import install_command
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.machine import Machine
+from service.publishing.config import is_local
 from service.publishing.security import SecurityConfig, TlsConfig, UsersConfig
 
 if TYPE_CHECKING:  # cryptography is an extra
@@ -33,6 +34,9 @@ def look_at_certificates(machine: Machine, config: ServiceConfig) -> list[Findin
     web = config.sinks["web"]
     if web.enabled and web.tls_certificate is not None:
         found += _pair(machine, "web", web.tls_certificate, web.tls_key)[0]
+    elif web.enabled and not is_local(f"tcp/{web.listen}"):
+        words = f"{web.listen} is on the network without TLS: the token can be read in transit"
+        found.append(note("web", words, "set web.tls_certificate and web.tls_key, or use SSH"))
     return found
 
 

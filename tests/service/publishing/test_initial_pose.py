@@ -131,3 +131,11 @@ def test_a_pose_that_is_not_answered_when_the_session_closes_is_in_the_log(
     for thread in answering:
         thread.join(20.0)
     assert told == ["initialpose: what came last is not answered after 0 s"]
+
+
+def test_a_pose_for_all_vehicles_is_refused(served: ZenohPublisher, client: zenoh.Session, asked: Asked):
+    client.put("corridor/v1/*/initialpose", payload_of(SE2(1.0, 0.0, 0.0)))
+    behind(client)
+    served.close()
+    assert served.pose_refused.startswith("initialpose: a pose for corridor/v1/*/initialpose; a pose, as a")
+    assert asked.heard == []
