@@ -99,7 +99,7 @@ class _Site:
             before = known.get(holder.name)
             if before is not None and before.role != holder.role:
                 raise InputError(
-                    f"{self._folder}/{holder.name}.pem is that of a {before.role}; one name has one role"
+                    f"{self._folder}/{holder.name}.pem has the role {before.role}; one name has one role"
                 )
             known[holder.name] = holder if holder.hosts or before is None else before
         done: dict[str, list[str]] = {"made": ["ca"] if self._is_new else [], "renewed": [], "kept": []}

@@ -106,7 +106,10 @@ def test_no_certificate_outlives_its_authority(tmp_path):
         (lambda site: (site / "ca.pem").write_text("x"), r"ca\.pem: no certificate in PEM"),
         (lambda site: (site / "ca.key").write_text("x"), r"ca\.key: no private key in PEM"),
         (lambda site: (site / "veh1.pem").write_bytes((site / "ca.pem").read_bytes()), "no role in it"),
-        (lambda site: init_site(site, [Holder("veh1", "viewer")], days=1), "that of a vehicle; one name has"),
+        (
+            lambda site: init_site(site, [Holder("veh1", "viewer")], days=1),
+            "has the role vehicle; one name has",
+        ),
         (
             lambda site: init_site(site, [], days=1, now=datetime.now(UTC) + timedelta(days=4000)),
             "the authority has expired on",
