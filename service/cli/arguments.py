@@ -51,6 +51,7 @@ def new_parser() -> Parser:
     _add_export(commands)
     _add_report(commands)
     _add_calibrate(commands)
+    _add_tune(commands)
     _add_view(commands)
     _add_score(commands)
     add_maps(commands, _add)
@@ -240,6 +241,47 @@ def _add_calibrate(commands: Any) -> None:
         "--reference", metavar="LASER", help="whose clock and place the others' are compared with"
     )
     add_choice(calibrate)
+
+
+def _add_tune(commands: Any) -> None:
+    tune = _add(commands, "tune", "settings of a profile, by a search over recorded drives (extra tune)")
+    tune.add_argument("files", nargs="+", metavar="FILE", help=f"{RECORDINGS}; a path or a URL")
+    by = tune.add_mutually_exclusive_group(required=True)
+    by.add_argument(
+        "--truth",
+        type=Path,
+        nargs="+",
+        metavar="TRUTH",
+        help="a TUM or .relations file for each session, or a folder of files named like them",
+    )
+    by.add_argument(
+        "--self", action="store_true", help="without a truth: walls of different passes, entropy, states"
+    )
+    tune.add_argument(
+        "--parameter",
+        action="append",
+        default=[],
+        metavar="NAME[=LOW:HIGH]",
+        help="a setting to search; one each time (default: those of motion_model and matcher; from a tenth "
+        "to ten times the present value)",
+    )
+    _add_profile(tune, "tune this profile instead of the recorded one")
+    tune.add_argument(
+        "--config", type=Path, metavar="CONFIG.yaml", help="the present settings (default: the recorded ones)"
+    )
+    tune.add_argument("--trials", type=_positive_int, default=30, metavar="N", help="default: 30")
+    tune.add_argument("--seed", type=_positive_int, default=1, metavar="N", help="of the search (default: 1)")
+    tune.add_argument(
+        "--all", action="store_true", help="search on all sessions (default: every second one is held out)"
+    )
+    tune.add_argument(
+        "--out",
+        default="out/tune",
+        metavar="DIR",
+        help="page, patch, results and the state of the search, which goes on there (default: out/tune)",
+    )
+    _add_engine(tune)
+    add_choice(tune)
 
 
 def _add_view(commands: Any) -> None:

@@ -94,8 +94,11 @@ def engine_of(parsed: argparse.Namespace) -> Iterator["Engine"]:
     if parsed.cluster is not None:
         with Cluster(parsed.cluster) as cluster:
             yield cluster
+    elif (parsed.jobs or 1) > 1:
+        with Processes(parsed.jobs) as processes:
+            yield processes
     else:
-        yield Processes(parsed.jobs) if (parsed.jobs or 1) > 1 else in_turn
+        yield in_turn
 
 
 def _tell_outcomes(

@@ -11,7 +11,7 @@ from tests.recorded_drive import record_office
 from tests.system.installed import NOT_OF_THE_CORE, ROOT, build_wheel
 
 PYTHONS = ("3.11", "3.12", "3.13")
-EXTRAS = "archive,cluster,export,plot,rerun,viewer"
+EXTRAS = "archive,cluster,export,plot,rerun,tune,viewer"
 GLIBC = (2, 28)  # that docs/installation.md asks for
 MAX_CORE_MB = 500  # docs/installation.md, "Size"
 KERNELS_TIMEOUT_S = 600.0  # compiled by a busy machine

@@ -7,7 +7,7 @@ which is tried MAX_TRIES times in all, then reported with the last lines of its 
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager
@@ -29,23 +29,32 @@ LOG_LINES = 10  # of a task whose process died
 CONNECT_S = 30.0  # for a scheduler to answer, at first and after it was lost
 LOCAL, SLURM = "local:", "slurm:"  # and how many workers
 ADDRESSES = ("tcp://", "tls://")
-Ended = Iterator[tuple[int, Done]]
+Ended = Generator[tuple[int, Done], None, None]
 Engine = Callable[[Sequence[Task]], Ended]
 
 
 def in_turn(tasks: Sequence[Task]) -> Ended:
     """One after the other in this process."""
-    return ((k, run(task)) for k, task in enumerate(tasks))
+    for k, task in enumerate(tasks):
+        yield k, run(task)
 
 
 class Processes:
-    """So many at a time, each in a process of this machine. Needs no extra."""
+    """So many at a time, each in a process of this machine. Needs no extra. Used by `with`."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> "Processes":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
 
     def __call__(self, tasks: Sequence[Task]) -> Ended:
-        with TemporaryDirectory(prefix="corridor-") as folder:
+        with TemporaryDirectory(prefix="corridor-", ignore_cleanup_errors=True) as folder:
             logs = [Path(folder) / f"{k}.log" for k in range(len(tasks))]
             yield from self._run(tasks, logs)
 
@@ -69,15 +78,21 @@ class Processes:
 
     def _round(self, tasks: dict[int, Task], logs: Sequence[Path]) -> Iterator[tuple[int, Done | None]]:
         """None: not done, for a process of the pool died."""
-        # spawn: a forked child would inherit locks of numba's and of threads that it does not have
-        with ProcessPoolExecutor(min(self._jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
-            with children_do_not_hear():
-                futures = {pool.submit(_run_in_pool, task, logs[k]): k for k, task in tasks.items()}
+        if self._pool is None:
+            # spawn: a forked child would inherit locks of numba's and of threads that it does not have
+            self._pool = ProcessPoolExecutor(min(self._jobs, len(logs)), mp_context=get_context("spawn"))
+        with children_do_not_hear():
+            futures = {self._pool.submit(_run_in_pool, task, logs[k]): k for k, task in tasks.items()}
+        try:
             for future in as_completed(futures):
                 try:
                     yield futures[future], future.result()
                 except BrokenProcessPool:
+                    self._pool = None
                     yield futures[future], None
+        finally:  # whoever asks for no more of them goes on with others
+            for future in futures:
+                future.cancel()
 
 
 def _lines_of(log_file: Path) -> list[str]:

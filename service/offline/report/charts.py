@@ -69,19 +69,19 @@ def timeline(content: Content) -> Markup | None:
     rows: list[Markup] = []
     if states is not None and len(states.stamp_ns):
         column = axis.columns(states.stamp_ns)
-        rows.append(_row("state", _state_strip(states.state, column), "strip"))
+        rows.append(row("state", _state_strip(states.state, column), "strip"))
         along, across, heading = states.sigma.T
-        metres = _LogScale.of(np.concatenate((along, across)), 0.001, "m")
+        metres = LogScale.of(np.concatenate((along, across)), 0.001, "m")
         rows.append(
-            _row(
+            row(
                 "sigma of the position",
                 [_lines(axis, metres, column, {"along": along, "across": across}), metres.words()],
                 legend=(("along", "ahead"), ("across", "to the side")),
             )
         )
-        degrees = _LogScale.of(heading, 0.01, "deg")
+        degrees = LogScale.of(heading, 0.01, "deg")
         rows.append(
-            _row(
+            row(
                 "sigma of the heading",
                 [_lines(axis, degrees, column, {"heading": heading}), degrees.words()],
             )
@@ -89,7 +89,7 @@ def timeline(content: Content) -> Markup | None:
         share = _ShareScale()
         worst = {"inlier": states.inlier_ratio}
         rows.append(
-            _row("returns on the map", [_lines(axis, share, column, worst, np.minimum), share.words()])
+            row("returns on the map", [_lines(axis, share, column, worst, np.minimum), share.words()])
         )
     if content.loops:
         rows.append(_loops_row(axis, content.loops))
@@ -100,14 +100,14 @@ def timeline(content: Content) -> Markup | None:
     return tag("div", rows, tag("div", axis.ticks(), class_="row axis"), class_="timeline")
 
 
-class _LogScale:
+class LogScale:
     """Decades, from one below the smallest value to one above the largest."""
 
     def __init__(self, first: int, last: int, unit: str) -> None:
         self._first, self._last, self._unit = first, last, unit
 
     @classmethod
-    def of(cls, values: Floats, least: float, unit: str) -> "_LogScale":
+    def of(cls, values: Floats, least: float, unit: str) -> "LogScale":
         known = values[np.isfinite(values) & (values > 0.0)]
         low, high = (float(known.min()), float(known.max())) if len(known) else (1.0, 1.0)
         first = math.floor(math.log10(max(low, least)))
@@ -154,7 +154,7 @@ class _ShareScale:
         )
 
 
-def _row(
+def row(
     name: str, content: object, kind: str = "", legend: Sequence[tuple[str, str]] = (), note: str = ""
 ) -> Markup:
     keys = [tag("span", tag("i", class_=f"key {key}"), words) for key, words in legend]
@@ -162,7 +162,7 @@ def _row(
     return tag("div", head, tag("div", content, class_="plot"), class_=f"row {kind}".rstrip())
 
 
-def _canvas(*drawn: object) -> Markup:
+def canvas(*drawn: object) -> Markup:
     return tag(
         "svg", drawn, view_box=f"0 0 {COLUMNS} {HEIGHT:g}", preserve_aspect_ratio="none", aria_hidden="true"
     )
@@ -184,7 +184,7 @@ def _state_strip(states: Sequence[str], column: Ints) -> Markup:
             boxes.append(
                 tag("rect", title, class_=state, x=begin, y=0, width=end - begin, height=f"{HEIGHT:g}")
             )
-    return _canvas(boxes)
+    return canvas(boxes)
 
 
 def _fill(values: Ints, column: Ints) -> None:
@@ -198,7 +198,7 @@ def _fill(values: Ints, column: Ints) -> None:
 
 def _lines(
     axis: TimeAxis,
-    scale: _LogScale | _ShareScale,
+    scale: LogScale | _ShareScale,
     column: Ints,
     lines: dict[str, Floats],
     worst: Callable[..., Floats] = np.maximum,
@@ -216,13 +216,13 @@ def _lines(
                 stretch = np.vstack((stretch, stretch + np.array([1.0, 0.0])))
             points = " ".join(f"{x:.1f},{of:.2f}" for x, of in stretch.tolist())
             drawn.append(tag("polyline", class_=f"line {name}", points=points))
-    return _canvas(drawn)
+    return canvas(drawn)
 
 
 def _loops_row(axis: TimeAxis, loops: Sequence[Loop]) -> Markup:
     """A dot each at the moment when the place was seen again: how far the finished graph leaves it off."""
     shown = [loop for loop in loops if 0.0 <= axis.seconds(loop.back_ns) <= axis.duration_s]
-    scale = _LogScale.of(np.array([loop.off_mm / 1e3 for loop in shown]), 0.001, "m")
+    scale = LogScale.of(np.array([loop.off_mm / 1e3 for loop in shown]), 0.001, "m")
     dots = []
     for loop in shown:
         top = scale.y(np.array([max(loop.off_mm / 1e3, 1e-9)]))[0]
@@ -236,8 +236,8 @@ def _loops_row(axis: TimeAxis, loops: Sequence[Loop]) -> Markup:
                 title=f"{what}; refused: {loop.why_not}" if loop.why_not else what,
             )
         )
-    grid = _canvas(tag("path", class_="grid", d=axis.grid() + scale.grid()))
-    return _row(
+    grid = canvas(tag("path", class_="grid", d=axis.grid() + scale.grid()))
+    return row(
         "error of the loops",
         [grid, scale.words(), dots],
         legend=(("accepted", "accepted"), ("refused", "refused")),
@@ -258,5 +258,5 @@ def _sensor_row(axis: TimeAxis, name: str, frames: SensorFrames) -> Markup:
         for at_s, length_s in frames.longest_gaps
     ]
     rate = "" if frames.rate_hz is None else f"{frames.rate_hz:.4g} Hz"
-    strip = _canvas(tag("rect", class_="frames", x=0, y=0, width=COLUMNS, height=f"{HEIGHT:g}"), gaps)
-    return _row(name, strip, "strip", note=rate)
+    strip = canvas(tag("rect", class_="frames", x=0, y=0, width=COLUMNS, height=f"{HEIGHT:g}"), gaps)
+    return row(name, strip, "strip", note=rate)

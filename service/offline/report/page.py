@@ -46,29 +46,33 @@ def write_report(result: Path, out: Path) -> list[str]:
 def page_of(content: Content, links: bool) -> str:
     """links: the page lies beside the other files of the result."""
     name = _name(content)
+    parts = (
+        _header(content, name),
+        _warnings(content),
+        _figures(content),
+        section("Map", map_figure(content), _map_note(content)),
+        section("Over time", timeline(content), _time_note(content)),
+        section("Why scans were not ok", _reasons(content)),
+        section("Loops", *_loops(content)),
+        section("Sensors", _sensors(content)),
+        section("Settings", _settings(content)),
+        section("Not in this report", _list(content.missing)),
+        _footer(content, links),
+    )
+    return html_page(f"{name}: report of a drive", parts)
+
+
+def html_page(title: str, parts: object) -> str:
+    """A page that fetches and runs nothing, in the style of the reports."""
     head = tag(
         "head",
         Markup('<meta charset="utf-8">'),
         Markup(f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'),
         Markup('<meta name="viewport" content="width=device-width, initial-scale=1">'),
-        tag("title", f"{name}: report of a drive"),
+        tag("title", title),
         tag("style", Markup(_style())),
     )
-    parts = (
-        _header(content, name),
-        _warnings(content),
-        _figures(content),
-        _section("Map", map_figure(content), _map_note(content)),
-        _section("Over time", timeline(content), _time_note(content)),
-        _section("Why scans were not ok", _reasons(content)),
-        _section("Loops", *_loops(content)),
-        _section("Sensors", _sensors(content)),
-        _section("Settings", _settings(content)),
-        _section("Not in this report", _list(content.missing)),
-        _footer(content, links),
-    )
-    body = tag("body", tag("main", parts))
-    return f'<!DOCTYPE html>\n<html lang="en">{head}{body}</html>\n'
+    return f'<!DOCTYPE html>\n<html lang="en">{head}{tag("body", tag("main", parts))}</html>\n'
 
 
 def _style() -> str:
@@ -222,7 +226,7 @@ def _reasons(content: Content) -> Markup | None:
     else:
         for (state, reason_id), reason in words.items():
             rows.append((_chip(state), reason_id, reason.scans, clock(reason.first_s), reason.reason))
-    return _table(("state", "reason", "scans", "first at", "in words, the first of them"), rows)
+    return table(("state", "reason", "scans", "first at", "in words, the first of them"), rows)
 
 
 def _chip(state: str) -> Markup:
@@ -269,7 +273,7 @@ def _loops(content: Content) -> list[Markup | None]:
     ]
     heads = ("back at", "x m", "y m", "off mm", "off °", "result")
     summary = tag("summary", f"The {counted(len(rows), 'loop')} with the largest errors, accepted ones first")
-    parts.append(tag("details", summary, _table(heads, rows)))
+    parts.append(tag("details", summary, table(heads, rows)))
     return parts
 
 
@@ -292,7 +296,7 @@ def _sensors(content: Content) -> Markup | None:
             )
         )
     heads = ("sensor", "kind", "frames", "rate Hz", "gaps", "longest gap", "mounting x, y, yaw")
-    return _table(heads, rows)
+    return table(heads, rows)
 
 
 def _settings(content: Content) -> Markup | None:
@@ -303,7 +307,7 @@ def _settings(content: Content) -> Markup | None:
     plain = {name: value for name, value in mapping.items() if name != "settings"}
     groups = {"mapping": plain, **(settings if isinstance(settings, Mapping) else {})}
     tables = [
-        tag("div", tag("h3", name), _table((), _flat(values))) for name, values in groups.items() if values
+        tag("div", tag("h3", name), table((), _flat(values))) for name, values in groups.items() if values
     ]
     return tag("details", tag("summary", "What mapped this drive"), tag("div", tables, class_="settings"))
 
@@ -318,7 +322,7 @@ def _flat(values: Any, prefix: str = "") -> list[Sequence[object]]:
     ]
 
 
-def _section(title: str, *parts: object) -> Markup | None:
+def section(title: str, *parts: object) -> Markup | None:
     """None where its first part is."""
     if not parts or parts[0] is None:
         return None
@@ -329,7 +333,7 @@ def _list(lines: Sequence[str]) -> Markup | None:
     return tag("ul", [tag("li", line) for line in lines]) if lines else None
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> Markup | None:
+def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> Markup | None:
     """None without a row; the heads may be left out."""
     if not rows:
         return None

@@ -71,7 +71,8 @@ def judge(record_drive: RecordDrive, tmp_path: Path) -> Judge:
 
 
 def test_a_process_that_dies_costs_its_own_task_alone(judge: Judge):
-    judge(Processes(2), "The last of its log")
+    with Processes(2) as processes:
+        judge(processes, "The last of its log")
 
 
 @pytest.mark.parametrize("log_line", [None, in_soak("begins on tcp://127.0.0.1:")])

@@ -352,7 +352,8 @@ def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     folders, others = (result_folders(sessions, tmp_path / name) for name in "12")
     one_by_one = replay_all(sessions, ReplayOptions(), folders, lambda *how_far: told.append(how_far))
     tasks = new_tasks(sessions, ReplayOptions(), others)
-    at_once = [done.outcome for done in run_batch(tasks, Processes(2), lambda *_: None)]
+    with Processes(2) as processes:
+        at_once = [done.outcome for done in run_batch(tasks, processes, lambda *_: None)]
     assert [s["scans"] for s in one_by_one[::2]] == [s["scans"] for s in at_once[::2]] == [40, 30]
     assert "bad.mcap is no recording" in str(at_once[1])
     assert str(at_once[1]) == str(one_by_one[1])
