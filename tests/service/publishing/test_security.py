@@ -17,6 +17,7 @@ from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.docs.blocks import written_in
 from tests.service.publishing.conftest import Inbox, tls
 from tests.service.publishing.test_zenoh_publisher import message
+from tests.waiting import wait_until
 
 ROOT = "corridor/v1/veh1"
 REFUSED_MS = 500  # a client tries for so long
@@ -40,8 +41,14 @@ def service(site, open_publisher, store, asked) -> ZenohPublisher:
         return Answer(True, b"{}")
 
     opened.answer_commands(answer)
-    opened.put(message("health", 1))
+    put_health(opened)
     return opened
+
+
+def put_health(service: ZenohPublisher) -> None:
+    """And wait until it is the answer to a get."""
+    service.put(message("health", 1))
+    wait_until(lambda: "health" in service._last)
 
 
 def answers(session: zenoh.Session, key: str) -> list[str]:
@@ -158,7 +165,7 @@ def test_a_user_has_the_role_of_its_name(site, open_publisher, open_session, use
 def test_programs_of_this_machine_need_no_certificate_at_an_endpoint_of_it(site, open_publisher, open_client):
     listen = ("tcp/127.0.0.1:0", "tls/127.0.0.1:0")
     service = open_publisher(PublishingConfig(listen=listen, security={"tls": tls(site, "veh1")}))
-    service.put(message("health", 1))
+    put_health(service)
     (local,) = [endpoint for endpoint in service.endpoints if endpoint.startswith("tcp/")]
     assert answers(open_client(local), f"{ROOT}/health") == [f"{ROOT}/health"]
 

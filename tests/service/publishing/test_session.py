@@ -11,8 +11,7 @@ from service.publishing.config import PublishingConfig
 from service.publishing.query_workers import MAX_AT_ONCE
 from service.publishing.session import MAX_COMMAND_BYTES, MAX_UNKNOWN
 from tests.service.publishing.conftest import tls
-from tests.service.publishing.test_security import ROOT, answers
-from tests.service.publishing.test_zenoh_publisher import message
+from tests.service.publishing.test_security import ROOT, answers, put_health
 
 SERVED_S = 1.0
 SILENT = MAX_UNKNOWN + 100
@@ -22,7 +21,7 @@ SILENT = MAX_UNKNOWN + 100
 def service(site, open_publisher):
     listen = ("tcp/127.0.0.1:0", "tls/127.0.0.1:0")
     opened = open_publisher(PublishingConfig(listen=listen, security={"tls": tls(site, "veh1")}))
-    opened.put(message("health", 1))
+    put_health(opened)
     return opened
 
 
