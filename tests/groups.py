@@ -35,7 +35,7 @@ PAGES = (  # against clocks, and mostly waiting, as those of the browser
     *(f"tests/service/{folder}" for folder in ("publishing", "ros2_sensors", "sinks", "web")),
 )
 PARTS = (  # each on its own: drivers, fake devices, kernels
-    *("tests/chaos", "tests/drivers", "tests/simulators"),
+    *("tests/chaos", "tests/drivers", "tests/fuzz", "tests/simulators"),
     *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels")),
 )
 MAPPING = (

@@ -6,23 +6,28 @@ has no threads, and can be forked itself: a stand-by of the mapper gets a stand-
 
 import gc
 import logging
+import math
 import os
 import signal
 import socket
+import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from service.errors import words_of
 from service.mapper.background import BackEnd, BackEndDiedError, WorkLostError
-from service.runtime.channel import Channel, ChannelClosedError
+from service.runtime.channel import Channel, ChannelClosedError, End, Listening, wait_for
+from service.runtime.standstill import Standstill
 
 log = logging.getLogger(__name__)
 
 NICENESS = 5  # a loop may close a little later; scans may not wait
 STOP_S = 2.0
-CONNECT_S = 5.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
+WAIT_S = 0.2
+MEET_S = 1.0  # that a stand-by which takes over waits for its back end: only then it can be copied itself
+STILL_S = 2.0  # a back end that somebody waits for, and that neither computes nor waits for a processor
+CONNECT_S = 20.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
 
 
 class _Work(NamedTuple):
@@ -54,28 +59,50 @@ class BackEndProcess:
     before ends once it has done what it was told. When one dies where nothing can replace it, that is said
     once in the log, and all work from then on is lost; it ends when this process ends, however it ends.
 
+    is_waiting       called several times a second while result() waits
     patience_s       how long result() of all its work may keep others waiting, taken together
     is_replaceable   whether a copy of this process could go on with a copy of the back end. Then every call
                      but `stop` raises BackEndDiedError when it dies
     """
 
-    def __init__(self, patience_s: float, is_replaceable: Callable[[], bool] = lambda: False) -> None:
+    def __init__(
+        self,
+        patience_s: float,
+        is_replaceable: Callable[[], bool] = lambda: False,
+        is_waiting: Callable[[], None] = lambda: None,
+    ) -> None:
         self.patience_s = self._left_s = patience_s
         self._is_replaceable = is_replaceable
+        self._is_waiting = is_waiting
         self._channel: Channel | None = None
         self._former: list[Channel] = []  # of processes before, which have not taken all that they were told
-        self._listener: socket.socket | None = None  # of a stand-by, until its back end is needed
+        self._listener: socket.socket | None = None  # of a stand-by, until its back end has come
+        self._expected_by_s = math.inf  # host monotonic; until then it may come
+        self._unsent: list[_Work | _Copy] = []  # until it has
         self._submitted = 0
         self._answers: dict[int, Any] = {}
         self._answered = 0
         self._unwanted = 0  # up to here nobody waits for an answer any more
         self.pid: int | None = None  # of the process; None where there is none, or it is another's child
+        self._worker_pid = 0  # of the process that has the back end
         self.fault = ""  # why it does nothing any more, "" while all is well
 
     @property
-    def channel(self) -> Channel | None:
-        """For who waits for several things at once."""
-        return self._channel
+    def ends(self) -> list[End]:
+        """For who waits for several things at once; then `look`."""
+        if self._channel is not None:
+            return [self._channel]
+        return [] if self._listener is None else [Listening(self._listener)]
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether this process is of a stand-by whose back end has not come yet: it cannot be copied."""
+        return self._connected() is None and self._listener is not None
+
+    def need(self) -> None:
+        """The stand-by has taken over: its back end has to come within CONNECT_S, and mostly is there."""
+        self._expected_by_s = time.monotonic() + CONNECT_S
+        self._connected(MEET_S)
 
     @property
     def is_at_work(self) -> bool:
@@ -108,10 +135,13 @@ class BackEndProcess:
         self.fault = self.fault or "the back end has been stopped"
 
     def copy(self, path: Path) -> None:
-        """Before a fork of this process: have the back end fork, too; its copy will come to `path`."""
+        """Before a fork of this process: have the back end fork, too; its copy will come to `path`. Not while
+        it is awaited itself.
+        """
         if self._connected() is None:
             return
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.setblocking(False)
         self._listener.bind(str(path))
         self._listener.listen(1)
         self._send(_Copy(str(path), self._answered))
@@ -148,14 +178,25 @@ class BackEndProcess:
     def result(self, number: int) -> Any:
         """Raises WorkLostError."""
         began_s = time.monotonic()
-        while not self.is_ready(number) and self._left_s - (time.monotonic() - began_s) > 0.0:
-            self._receive(self._left_s - (time.monotonic() - began_s))
+        standstill = Standstill()
+        still_s = 0.0
+        while (
+            not self.is_ready(number)
+            and still_s < STILL_S
+            and (left_s := self._left_s - (time.monotonic() - began_s)) > 0.0
+        ):
+            self._receive(min(left_s, WAIT_S))
+            still_s = standstill.seconds(self._worker_pid) if self._worker_pid else 0.0
+            self._is_waiting()
         self._left_s = max(self._left_s - (time.monotonic() - began_s), 0.0)
         if number in self._answers:
             return self._answers.pop(number)
         if self.fault:
             raise WorkLostError(self.fault)
-        late = f"the back end did not finish within {self.patience_s:g} s"
+        took_s = time.monotonic() - began_s
+        late = (
+            f"the back end did not finish within {took_s:.1f} s{', it stands still' * (still_s >= STILL_S)}"
+        )
         log.error("%s; what it found last is lost, and the map keeps the graph of the last checkpoint", late)
         raise WorkLostError(late)
 
@@ -163,6 +204,7 @@ class BackEndProcess:
         """Tell the process nothing more. A copy that it was told to make is still somebody's."""
         if self._listener is not None:
             self._close_listener()
+        self._unsent.clear()
         if self._channel is not None:
             self._former.append(self._channel)
             self._channel = None
@@ -185,16 +227,21 @@ class BackEndProcess:
             _live(theirs, back_end)
         theirs.close()
         self.pid, self._channel = pid, Channel(ours)
+        self._worker_pid = pid
 
-    def _connected(self) -> Channel | None:
-        """The channel; a stand-by that has taken over meets its back end here, at the first need."""
+    def _connected(self, timeout_s: float = 0.0) -> Channel | None:
+        """The channel; the back end of a stand-by that has not come yet may do so within timeout_s."""
         if self._channel is None and self._listener is not None:
-            self._listener.settimeout(CONNECT_S)
-            try:
-                self._channel = Channel(self._listener.accept()[0])
-            except OSError as error:
-                self._give_up(f"the back end of the stand-by did not come ({words_of(error)})")
-            self._close_listener()
+            if wait_for([Listening(self._listener)], timeout_s):
+                connection = self._listener.accept()[0]
+                self._channel, self._worker_pid = Channel(connection), _peer_pid(connection)
+                self._close_listener()
+                unsent, self._unsent = self._unsent, []
+                for message in unsent:
+                    self._send(message)
+            elif time.monotonic() > self._expected_by_s:
+                self._close_listener()
+                self._give_up(f"the back end of the stand-by did not come within {CONNECT_S:g} s")
         return self._channel
 
     def _close_listener(self) -> None:
@@ -202,9 +249,11 @@ class BackEndProcess:
         self._listener.close()
         self._listener = None
 
-    def _send(self, message: Any) -> None:
+    def _send(self, message: _Work | _Copy) -> None:
         channel = self._connected()
         if channel is None:
+            if self._listener is not None:
+                self._unsent.append(message)
             return
         try:
             channel.send(message)
@@ -213,7 +262,7 @@ class BackEndProcess:
 
     def _receive(self, timeout_s: float) -> None:
         self._flush_former()
-        channel = self._connected()
+        channel = self._connected(timeout_s)
         if channel is None:
             return
         try:
@@ -272,6 +321,14 @@ class ProcessJob:
 
     def result(self) -> Any:
         return self._process.result(self._number)
+
+
+def _peer_pid(connection: socket.socket) -> int:
+    credentials = struct.Struct("3i")  # pid, uid, gid
+    pid, _, _ = credentials.unpack(
+        connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, credentials.size)
+    )
+    return int(pid)
 
 
 def _kill(pid: int) -> None:

@@ -48,11 +48,13 @@ from service.runtime.mapper_messages import (
     Unusable,
     is_sample,
 )
+from service.runtime.standstill import Standstill
 
 log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
 STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
+STILL_S = 2.0  # so early where it does not even compute
 MAX_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
@@ -108,6 +110,7 @@ class MapperLink:
         self._passed_over: set[int] = set()
         self._refused: set[int] = set()
         self._heard_s = 0.0
+        self._standstill = Standstill()
         self._taken_number = 0  # as the mapper said last
         self._deaths = (0, 0)  # how many since the item that was done last
         self._back_ends_died_s: deque[float] = deque(maxlen=MAX_BACK_END_DEATHS)  # host monotonic
@@ -116,6 +119,7 @@ class MapperLink:
         self._finished = threading.Event()
         self._ready = threading.Event()
         self._closed = threading.Event()
+        self._over = threading.Event()  # nobody listens any more
         self.kernels_share = 0.0
         self.kernels = ""  # how far the compiling of kernels is, in words; "" before the first
         self.restarts = 0
@@ -189,16 +193,19 @@ class MapperLink:
 
     def run(self) -> None:
         """Listen until `close`. Raises MapperLostError."""
-        while not self._closed.is_set():
-            self.turns += 1
-            with suppress(ChannelClosedError):  # whose end that is shows when it is read
-                self._listen()
-            self._watch()
+        try:
+            while not self._closed.is_set():
+                self.turns += 1
+                with suppress(ChannelClosedError):  # whose end that is shows when it is read
+                    self._listen()
+                self._watch()
+        finally:
+            self._over.set()
 
     def finish(self, timeout_s: float) -> bool:
         """After the last item: have the graph finish and the last tiles handed over.
 
-        False if that takes longer, or was never begun.
+        False if that takes longer, was never begun, or the mapper is lost for good.
         """
         if not self._ready.is_set():
             return False
@@ -206,7 +213,11 @@ class MapperLink:
             self._is_finishing = True
             if self._active is not None:
                 self._send_held(Finish())
-        return self._finished.wait(timeout_s)
+        deadline_s = time.monotonic() + timeout_s
+        while not self._finished.wait(LISTEN_S) and not self._over.is_set():
+            if time.monotonic() > deadline_s:
+                break
+        return self._finished.is_set()
 
     def _send_held(self, *messages: Any) -> None:
         held, self._held = self._held, []
@@ -303,6 +314,7 @@ class MapperLink:
             self._lost("ended")
             return
         self._heard_s = time.monotonic()
+        self._standstill.reset()
         for message in messages:
             if isinstance(message, Failed):
                 self._fatal(message)
@@ -376,10 +388,11 @@ class MapperLink:
         with self._lock:
             if self._held and time.monotonic_ns() - self._held[0].arrived_ns > HOLD_NS:
                 self._send_held()
-        silent_s = self.silent_s
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
-        if is_mapping and self.waiting and silent_s > STUCK_S:
-            self._lost(f"said nothing for {silent_s:.0f} s while {self.waiting} items waited")
+        if is_mapping and (self.waiting or self._is_finishing) and self.silent_s > STILL_S / 2.0:
+            still_s = self._standstill.seconds(self._pid)
+            if self.silent_s > STUCK_S or (self.silent_s > STILL_S and still_s > STILL_S / 2.0):
+                self._lost(f"said nothing for {self.silent_s:.1f} s while {self.waiting} items waited")
 
     def _lose_standby(self, channel: Channel) -> None:
         try:
@@ -424,7 +437,7 @@ class MapperLink:
         assert self._orphaned is not None
         how, since_s = self._orphaned
         if self._standby is None:
-            if time.monotonic() - since_s > STANDBY_S:
+            if time.monotonic() - since_s > (STILL_S if self._is_finishing else STANDBY_S):
                 raise MapperLostError(f"the mapper's process {how}, and no stand-by was there")
             return
         self._orphaned = None
@@ -442,6 +455,7 @@ class MapperLink:
         with self._lock:
             self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
             self._heard_s = time.monotonic()
+            self._standstill.reset()
             for message in (
                 Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,

@@ -80,7 +80,9 @@ class MapperProcess:
         self._can_copy = True
         self._stays = False  # where the back end dies: then no loops are closed any more
         self._back_end = BackEndProcess(
-            setup.graph_patience_s, is_replaceable=lambda: self._can_copy and not self._stays
+            setup.graph_patience_s,
+            is_replaceable=lambda: self._can_copy and not self._stays,
+            is_waiting=lambda: self._loop.tell_status(),
         )
         config = mapping_config(dict(setup.mapping))
 
@@ -161,12 +163,9 @@ class MapperProcess:
             return
 
     def _hear(self, timeout_s: float) -> None:
-        ends = [self._channel]
-        if self._back_end.channel is not None:
-            ends.append(self._back_end.channel)  # finished work comes in before the next item
-        ready = wait_for(ends, timeout_s)
-        if self._back_end.channel in ready:
-            self._back_end.look()
+        ready = wait_for([self._channel, *self._back_end.ends], timeout_s)
+        if any(end is not self._channel for end in ready):
+            self._back_end.look()  # finished work comes in before the next item
         if self._channel not in ready:
             return
         for message in self._channel.receive():
@@ -210,7 +209,7 @@ class MapperProcess:
 
     def _copy(self) -> bool:
         """Leave a stand-by behind that holds what is known now; True in it, when it has taken over."""
-        if not self._can_copy:
+        if not self._can_copy or self._back_end.is_awaited:
             return False
         self._loop.hand_over_tiles()
         self._copied_number = self._loop.number
@@ -233,13 +232,17 @@ class MapperProcess:
         try:
             self._channel = connect(self._folder)
             self._channel.send(Hello(os.getpid(), self._loop.number, is_standby=True, of_pid=mapper_pid))
-            while not (messages := self._channel.receive_within(3600.0)):
-                pass
-        except ChannelClosedError:
+            messages: list[Any] = []
+            while not messages:
+                self._back_end.look()  # a stand-by without its back end makes place for another one
+                if self._channel in wait_for([self._channel, *self._back_end.ends], 3600.0):
+                    messages = self._channel.receive()
+        except (ChannelClosedError, BackEndDiedError):
             os._exit(0)  # a newer stand-by is there, or nobody needs one any more
         first, *items = messages
         assert isinstance(first, Go)
         self._stays = first.stays
+        self._back_end.need()
         self._loop.go_on(first)
         self._copy()  # it may be needed before everything has come again
         self._schedule.make_next_at_once()  # and once more when it has

@@ -1,6 +1,7 @@
 """The threads that read the devices: one a sensor, each in the loop that all drivers share."""
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -11,7 +12,7 @@ from service.encoding import Message, encode_raw
 from service.runtime.workers import Workers
 from service.sensor_kinds import SENSOR_KINDS
 
-STOP_S = 5.0  # a connect to a silent host takes 3 s
+STOP_S = 3.0  # for all; a connect to a silent host takes 3 s
 
 
 class Readers:
@@ -48,8 +49,9 @@ class Readers:
     def stop(self) -> None:
         """Disconnect every device, in order of the config; one that hangs is left behind."""
         self._stop.set()
+        deadline_s = time.monotonic() + STOP_S
         for thread in self._threads:
-            self._workers.join(thread, STOP_S)
+            self._workers.join(thread, max(deadline_s - time.monotonic(), 0.0))
 
     def _reader(self, name: str, sensor: Any) -> Callable[[], None]:
         kind = SENSOR_KINDS[sensor.type]

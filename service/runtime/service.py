@@ -235,9 +235,9 @@ class Service:
         seconds = (stopped_ns - self._ready_ns) / 1e9 if self._ready_ns else 0.0
         cpu_s = self._processor_s() - self._cpu_s
         self._end("the end of drivers", self._readers.stop)
-        self._end("the end of the mapper", self._stop_mapping)
-        self._notifier.need_more_time(FLUSH_S + CLOSE_S)
         lost: list[str] = []
+        self._end("the end of the mapper", lambda: lost.extend(self._stop_mapping()))
+        self._notifier.need_more_time(FLUSH_S + CLOSE_S)
         try:
             lost += self._sinks.flush()
             if self._ready_ns:
@@ -307,18 +307,21 @@ class Service:
             log_level=logging.getLogger().getEffectiveLevel(),
         )
 
-    def _stop_mapping(self) -> None:
-        """Let the mapper take what waits, then end its process."""
+    def _stop_mapping(self) -> list[str]:
+        """Let the mapper take what waits, then end its process. What the map lacks, a sentence each."""
+        lacks: list[str] = []
         self._intake.close()
         if self._mapping is not None:
             self._notifier.need_more_time(MAPPING_STOP_S)
             if self._ready_ns and not self.failure and not self._link.finish(MAPPING_STOP_S):
-                log.error(
-                    "the mapper did not finish within %.0f s; the map lacks its last word", MAPPING_STOP_S
-                )
+                lacks.append("the mapper did not finish; the map lacks what it had not handed over")
+                log.error("%s", lacks[0])
+            elif self._outputs.graph_fault:
+                lacks.append(f"the map lacks loops: {self._outputs.graph_fault}")
             self._link.close()
             self._workers.join(self._mapping, MAPPING_STOP_S)
         self._link.clean_up()
+        return lacks
 
     def _feed_watchdog(self) -> None:
         turn = self._link.turns

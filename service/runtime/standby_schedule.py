@@ -3,6 +3,7 @@
 from service.runtime.scan_forecast import ScanForecast
 
 INTERVAL_NS = 4_000_000_000  # from one stand-by to the next, while items come
+URGENT_NS = 500_000_000  # to the next where the newest is gone: one that dies at once costs a fork each time
 OVERDUE_NS = 12_000_000_000  # since the last one: then one is made though items wait, or a scan is due
 
 
@@ -11,7 +12,8 @@ class StandbySchedule:
 
     def __init__(self) -> None:
         self._forecast = ScanForecast()
-        self._due_ns = 0
+        self._made_ns = -OVERDUE_NS
+        self._is_urgent = True
         self._took_ns = 0  # the newest fork; the next one takes about as long
 
     def arrived(self, sensor: str, at_ns: int) -> None:
@@ -20,19 +22,22 @@ class StandbySchedule:
 
     def made(self, began_ns: int, took_ns: int) -> None:
         """A stand-by was forked."""
-        self._due_ns, self._took_ns = began_ns + INTERVAL_NS, took_ns
+        self._made_ns, self._took_ns = began_ns, took_ns
+        self._is_urgent = False
 
     def make_next_at_once(self) -> None:
         """The newest stand-by is gone, or holds less than what has come by now."""
-        self._due_ns = 0
+        self._is_urgent = True
 
     def is_due(self, now_ns: int, is_waiting: bool) -> bool:
         """Whether to fork now.
 
         is_waiting   items wait to be mapped
         """
-        late_ns = now_ns - self._due_ns
-        if late_ns < 0 or late_ns >= OVERDUE_NS - INTERVAL_NS:
-            return late_ns >= 0
+        age_ns = now_ns - self._made_ns
+        if age_ns >= (URGENT_NS if self._is_urgent else OVERDUE_NS):
+            return True
+        if age_ns < INTERVAL_NS:
+            return False
         pause_ns = self._forecast.pause_ns(now_ns)
         return not is_waiting and (pause_ns is None or pause_ns >= self._took_ns)

@@ -30,7 +30,7 @@ class Workers:
         """Wait for one thread to end; False, said in the log, if it does not within timeout_s."""
         thread.join(timeout_s)
         if thread.is_alive():
-            log.error("thread %s did not end within %.0f s; leaving it behind", thread.name, timeout_s)
+            log.error("thread %s did not end within %.1f s; leaving it behind", thread.name, timeout_s)
             return False
         return True
 

@@ -18,6 +18,8 @@ log = logging.getLogger(__name__)
 
 FLUSH_S = 20.0  # that a sink may take to bring out what it held back
 CLOSE_S = 40.0  # and to end; the recorder waits 30 s for its disk
+STALL_S = 3.0  # so long where this process neither computes nor writes meanwhile
+LOOK_S = 0.1
 
 
 class Sinks:
@@ -31,6 +33,7 @@ class Sinks:
         self._sinks: list[Sink] = []
         self._lock = threading.Lock()  # of what follows
         self._faults: dict[str, str] = {}  # by name of the sink: why it does not work any more
+        self._hung: set[str] = set()  # sinks that did not flush
         self._refused: Counter[str] = Counter()  # calls that raised, by name of the sink
 
     def open(
@@ -131,15 +134,18 @@ class Sinks:
         return [fault for error, fault in self._end("close", CLOSE_S) if isinstance(error, StorageError)]
 
     def _end(self, action: str, timeout_s: float) -> list[tuple[BaseException | None, str]]:
-        """Have every sink flush or close in a thread of its own; one that hangs is left behind.
+        """Have every sink flush or close in a thread of its own; one that hangs is left behind, for good.
 
         Faults, with what was raised; None where one hangs.
         """
-        endings = [_Ending(sink, action) for sink in self._sinks]
-        deadline_s = time.monotonic() + timeout_s
+        sinks = [sink for sink in self._sinks if sink.name not in self._hung]
+        endings = [_Ending(sink, action) for sink in sinks]
+        _wait_while_they_work(endings, timeout_s)
         faults = []
         for ending in endings:
-            if fault := ending.wait(deadline_s - time.monotonic(), timeout_s):
+            if fault := ending.fault():
+                if ending.is_running:
+                    self._hung.add(ending.sink.name)
                 self._fail(ending.sink.name, fault)
                 faults.append((ending.error, fault))
         return faults
@@ -169,6 +175,27 @@ class Sinks:
         return Status(row.name, ERROR, fault, {**row.values, "refused": str(refused)})
 
 
+def _wait_while_they_work(endings: Sequence["_Ending"], timeout_s: float) -> None:
+    """Until all have ended, timeout_s have passed, or nothing has been computed or written for STALL_S."""
+    work, now_s = _work_done(), time.monotonic()
+    deadline_s, stalled_s = now_s + timeout_s, now_s + STALL_S
+    while (running := [ending for ending in endings if ending.is_running]) and now_s < min(
+        deadline_s, stalled_s
+    ):
+        running[0].join(LOOK_S)
+        now_s = time.monotonic()
+        if (done := _work_done()) != work:
+            work, stalled_s = done, now_s + STALL_S
+
+
+def _work_done() -> tuple[int, int]:
+    """Bytes that this process has written to disks, and its processor time in fifths of a second: threads that
+    idle take less than that.
+    """
+    counts = Path("/proc/self/io").read_text(encoding="ascii").split()
+    return int(counts[counts.index("write_bytes:") + 1]), int(5.0 * time.process_time())
+
+
 class _Ending:
     """A sink that flushes or closes."""
 
@@ -177,14 +204,22 @@ class _Ending:
         self._action = action
         self._work: Callable[[], None] = getattr(sink, action)
         self.error: BaseException | None = None
+        self._began_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name=f"{sink.name}-{action}", daemon=True)
         self._thread.start()
 
-    def wait(self, left_s: float, timeout_s: float) -> str:
-        """What went wrong, "" if nothing did. timeout_s is what it was allowed in all."""
-        self._thread.join(max(left_s, 0.0))
-        if self._thread.is_alive():
-            fault = f"{self.sink.name} did not {self._action} within {timeout_s:.0f} s"
+    @property
+    def is_running(self) -> bool:
+        return self._thread.is_alive()
+
+    def join(self, timeout_s: float) -> None:
+        self._thread.join(timeout_s)
+
+    def fault(self) -> str:
+        """What went wrong up to now, "" if nothing did."""
+        if self.is_running:
+            took_s = time.monotonic() - self._began_s
+            fault = f"{self.sink.name} did not {self._action} within {took_s:.0f} s"
         elif self.error is None:
             return ""
         elif isinstance(self.error, CorridorError):

@@ -129,9 +129,9 @@ def test_a_back_end_that_fails_says_how(process: BackEndProcess):
 def test_waiting_has_an_end(caplog: pytest.LogCaptureFixture):
     process = BackEndProcess(patience_s=0.0)
     try:
-        with pytest.raises(WorkLostError, match="within 0 s"):
+        with pytest.raises(WorkLostError, match=r"within 0\.0 s"):
             process.new_worker(Adder()).submit("hang").result()
-        assert "within 0 s; what it found last is lost" in caplog.text
+        assert "within 0.0 s; what it found last is lost" in caplog.text
     finally:
         process.stop()
     assert process.pid is None or not _is_there(process.pid)
@@ -181,6 +181,7 @@ def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     process: BackEndProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(back_end, "CONNECT_S", 0.1)
+    monkeypatch.setattr(back_end, "MEET_S", 0.1)
     worker = process.new_worker(Adder())
     hanging = worker.submit("hang")
     process.copy(tmp_path / "copy.sock")
@@ -189,6 +190,7 @@ def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     assert not hanging.ready
     copy = BackEndProcess(patience_s=30.0)
     copy._listener = socket.create_server(str(tmp_path / "nobody.sock"), family=socket.AF_UNIX)
+    copy.need()
     with pytest.raises(WorkLostError, match="of the stand-by did not come"):
         ProcessWorker(copy).submit(1).result()
 

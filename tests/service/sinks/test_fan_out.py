@@ -176,8 +176,7 @@ def test_a_fault_of_the_program_at_the_end_is_told_with_where_it_was_raised(capl
 def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
     action: str, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(fan_out, "FLUSH_S", 0.2)
-    monkeypatch.setattr(fan_out, "CLOSE_S", 0.2)
+    monkeypatch.setattr(fan_out, "STALL_S", 0.2)
     hangs, well = ListSink("hangs"), ListSink("well")
     hangs.may_end.clear()
     sinks = open_all(hangs, well)
