@@ -189,8 +189,8 @@ def _wait_while_they_work(endings: Sequence["_Ending"], timeout_s: float) -> Non
 
 
 def _work_done() -> tuple[int, int]:
-    """Bytes that this process has written to disks, and its processor time in fifths of a second: threads that
-    idle take less than that.
+    """Bytes that this process has written to disks, and its processor time in fifths of a second: threads
+    that idle take less than that.
     """
     counts = Path("/proc/self/io").read_text(encoding="ascii").split()
     return int(counts[counts.index("write_bytes:") + 1]), int(5.0 * time.process_time())
