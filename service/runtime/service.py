@@ -20,9 +20,10 @@ from pathlib import Path
 from drivers.frames import Frame
 from drivers.link import LinkHealth
 from service.config import ServiceConfig, mapped_lasers, mounted_upside_down, mountings, tf_static
-from service.encoding import encode_event
+from service.encoding import decode_pose, encode_event
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, InputError, OutputLostError
+from service.geometry.se2 import SE2
 from service.mapper.profiles import begins_in_stored
 from service.mapstore.begin_in import MapVersion, stored_for, version_to_begin_in
 from service.mapstore.tiles import TileStore
@@ -40,6 +41,7 @@ from service.runtime.metrics import LatencyHistogram
 from service.runtime.notify import Notifier
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.runtime.readers import Readers
+from service.runtime.resume import Point, PointWriter, point_file, resumed
 from service.runtime.running_status import RunningStatus, running_status
 from service.runtime.summary import Summary
 from service.runtime.workers import Workers
@@ -77,6 +79,7 @@ class Service:
         on_failure: Callable[[], None] = lambda: None,
         early: EarlyMapper | None = None,
     ) -> None:
+        config, self._resume_pose = resumed(config)
         self._config = config
         self._begun_in = _begun_in(config)  # refused here, before anything runs
         self._notifier = notifier
@@ -155,6 +158,7 @@ class Service:
             self.host_time.offset_ns,
         )
         self._ready_ns = self._health_due_ns = self._watchdog_due_ns = 0
+        self._resume = PointWriter(point_file(config), self._point)
         self._cpu_s = 0.0
         self._last_turn = -1
         self.stopped = False
@@ -205,6 +209,7 @@ class Service:
         if mountings(self._config.sensors):
             self._sinks.put(tf_static(self._config.sensors, self._unix_ns()))
         self._sinks.start()
+        self._resume.start()
         self._readers.start()
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall the readers
@@ -221,6 +226,9 @@ class Service:
             self._feed_watchdog()
         if now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + HEALTH_INTERVAL_NS
+            if self._resume_pose is not None and self._outputs.last is not None:
+                pose, self._resume_pose = self._resume_pose, None
+                self._workers.start("resumed-pose", lambda: self._set_pose(pose))
             self._tell_health(now_ns)
 
     def stop(self) -> Summary:
@@ -238,6 +246,7 @@ class Service:
         lost: list[str] = []
         self._end("the end of the mapper", lambda: lost.extend(self._stop_mapping()))
         self._notifier.need_more_time(FLUSH_S + CLOSE_S)
+        self._end("the end of the point to resume at", lambda: self._resume.stop(WAKE_S))
         try:
             lost += self._sinks.flush()
             if self._ready_ns:
@@ -250,6 +259,8 @@ class Service:
             gc.unfreeze()
         if lost:
             raise OutputLostError("; ".join(lost))
+        if self._ready_ns and not self.failure:
+            self._end("the removal of the point to resume at", self._resume.remove)
         return Summary(
             seconds=round(seconds, 3),
             scans=sum(self._outputs.states.values()),
@@ -353,6 +364,22 @@ class Service:
 
     def _command(self, verb: str, payload: bytes) -> Answer:
         return self._dispatcher.answer(verb, payload)
+
+    def _point(self) -> Point | None:
+        saved, mapped = self._sinks.map_storage().newest, self._outputs.last
+        folder = self._config.begin_in if saved is None else saved.folder
+        if folder is None or mapped is None:
+            return None
+        pose = decode_pose(mapped.messages[0].payload).pose
+        return Point(
+            folder=folder, unix_ns=time.time_ns(), x_m=pose.x_m, y_m=pose.y_m, theta_rad=pose.theta_rad
+        )
+
+    def _set_pose(self, pose: SE2) -> None:
+        request = {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad}
+        answer = self._command("set_pose", json.dumps(request).encode())
+        if not answer.ok:
+            log.warning("the pose before the restart is not taken: %s", answer.body.decode(errors="replace"))
 
     def _find_map(self, name: str, version: int | None) -> tuple[Path, int]:
         """Folder and version of a stored map that a session can begin in with the present profile.

@@ -157,6 +157,11 @@ class MapStorage(Protocol):
     def folder(self) -> Path: ...
 
     @property
+    def newest(self) -> SavedMap | None:
+        """What was saved last; None before the first."""
+        ...
+
+    @property
     def graph_folder(self) -> Path:
         """Where the mapper puts away what a later session goes on with; on the disk of the maps."""
         ...

@@ -1,0 +1,116 @@
+"""Where a service that was killed goes on: the map that it stored last, and its newest pose.
+
+A file beside the maps holds both while the service runs, and is removed when it ends in good order.
+"""
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from pydantic import BaseModel, ValidationError
+
+from service.config import ServiceConfig
+from service.errors import CorridorError
+from service.geometry.se2 import SE2
+from service.mapper.profiles import begins_in_stored
+from service.mapstore.begin_in import version_to_begin_in
+from service.readable import read_text
+
+log = logging.getLogger(__name__)
+
+WRITE_S = 1.0
+
+
+class Point(BaseModel):
+    """Where a service was."""
+
+    folder: Path  # of the map that it stored last
+    unix_ns: int
+    x_m: float  # pose_map_base
+    y_m: float
+    theta_rad: float
+
+    @property
+    def pose(self) -> SE2:
+        return SE2(self.x_m, self.y_m, self.theta_rad)
+
+
+def point_file(config: ServiceConfig) -> Path:
+    directory: Path = config.sinks["map"].directory
+    return directory / f".{config.vehicle}.resume.json"
+
+
+def resumed(config: ServiceConfig) -> tuple[ServiceConfig, SE2 | None]:
+    """The config of a session that goes on where one was killed at most map.resume_within_s ago, and the pose
+    there; the same config and None where there is none, or where its map cannot be gone on in.
+    """
+    stored = config.sinks["map"]
+    try:
+        point = Point.model_validate_json(read_text(point_file(config)))
+    except (OSError, CorridorError, ValidationError, ValueError):
+        return config, None
+    age_s = time.time() - point.unix_ns / 1e9
+    if not 0.0 <= age_s <= stored.resume_within_s or config.begin_in not in (None, point.folder):
+        return config, None
+    if config.begin_in is None:
+        if not begins_in_stored(config.mapping):
+            return config, None
+        try:
+            version_to_begin_in(point.folder, config.mapping)
+        except CorridorError as error:
+            log.warning("the map of %.0f s ago is not gone on in, a new one begins: %s", age_s, error)
+            return config, None
+        going_on = stored.model_copy(update={"load": point.folder})
+        config = replace(config, begin_in=point.folder, sinks={**config.sinks, "map": going_on})
+    log.warning(
+        "the service was killed %.0f s ago; it goes on in %s near (%.2f, %.2f) m, %.2f rad",
+        *(age_s, point.folder, point.x_m, point.y_m, point.theta_rad),
+    )
+    return config, point.pose
+
+
+class PointWriter:
+    """Writes the file each WRITE_S, in a thread of its own: a disk may hang.
+
+    now   where the service is; None: nothing is stored yet, or there is no pose
+    """
+
+    def __init__(self, path: Path, now: Callable[[], Point | None]) -> None:
+        self._path = path
+        self._now = now
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="resume", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self, timeout_s: float) -> None:
+        """Raises nothing; the file stays."""
+        self._over.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+
+    def remove(self) -> None:
+        """The service has ended in good order. Raises OSError."""
+        self._path.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        fault = ""
+        while not self._over.wait(WRITE_S):
+            if (point := self._now()) is None:
+                continue
+            try:
+                part = self._path.with_name(f"{self._path.name}.{os.getpid()}")
+                part.write_text(point.model_dump_json(), encoding="utf-8")
+                part.rename(self._path)
+                fault = ""
+            except OSError as error:
+                if str(error) != fault:
+                    log.warning(
+                        "%s cannot be written, a restart would begin a new map: %s", self._path, error
+                    )
+                fault = str(error)
