@@ -19,15 +19,15 @@ import numpy.typing as npt
 import yaml
 from pydantic import ValidationError
 
+from service.compile.warm_up import KernelProgress, warm_up
 from service.config import ServiceConfig, parse_config
 from service.encoding import LASER_SCAN, decode_frame, decode_pose
+from service.encoding import warm_up as warm_up_encoding
 from service.encoding.steps import LOAD_MAP, SWITCH_PROFILE, decode_step
 from service.errors import ConfigError, CorridorError, StorageError
 from service.geometry.se2 import SE2
-from service.kernel_warm_up import KernelProgress
 from service.mapper.mapping_session import LoadMap, SessionRequest, Step, SwitchProfile
 from service.mapper.profiles import MappingConfig, mapping_config
-from service.offline.warmup import warm_up
 from service.recording.mcap_reader import Recording
 from service.runtime.run import run
 from service.runtime.service import Service
@@ -117,9 +117,10 @@ def demo(
     make_writable(options.out)
     zenoh_port = free_port(options.port, ZENOH_PORT, "--port")
     page = _page(options) if options.web else None
-    mapping = _mapping(options)
+    _mapping(options)  # imports what calls the kernels of the profile
     with compiling() as kernels:  # before the vehicle drives: the map shall begin where it stands
-        warm_up(mapping, kernels)
+        warm_up_encoding()
+        warm_up(progress=kernels)
     log.info("starting the fake devices in the world %s", options.world or DEFAULT_WORLD)
     truth = options.out / "truth.txt"
     is_told = False

@@ -5,7 +5,7 @@ python -m simulators --world office --print-endpoints --truth truth.txt
 
 import sys
 
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 
 if __name__ == "__main__":
     ensure_cache_dir()  # before anything imports numba

@@ -16,7 +16,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-from service.kernel_cache import ensure_cache_dir, is_warm
+from service.compile.cache import ensure_cache_dir, is_warm
 from tests.shared_data import NO_RECORDINGS, SHARED
 from tests.soaked import FEW_EXAMPLES, MANY_EXAMPLES
 
@@ -74,6 +74,19 @@ def pytest_unconfigure() -> None:
     faulthandler.dump_traceback_later(EXIT_S, exit=True, file=sys.__stderr__)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(LIBRARIES_EXIT_S)
+
+
+@pytest.fixture(autouse=True)
+def _no_undeclared_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call of a kernel for types that it does not declare fails."""
+    if "numba" in sys.modules:
+        from service.compile import signatures
+
+        monkeypatch.setattr(signatures, "log_undeclared", _refuse)
+
+
+def _refuse(name: str, types: tuple[object, ...]) -> None:
+    raise TypeError(f"{name} is not declared for {types}")
 
 
 @pytest.hookimpl(wrapper=True)

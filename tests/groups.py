@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from service.kernel_cache import ensure_cache_dir, is_warm
+from service.compile.cache import ensure_cache_dir, is_warm
 
 LOGS = Path("build")
 TELL_S = 10.0  # no silence for longer

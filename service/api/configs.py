@@ -10,13 +10,12 @@ import numpy.typing as npt
 import yaml
 
 from service.api.recordings import AnyPath
+from service.compile.cache import ensure_cache_dir
+from service.compile.warm_up import KernelProgress, warm_up_in_turn
 from service.config import ReplayConfig, load_replay_config, parse_replay_config
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import UsageError
 from service.geometry.se2 import SE2
-from service.kernel_cache import ensure_cache_dir
-from service.kernel_warm_up import KernelProgress, warm_up_once
-from service.mapper.profiles import MappingConfig
 
 log = logging.getLogger("corridor")  # not below "service", whose warnings a replay takes into its summary
 
@@ -46,11 +45,11 @@ def stored_folder(map: AnyPath | None, version: int | None) -> Path | None:
     return None if map is None else Path(map)
 
 
-def load_kernels(mapping: MappingConfig) -> None:
-    """Load the kernels that a config needs; where they are compiled first, the log says so."""
+def load_kernels() -> None:
+    """Load the kernels of the profiles chosen so far; where they are compiled first, the log says so."""
     ensure_cache_dir()
     warm_up_encoding()
-    warm_up_once(mapping, KernelProgress(CompileNotice()))
+    warm_up_in_turn(KernelProgress(CompileNotice()))
 
 
 class CompileNotice:

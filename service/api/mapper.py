@@ -82,7 +82,7 @@ class Mapper:
         self._mapping: MappingConfig = mapping
         self._sensors = frozenset((*sensors, *given))
         begin = None if folder is None else begin_in(folder, mapping, version)
-        load_kernels(mapping)
+        load_kernels()
         poses = {**dict.fromkeys(lasers, SE2()), **poses, **given}
         self._session = MappingSession(
             lambda: build_mapper(mapping, poses, new_patch_store=PatchFiles, begin_in=begin), lasers

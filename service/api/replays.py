@@ -9,7 +9,7 @@ from service.api.configs import CompileNotice, stored_folder
 from service.api.mapper import trajectory_of
 from service.api.poses import Pose, pose_of
 from service.api.recordings import AnyPath, Topics, choice_of, one_drive
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 from service.mapstore.tiles import grid_of_tiles
 from service.offline.replay.replay import COMPILING
 from service.offline.replay.replay import replay as replay_recording

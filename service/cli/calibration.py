@@ -5,8 +5,8 @@ import json
 from dataclasses import asdict
 
 from service.cli.console import progress
+from service.compile.cache import ensure_cache_dir
 from service.errors import StorageError
-from service.kernel_cache import ensure_cache_dir
 
 
 def calibrate(parsed: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:  # it imports numba
-    from service.kernel_warm_up import KernelProgress
+    from service.compile.warm_up import KernelProgress
 
 BAR_WIDTH = 30
 CLEAR = "\r\x1b[K"  # to the first column; what stands on the line goes
@@ -182,7 +182,7 @@ def progress(what: str) -> Iterator[Progress]:
 @contextmanager
 def kernel_progress() -> Iterator["KernelProgress"]:
     """Shows how many kernels are compiled, if any must be."""
-    from service.kernel_warm_up import KernelProgress
+    from service.compile.warm_up import KernelProgress
 
     with progress("compiling kernels") as shown:
         yield KernelProgress(lambda kernels: shown(kernels.share))

@@ -9,7 +9,7 @@ from pathlib import Path
 from service.cli.console import kernel_progress, print_result
 from service.cli.status_line import status_line
 from service.cli.upkeep import config_path
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 from service.runtime.early_mapper import EarlyMapper, mapping_section
 
 

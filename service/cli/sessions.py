@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from service.archive import path_or_url
 from service.cli.console import print_report, print_result, print_table, progress
 from service.cli.recordings import choice_of
+from service.compile.cache import ensure_cache_dir
 from service.errors import CorridorError, UsageError
 from service.interruption import leave_signals_alone
-from service.kernel_cache import ensure_cache_dir
 from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:

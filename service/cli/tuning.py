@@ -10,8 +10,8 @@ from service.archive import is_remote, path_or_url
 from service.cli.console import print_result, progress
 from service.cli.recordings import choice_of
 from service.cli.sessions import engine_of
+from service.compile.cache import ensure_cache_dir
 from service.errors import InputError, UsageError
-from service.kernel_cache import ensure_cache_dir
 from service.recording.opening import name_of
 
 

@@ -4,12 +4,14 @@ import argparse
 import logging
 import shutil
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from service.cli.console import kernel_progress, print_report, print_result
+from service.compile.cache import cache_place, ensure_cache_dir, mark_warm
+from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError
-from service.kernel_cache import ensure_cache_dir
 
 
 def config_path(parsed: argparse.Namespace) -> Path:
@@ -99,9 +101,14 @@ def install_unit(parsed: argparse.Namespace) -> int:
 
 def warmup(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.offline.warmup import warm_up
+    from service.compile.warm_up import warm_up
+    from service.mapper.profiles import import_methods
 
+    began_s = time.monotonic()
+    import_methods()  # which call the kernels
     with kernel_progress() as kernels:
-        told = warm_up(progress=kernels)
-    print_result(told, parsed.json)
+        warm_up_encoding()
+        warm_up(progress=kernels)
+    mark_warm()
+    print_result({"seconds": round(time.monotonic() - began_s, 3), "cache": str(cache_place())}, parsed.json)
     return 0

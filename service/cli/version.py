@@ -25,7 +25,7 @@ class ShowVersion(argparse.Action):
 
 def version_words() -> str:
     """A line each: the version; of a checkout the commit; the key of the kernels' cache."""
-    from service.kernel_cache import cache_key, is_warm
+    from service.compile.cache import cache_key, is_warm
 
     commit = _commit()
     kernels = "all compiled" if is_warm() else "some are compiled when they are needed, or by corridor warmup"

@@ -37,8 +37,8 @@ from service.kernels.filter_state import (
     views_of,
 )
 from service.kernels.source_noise import begin_window
-from service.kernels.sweep import motion_at, sweep_deviation
-from service.kernels.tracks import Track, begin_twist
+from service.kernels.sweep import begin_twist, motion_at, sweep_deviation
+from service.kernels.tracks import Track
 from service.outputs import NO_REASON, Reason
 
 log = logging.getLogger(__name__)

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.contour_blur import BLURRED, HIT, PASSED, touch_cell
+from service.kernels.contour_blur import BLURRED, HIT, PASSED, LikelihoodLevel, ScanCells, touch_cell
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
@@ -28,7 +29,7 @@ class LearningSettings(NamedTuple):
     scans: int = 1  # so many like it a scan stands for: those before it that were not learned
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_1D, LikelihoodLevel, int, float, ScanCells)
 def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, cells):
     """Put the cells that beams passed through before their end on the scan's list, with value 0.
 
@@ -77,7 +78,7 @@ def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, 
                 next_row += per_row
 
 
-@kernel
+@kernel(LikelihoodLevel, int, ScanCells)
 def mark_unseen(level, protect_count, cells):
     """Put every cell of the map that the scan says nothing of on its list, with value 0: the printed rule.
 
@@ -183,7 +184,7 @@ def rise_at(level, k, old, settings, cells):
     return best
 
 
-@kernel
+@inner_kernel
 def spread_falls(level, settings, cells):
     """Fill p_d of the cells that are only blurred. Source: Li et al. 2016, eq. 17: the most negative."""
     radius = INTERPOLATION_SIGMAS * settings.sigma_cells
@@ -206,7 +207,7 @@ def spread_falls(level, settings, cells):
                 cells.fall[k] = min(cells.fall[k], np.float32(change))
 
 
-@kernel
+@kernel(LikelihoodLevel, LearningSettings, ScanCells)
 def learn_scan(level, settings, cells):
     """Update the map with the cells of one scan.
 
@@ -247,7 +248,7 @@ def learn_scan(level, settings, cells):
         store(level, slot, r, q, new, settings.scans if settings.counts_blur else 0)
 
 
-@kernel
+@inner_kernel
 def interpolated(level, k, old, value, settings, cells):
     """Likelihood of a cell that is blurred by a scan but not hit. Source: Li et al. 2016, eqs. 17 and 18.
 

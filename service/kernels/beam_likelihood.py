@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.compile.lazy import njit
+from service.kernels.arrays import Bool_2D, Float32_4D, Float64_1D, Float64_2D, Int32_3D, UInt8_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.occupancy import OccupancyGrid, evidence_at
 from service.kernels.rays import begin_ray
@@ -60,14 +61,14 @@ class KnownGround(NamedTuple):
     """
 
     walls: SurfelGrid
-    has_wall: npt.NDArray[np.bool_]
-    looked: npt.NDArray[np.float32]
+    has_wall: Bool_2D
+    looked: Float32_4D
     ground: OccupancyGrid
     free: int
-    points: npt.NDArray[np.uint8]
+    points: UInt8_2D
     first_row: int
     first_column: int
-    asked: npt.NDArray[np.int32]
+    asked: Int32_3D
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -91,7 +92,7 @@ def goes_through(surfels, slot, row, column, side, u, v, du, dv):
     return x * x + y * y < THROUGH_REACH_M * THROUGH_REACH_M
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, SurfelGrid, float, Float32_4D)
 def count_looks(ends, sensor, walls, weight, looked):
     """Count the beams of one scan that go through surfels.
 
@@ -135,7 +136,7 @@ def cells_with_walls(walls: SurfelGrid) -> npt.NDArray[np.bool_]:
     return has_wall.reshape(rows * TILE_CELLS, columns * TILE_CELLS)
 
 
-@kernel
+@kernel(Float64_2D, int, int, UInt8_2D)
 def splat_points(xy, first_row, first_column, points):
     """Likelihood of an end point near others: the most that any of them says, 255 at one of them.
 
@@ -218,7 +219,7 @@ def density_of_ground(ground, free, x, y):
     return IN_FREE
 
 
-@kernel
+@inner_kernel
 def weigh_ends(xy, normals, pose, known, at_end):
     """Log-likelihood of where each beam ends at a pose, less that on ground of which the map knows nothing.
 
@@ -256,7 +257,7 @@ def weigh_ends(xy, normals, pose, known, at_end):
         at_end[i] = math.log(density / NOT_KNOWN)
 
 
-@kernel
+@inner_kernel
 def weigh_ways(xy, sensors, pose, known, number, least, on_way):
     """Log-probability that what the beams go through is gone; gives up where it is less than `least` in sum.
 

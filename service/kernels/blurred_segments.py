@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
@@ -29,7 +30,7 @@ def fullest_band(across, alive, may_begin, width_m):
     return best_first, best_last, best_count
 
 
-@kernel
+@kernel(Float64_2D, int, Float64_1D, Float64_1D, int, Int32_2D)
 def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
     """Blurred segments parallel to one axis of the map.
 

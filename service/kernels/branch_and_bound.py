@@ -6,10 +6,16 @@ Rounding keeps order, so a bound, a sum of float32 in the order of the points, i
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.likelihood_search import SearchResult, result_of, turned_cells
+from service.kernels.arrays import Float64_2D, LikelihoodCells
+from service.kernels.compiled import inner_kernel, seldom_kernel
+from service.kernels.likelihood_search import (
+    LikelihoodLayer,
+    SearchResult,
+    SearchWindow,
+    result_of,
+    turned_cells,
+)
 from service.kernels.ordering import order_rising
 from service.kernels.tiles import NO_TILE, find_tile
 
@@ -22,7 +28,7 @@ class MaxPyramid(NamedTuple):
     empty, offset, scale, cell_m    as in the layer
     """
 
-    levels: npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+    levels: LikelihoodCells
     first_row: int
     first_column: int
     empty: float
@@ -31,7 +37,7 @@ class MaxPyramid(NamedTuple):
     cell_m: float
 
 
-@kernel
+@seldom_kernel(LikelihoodLayer, int, int, LikelihoodCells)
 def build_pyramid(layer, first_row, first_column, levels):
     """Fill a max pyramid from the part of a layer that begins at a cell.
 
@@ -65,7 +71,7 @@ def build_pyramid(layer, first_row, first_column, levels):
     return MaxPyramid(levels, first_row, first_column, layer.empty, layer.offset, layer.scale, layer.cell_m)
 
 
-@kernel
+@seldom_kernel(LikelihoodCells, float)
 def pool_levels(levels, empty):
     """Fill levels 1 and up from level 0; beyond the upper borders all is `empty`."""
     height, width = levels.shape[1], levels.shape[2]
@@ -121,7 +127,7 @@ def nearest_square(low, high):
     return high * high if high < 0 else 0
 
 
-@kernel
+@seldom_kernel(Float64_2D, MaxPyramid, SearchWindow, float)
 def search_branch_and_bound(xy_base, pyramid, window, least_score):
     """The candidate that search_exhaustive finds on the layer of the pyramid, without asking most of them.
 

@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from service.kernels.arrays import Float32_5D, Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.normals import (
     ANGLE_SIGMA_RAD,
@@ -50,7 +50,7 @@ class MomentGrid(NamedTuple):
     """
 
     tiles: TileIndex
-    moments: npt.NDArray[np.float32]
+    moments: Float32_5D
     cell_m: float
 
 
@@ -85,7 +85,7 @@ def is_thin(across, expected, count):
     return across <= expected * (1.0 + THICK_SIGMAS * math.sqrt(2.0 / (count - 2.0)))
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, float, Float64_2D, Float64_2D, Float64_1D, MomentGrid, int)
 def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose, grid, half):
     """Add those points of a key frame that have no direction of their own to the cells they lie in.
 
@@ -271,7 +271,7 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
     return pooled[NOISE_XX] + pooled[NOISE_YY]
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, float, Float64_1D, MomentGrid, int, float, float, Float64_2D)
 def direct_by_moments(
     xy_base, sensor_xy_m, range_sigma_m, pose, grid, half, grazing_weight, weight_off_plane, normals
 ):

@@ -4,8 +4,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from service.kernels.arrays import (
+    Float32_1D,
+    Float32_3D,
+    Float64_1D,
+    Float64_2D,
+    Int32_1D,
+    Int32_2D,
+    Int32_3D,
+    Int64_1D,
+    UInt8_1D,
+    UInt16_3D,
+)
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.contours import ALONE
 from service.kernels.pose_information import wrap
@@ -30,10 +41,10 @@ class LikelihoodLevel(NamedTuple):
     """
 
     tiles: TileIndex
-    likelihood: npt.NDArray[np.float32]
-    highest: npt.NDArray[np.float32]
-    seen: npt.NDArray[np.uint16]
-    mark: npt.NDArray[np.int32]
+    likelihood: Float32_3D
+    highest: Float32_3D
+    seen: UInt16_3D
+    mark: Int32_3D
     cell_m: float
 
 
@@ -47,11 +58,11 @@ class ScanCells(NamedTuple):
     rows     (1,)   int64     how many are in use; may exceed M, and then the rows beyond are missing
     """
 
-    place: npt.NDArray[np.int32]
-    kind: npt.NDArray[np.uint8]
-    value: npt.NDArray[np.float32]
-    fall: npt.NDArray[np.float32]
-    rows: npt.NDArray[np.int64]
+    place: Int32_2D
+    kind: UInt8_1D
+    value: Float32_1D
+    fall: Float32_1D
+    rows: Int64_1D
 
 
 class BlurSettings(NamedTuple):
@@ -65,7 +76,7 @@ class BlurSettings(NamedTuple):
     is_sub_cell: bool
 
 
-@kernel
+@inner_kernel
 def touch_cell(level, row, column, cells):
     """Row of a cell in the scan's list, put there with value 0 if it was not; -1 where the list is full."""
     slot = find_tile(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -104,7 +115,7 @@ def raise_cell(level, row, column, value, cells):
         cells.value[k] = max(cells.value[k], np.float32(value))
 
 
-@kernel
+@kernel(LikelihoodLevel, ScanCells)
 def forget_scan(level, cells):
     """Take the marks of a scan off the map and empty its list."""
     for k in range(min(cells.rows[0], cells.value.shape[0])):
@@ -112,7 +123,7 @@ def forget_scan(level, cells):
     cells.rows[0] = 0
 
 
-@kernel
+@kernel(BlurSettings)
 def blur_reach_cells(settings):
     """How far from a contour, across it, anything is left of it."""
     log_least = -math.log(settings.least)
@@ -262,7 +273,7 @@ def draw_hits(nodes, level, settings, cells):
                     cells.value[i] = np.float32(1.0)
 
 
-@kernel
+@kernel(Float64_2D, Int32_1D, Float64_1D, LikelihoodLevel, BlurSettings, ScanCells)
 def blur_scan(xy_base, contour, pose, level, settings, cells):
     """The likelihood map of one scan, as a list of cells.
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
@@ -11,7 +12,7 @@ ALONE = -1
 SHORTEST_STEP_M = 1e-6  # two points on the same spot still have a ratio
 
 
-@kernel
+@kernel(Float64_2D, float, float, Int32_1D)
 def extract_contours(xy_base, longest_m, most_ratio, contour):
     """Grow contours from the closest pairs, at both ends, as long as steps are short and alike.
 

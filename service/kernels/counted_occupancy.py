@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from service.kernels.arrays import Float32_3D, Float64_1D, Float64_2D, UInt16_3D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import TILE_BITS, TILE_MASK
@@ -30,10 +30,10 @@ class CountedGrid(NamedTuple):
     """
 
     tiles: TileIndex
-    hits: npt.NDArray[np.uint16]
-    passes: npt.NDArray[np.uint16]
-    field: npt.NDArray[np.float32]
-    touched: npt.NDArray[np.uint16]
+    hits: UInt16_3D
+    passes: UInt16_3D
+    field: Float32_3D
+    touched: UInt16_3D
     cell_m: float
 
 
@@ -44,7 +44,7 @@ class CountWeights(NamedTuple):
     passed: float
 
 
-@kernel
+@inner_kernel
 def occupied_probability(hits, passes, weights):
     """p = O_o^c_o O_f^c_f / (O_o^c_o O_f^c_f + (1 - O_o)^c_o (1 - O_f)^c_f), by way of its log-odds.
 
@@ -108,7 +108,7 @@ def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_n
             next_row += per_row
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_1D, CountedGrid, CountWeights, float, int, np.uint16)
 def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_stride, scan_number):
     """Count a scan, each cell once: end points first, so that no beam goes through what another one hit.
     Counts stay at their greatest value.
@@ -148,7 +148,7 @@ def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_str
         count_beam(u, v, shrink * du, shrink * dv, grid, hits, passes, field, touched, weights, scan_number)
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, CountedGrid, int)
 def count_overlap(xy_base, pose, grid, reach_cells):
     """How many points lie on walls, and how many where nothing stands.
 
@@ -186,7 +186,7 @@ def count_overlap(xy_base, pose, grid, reach_cells):
     return on_walls, in_free
 
 
-@kernel
+@kernel(Float64_2D, float)
 def weigh_scan(values, floor):
     """Log-likelihood of a scan: the sum over its beams of log(floor + (1 - floor) likelihood).
 

@@ -3,21 +3,19 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D, ReadonlyFloat32_1D
 from service.kernels.compiled import kernel
 
 
 class Returns(NamedTuple):
     """Room for the beams of one scan that came back."""
 
-    xy_raw: npt.NDArray[np.float64]  # (N, 2) m, base frame at each beam's own moment
-    beam_time_s: npt.NDArray[np.float64]  # (N,) since beam 0
-    beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
+    xy_raw: Float64_2D  # (N, 2) m, base frame at each beam's own moment
+    beam_time_s: Float64_1D  # (N,) since beam 0
+    beam: Int32_1D  # (N,) which beam of the scan
 
 
-@kernel
+@kernel(ReadonlyFloat32_1D, Float64_2D, Float64_1D, Float64_1D, float, Returns)
 def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s, returns):
     """End points of the beams that returned, each in the base frame of its own moment.
 
@@ -42,7 +40,7 @@ def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s
     return count
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_1D, Float64_2D)
 def deskew_points(xy_raw, beam_time_s, twist, xy_base):
     """Bring points to the base frame of beam 0, for a base that moves with a constant twist.
 

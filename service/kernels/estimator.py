@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from service.kernels.acceleration import transition_over
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.filter_state import (
     ACCELERATION,
@@ -25,6 +26,8 @@ from service.kernels.filter_state import (
     STEP,
     TURN_SCALE,
     TWIST,
+    MotionSettings,
+    PackedFilter,
     filter_in,
 )
 from service.kernels.pose_information import invert_3x3
@@ -32,6 +35,7 @@ from service.kernels.se2 import between, compose, exponential, logarithm
 from service.kernels.source_noise import learn_noise, motion_noise_over, widen_window
 from service.kernels.tracks import (
     LAG_WINDOW_NS,
+    Track,
     acceleration_of,
     add_to_path,
     bridge_s3,
@@ -93,7 +97,7 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
     return chi2
 
 
-@kernel
+@kernel(PackedFilter, Track, Track, int, MotionSettings)
 def predict_motion(packed, odometry, gyro, stamp_ns, settings):
     """Go on to the moment of a scan: the acceleration fades, then odometry and gyro as measurements.
 
@@ -212,7 +216,7 @@ def accelerate(state, dt, settings, way):
         state.acceleration[i] *= over.kept
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, float, float)
 def tie_to_scale(P, tied, times, dt):
     """Add to the errors of twist and step what an error of scale does to them: `times` so much; [25].
 
@@ -461,7 +465,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     return True
 
 
-@kernel
+@kernel(PackedFilter, Float64_1D, Float64_2D, float, Float64_2D, MotionSettings)
 def take_match(packed, pose, local_covariance, prior_weight, information, settings):
     """correct_motion, then learn_noise, of the Filter in a PackedFilter."""
     state = filter_in(packed)
@@ -469,7 +473,7 @@ def take_match(packed, pose, local_covariance, prior_weight, information, settin
     learn_noise(state, information, settings)
 
 
-@kernel
+@kernel(Float64_2D, float)
 def transfer_into_map(P, kept):
     """What a scan adds to the local map carries the pose's error into it: less is left against it; [11].
 

@@ -8,8 +8,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from service.kernels.arrays import Float64_2D, UInt8_4D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
@@ -28,7 +28,7 @@ class FacingPyramid(NamedTuple):
     cell_m        float
     """
 
-    levels: npt.NDArray[np.uint8]
+    levels: UInt8_4D
     first_row: int
     first_column: int
     cell_m: float
@@ -40,7 +40,7 @@ def direction_of(angle_rad):
     return math.floor(angle_rad / (2.0 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, FacingPyramid, float)
 def splat_facing(xy, normals, pyramid, sigma_m):
     """Fill level 0: the most that any point says of a cell or one beside it, by the distance to its border.
 
@@ -70,7 +70,7 @@ def splat_facing(xy, normals, pyramid, sigma_m):
                         levels[d, 0, r, q] = max(levels[d, 0, r, q], value)
 
 
-@kernel
+@inner_kernel
 def facing_sum(cells, levels, level, row, column):
     """Sum of a level at points, moved by so many cells: no less than that of any place in the block.
 
@@ -86,7 +86,7 @@ def facing_sum(cells, levels, level, row, column):
     return total
 
 
-@kernel
+@inner_kernel
 def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
     """Row, column and layer (N, 3) of points at a heading, the base in the middle of the cell (0, 0)."""
     c = math.cos(theta_rad) / cell_m
@@ -99,7 +99,7 @@ def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
             cells[n, 2] = direction_of(math.atan2(normals[n, 1], normals[n, 0]) + theta_rad)
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, FacingPyramid, int, float, float)
 def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind):
     """The best place of each block of the map and each sector of headings, if it is good enough.
 

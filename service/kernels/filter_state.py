@@ -14,9 +14,7 @@ Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows 
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from service.kernels.arrays import Float64_1D, Float64_2D, Int64_1D
 from service.kernels.compiled import inner_kernel
 from service.kernels.tracks import PATH_POSES, Track
 
@@ -69,20 +67,20 @@ class Filter(NamedTuple):
     path        Track              poses at the last scans
     """
 
-    stamp_ns: npt.NDArray[np.int64]
-    pose: npt.NDArray[np.float64]
-    twist: npt.NDArray[np.float64]
-    acceleration: npt.NDArray[np.float64]
-    learnt: npt.NDArray[np.float64]
-    covariance: npt.NDArray[np.float64]
-    noise: npt.NDArray[np.float64]
-    gyro_noise: npt.NDArray[np.float64]
-    motion_noise: npt.NDArray[np.float64]
-    said: npt.NDArray[np.float64]
-    last_odom: npt.NDArray[np.float64]
-    window: npt.NDArray[np.float64]
-    mean_twist: npt.NDArray[np.float64]
-    tied_twist: npt.NDArray[np.float64]
+    stamp_ns: Int64_1D
+    pose: Float64_1D
+    twist: Float64_1D
+    acceleration: Float64_1D
+    learnt: Float64_1D
+    covariance: Float64_2D
+    noise: Float64_1D
+    gyro_noise: Float64_1D
+    motion_noise: Float64_1D
+    said: Float64_1D
+    last_odom: Float64_1D
+    window: Float64_1D
+    mean_twist: Float64_1D
+    tied_twist: Float64_1D
     path: Track
 
 
@@ -93,8 +91,8 @@ class PackedFilter(NamedTuple):
     stamps    (STAMPS,)  int64
     """
 
-    numbers: npt.NDArray[np.float64]
-    stamps: npt.NDArray[np.int64]
+    numbers: Float64_1D
+    stamps: Int64_1D
 
 
 # Where each begins in `numbers`; what follows are the poses of the path, and the covariance.

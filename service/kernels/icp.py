@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.compiled import kernel
+from service.kernels.arrays import Float64_1D, Float64_2D
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 from service.kernels.pose_information import wrap
 
@@ -26,7 +27,7 @@ class IcpResult(NamedTuple):
     iterations: int
 
 
-@kernel
+@inner_kernel
 def closest_points(xy, others, bearing_rad, most_m, partner):
     """The nearest of some points for each of others: outwards by bearing until no nearer one is left.
 
@@ -73,7 +74,7 @@ def closest_points(xy, others, bearing_rad, most_m, partner):
                     left_open = bound * bound < nearest
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_1D, float, int, float)
 def icp_point_to_point(newer, older, start, most_m, iterations, settled):
     """The motion between two scans that brings each point of the newer one onto the nearest of the older.
 

@@ -4,12 +4,24 @@ import math
 
 import numpy as np
 
-from service.kernels.beam_likelihood import weigh_ends, weigh_ways
+from service.kernels.arrays import Float64_1D, Float64_2D
+from service.kernels.beam_likelihood import KnownGround, weigh_ends, weigh_ways
 from service.kernels.compiled import kernel
 from service.kernels.linear3 import copy_vector
 
 
-@kernel
+@kernel(
+    Float64_2D,
+    Float64_2D,
+    Float64_2D,
+    Float64_1D,
+    Float64_1D,
+    KnownGround,
+    int,
+    float,
+    Float64_1D,
+    Float64_1D,
+)
 def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, at_end, on_way):
     """Nats that speak for a pose: of the beams' ends and ways.
 
@@ -29,7 +41,7 @@ def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, 
     return total + weigh_ways(xy, sensors, pose, known, number, least - total, on_way)
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_2D, Float64_1D, Float64_1D, KnownGround, int, Float64_1D, float)
 def climb(xy, normals, sensors, shares, pose, known, number, first, least):
     """Go from a pose to the likeliest one near it: a step along the axis that gains most, while one gains;
     then steps of half the length.

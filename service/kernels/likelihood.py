@@ -4,10 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from service.kernels.arrays import Float32_3D, Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.surfels import TILE_BITS, TILE_MASK, touch_tile
+from service.kernels.surfels import TILE_BITS, TILE_MASK, SurfelGrid, touch_tile
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile
 
 SPLAT_REACH_CELLS = 4
@@ -22,11 +22,11 @@ class LikelihoodField(NamedTuple):
     """
 
     tiles: TileIndex
-    field: npt.NDArray[np.float32]
+    field: Float32_3D
     cell_m: float
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, SurfelGrid, float, float)
 def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
     """Raise the field around each end point to exp(-d^2 / 2 sigma^2); the largest wins.
 
@@ -78,7 +78,7 @@ def field_cell(field, tiles, row, column):
     return np.float64(field[slot, row & TILE_MASK, column & TILE_MASK])
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, LikelihoodField, Float64_2D)
 def read_field(xy_base, pose, likelihood, values):
     """Likelihood at points, bilinear between the centres of cells, and its gradient.
 

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import kernel
-from service.kernels.likelihood import read_field
+from service.kernels.likelihood import LikelihoodField, read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, fill_symmetric, solve_3x3
 from service.kernels.pose_information import add_prior
 
@@ -30,7 +31,7 @@ class LmSettings(NamedTuple):
     floor: float = 0.0
 
 
-@kernel
+@kernel(Float64_2D, int, float)
 def thin_evenly(xy_base, beams, sigma):
     """About so many of some points, and the weight of each, as if all had been asked.
 
@@ -50,7 +51,7 @@ def thin_evenly(xy_base, beams, sigma):
     return thin, weights
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_1D, Float64_1D, Float64_2D, Float64_1D)
 def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     """Gauss-Newton system of sum w (1 - P)^2.
 
@@ -90,7 +91,18 @@ def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
     return cost
 
 
-@kernel
+@kernel(
+    Float64_2D,
+    Float64_1D,
+    Float64_1D,
+    Float64_2D,
+    LikelihoodField,
+    LmSettings,
+    int,
+    float,
+    Float64_1D,
+    Float64_2D,
+)
 def align_points(
     xy_base, weights, prior_pose, prior_information, field, settings, most_steps, damping, pose, H
 ):  # fmt: skip

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.arrays import Float32_3D, Float64_1D, Float64_2D, LikelihoodCells
+from service.kernels.compiled import inner_kernel, seldom_kernel
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile
 
 
@@ -29,7 +30,7 @@ class LikelihoodLayer(NamedTuple):
     """
 
     tiles: TileIndex
-    cells: npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+    cells: LikelihoodCells
     empty: float
     offset: float
     scale: float
@@ -46,7 +47,7 @@ class SearchWindow(NamedTuple):
     theta_step_rad   float
     """
 
-    pose: npt.NDArray[np.float64]
+    pose: Float64_1D
     half_x: int
     half_y: int
     half_theta: int
@@ -137,7 +138,7 @@ def add_block(layer, values, row, column, weight, shape, sums, begin):
         j += height
 
 
-@kernel
+@inner_kernel
 def score_window(xy_base, layer, window):
     """Sum of cells at the points, for every candidate of a window.
 
@@ -195,7 +196,7 @@ def result_of(count, layer, window, total, k, j, i, evaluated):
     return SearchResult(pose, score, k, j, i, evaluated)
 
 
-@kernel
+@seldom_kernel(Float64_2D, LikelihoodLayer, SearchWindow)
 def search_exhaustive(xy_base, layer, window):
     """The best candidate of a window, by asking every one, and the sums of all.
 
@@ -219,7 +220,7 @@ def search_exhaustive(xy_base, layer, window):
     return result_of(xy_base.shape[0], layer, window, best, best_k, best_j, best_i, sums.size), sums
 
 
-@kernel
+@seldom_kernel(Float64_2D, SearchWindow, float)
 def cells_asked(xy_base, window, cell_m):
     """Cells of a layer that the points can come to lie in: rows [first, last], then columns, as 4 int."""
     nowhere = np.int64(2**62)
@@ -245,7 +246,7 @@ def cells_asked(xy_base, window, cell_m):
     )
 
 
-@kernel
+@seldom_kernel(Float32_3D, float, float)
 def surface_moments(sums, best, temperature):
     """Mean and covariance of the candidates, each counted exp((sum - best) / temperature).
 

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D, UInt8_1D, UInt8_2D
 from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.likelihood_search import LikelihoodLayer
 from service.kernels.tiles import NO_TILE, find_tile
 
 RINGS = 2  # around the cell that was hit
@@ -54,7 +56,7 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
                 cells[slot, r, c] = level
 
 
-@kernel
+@kernel(Float64_2D, Int32_1D, LikelihoodLayer, UInt8_1D, UInt8_1D, int, Float64_1D)
 def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
     """Draw a scan: a cell for each point, and a line where two neighbouring beams end close to each other.
 
@@ -86,7 +88,7 @@ def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
             )
 
 
-@kernel
+@inner_kernel
 def mean_value(xy_base, pose, layer):
     """Mean value of the cells at the points, in the unit of the cells.
 
@@ -106,7 +108,7 @@ def mean_value(xy_base, pose, layer):
     return total / xy_base.shape[0]
 
 
-@kernel
+@kernel(Float64_2D, LikelihoodLayer, Float64_1D, Float64_2D, float, float)
 def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
     """Climb by chance: try places around the best so far; look more closely once enough were tried in vain.
 
@@ -146,7 +148,7 @@ def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
     return best, best_value, deviates.shape[0]
 
 
-@kernel
+@kernel(Float64_2D, Int32_1D, Float64_1D, float, Float64_2D)
 def smooth_lines(xy_map, beam, join_m, half_m, smooth):
     """Each point becomes the mean of as many neighbours on both sides as lie within reach on the same line.
 
@@ -185,7 +187,7 @@ def square_between(xy, a, b):
     return (xy[a, 0] - xy[b, 0]) ** 2 + (xy[a, 1] - xy[b, 1]) ** 2
 
 
-@kernel
+@kernel(Float64_2D, float, float, int, int, UInt8_2D)
 def mark_patches(xy_map, margin_m, patch_m, first_row, first_column, marks):
     """Mark the patches within a margin, at most half a patch, of some points.
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.compiled import inner_kernel
 
 
 @inner_kernel
@@ -56,7 +56,7 @@ def solve_3x3(A, b, x):
     return True
 
 
-@kernel
+@inner_kernel
 def copy_vector(source, out):
     """source, out   (N,) float64. Instead of out[:] = source, whose shape check takes seconds to compile."""
     for i in range(source.shape[0]):

@@ -4,19 +4,21 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Bool_1D, Float32_2D, Float64_1D, Float64_2D, Int64_1D
 from service.kernels.compiled import kernel
 from service.kernels.linear3 import copy_matrix, solve_3x3
-from service.kernels.occupancy import TILE_BITS, TILE_MASK
+from service.kernels.match import MatchSettings
+from service.kernels.occupancy import TILE_BITS, TILE_MASK, OccupancyGrid
 from service.kernels.pose_information import wrap
 from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_normal_equations
-from service.kernels.surfels import find_surfels
+from service.kernels.surfels import SurfelGrid, find_surfels
 from service.kernels.tiles import NO_TILE, find_tile
 
 SPLAT_CELLS = 2
 
 
-@kernel
+@kernel(Float64_2D, int, int, float, float, Float32_2D)
 def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
     """Likelihood of an end point near others: the most that any of them says.
 
@@ -44,7 +46,7 @@ def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
                     field[r, q] = value
 
 
-@kernel
+@kernel(Float32_2D, int, int, OccupancyGrid, float)
 def fill_unknown(field, first_row, first_column, grid, likelihood):
     """Give cells of a likelihood field that a map knows nothing of at least a likelihood.
 
@@ -63,7 +65,7 @@ def fill_unknown(field, first_row, first_column, grid, likelihood):
                 field[r, q] = max(field[r, q], np.float32(likelihood))
 
 
-@kernel
+@kernel(Float64_2D, float, Bool_1D)
 def thin_points(xy, spacing_m, kept):
     """Leave out points that lie nearer than spacing_m to the last one kept.
 
@@ -77,7 +79,7 @@ def thin_points(xy, spacing_m, kept):
             last = i
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, SurfelGrid, MatchSettings, Float64_1D, Float64_2D)
 def align_surfels(xy, normals, grid, settings, pose, information):
     """Gauss-Newton on surfels without a prior; a direction that nothing fixes stays where it began.
 
@@ -121,7 +123,7 @@ def align_surfels(xy, normals, grid, settings, pose, information):
     return used, inliers
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, OccupancyGrid, int)
 def share_in_free_space(xy, pose, grid, free):
     """How many of some points lie where a map is sure that nothing is, of those that lie where it knows.
 
@@ -153,7 +155,7 @@ def share_in_free_space(xy, pose, grid, free):
     return against / known if known > 0 else 0.0
 
 
-@kernel
+@kernel(Float64_1D, Int64_1D, Int64_1D, float, int, Float64_1D)
 def path_lengths(step_m, of, to, loop_m, start, length_m):
     """Shortest way through a chain with loops from one of its poses to all others.
 

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_2D, UInt8_2D
+from service.kernels.compiled import inner_kernel, seldom_kernel
 from service.kernels.rays import begin_ray
 
 UNKNOWN, FREE, WALL = 0, 1, 2
@@ -32,15 +32,15 @@ class ChangeVotes(NamedTuple):
     cell_m     float
     """
 
-    stored: npt.NDArray[np.uint8]
-    changed: npt.NDArray[np.uint8]
-    same: npt.NDArray[np.uint8]
-    poses: npt.NDArray[np.uint8]
-    last_pose: npt.NDArray[np.int32]
-    first_ms: npt.NDArray[np.int32]
-    last_ms: npt.NDArray[np.int32]
-    hit: npt.NDArray[np.int32]
-    passed: npt.NDArray[np.int32]
+    stored: UInt8_2D
+    changed: UInt8_2D
+    same: UInt8_2D
+    poses: UInt8_2D
+    last_pose: Int32_2D
+    first_ms: Int32_2D
+    last_ms: Int32_2D
+    hit: Int32_2D
+    passed: Int32_2D
     first_row: int
     first_column: int
     cell_m: float
@@ -54,7 +54,7 @@ class Moment(NamedTuple):
     now_ms: int
 
 
-@kernel
+@seldom_kernel(Float64_2D, Float64_1D, Float64_1D, float, ChangeVotes, Moment)
 def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
     """Let one scan speak of each cell once.
 

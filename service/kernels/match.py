@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.deskew import deskew_points
+from service.kernels.deskew import Returns, deskew_points
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_lm import LmSettings, align_points, thin_evenly
 from service.kernels.linear3 import copy_matrix, copy_vector, solve_3x3
@@ -21,7 +22,7 @@ from service.kernels.pose_information import (
 )
 from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_cost, surfel_normal_equations
-from service.kernels.surfels import find_surfels_again, forget_around, nothing_around
+from service.kernels.surfels import SurfelGrid, find_surfels_again, forget_around, nothing_around
 
 MAX_HALVINGS = 4  # of a step that raises the cost; [12]
 MIN_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
@@ -32,10 +33,10 @@ MIN_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the p
 class Prior(NamedTuple):
     """Where the base should be. Covariances in base axes of the predicted pose, theta last."""
 
-    pose: npt.NDArray[np.float64]  # (3,) m, m, rad in the frame of the grid
-    twist: npt.NDArray[np.float64]  # (3,) m/s forward, m/s left, rad/s
-    covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the map
-    twist_gain: npt.NDArray[np.float64]  # (3, 3) what a correction of the pose says of the twist, 1/s
+    pose: Float64_1D  # (3,) m, m, rad in the frame of the grid
+    twist: Float64_1D  # (3,) m/s forward, m/s left, rad/s
+    covariance: Float64_2D  # (3, 3) of the pose against the map
+    twist_gain: Float64_2D  # (3, 3) what a correction of the pose says of the twist, 1/s
 
 
 class MatchSettings(NamedTuple):
@@ -266,7 +267,7 @@ def align_on_surfels(
     return cost, used, inliers, weight
 
 
-@kernel
+@kernel(Returns, Float64_2D, Prior, Float64_1D, SurfelGrid, SurfelGrid, MatchSettings, float, Float64_2D)
 def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_inlier_ratio, xy_base):
     """Pose of a scan in a sub-map.
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 
 WALL_M = 0.004  # how even a wall is, at best
@@ -29,7 +30,7 @@ CLEAN = 1.0  # spread across, at most, over what noise explains
 MIN_RUNS, MAX_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, float, float, float, Float64_2D, Float64_1D)
 def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals, aside_m):
     """Principal axes of each point and its contiguous neighbours.
 
@@ -105,7 +106,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         normals[i, 2] = weight
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_1D, Float64_2D)
 def move_along_walls(xy_base, normals, aside_m, moved):
     """Points where their beams meet their walls; [24].
 
@@ -305,7 +306,7 @@ def range_beside(range_m, first, i, end):
     return total / count if count > 0 else range_m[i]
 
 
-@kernel
+@kernel(Float64_2D, Int32_1D, Float64_1D)
 def range_noise(xy_raw, beam, sensor_xy_m):
     """Noise of a range as a scan shows it, m; 0.0 where it shows none: fewer than 30 runs of three beams.
 

@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.arrays import Float64_1D, Float64_2D, Int8_2D, Int8_3D, Int64_1D, UInt8_1D, UInt16_3D
+from service.kernels.compiled import inner_kernel, kernel, seldom_kernel
 from service.kernels.rays import begin_ray
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
@@ -26,9 +26,9 @@ class OccupancyGrid(NamedTuple):
     """
 
     tiles: TileIndex
-    evidence: npt.NDArray[np.int8]
-    touched: npt.NDArray[np.uint16]
-    changed: npt.NDArray[np.uint8]
+    evidence: Int8_3D
+    touched: UInt16_3D
+    changed: UInt8_1D
     cell_m: float
 
 
@@ -68,7 +68,7 @@ def cell_in_tiles(slot, row, column):
     return (slot << 2 * TILE_BITS) | ((row & TILE_MASK) << TILE_BITS) | (column & TILE_MASK)
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_1D, OccupancyGrid, Evidence, float, np.uint16)
 def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_number):
     """Weigh the cells that a scan saw: end points first, so that no beam clears what another one hit.
 
@@ -151,7 +151,7 @@ def evidence_at(grid, row, column):
     return np.int64(grid.evidence[slot, row & TILE_MASK, column & TILE_MASK])
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, OccupancyGrid)
 def count_overlap(xy_base, pose, grid):
     """How many points lie on walls, and how many where nothing stands.
 
@@ -182,7 +182,7 @@ def count_overlap(xy_base, pose, grid):
     return on_walls, in_free
 
 
-@kernel
+@kernel(Int8_2D, float, Int8_2D)
 def to_per_cent(evidence, per_step, cells):
     """Log-odds -> occupancy in per cent; -1 where never seen.
 
@@ -205,7 +205,7 @@ def to_per_cent(evidence, per_step, cells):
     return differs
 
 
-@kernel
+@seldom_kernel(Int64_1D, Int64_1D, Int8_3D, OccupancyGrid)
 def write_tiles(tile_row, tile_column, evidence, grid):
     """Put other tiles in the place of all that a map holds; those that it holds besides become unknown.
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from service.kernels.compiled import kernel
+from service.kernels.compiled import inner_kernel
 
 
-@kernel
+@inner_kernel
 def order_rising(values, order):
     """Where the smallest value stands, the next one and so on; of equal ones the first comes first.
 
@@ -36,7 +36,7 @@ def order_rising(values, order):
         width *= 2
 
 
-@kernel
+@inner_kernel
 def kth_smallest(values, count, k):
     """The value that stands at place k, from 0, among the first `count` once they are sorted.
 

@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernels.compiled import kernel
+from service.kernels.arrays import Float32_3D, Float64_2D, Int32_2D, UInt8_3D
+from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.surfels import TILE_BITS, TILE_MASK  # read_field knows tiles of this size
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
@@ -24,12 +24,12 @@ class WeightedLayer(NamedTuple):
     """
 
     tiles: TileIndex
-    likelihood: npt.NDArray[np.float32]
-    cells: npt.NDArray[np.uint8]
+    likelihood: Float32_3D
+    cells: UInt8_3D
     cell_m: float
 
 
-@kernel
+@inner_kernel
 def shares_of_three(offset, sigma, shares):
     """How a Gaussian is spread over the cell of its point and those on both sides, along one axis.
 
@@ -46,7 +46,7 @@ def shares_of_three(offset, sigma, shares):
         below = above
 
 
-@kernel
+@kernel(Float64_2D, Int32_2D, Float64_2D, bool, int, WeightedLayer)
 def insert_weighted(xy_map, segment, sigma_cells, about_point, rule, layer):
     """Blur the points of a scan into 3 x 3 cells each.
 

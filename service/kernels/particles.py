@@ -2,10 +2,11 @@
 
 import math
 
+from service.kernels.arrays import Float64_1D, Int64_1D
 from service.kernels.compiled import kernel
 
 
-@kernel
+@kernel(Float64_1D, Float64_1D)
 def normalise_weights(log_weights, weights):
     """Weights that add up to 1, and how many particles they are worth.
 
@@ -29,7 +30,7 @@ def normalise_weights(log_weights, weights):
     return 1.0 / squares
 
 
-@kernel
+@kernel(Float64_1D, float, Int64_1D)
 def resample(weights, first, chosen):
     """Low-variance resampling: one random number for all.
 

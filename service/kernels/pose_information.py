@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.linear3 import solve_3x3
 
@@ -32,7 +33,7 @@ def invert_3x3(A, inverse):
     return True
 
 
-@kernel
+@kernel(Float64_2D, float, Float64_2D)
 def rotate_information(information, theta, rotated):
     """Information of (x, y, theta) from axes that are turned by theta into the axes they are turned in.
 

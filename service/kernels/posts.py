@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 
 SLACK = 1e-9  # relative, for sums in another order
@@ -31,7 +32,7 @@ def missing_by_chance(range_m, beam, gap, least_step_m):
     return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if whole > 0 else range_m.shape[0]
 
 
-@kernel
+@kernel(Float64_2D, Int32_1D, int, Float64_1D, float, float, float, float)
 def look_for_posts(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
     """Whether points in narrow runs are at least `least_share` of all, never False where they are; and how
     many returns in a row the laser loses by chance.

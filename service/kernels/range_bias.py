@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.linear3 import solve_3x3
+from service.kernels.match import MatchSettings
 from service.kernels.surfel_equations import point_information
 from service.kernels.surfels import (
     COSINES,
@@ -18,6 +20,7 @@ from service.kernels.surfels import (
     SAME_WALL_COSINE,
     TILE_BITS,
     TILE_MASK,
+    SurfelGrid,
     find_surfels,
 )
 from service.kernels.tiles import NO_TILE, find_tile
@@ -25,7 +28,7 @@ from service.kernels.tiles import NO_TILE, find_tile
 MIN_COSINE = 0.1  # of the incidence: beams that graze more say nothing of a range
 
 
-@kernel
+@inner_kernel
 def bias_at(curve_m, node_m, range_m):
     """Value of a curve between its nodes, m; beyond the last one that of the last.
 
@@ -38,7 +41,7 @@ def bias_at(curve_m, node_m, range_m):
     return curve_m[k] + (at - k) * (curve_m[k + 1] - curve_m[k])
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_1D, float, Float64_2D)
 def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
     """Take the bias out of points, each along its beam.
 
@@ -77,7 +80,18 @@ def cosine_of_map(found, grid, laser):
     return math.nan
 
 
-@kernel
+@kernel(
+    Float64_2D,
+    Float64_2D,
+    Float64_1D,
+    Float64_1D,
+    int,
+    SurfelGrid,
+    MatchSettings,
+    float,
+    Float64_2D,
+    Float64_1D,
+)
 def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m, information, weighted_m):
     """What a matched scan says of the bias at the nodes and of that of all ranges, whatever its pose; [21].
 

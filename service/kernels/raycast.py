@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D, Int32_3D
 from service.kernels.compiled import inner_kernel, kernel
 
 NO_HIT = -1
@@ -34,7 +35,7 @@ def _touches_cell(segment, left, bottom, cell_m):
     return t_in <= t_out
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, int, int)
 def index_segments(segments, grid_frame, rows, columns):
     """Sort segments into the cells of a grid.
 
@@ -149,7 +150,7 @@ def _walk(x, y, c, s, segments, grid_frame, cell_span, cell_items, nearest_m):
     return nearest_m, hit
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_2D, Float64_1D, Int32_3D, Int32_1D, float)
 def cast_rays(rays, segments, discs, grid_frame, cell_span, cell_items, range_max_m):
     """Where rays end.
 

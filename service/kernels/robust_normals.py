@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int64_1D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import kth_smallest
 
@@ -14,7 +15,7 @@ CHI2_MEDIAN = 1.386
 MIN_VARIANCE_M2 = 1e-12  # keeps a perfect line from having no covariance
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, float, int, float, float, Float64_1D)
 def estimate_orientations(
     xy_base, sensor_xy_m, angle_step_rad, beams_each_side, half_length_m, thin_m, angle
 ):
@@ -136,7 +137,7 @@ def mahalanobis(window, n, mx, my, a, b, d, distance):
         distance[k] = (d * x * x - 2.0 * b * x * y + a * y * y) / determinant
 
 
-@kernel
+@kernel(Float64_1D, float, float, Int64_1D, Float64_1D)
 def balance_weights(angle, middle_count, slope_count, histogram, weight):
     """Weight of each point by how many share its orientation: together a small group counts for little, a
     large one for 1, however large.

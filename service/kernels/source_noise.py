@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.filter_state import TWIST
+from service.kernels.filter_state import TWIST, Filter
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
@@ -38,7 +38,7 @@ def widen_window(state, travel_m, dt):
     w[13] += dt
 
 
-@kernel
+@kernel(Filter)
 def begin_window(state):
     state.window[:] = 0.0
     for i in range(3):

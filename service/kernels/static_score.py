@@ -7,9 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernel_compiler import njit
+from service.compile.lazy import njit
+from service.kernels.arrays import Bool_1D, Float64_1D, Float64_2D, Int8_3D, UInt16_3D, UInt16_4D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.rays import begin_ray
 from service.kernels.surfels import (
@@ -20,6 +20,7 @@ from service.kernels.surfels import (
     NORMAL_Y,
     TILE_BITS,
     TILE_MASK,
+    SurfelGrid,
     find_surfels,
     forget_part,
     side_of,
@@ -40,9 +41,9 @@ class Sightings(NamedTuple):
                                         CAME_INTO_FREE besides if the cell was known to be free before
     """
 
-    score: npt.NDArray[np.int8]
-    touched: npt.NDArray[np.uint16]
-    since: npt.NDArray[np.uint16]
+    score: Int8_3D
+    touched: UInt16_3D
+    since: UInt16_4D
 
 
 class StaticScoreSettings(NamedTuple):
@@ -100,7 +101,9 @@ def placed(xy_base, pose):
     return xy
 
 
-@kernel
+@kernel(
+    Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Sightings, StaticScoreSettings, np.uint16, int, np.uint16
+)
 def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks, mark):
     """Count the cells in which a key frame has end points; points where it was free until now get weight 0.
 
@@ -150,7 +153,9 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks,
             since[slot, r, q, 1] = mark + since[slot, r, q, 0] // CAME_INTO_FREE * CAME_INTO_FREE
 
 
-@kernel
+@kernel(
+    Float64_2D, Float64_1D, Float64_1D, SurfelGrid, SurfelGrid, Sightings, StaticScoreSettings, np.uint16, int
+)
 def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, settings, number, ticks):
     """Take away surfels that beams of a key frame look through, and remember which cells are free.
 
@@ -239,7 +244,7 @@ def most_around(slots, first_row, first_column, score, row, column):
     return most
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, SurfelGrid, Sightings, StaticScoreSettings, Float64_2D)
 def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
     """Let points count by how long something stands where they lie, against what stands longest in the scan.
 
@@ -348,7 +353,7 @@ def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
     return False
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_2D, Float64_1D, SurfelGrid, Sightings, float)
 def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, behind_m):
     """How many points lie where key frames looked through and nothing stands in the 3 x 3 cells around, and
     how many clearly behind something that stands, on ground that nobody knows.
@@ -387,7 +392,7 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
     return in_free, behind
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Sightings, float, int, Float64_1D)
 def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, latest, residual_m):
     """How far points lie from walls that stand since a mark of the path, or longer.
 
@@ -436,7 +441,7 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
             residual_m[i] = found[i, 2] * (xy[i, 0] - found[i, 0]) + found[i, 3] * (xy[i, 1] - found[i, 1])
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, SurfelGrid, Sightings, int, Bool_1D)
 def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
     """Which points lie where nothing stood before: in known free space, or on what came into it lately.
 
@@ -465,7 +470,7 @@ def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
             is_moved[i] = not stood_around(slots, first_row, first_column, sightings, row, column, latest)
 
 
-@kernel
+@kernel(Float64_2D, Float64_1D, Float64_1D, SurfelGrid, Sightings, int, float)
 def count_through(xy_base, sensor_xy_m, pose, grid, sightings, latest, behind_m):
     """How many beams pass through a wall that stands since a mark of the path, or longer.
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import kernel
 
 # Rows of the 15 error states: position, velocity, attitude, biases of accelerometer and gyroscope.
@@ -11,7 +12,7 @@ POSITION, VELOCITY, ATTITUDE, FORCE_BIAS, RATE_BIAS = 0, 3, 6, 9, 12
 STATES = 15
 
 
-@kernel
+@kernel(Float64_1D, Float64_2D)
 def rotation_of(vector, rotation):
     """Rotation by a rotation vector (Rodrigues).
 
@@ -31,7 +32,7 @@ def rotation_of(vector, rotation):
     rotation[2, 0], rotation[2, 1], rotation[2, 2] = k * x * z - s * y, k * y * z + s * x, c + k * z * z
 
 
-@kernel
+@kernel(Float64_1D, Float64_1D, Float64_2D, Float64_1D, Float64_1D, Float64_1D, float, Float64_2D)
 def strapdown_step(position, velocity, rotation, force_mps2, rate_radps, gravity_mps2, time_s, transition):
     """Move the navigation state by one step, and write how its error goes on.
 

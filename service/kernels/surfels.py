@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from service.kernels.arrays import Float32_3D, Float32_5D, Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_slot
 
@@ -38,8 +39,8 @@ class SurfelGrid(NamedTuple):
     """
 
     tiles: TileIndex
-    surfels: npt.NDArray[np.float32]
-    field: npt.NDArray[np.float32]
+    surfels: Float32_5D
+    field: Float32_3D
     cell_m: float
 
 
@@ -80,7 +81,7 @@ def forget_around(around):
         around.cell[i, 0] = NOWHERE
 
 
-@kernel
+@inner_kernel
 def touch_tile(grid, tile_row, tile_column):
     """Slot of a tile of the grid; made, and cleared, where there was none."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
@@ -103,7 +104,7 @@ def side_of(surfels, slot, row, column, nx, ny):
     return 0
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, float, float, Float64_1D, int)
 def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, sensor_xy_m, laser):
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
@@ -186,7 +187,7 @@ def forget_part(fine_grid, row, column):
                 fine_grid.surfels[slot, v & TILE_MASK, u & TILE_MASK] = np.float32(0.0)
 
 
-@kernel
+@kernel(SurfelGrid, int, float)
 def shorten_surfels(grid, laser, step_m):
     """Move the walls of a sub-map to where they are if the ranges of one of its lasers were so much too long.
 
@@ -211,7 +212,7 @@ def shorten_surfels(grid, laser, step_m):
                         surfels[slot, r, q, side, MEAN_Y] += forward_m * surfels[slot, r, q, side, NORMAL_Y]
 
 
-@kernel
+@inner_kernel
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     """The wall beside each point, searched for once: see find_surfels_again."""
     around = nothing_around(xy_base.shape[0])

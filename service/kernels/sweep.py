@@ -5,11 +5,20 @@ import math
 import numpy as np
 
 from service.kernels.acceleration import transition_over
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.estimator import GATE_CHI2_GYRO, GYRO_SCALE, move_axes
-from service.kernels.filter_state import ACCELERATION, MAP, STATES, TWIST, filter_in
+from service.kernels.filter_state import (
+    ACCELERATION,
+    MAP,
+    STATES,
+    TWIST,
+    MotionSettings,
+    PackedFilter,
+    filter_in,
+)
 from service.kernels.se2 import between, compose, exponential
-from service.kernels.tracks import odometry_at, turned_to
+from service.kernels.tracks import Track, odometry_at, turned_to
 
 
 @inner_kernel
@@ -59,7 +68,7 @@ def covers(track, at_ns, begin_s, end_s):
     return track.stamp_ns[end - 1] > at_ns + np.int64(max(begin_s, 0.0) * 1e9)
 
 
-@kernel
+@kernel(PackedFilter, Track, Track, float, float, MotionSettings, Float64_2D)
 def sweep_deviation(packed, odometry, gyro, begin_s, end_s, settings, deviation):
     """As deviation_over, of the Filter in a PackedFilter."""
     return deviation_over(filter_in(packed), odometry, gyro, begin_s, end_s, settings, deviation)
@@ -158,7 +167,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
     return True
 
 
-@kernel
+@kernel(PackedFilter, Track, Track, float, MotionSettings, Float64_1D, Float64_1D, Float64_2D)
 def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance):
     """Where the base was some seconds from the newest estimate, within its sweep; [23].
 
@@ -194,7 +203,7 @@ def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance
             covariance[i, j] = P[MAP + i, MAP + j]
 
 
-@kernel
+@kernel(Float64_1D, float, float, Float64_2D, Float64_2D)
 def bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw):
     """Move each point as the base deviated from the constant twist at its moment: then the twist is all.
 
@@ -216,3 +225,10 @@ def bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw):
         y = xy_raw[i, 1]
         xy_raw[i, 0] = deviation[k, 0] + share * (deviation[k + 1, 0] - deviation[k, 0]) + c * x - s * y
         xy_raw[i, 1] = deviation[k, 1] + share * (deviation[k + 1, 1] - deviation[k, 1]) + s * x + c * y
+
+
+@kernel(Track, int, MotionSettings, Float64_1D)
+def begin_twist(track, stamp_ns, settings, twist):
+    """Speed (3,) that odometry gives at the first scan."""
+    pose = np.empty(3)
+    odometry_at(track, stamp_ns, settings, pose, twist)

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from service.kernels.arrays import Float64_2D, Int32_1D, Int32_2D, Int64_1D
 from service.kernels.compiled import inner_kernel, kernel
 
 NO_TILE = -1
@@ -19,10 +19,10 @@ class TileIndex(NamedTuple):
     counts   (2,)         int64   height of that stack; first slot that was never used
     """
 
-    slots: npt.NDArray[np.int32]
-    origin: npt.NDArray[np.int64]
-    free: npt.NDArray[np.int32]
-    counts: npt.NDArray[np.int64]
+    slots: Int32_2D
+    origin: Int64_1D
+    free: Int32_1D
+    counts: Int64_1D
 
 
 @inner_kernel
@@ -33,13 +33,13 @@ def slot_at(slots, row, column):
     return slots[row, column]
 
 
-@kernel
+@inner_kernel
 def find_tile(index, tile_row, tile_column):
     """Slot of a tile, NO_TILE where there is none or where it lies outside the index."""
     return slot_at(index.slots, tile_row - index.origin[0], tile_column - index.origin[1])
 
 
-@kernel
+@kernel(TileIndex, int, int)
 def take_slot(index, tile_row, tile_column):
     """Give a tile that has none a slot. The caller has made sure that index and pool have room.
 
@@ -56,7 +56,7 @@ def take_slot(index, tile_row, tile_column):
     return slot, used_before
 
 
-@kernel
+@kernel(Float64_2D)
 def farthest_m2(xy):
     """Square of the distance of the farthest of some points, (N, 2) float64 m, from the origin, m^2."""
     farthest = 0.0

@@ -6,9 +6,9 @@ Numbers in brackets are those of docs/estimator.md.
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.arrays import Float64_2D, Int64_1D
+from service.kernels.compiled import inner_kernel
 from service.kernels.se2 import between, compose, exponential, logarithm
 
 LAG_WINDOW_NS = 200_000_000  # over which a speed is taken that a lag of the stamps is multiplied by
@@ -26,9 +26,9 @@ class Track(NamedTuple):
     span       (2,)   int64
     """
 
-    stamp_ns: npt.NDArray[np.int64]
-    value: npt.NDArray[np.float64]
-    span: npt.NDArray[np.int64]
+    stamp_ns: Int64_1D
+    value: Float64_2D
+    span: Int64_1D
 
 
 @inner_kernel
@@ -201,10 +201,3 @@ def turned_to(track, stamp_ns):
     row = min(max(row, track.span[0]), track.span[1] - 2)
     share = (stamp_ns - track.stamp_ns[row]) / (track.stamp_ns[row + 1] - track.stamp_ns[row])
     return track.value[row, 0] + share * (track.value[row + 1, 0] - track.value[row, 0])
-
-
-@kernel
-def begin_twist(track, stamp_ns, settings, twist):
-    """Speed (3,) that odometry gives at the first scan."""
-    pose = np.empty(3)
-    odometry_at(track, stamp_ns, settings, pose, twist)

@@ -2,12 +2,13 @@
 
 import numpy as np
 
+from service.kernels.arrays import Int32_1D
 from service.kernels.compiled import kernel
 
 MAX_GAP = 64  # beams; returns farther apart are no neighbours
 
 
-@kernel
+@kernel(Int32_1D)
 def usual_gap(beam):
     """From one return to the next, in beams, where they are neighbours: the most common gap; 1 where none is.
 

@@ -2,9 +2,11 @@
 
 import math
 
+from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.deskew import deskew_points
-from service.kernels.likelihood_lm import align_points
+from service.kernels.deskew import Returns, deskew_points
+from service.kernels.likelihood import LikelihoodField
+from service.kernels.likelihood_lm import LmSettings, align_points
 from service.kernels.pose_information import wrap
 
 
@@ -22,7 +24,7 @@ def log_motion(dx, dy, turn, motion):
     motion[2] = turn
 
 
-@kernel
+@inner_kernel
 def velocity_between(start, pose, elapsed_s, twist):
     """Constant body twist that leads from one pose to the next.
 
@@ -40,7 +42,22 @@ def velocity_between(start, pose, elapsed_s, twist):
         twist[k] /= elapsed_s
 
 
-@kernel
+@kernel(
+    Returns,
+    Float64_1D,
+    Float64_1D,
+    Float64_2D,
+    Float64_1D,
+    float,
+    float,
+    LikelihoodField,
+    LmSettings,
+    int,
+    Float64_2D,
+    Float64_1D,
+    Float64_1D,
+    Float64_2D,
+)
 def align_level(
     returns, weights, prior_pose, prior_information, start, elapsed_s, twist_gain,
     field, settings, most_steps, xy_base, pose, twist, H,

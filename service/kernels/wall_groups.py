@@ -2,6 +2,7 @@
 
 import math
 
+from service.kernels.arrays import Float64_1D, Float64_2D, Int64_1D
 from service.kernels.compiled import kernel
 from service.kernels.normals import ROUGH_WEIGHT
 
@@ -11,7 +12,7 @@ REACHES_M = (1.0, 4.0, math.inf)  # about its first point, in which a wall is fi
 THING_M = 0.3  # about its first point: rough points so near are one thing
 
 
-@kernel
+@kernel(Float64_2D, Float64_2D, Float64_1D, Int64_1D)
 def group_by_wall(xy, normals, sigma_m, group):
     """Number the straight lines that points lie on, however far apart on them, and the things beside walls.
 

@@ -467,8 +467,6 @@ class ComponentKind:
 
     makes     the class that build gives, where another component reads it (local maps); else None
     reads     the class of the local map that this component reads, None where it reads none
-    warm_up   runs what a short drive does not reach, so that it is compiled; None where there is nothing such
-    warm_up_core   runs alone what takes longest to compile, so that another process can drive meanwhile
     begins_in_stored   of a graph: it can go on from BuildContext.stored, and gives what to store
     """
 
@@ -477,8 +475,6 @@ class ComponentKind:
     build: Callable[[Any, BuildContext], Any]
     makes: type | None = None
     reads: type | None = None
-    warm_up: Callable[[], Any] | None = None
-    warm_up_core: Callable[[], Any] | None = None
     begins_in_stored: bool = False
 
 

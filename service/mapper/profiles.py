@@ -6,7 +6,6 @@ method into a slot of another's: `components: {matcher: surfel_gauss_newton}`; w
 is refused.
 """
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
@@ -14,7 +13,6 @@ from functools import partial
 from importlib import import_module
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -26,11 +24,10 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from drivers.frames import NO_INTENSITY, ImuSample, LaserScan, OdometrySample
 from drivers.section import Section
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
+from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.components import (
     SLOTS,
     BuildContext,
@@ -42,7 +39,6 @@ from service.mapper.components import (
     Stopwatch,
 )
 from service.mapper.map_changes import ChangeWatch
-from service.mapper.maps.shown_warm_up import warm_up_changes
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
 from service.mapper.pipeline import Mapper
 from service.mapper.saved_graph import KeepGraph, SavedGraph
@@ -54,13 +50,16 @@ def _imported(name: str) -> Method:
     return method
 
 
-# of what is compiled apart, by how long it takes; the drive that needs all of it comes last
-LONGEST_FIRST: tuple[Slot, ...] = ("matcher", "motion_model", "local_map", "deskew", "free_space", "graph")
-
 METHODS: dict[str, Callable[[], Method]] = {
     name: partial(_imported, name)
     for name in ("corridor", "contour_lm", "imle", "submap_graph", "owolm_eskf")
 }
+
+
+def import_methods() -> None:
+    """Import every profile, with all that it stands on."""
+    for method in METHODS.values():
+        method()
 
 
 def component_kinds(slot: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
@@ -270,83 +269,3 @@ def _field_with_default(config: type[BaseModel], key: str, value: Any) -> FieldI
 
 def _fits(reader: ComponentKind, local_map: ComponentKind) -> bool:
     return reader.reads is None or (local_map.makes is not None and issubclass(local_map.makes, reader.reads))
-
-
-def warm_up_steps(
-    config: MappingConfig | None = None, back_end_elsewhere: bool = False
-) -> list[Callable[[], Any]]:
-    """What compiles the kernels that a config needs (None: those of every profile), or loads them from the
-    cache: pieces of work that can be done in any order, the longest first.
-
-    Kernels must meet the very types of a real run, so each mapper is driven a little way through a made-up
-    room; components add what such a drive does not reach, or what takes longest to compile.
-
-    back_end_elsewhere   the graph's back end works in another process, which compiles or loads its kernels
-        itself: they are left out here, and the solver is not imported
-    """
-    configs, kinds = _warmed_up(config, back_end_elsewhere)
-    first = [kind.warm_up_core for kind in kinds if kind.warm_up_core is not None]
-    worker = ElsewhereWorker if back_end_elsewhere else InlineWorker
-    drives = [partial(_drive, c, worker) for c in configs]
-    return [*first, *drives, *seldom_steps(config, back_end_elsewhere)]
-
-
-def seldom_steps(
-    config: MappingConfig | None = None, back_end_elsewhere: bool = False
-) -> list[Callable[[], Any]]:
-    """The last of warm_up_steps: what not every scan calls."""
-    _, kinds = _warmed_up(config, back_end_elsewhere)
-    last = [kind.warm_up for kind in kinds if kind.warm_up is not None]
-    if config is None or config.mode == "localization":
-        last.append(warm_up_changes)
-    return last
-
-
-def _warmed_up(
-    config: MappingConfig | None, back_end_elsewhere: bool
-) -> tuple[list[MappingConfig], list[ComponentKind]]:
-    configs = [mapping_config({"profile": name}) for name in METHODS] if config is None else [config]
-    kinds: dict[str, ComponentKind] = {}
-    for c in configs:
-        chosen = chosen_components(c.profile, c.components)
-        for slot in LONGEST_FIRST:
-            if slot in chosen and not (back_end_elsewhere and slot == "graph"):
-                kinds.setdefault(chosen[slot].name, chosen[slot])
-    return configs, list(kinds.values())
-
-
-def _drive(config: MappingConfig, new_worker: NewWorker) -> None:
-    mapper = build_mapper(config, {"laser": SE2()}, new_worker=new_worker)
-    for k in range(-1, 4):  # samples come before the first scan: from them it has its speed
-        stamp_ns = k * 100_000_000
-        x_m = 0.4 * k
-        within_ns = stamp_ns + 1_000_000  # the sweep
-        mapper.process(ImuSample("imu", within_ns, within_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
-        mapper.process(
-            OdometrySample("base", within_ns, within_ns, x_m, 0.0, 0.0, (4.0, 0.0, 0.0), (0.0,) * 9)
-        )
-        if k >= 0:
-            mapper.process(_room_scan(stamp_ns, x_m))
-    mapper.finish()
-    mapper.changed_tiles()
-
-
-def _room_scan(stamp_ns: int, x_m: float) -> LaserScan:
-    """What a laser at (x, 0) sees of a room from -3 to 5 m by -2 to 2 m."""
-    angle = np.linspace(-2.3, 2.3, 181)
-    with np.errstate(divide="ignore"):
-        to_side = 2.0 / np.abs(np.sin(angle))
-        to_end = np.where(np.cos(angle) > 0.0, 5.0 - x_m, 3.0 + x_m) / np.abs(np.cos(angle))
-    return LaserScan(
-        sensor="laser",
-        stamp_ns=stamp_ns,
-        arrived_ns=stamp_ns,
-        beam_interval_ns=10_000,
-        scan_period_ns=100_000_000,
-        first_angle_rad=-2.3,
-        angle_step_rad=4.6 / 180,
-        range_min_m=0.05,
-        range_max_m=math.inf,
-        range_m=np.minimum(to_side, to_end).astype(np.float32),
-        intensity=NO_INTENSITY,
-    )

@@ -22,9 +22,11 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from service.compile.seldom import SeldomKernels
+from service.compile.signatures import Job
+from service.compile.warm_up import KernelProgress
+from service.compile.warm_up import warm_up as warm_up_kernels
 from service.encoding import warm_up as warm_up_encoding
-from service.kernel_warm_up import KernelProgress
-from service.kernel_warm_up import warm_up as warm_up_kernels
 from service.log_format import set_up_logging
 from service.mapper.background import BackEndDiedError
 from service.mapper.mapping_session import MappingSession
@@ -57,7 +59,6 @@ from service.runtime.mapper_messages import (
 )
 from service.runtime.mapping import MapperError, MappingLoop
 from service.runtime.standby_schedule import StandbySchedule
-from service.seldom_kernels import SeldomKernels
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +109,7 @@ class MapperProcess:
         def prepare_profile(mapping: Mapping[str, Any]) -> None:
             nonlocal config
             config = mapping_config(dict(mapping))
-            warm_up_kernels(config, back_end_elsewhere=True, progress=_progress(self._channel))
+            warm_up_kernels(back_end_elsewhere=True, progress=_progress(self._channel))
             self._can_copy = True  # until its parts say otherwise
 
         self._loop = MappingLoop(
@@ -282,10 +283,10 @@ def _told() -> MappingConfig | None:
         return None  # ingest refuses it
 
 
-def _load(config: MappingConfig, channel: Channel) -> bool:
-    """Whether kernels are left to be compiled that not every scan needs."""
+def _load(channel: Channel) -> list[Job]:
+    """The kernels that are left to be compiled, for not every scan calls them."""
     warm_up_encoding()
-    return warm_up_kernels(config, back_end_elsewhere=True, progress=_progress(channel), leaves_seldom=True)
+    return warm_up_kernels(back_end_elsewhere=True, progress=_progress(channel), leaves_seldom=True)
 
 
 def main() -> int:
@@ -296,21 +297,21 @@ def main() -> int:
         told = _told()
         channel = connect(folder)
         channel.send(Hello(os.getpid(), 0, is_standby=False))
-        is_left = False
+        left: list[Job] = []
         if told is not None:  # while ingest imports, and checks the config
             set_up_logging(logging.INFO)
-            is_left = _load(told, channel)
+            left = _load(channel)
         while not (messages := channel.receive_within(CONNECT_S)):
             pass  # ingest is on its way, or gone, which ends this
         (setup,) = messages
         set_up_logging(setup.log_level)
         config = mapping_config(dict(setup.mapping))
         if told is None or config.model_dump() != told.model_dump():  # == compares classes, made for each
-            is_left = _load(config, channel)
+            left = _load(channel)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan
-        process = MapperProcess(folder, setup, channel, SeldomKernels(config) if is_left else None)
+        process = MapperProcess(folder, setup, channel, SeldomKernels(left) if left else None)
         process.run()
     except ChannelClosedError:
         return 0  # ingest is gone

@@ -16,9 +16,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from service.compile.cache import is_warm
 from service.encoding import Message
 from service.interruption import children_do_not_hear, end_with_parent
-from service.kernel_cache import is_warm
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_config, with_profile
 from service.publishing.commands import CommandError, Outcome, Request, Verb
 from service.runtime.intake import Intake
@@ -100,11 +100,12 @@ def compile_kernels(section: Section) -> None:
 
 
 def _compile(section: dict[str, Any]) -> None:
-    from service.kernel_warm_up import warm_up  # with numba, which ingest itself does without
+    from service.compile.warm_up import warm_up  # with numba, which ingest itself does without
 
     end_with_parent()
     stand_back()
-    warm_up(mapping_config(section))
+    mapping_config(section)  # imports what calls them
+    warm_up()
 
 
 def stand_back() -> None:

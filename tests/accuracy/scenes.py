@@ -14,8 +14,8 @@ from functools import lru_cache, partial
 from itertools import groupby, product
 from operator import itemgetter
 
-from service.kernel_warm_up import warm_up
-from service.mapper.profiles import mapping_config
+from service.compile.warm_up import warm_up
+from service.mapper.profiles import import_methods, mapping_config
 from tests.accuracy.scene_drives import AFTER_S, BEFORE_S, PLACES, SCENES, Case, Staged, seconds_of, staged
 from tests.accuracy.scene_judge import RIGHT_M, SIGMAS, WITHIN_M, WRONG_M, Verdict, judge, trace
 from tests.accuracy.scene_recordings import RECORDINGS, recording_of, replayed
@@ -164,6 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--profile", default="corridor")
     parser.add_argument("--trace", action="store_true", help="a line for each second")
     parsed = parser.parse_args(arguments)
+    import_methods()
     warm_up()
     verdicts: dict[tuple[str, str], list[Verdict]] = {}
     for name in [name for name in parsed.scene if name in RECORDINGS]:

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 from service.version import VERSION
 
 Row = tuple[str, float, str]  # what was measured, how much, of what unit

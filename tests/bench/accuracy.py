@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
-from service.kernel_warm_up import warm_up
+from service.compile.warm_up import warm_up
+from service.mapper.profiles import import_methods
 from service.version import VERSION
 from tests.accuracy import (
     ablations,
@@ -71,6 +72,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
 
 def measure(scenarios: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, float, str]]:
     """Run these, or all; print and keep each table as soon as it is there. Rows: medians, for bench.json."""
+    import_methods()
     warm_up()
     rows = []
     for name in scenarios or SCENARIOS:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.kernel_warm_up import warm_up
+from service.compile.warm_up import warm_up
 from service.mapper.profiles import build_mapper, mapping_config
 from service.offline.replay.figures import ComponentTimes
 from simulators.truth import LMS100

@@ -8,7 +8,7 @@ import argparse
 import sys
 import time
 
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 
 
 def main() -> int:

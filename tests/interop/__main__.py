@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 from tests.interop.programs import ROOT, InteropError, UnavailableError, Venv
 
 

@@ -6,7 +6,8 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 
-from service.kernel_warm_up import warm_up
+from service.compile.warm_up import warm_up
+from service.mapper.profiles import import_methods
 from tests.papers.report import FOLDER, Scenario, below_title, told, write_page
 
 FIRST_SEED = 11  # of the pages
@@ -48,6 +49,7 @@ def main() -> int:
         if wanted not in known:
             parser.error(f"--scenario {wanted}: known here are {', '.join(known)}")
     seeds = range(options.first_seed, options.first_seed + options.seeds)
+    import_methods()
     warm_up()
     missed = sum(_run(name, of_paper, options.scenario, seeds) for name, of_paper in scenarios.items())
     print("every bound is met" if not missed else f"{missed} bounds are missed")

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 
 from drivers.frames import Frame, LaserScan, OdometrySample
-from service.kernel_warm_up import warm_up
+from service.compile.warm_up import warm_up
 from service.mapper.background import InlineWorker
 from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkBackEnd
 from service.mapper.profiles import build_mapper, mapping_config
@@ -46,7 +46,7 @@ def main(seed: int, seconds: float) -> None:
     ride = Ride(begun_beside(floor(layout=seed), *phase_m(seed)), 0, 0.5)
     wheels = odometry(ride, Wheels(scale=1.01, turn_scale=1.01), seconds, seed)
     config = mapping_config({"profile": "submap_graph"})
-    warm_up(config)
+    warm_up()
     held: list[LandmarkBackEnd] = []
 
     def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:

@@ -7,7 +7,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from service.kernel_cache import DIGEST_NAME, KERNELS
+from service.compile.cache import DIGEST_NAME, KERNELS
 from tests.docs.blocks import blocks_of
 
 ROOT = Path(__file__).parents[2]

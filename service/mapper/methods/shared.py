@@ -1,16 +1,12 @@
 """Components of more than one profile."""
 
 from service.fusion.estimator import Estimator, EstimatorConfig
-from service.fusion.warm_up import warm_up_estimator
 from service.mapper.components import ComponentKind, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
 from service.mapper.graph.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.maps.shown_warm_up import warm_up_replacing
 
-ESTIMATOR = ComponentKind(
-    "estimator", EstimatorConfig, lambda config, _: Estimator(config), warm_up_core=warm_up_estimator
-)
+ESTIMATOR = ComponentKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
 DESKEW_BY_TWIST = ComponentKind(
     "deskew_by_twist",
     BeamsConfig,
@@ -26,5 +22,4 @@ OCCUPANCY_TILES = ComponentKind(
     "occupancy_tiles",
     OccupancyConfig,
     lambda config, around: OccupancyTiles(config, around.cell_m),
-    warm_up=warm_up_replacing,
 )

@@ -13,8 +13,8 @@ from typing import Any
 
 import service
 from service.archive import fingerprint
+from service.compile.cache import ensure_cache_dir
 from service.errors import CorridorError, InputError, StorageError, words_of
-from service.kernel_cache import ensure_cache_dir
 from service.offline.past.result import SUMMARY_FILE
 from service.offline.replay.replay import Outcome, replay_to
 from service.offline.replay.result import Extra

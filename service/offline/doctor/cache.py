@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from drivers.counted import counted
-from service.kernel_cache import KERNELS, is_warm, kernels_in
+from service.compile.cache import KERNELS, is_warm, kernels_in
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.folders import cannot_write, nearest_parent
 from service.offline.doctor.machine import Machine

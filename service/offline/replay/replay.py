@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from service.archive import is_remote, refuse_unreachable, written_to
+from service.compile.warm_up import KernelProgress, warm_up_in_turn
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError
-from service.kernel_warm_up import KernelProgress, warm_up_once
 from service.mapstore.begin_in import begin_in
 from service.offline.replay.pace import Unwatched, Watch
 from service.offline.replay.raw import FROM_RAW, remake_frames
@@ -134,8 +134,8 @@ def _replay(paths: Sequence[Path], options: ReplayOptions, progress: Progress, w
     begin = None if options.map is None else begin_in(options.map, setup.mapping, setup.map_version)
     log.info("mapping the scans of %s", ", ".join(setup.lasers))
     warm_up_encoding()
-    compile_kernels = partial(warm_up_once, progress=compiling)
-    compile_kernels(setup.mapping)
+    compile_kernels = partial(warm_up_in_turn, compiling)
+    compile_kernels()
     return ReplayRun(session, setup, begin, options.profile is None, compile_kernels, progress, watch).run()
 
 

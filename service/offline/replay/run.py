@@ -29,7 +29,7 @@ from service.mapper.mapping_session import (
     SwitchProfile,
 )
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import BeginIn, MappingConfig, build_mapper
+from service.mapper.profiles import BeginIn, build_mapper
 from service.mapper.saved_graph import SavedGraph
 from service.mapper.timed import note_mapped
 from service.mapstore.begin_in import begin_in
@@ -59,7 +59,7 @@ class ReplayRun:
 
     begin                  the stored map to begin in; None: an empty one
     is_profile_followed    the profile changes where the recording says so
-    compile_kernels        called with the mapping after each such change
+    compile_kernels        called after each such change
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class ReplayRun:
         setup: ReplaySetup,
         begin: BeginIn | None,
         is_profile_followed: bool,
-        compile_kernels: Callable[[MappingConfig], object],
+        compile_kernels: Callable[[], object],
         progress: Progress,
         watch: Watch,
     ) -> None:
@@ -143,7 +143,7 @@ class ReplayRun:
         if isinstance(step, LoadMap):
             self._begins[:] = [begin_in(Path(step.folder), self._switches.present, step.version)]
         elif self._switches.take(step, self._recording.first_log_ns):
-            self._compile_kernels(self._switches.present)
+            self._compile_kernels()
         self._mapper.carry_out("reset_map")
 
     def _request(self, request: GraphRequest) -> None:

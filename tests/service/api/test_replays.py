@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import corridor
-from service import kernel_warm_up
 from service.cli import main
+from service.compile.signatures import Job
+from service.offline.replay import replay
 from tests.service.api.rooms import driven
 
 
@@ -50,12 +51,11 @@ def test_settings_that_cannot_be_are_refused_in_words(recording, settings, error
 def test_that_kernels_are_compiled_is_logged_once_and_is_no_warning_of_the_result(
     recording, monkeypatch, caplog
 ):
-    def compile_two(mapping, progress):
-        progress.compiled("service.kernels.a")
-        progress.compiled("service.kernels.b")
+    def compile_two(progress):
+        for name in ("a", "b"):
+            progress.done(Job("service.kernels", name, 0, 1))
 
-    monkeypatch.setattr(kernel_warm_up, "_loaded", set())
-    monkeypatch.setattr(kernel_warm_up, "warm_up", compile_two)
+    monkeypatch.setattr(replay, "warm_up_in_turn", compile_two)
     warnings = corridor.replay(recording).summary["warnings"]
     assert [record.name for record in caplog.records if "compiling" in record.getMessage()] == ["corridor"]
     assert not any("compiling" in warning for warning in warnings)

@@ -53,7 +53,7 @@ def code_of(arguments: list[str]) -> int:
 def test_the_version_is_the_one_that_stands_in_one_place(
     warm: bool, words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("service.kernel_cache.is_warm", lambda: warm)
+    monkeypatch.setattr("service.compile.cache.is_warm", lambda: warm)
     assert code_of(["--version"]) == 0
     first, *others = capsys.readouterr().out.splitlines()
     assert first == f"corridor {VERSION}"

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from service.kernel_compiler import WaitingKernel, load_compiler, njit
+from service.compile.lazy import WaitingKernel, load_compiler, njit
 
 
 def from_python(inner: Callable[..., Any]) -> Callable[..., Any]:

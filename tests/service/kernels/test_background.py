@@ -5,14 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.background import (
-    LearningSettings,
-    interpolated,
-    learn_scan,
-    mark_passed,
-    mark_unseen,
-    spread_falls,
-)
+from service.kernels import background, contour_blur
+from service.kernels.background import LearningSettings, learn_scan, mark_passed, mark_unseen
 from service.kernels.contour_blur import (
     BLURRED,
     HIT,
@@ -22,10 +16,14 @@ from service.kernels.contour_blur import (
     ScanCells,
     blur_scan,
     forget_scan,
-    touch_cell,
 )
 from service.kernels.surfels import TILE_CELLS
 from service.kernels.tiles import NO_TILE, TileIndex
+from tests.service.kernels.inner import from_python
+
+interpolated = from_python(background.interpolated)
+spread_falls = from_python(background.spread_falls)
+touch_cell = from_python(contour_blur.touch_cell)
 
 BLUR = BlurSettings(10.0, 1.5, False, 0.01, True, True)
 PRINTED = LearningSettings(0.01, 3.0, 100, 1.5, True, False, True)

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from service.kernels import beam_likelihood
 from service.kernels.beam_likelihood import (
     AGAINST_RATIO,
     AT_BACK,
@@ -20,13 +21,15 @@ from service.kernels.beam_likelihood import (
     cells_with_walls,
     count_looks,
     splat_points,
-    weigh_ends,
-    weigh_ways,
 )
 from service.kernels.occupancy import Evidence, trace_scan
 from service.kernels.surfels import insert_surfels
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.occupancy_grids import empty_occupancy
 from tests.service.kernels.surfel_grids import empty_grid
+
+weigh_ends = from_python(beam_likelihood.weigh_ends)
+weigh_ways = from_python(beam_likelihood.weigh_ways)
 
 EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
 CELL_M = 0.1

@@ -11,7 +11,7 @@ PACKAGE = "service.kernels."
 
 
 def is_of_kernel(decorator: str) -> bool:
-    return decorator in ("kernel", "inner_kernel") or "njit" in decorator
+    return decorator.startswith(("kernel(", "seldom_kernel(", "inner_kernel", "njit("))
 
 
 def checked_copies(source: str) -> list[int]:
@@ -34,7 +34,7 @@ def checked_copies(source: str) -> list[int]:
 
 def test_a_copy_by_slice_is_seen() -> None:
     body = "    a[:] = b\n    a[0] = b\n    a[:] = 0.0\n    a[:, 1] = c\n"
-    for decorator in ("kernel", "inner_kernel", "njit(cache=True)"):
+    for decorator in ("kernel(Float64_1D)", "seldom_kernel(int)", "inner_kernel", "njit(cache=True)"):
         assert checked_copies(f"@{decorator}\ndef f(a, b, c):\n{body}") == [3, 6]
     assert checked_copies(f"def f(a, b, c):\n{body}") == []  # numpy's
 

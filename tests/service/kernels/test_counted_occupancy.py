@@ -3,16 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.counted_occupancy import (
-    MAX_COUNT,
-    CountWeights,
-    count_overlap,
-    occupied_probability,
-    weigh_scan,
-)
+from service.kernels import counted_occupancy, tiles
+from service.kernels.counted_occupancy import MAX_COUNT, CountWeights, count_overlap, weigh_scan
 from service.kernels.surfels import TILE_BITS, TILE_MASK
-from service.kernels.tiles import NO_TILE, find_tile
+from service.kernels.tiles import NO_TILE
 from service.mapper.methods.submap_graph.counted_submaps import CountedMap, CountedSubmapsConfig
+from tests.service.kernels.inner import from_python
+
+occupied_probability = from_python(counted_occupancy.occupied_probability)
+find_tile = from_python(tiles.find_tile)
 
 CONFIG = CountedSubmapsConfig(cell_m=0.1, free_range_m=5.0, pass_stride=1)
 WEIGHTS = CONFIG.weights

@@ -24,6 +24,7 @@ def test_known_motion_is_taken_out_to_a_nanometre(turn_rate: float) -> None:
 
 def test_returns_keep_their_beam_and_its_moment() -> None:
     range_m = np.array([np.nan, 2.0, 0.01, 60.0, 3.0], np.float32)
+    range_m.setflags(write=False)
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
     returns = Returns(np.empty((5, 2)), np.empty(5), np.empty(5, np.int32))
     count = project_returns(range_m, direction, np.array([0.2, 0.1]), np.array([0.1, 50.0]), 0.001, returns)

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 
+from service.kernels import tiles
 from service.kernels.static_score import (
     Sightings,
     StaticScoreSettings,
@@ -13,8 +14,10 @@ from service.kernels.static_score import (
     weigh_static_score,
 )
 from service.kernels.surfels import PARTS, TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
-from service.kernels.tiles import find_tile
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
+
+find_tile = from_python(tiles.find_tile)
 
 SETTINGS = StaticScoreSettings(
     enough=10,

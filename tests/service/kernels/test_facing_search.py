@@ -3,17 +3,13 @@ import math
 import numpy as np
 import pytest
 
+from service.kernels import facing_search
 from service.kernels.branch_and_bound import pool_levels
-from service.kernels.facing_search import (
-    FULL,
-    LAYERS,
-    SECTORS,
-    FacingPyramid,
-    facing_sum,
-    search_facing,
-    splat_facing,
-    turned_facing,
-)
+from service.kernels.facing_search import FULL, LAYERS, SECTORS, FacingPyramid, search_facing, splat_facing
+from tests.service.kernels.inner import from_python
+
+facing_sum = from_python(facing_search.facing_sum)
+turned_facing = from_python(facing_search.turned_facing)
 
 CELL_M, LEVELS, HEADINGS = 0.2, 4, 24
 BLOCK = 1 << (LEVELS - 1)

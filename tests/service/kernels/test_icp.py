@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from service.kernels.icp import closest_points, icp_point_to_point
+from service.kernels import icp
+from service.kernels.icp import icp_point_to_point
+from tests.service.kernels.inner import from_python
+
+closest_points = from_python(icp.closest_points)
 
 
 def room(count: int) -> np.ndarray:

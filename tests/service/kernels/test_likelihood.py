@@ -1,9 +1,13 @@
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from service.kernels import surfels
 from service.kernels.likelihood import SPLAT_REACH_CELLS, LikelihoodField, read_field, splat_likelihood
-from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid, touch_tile
+from service.kernels.surfels import TILE_BITS, TILE_CELLS, SurfelGrid
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
+
+touch_tile = from_python(surfels.touch_tile)
 
 POSE = np.array([0.3, -0.4, 0.7])
 CELL_M = 0.1

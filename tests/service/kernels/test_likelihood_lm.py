@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
+from service.kernels import velocity_lm
 from service.kernels.likelihood import read_field
 from service.kernels.likelihood_lm import LmSettings, align_points, likelihood_normal_equations, thin_evenly
 from service.kernels.robust_normals import balance_weights, estimate_orientations
-from service.kernels.velocity_lm import velocity_between
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.test_likelihood import field_of, random_field
+
+velocity_between = from_python(velocity_lm.velocity_between)
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:  # A22

@@ -5,15 +5,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from service.kernels import likelihood_search
 from service.kernels.branch_and_bound import MaxPyramid, build_pyramid, padding_cells, search_branch_and_bound
 from service.kernels.likelihood_search import (
     LikelihoodLayer,
     SearchWindow,
-    score_window,
     search_exhaustive,
     surface_moments,
 )
 from service.kernels.tiles import TileIndex
+from tests.service.kernels.inner import from_python
+
+score_window = from_python(likelihood_search.score_window)
 
 CELL_M = 0.1
 

@@ -3,14 +3,13 @@ import math
 import numpy as np
 import pytest
 
+from service.kernels import line_likelihood
 from service.kernels.likelihood_search import LikelihoodLayer
-from service.kernels.line_likelihood import (
-    draw_scan,
-    mean_value,
-    monte_carlo_search,
-    smooth_lines,
-)
+from service.kernels.line_likelihood import draw_scan, monte_carlo_search, smooth_lines
 from service.kernels.tiles import TileIndex
+from tests.service.kernels.inner import from_python
+
+mean_value = from_python(line_likelihood.mean_value)
 
 LEVELS = np.array([9, 6, 3], np.uint8)
 CELL_M = 0.1
@@ -109,7 +108,7 @@ def test_the_mean_is_that_of_the_cells_under_the_points() -> None:
 def test_the_climb_by_chance_ends_higher_than_it_began() -> None:
     layer = empty_layer()
     draw(layer, [(1.05, 1.05), (1.05, 4.05), (4.05, 4.05), (4.05, 1.05)], join_m=4.0)
-    xy = np.argwhere(whole(layer) == 9)[:, ::-1] * CELL_M + 0.05 - 2.5
+    xy = np.ascontiguousarray(np.argwhere(whole(layer) == 9)[:, ::-1] * CELL_M + 0.05 - 2.5)
     start = np.array([2.62, 2.4, 0.05])
     deviates = np.random.default_rng(1).standard_normal((900, 3))
     pose, value, trials = monte_carlo_search(xy, layer, start, deviates, 0.1, 0.1)

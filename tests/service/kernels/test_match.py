@@ -11,10 +11,12 @@ from service.kernels.likelihood import LikelihoodField, splat_likelihood
 from service.kernels.likelihood_lm import thin_evenly
 from service.kernels.match import MatchSettings, Prior, match_scan
 from service.kernels.normals import estimate_normals
-from service.kernels.surfels import SurfelGrid, find_surfels, insert_surfels
+from service.kernels.surfels import SurfelGrid, insert_surfels
 from service.mapper.matchers.field_align import align
 from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
+
+find_surfels = from_python(surfels.find_surfels)
 
 cost_at = from_python(match.cost_at)
 align_on_surfels = from_python(match.align_on_surfels)

@@ -2,7 +2,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.kernels.ordering import kth_smallest, order_rising
+from service.kernels import ordering
+from tests.service.kernels.inner import from_python
+
+kth_smallest = from_python(ordering.kth_smallest)
+order_rising = from_python(ordering.order_rising)
 
 NUMBERS = st.lists(st.sampled_from((-2.0, -0.0, 0.0, 1.0, 1.5, np.inf)) | st.floats(-5.0, 5.0), max_size=40)
 

@@ -2,15 +2,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from service.kernels.orthogonal_weights import (
-    MAXIMUM,
-    NOISY_OR,
-    WeightedLayer,
-    insert_weighted,
-    shares_of_three,
-)
+from service.kernels import orthogonal_weights
+from service.kernels.orthogonal_weights import MAXIMUM, NOISY_OR, WeightedLayer, insert_weighted
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.occupancy_grids import empty_tiles
+
+shares_of_three = from_python(orthogonal_weights.shares_of_three)
 
 CELL_M = 0.1
 SIGMAS = np.array([[1.5, 1.5], [1.5, 0.5], [0.5, 1.5], [0.5, 0.5]])

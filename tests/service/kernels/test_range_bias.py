@@ -1,11 +1,15 @@
 import numpy as np
 import pytest
 
+from service.kernels import range_bias
 from service.kernels.normals import estimate_normals
-from service.kernels.range_bias import bias_at, see_bias, shorten_ranges
+from service.kernels.range_bias import see_bias, shorten_ranges
 from service.kernels.surfels import LASERS, SurfelGrid, insert_surfels, shorten_surfels
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
 from tests.service.kernels.test_match import SETTINGS, SIGMA_M, STEP_RAD
+
+bias_at = from_python(range_bias.bias_at)
 
 NODE_M, NODES = 0.5, 12
 ANGLES = np.arange(-2.8, 2.8, STEP_RAD)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels import surfels
+from service.kernels import surfels, tiles
 from service.kernels.surfels import (
     COSINES,
     MAX_AROUND,
@@ -14,13 +14,14 @@ from service.kernels.surfels import (
     TILE_BITS,
     TILE_MASK,
     SurfelGrid,
-    find_surfels,
     insert_surfels,
     shorten_surfels,
 )
-from service.kernels.tiles import find_tile
 from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
+
+find_surfels = from_python(surfels.find_surfels)
+find_tile = from_python(tiles.find_tile)
 
 find_surfels_again = from_python(surfels.find_surfels_again)
 nothing_around = from_python(surfels.nothing_around)
@@ -150,7 +151,14 @@ def test_a_corner_keeps_its_two_walls_apart() -> None:
     facing = np.column_stack([-np.cos(tilt), np.sin(tilt), np.ones(200)])
     insert_surfels(np.column_stack([across, along]), facing, np.zeros(3), grid, 1e3, 1.0, np.zeros(2), -1)
     insert_surfels(
-        np.column_stack([along, across]), facing[:, [1, 0, 2]], np.zeros(3), grid, 1e3, 1.0, np.zeros(2), -1
+        np.column_stack([along, across]),
+        np.ascontiguousarray(facing[:, [1, 0, 2]]),
+        np.zeros(3),
+        grid,
+        1e3,
+        1.0,
+        np.zeros(2),
+        -1,
     )
     found = sorted(row for row in read_all(grid) if row[4] > 20)
     normals_found = sorted(row[2:4] for row in found)

@@ -1,5 +1,9 @@
-from service.kernels.tiles import NO_TILE, find_tile, take_slot
+from service.kernels import tiles
+from service.kernels.tiles import NO_TILE, take_slot
+from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
+
+find_tile = from_python(tiles.find_tile)
 
 
 def test_tiles_are_found_where_they_were_put_and_nowhere_else() -> None:

@@ -16,14 +16,14 @@ import numpy as np
 from numba.core import event
 
 import service.kernels
+from service.compile.cache import ensure_cache_dir
+from service.compile.warm_up import warm_up
 from service.geometry.se2 import SE2
-from service.kernel_cache import ensure_cache_dir
-from service.kernel_warm_up import warm_up
 from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
 from service.mapper.components import RenderedMap, ScanToRender, WallToRender
 from service.mapper.map_changes import ChangeWatch
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.profiles import build_mapper, import_methods, mapping_config
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room
 from tests.service.mapper.maps.points import points_of
 
@@ -38,9 +38,10 @@ def main() -> None:
         if sys.argv[1:]:
             new_worker = ElsewhereWorker
             config = mapping_config({"mode": "localization"} if sys.argv[1] == "localizing" else {})
-            warm_up(config, back_end_elsewhere=True)
+            warm_up(back_end_elsewhere=True)
             before = set(compiled_or_loaded())
         else:
+            import_methods()
             warm_up()
         mapper = build_mapper(config, {"front": MOUNTING}, new_worker=new_worker)
         for frame in drive(ROOM, round_the_room, 2.0).frames:

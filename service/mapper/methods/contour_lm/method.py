@@ -1,7 +1,6 @@
 """Li et al. 2016: scans matched to a learned map of blurred contours, the laser's speed found on the way."""
 
 from service.mapper.components import ComponentKind, Method
-from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.contour_lm.contour_map import ContourMap, ContourMapConfig
 from service.mapper.methods.contour_lm.contour_matcher import ContourLm, ContourLmConfig
 from service.mapper.methods.shared import (
@@ -16,7 +15,6 @@ CONTOUR_LM = ComponentKind(
     ContourLmConfig,
     lambda config, _: ContourLm(config),
     reads=ContourMap,
-    warm_up=warm_up_search,
 )
 CONTOUR_MAP = ComponentKind(
     "contour_map", ContourMapConfig, lambda config, _: ContourMap(config), makes=ContourMap

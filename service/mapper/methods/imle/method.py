@@ -1,7 +1,6 @@
 """Tang et al. 2014: ICP narrows the window, exhaustive search on a likelihood map in patches decides."""
 
 from service.mapper.components import ComponentKind, Method
-from service.mapper.matchers.search_warm_up import warm_up_byte_search
 from service.mapper.methods.imle.icp_then_search import IcpThenSearch, IcpThenSearchConfig
 from service.mapper.methods.imle.monte_carlo import MonteCarloConfig, MonteCarloSearch
 from service.mapper.methods.imle.patch_map import PatchMap, PatchMapConfig
@@ -24,7 +23,6 @@ ICP_THEN_SEARCH = ComponentKind(
     IcpThenSearchConfig,
     lambda config, _: IcpThenSearch(config),
     reads=PatchMap,
-    warm_up=warm_up_byte_search,
 )
 ICP_SCAN_TO_SCAN = ComponentKind(
     "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap

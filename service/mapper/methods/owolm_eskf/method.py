@@ -1,7 +1,6 @@
 """Qian et al. 2019: an IMU predicts, brute search on an orthogonally weighted likelihood map corrects it."""
 
 from service.mapper.components import ComponentKind, Method
-from service.mapper.matchers.search_warm_up import warm_up_byte_search
 from service.mapper.methods.owolm_eskf.brute_search import BruteSearch, BruteSearchConfig
 from service.mapper.methods.owolm_eskf.inertial_motion import InertialMotion, InertialMotionConfig
 from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
@@ -15,7 +14,6 @@ BRUTE_SEARCH = ComponentKind(
     BruteSearchConfig,
     lambda config, _: BruteSearch(config),
     reads=OrthogonalMap,
-    warm_up=warm_up_byte_search,
 )
 ORTHOGONAL_MAP = ComponentKind(
     "orthogonal_map", OrthogonalMapConfig, lambda config, _: OrthogonalMap(config), makes=OrthogonalMap

@@ -1,7 +1,6 @@
 """Zhang et al. 2016: particle-filtered sub-maps of counts, joined by virtual landmarks in a graph."""
 
 from service.mapper.components import ComponentKind, Method
-from service.mapper.matchers.search_warm_up import warm_up_search
 from service.mapper.methods.shared import (
     DESKEW_BY_TWIST,
     ESTIMATOR,
@@ -10,7 +9,6 @@ from service.mapper.methods.shared import (
 from service.mapper.methods.submap_graph.counted_submaps import CountedSubmaps, CountedSubmapsConfig
 from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkGraphConfig
 from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGraph
-from service.mapper.methods.submap_graph.graph.landmark_warm_up import warm_up
 from service.mapper.methods.submap_graph.particle_filter import ParticleFilter, ParticleFilterConfig
 
 COUNTED_SUBMAPS = ComponentKind(
@@ -21,14 +19,12 @@ PARTICLE_FILTER = ComponentKind(
     ParticleFilterConfig,
     lambda config, _: ParticleFilter(config),
     reads=CountedSubmaps,
-    warm_up=warm_up_search,
 )
 LANDMARK_GRAPH = ComponentKind(
     "landmark_graph",
     LandmarkGraphConfig,
     lambda config, around: LandmarkGraph(config, around.renderer, around.new_worker),
     reads=CountedSubmaps,
-    warm_up=warm_up,
 )
 
 METHOD = Method(

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from service.geometry.grid import TileRange
-from service.kernels.tiles import NO_TILE, find_tile, take_slot
+from service.kernels import tiles as tile_kernels
+from service.kernels.tiles import NO_TILE, take_slot
 from service.mapper.maps import tiles
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from tests.service.kernels.inner import from_python
+
+find_tile = from_python(tile_kernels.find_tile)
 
 LAYERS = (Layer((4, 4), np.float32), Layer((), np.uint8))
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from service import kernel_cache
+from service.compile import cache as kernel_cache
 from service.offline.doctor import cache
 from service.offline.doctor.cache import look_at_cache
 from tests.service.offline.doctor.conftest import FakeTree
 
 COMPILE_ONE = """
-from service.kernel_cache import ensure_cache_dir
+from service.compile.cache import ensure_cache_dir
 ensure_cache_dir()
 import numpy as np
 from service.kernels.deskew import deskew_points

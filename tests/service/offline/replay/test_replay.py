@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
-from service import kernel_warm_up
 from service.cli import main
 from service.encoding import encode_event, encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError, StorageError
@@ -411,18 +410,6 @@ def test_a_recorded_config_that_cannot_be_read_asks_for_one(record_drive: Record
 def test_an_unknown_profile_is_a_config_error(record_drive: RecordDrive):
     with pytest.raises(ConfigError, match="--profile: fast is no profile"):
         replay([record_drive()], ReplayOptions(profile="fast"))
-
-
-def test_the_kernels_of_a_config_are_loaded_once_a_process(
-    record_drive: RecordDrive, monkeypatch: pytest.MonkeyPatch
-):
-    """Also where each of many recordings is a short one."""
-    session, loaded = record_drive(scans=5), []
-    monkeypatch.setattr(kernel_warm_up, "_loaded", set())
-    monkeypatch.setattr(kernel_warm_up, "warm_up", lambda mapping, progress: loaded.append(mapping.profile))
-    for profile in (None, None, "imle", None):
-        replay([session], ReplayOptions(profile=profile))
-    assert loaded == ["corridor", "imle"]
 
 
 def test_a_recording_without_a_usable_scan_is_bad_input(record_drive: RecordDrive):

@@ -77,15 +77,15 @@ class Forked:
 
 
 def main() -> None:
+    from service.compile.warm_up import warm_up
     from service.encoding import warm_up as warm_up_encoding
-    from service.kernel_warm_up import warm_up
     from service.mapper.profiles import build_mapper, mapping_config
     from service.mapstore import begin_in, graph_files, patch_files  # noqa: F401 - the process imports them
     from service.runtime import back_end, mapper_messages, mapping  # noqa: F401
 
     config = mapping_config()
     build_mapper(config, {})
-    warm_up(config)
+    warm_up()
     warm_up_encoding()
     signal.signal(signal.SIGCHLD, lambda number, frame: _reap())
     for line in sys.stdin:

@@ -5,9 +5,9 @@ import sys
 from typing import Any
 
 from drivers.frames import Frame, LaserScan
-from service.kernel_warm_up import KernelProgress
+from service.compile.signatures import Job
+from service.compile.warm_up import KernelProgress
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import MappingConfig
 from service.outputs import MapperOutput
 from service.runtime import mapper_process, standby_schedule
 from tests.service.runtime.mappers import FATAL_RANGE_M, HOW, LOADED
@@ -27,19 +27,18 @@ def strange(self: Mapper[Any], frame: Frame) -> MapperOutput | None:
     return process(self, frame)
 
 
-def no_kernels(
-    config: MappingConfig, back_end_elsewhere: bool, progress: KernelProgress, leaves_seldom: bool = False
-) -> bool:
+def no_kernels(back_end_elsewhere: bool, progress: KernelProgress, leaves_seldom: bool = False) -> list[Job]:
     if os.environ[HOW] == "does not compile":
         raise TypeError("cannot lower")
     if os.environ[HOW] == "compiles for ever":
-        progress.expect(2)
-        progress.compiled("service.kernels.match.match_scan")
+        jobs = [Job("service.kernels.match", name, 0, 100) for name in ("match_scan", "another")]
+        progress.expect(jobs)
+        progress.done(jobs[0])
         os.read(os.pipe()[0], 1)
     if os.environ[HOW] == "says what it loads":
         with open(os.environ[LOADED], "a", encoding="utf-8") as loaded:
-            loaded.write(f"{config.profile}\n")
-    return False
+            loaded.write("once\n")
+    return []
 
 
 if __name__ == "__main__":

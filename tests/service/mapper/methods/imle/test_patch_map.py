@@ -9,10 +9,13 @@ from pydantic import ValidationError
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
-from service.kernels.line_likelihood import mean_value
+from service.kernels import line_likelihood
 from service.mapper.components import Match, Points
 from service.mapper.methods.imle.patch_map import PatchMap, PatchMapConfig
 from service.mapper.patch_store import MemoryPatches
+from tests.service.kernels.inner import from_python
+
+mean_value = from_python(line_likelihood.mean_value)
 
 CONFIG = PatchMapConfig(cell_m=0.02, patch_cells=200, resident_patches=16, ahead_m=1.0)  # patches of 4 m
 

@@ -25,7 +25,6 @@ from service.mapper.methods.submap_graph.graph.landmark_back_end import (
     LandmarkGraphConfig,
 )
 from service.mapper.methods.submap_graph.graph.landmark_graph import LandmarkGraph
-from service.mapper.methods.submap_graph.graph.landmark_warm_up import warm_up
 from service.mapper.methods.submap_graph.graph.submap_match import about_origin, draw_walls, find
 from service.mapper.methods.submap_graph.graph.submap_realignment import SubmapRealignment
 from service.mapper.methods.submap_graph.key_scan import KeyScan
@@ -118,10 +117,6 @@ def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -
     assert furthest_m(found, way) < 0.008
     blind = SubmapRealignment(1.0)
     np.testing.assert_allclose(blind.realign(first).track, first.track, atol=1e-12)
-
-
-def test_the_warm_up_ties_a_sub_map() -> None:
-    assert warm_up().links == 1
 
 
 # D3, D12

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service import kernel_cache
+from service.compile import cache as kernel_cache
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_without_a_place_a_private_one_is_made_with_a_warning(
     assert made is not None
     assert os.environ["NUMBA_CACHE_DIR"] == str(made)
     assert made.stat().st_mode & 0o777 == 0o700
-    assert "compiled anew at every start" in caplog.text
+    assert "compiled again at every start" in caplog.text
 
 
 @pytest.mark.parametrize("folder", ["", "kernels_0a1b"])
@@ -76,7 +76,7 @@ def test_kernels_of_other_sources_are_forgotten(folder: str, monkeypatch: pytest
 CALLS_ANOTHER_FILE = """
 import sys
 from pathlib import Path
-from service import kernel_cache
+from service.compile import cache as kernel_cache
 kernel_cache.KERNELS = Path(sys.argv[1])
 kernel_cache.ensure_cache_dir()
 sys.path.insert(0, sys.argv[1])

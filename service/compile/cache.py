@@ -23,7 +23,7 @@ from service.interruption import before_ending
 
 log = logging.getLogger(__name__)
 
-KERNELS = Path(__file__).parent / "kernels"
+KERNELS = Path(__file__).parents[1] / "kernels"
 DIGEST_NAME = "corridor-kernels.sha256"
 LOCK_NAME = "corridor-kernels.lock"
 WARM_NAME = "corridor-kernels.warm"  # written when the kernels of all profiles are in the cache
@@ -34,11 +34,9 @@ def ensure_cache_dir() -> Path | None:
 
     The temporary place where that was needed, else None. Call it before anything imports numba.
     """
-    places = _places()
-    for place in places:
-        if _is_writable(place):
-            forget_old_kernels(place)
-            return None
+    if _is_writable(place := cache_place()):
+        forget_old_kernels(place)
+        return None
     # A fresh folder that only we can write: cached kernels are code, and /tmp belongs to everybody.
     temporary = Path(tempfile.mkdtemp(prefix="corridor-kernels-"))
     forget = partial(shutil.rmtree, temporary, ignore_errors=True)
@@ -46,11 +44,17 @@ def ensure_cache_dir() -> Path | None:
     before_ending(forget)
     os.environ["NUMBA_CACHE_DIR"] = str(temporary)
     log.warning(
-        "cannot write to %s; the kernels are compiled anew at every start. Set NUMBA_CACHE_DIR to a folder "
+        "cannot write to %s; the kernels are compiled again at every start. Set NUMBA_CACHE_DIR to a folder "
         "that this user can write",
-        " or ".join(map(str, places)),
+        " or ".join(map(str, _places())),
     )
     return temporary
+
+
+def cache_place() -> Path:
+    """Where numba keeps the kernels: the first of its places that can be written to."""
+    places = _places()
+    return next(filter(_is_writable, places), places[0])
 
 
 def forget_old_kernels(place: Path) -> None:
@@ -59,14 +63,10 @@ def forget_old_kernels(place: Path) -> None:
     numba looks only at the file that a kernel stands in: after `git pull` one that calls a changed kernel of
     another file would go on with the old one.
     """
-    digest = _digest()
-    stamp = place / DIGEST_NAME
     try:
-        if stamp.exists() and stamp.read_text(encoding="ascii") == digest:
-            return
-        for compiled in _compiled_in(place):
-            compiled.unlink(missing_ok=True)
-        stamp.write_text(digest, encoding="ascii")
+        if not _is_fresh(place):
+            _forget(place)
+            (place / DIGEST_NAME).write_text(_digest(), encoding="ascii")
     except OSError as error:
         log.warning(
             "%s: kernels compiled from older sources may be in use (%s); delete the folder", place, error
@@ -75,19 +75,13 @@ def forget_old_kernels(place: Path) -> None:
 
 def forget_kernels() -> int:
     """Delete every compiled kernel that a start would read; how many there were."""
-    count = 0
-    for folder in (_places()[0], _home_cache()):
-        (folder / WARM_NAME).unlink(missing_ok=True)
-        for compiled in _compiled_in(folder):
-            compiled.unlink(missing_ok=True)
-            count += 1
-    return count
+    return sum(map(_forget, dict.fromkeys([_places()[0], _home_cache()])))
 
 
 def mark_warm() -> None:
     """Note that the kernels of all profiles are in the cache, as they are compiled here and now."""
     with suppress(OSError):  # then nobody may rely on it
-        (_place() / WARM_NAME).write_text(_compiled_for(), encoding="utf-8")
+        (cache_place() / WARM_NAME).write_text(_compiled_for(), encoding="utf-8")
 
 
 def is_warm(place: Path | None = None) -> bool:
@@ -95,10 +89,7 @@ def is_warm(place: Path | None = None) -> bool:
 
     place   where the kernels are kept; None: where this process keeps them
     """
-    try:
-        return ((place or _place()) / WARM_NAME).read_text(encoding="utf-8") == _compiled_for()
-    except OSError:
-        return False
+    return _reads((place or cache_place()) / WARM_NAME, _compiled_for())
 
 
 @contextmanager
@@ -106,7 +97,7 @@ def compiling_alone() -> Iterator[None]:
     """One process at a time of those that share the cache, so that each kernel is compiled once; all at once
     where nothing is left to compile.
     """
-    place = _place()
+    place = cache_place()
     if is_warm(place) or not _is_writable(place):
         yield
         return
@@ -122,11 +113,7 @@ def cache_key() -> str:
 
 def kernels_in(place: Path) -> int:
     """How many kernels of the present sources are kept there."""
-    try:
-        is_fresh = (place / DIGEST_NAME).read_text(encoding="ascii") == _digest()
-    except OSError:
-        return 0
-    return sum(path.suffix == ".nbi" for path in _compiled_in(place)) if is_fresh else 0
+    return sum(path.suffix == ".nbi" for path in _compiled_in(place)) if _is_fresh(place) else 0
 
 
 def _places() -> list[Path]:
@@ -135,33 +122,8 @@ def _places() -> list[Path]:
     return [Path(given)] if given else [KERNELS / "__pycache__", _home_cache()]
 
 
-def _place() -> Path:
-    """Where numba keeps the kernels: the first of the places that can be written to."""
-    places = _places()
-    return next((place for place in places if _is_writable(place)), places[0])
-
-
-def _compiled_for() -> str:
-    """Sources and where they lie, compiler and processor; numba reads no kernel of another."""
-    processor = next(
-        (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), ""
-    )
-    packages = " ".join(f"{name} {version(name)}" for name in ("numba", "llvmlite"))
-    return f"{KERNELS}\n{_digest()}\n{packages}, Python {sys.version}\n{processor}\n"
-
-
-def _digest() -> str:
-    sources = sorted(KERNELS.glob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
-
-
 def _home_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
-
-
-def _compiled_in(place: Path) -> list[Path]:
-    """numba's files lie beside the sources, or in a folder that has the name of theirs and a hash."""
-    return [path for p in ("*.nb[ci]", f"{KERNELS.name}_*/*.nb[ci]") for path in place.glob(p)]
 
 
 def _is_writable(place: Path) -> bool:
@@ -172,3 +134,40 @@ def _is_writable(place: Path) -> bool:
             return True
     except OSError:
         return False
+
+
+def _compiled_for() -> str:
+    """Sources and where they lie, compiler and processor; numba reads no kernel of another."""
+    cpuinfo = Path("/proc/cpuinfo").read_text().splitlines()
+    processor = next((line for line in cpuinfo if line.startswith("model name")), "")
+    packages = " ".join(f"{name} {version(name)}" for name in ("numba", "llvmlite"))
+    return f"{KERNELS}\n{_digest()}\n{packages}, Python {sys.version}\n{processor}\n"
+
+
+def _digest() -> str:
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(KERNELS.glob("*.py")))).hexdigest()
+
+
+def _is_fresh(place: Path) -> bool:
+    return _reads(place / DIGEST_NAME, _digest())
+
+
+def _reads(path: Path, text: str) -> bool:
+    try:
+        return path.read_text(encoding="utf-8") == text
+    except OSError:
+        return False
+
+
+def _forget(place: Path) -> int:
+    """How many files of numba there were."""
+    (place / WARM_NAME).unlink(missing_ok=True)
+    compiled = _compiled_in(place)
+    for path in compiled:
+        path.unlink(missing_ok=True)
+    return len(compiled)
+
+
+def _compiled_in(place: Path) -> list[Path]:
+    """numba's files lie beside the sources, or in a folder that has the name of theirs and a hash."""
+    return [path for p in ("*.nb[ci]", f"{KERNELS.name}_*/*.nb[ci]") for path in place.glob(p)]

@@ -5,13 +5,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 BEGIN = """
 import math, sys
 import numpy as np
 from service.kernels import linear3, se2, usual_gap
-from service.kernel_compiler import WaitingKernel, njit
+from service.compile.lazy import WaitingKernel, njit
 from service.kernels.usual_gap import usual_gap as by_name
 held = {"gap": by_name}
 assert "numba" not in sys.modules
@@ -55,13 +55,13 @@ assert likeliest_pose.copy_vector is linear3.copy_vector
 """)
 
 
-def test_the_warm_up_needs_no_first_call():
-    assert "service.kernels.match.match_scan" in run("""
+def test_the_kernels_of_a_profile_are_found_before_any_is_called():
+    assert "match_scan" in run("""
 from service.mapper.profiles import mapping_config
 mapping_config({"profile": "corridor"})
 assert "numba" not in sys.modules
-from service.kernel_warm_up import needed_kernels
-print(*needed_kernels())
+from service.compile.signatures import jobs_of_process
+print(*(job.name for job in jobs_of_process()[0]))
 """)
 
 

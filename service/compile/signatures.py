@@ -1,0 +1,135 @@
+"""Which kernels this process calls, and for which types they are compiled.
+
+`@kernel(Float64_2D, SurfelGrid, float)` declares the types of the arguments; here they become numba's. Python
+calls the kernels that modules outside of KERNEL_PACKAGE have imported.
+"""
+
+import logging
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+
+import numba
+import numpy as np
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import cpu_target
+from numba.np.numpy_support import from_dtype
+
+from service.compile.lazy import DECLARED, Layout, load_compiler
+
+log = logging.getLogger(__name__)
+
+KERNEL_PACKAGE = "service.kernels."
+BACK_END_PACKAGE = ".graph."  # shared, or of one profile
+MAX_VARIANTS = 2  # of the arrays in a kernel: a map of floats or of bytes
+
+
+class Job(NamedTuple):
+    """A kernel and which of its declared signatures."""
+
+    module: str
+    name: str
+    variant: int
+    length: int  # of its code in bytes: about as the time that it takes to compile
+
+    def do(self) -> None:
+        """Compile it, or load it from the cache; nothing where this process has it."""
+        kernel = getattr(import_module(self.module), self.name)
+        kernel.compile(declared_types(kernel)[self.variant])
+
+
+def jobs_of_process(back_end_elsewhere: bool = False) -> tuple[list[Job], list[Job]]:
+    """What the modules imported by now call: with every scan, and seldom; the longest first.
+
+    back_end_elsewhere   leave out what only the graph's back end calls
+    """
+    load_compiler()
+    found: tuple[set[Job], set[Job]] = set(), set()
+    for name, module in list(sys.modules.items()):
+        if not name.startswith("service.") or name.startswith(KERNEL_PACKAGE) or module is None:
+            continue
+        if back_end_elsewhere and BACK_END_PACKAGE in name:
+            continue
+        for kernel in [value for value in list(vars(module).values()) if isinstance(value, Dispatcher)]:
+            found[DECLARED[name_of(kernel)].is_seldom].update(_jobs_of(kernel))
+    every, seldom = (sorted(jobs, key=lambda job: (-job.length, job)) for jobs in found)
+    return every, seldom
+
+
+def new_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """numba's. Where Python calls it for types that it does not declare, `log_undeclared` hears it first."""
+    kernel: Any = numba.njit(**options)(function)
+    if name_of(kernel) in DECLARED:
+        compile_for_args = kernel._compile_for_args  # called for types without machine code
+
+        def checked(*arguments: Any) -> Any:
+            types = tuple(map(kernel.typeof_pyval, arguments))
+            if types not in declared_types(kernel):
+                log_undeclared(name_of(kernel), types)
+            return compile_for_args(*arguments)
+
+        kernel._compile_for_args = checked
+    return kernel
+
+
+def log_undeclared(name: str, types: tuple[types.Type, ...]) -> None:
+    """A fault of the program: scans wait until it is compiled."""
+    log.error("%s is compiled for types that it does not declare; scans wait meanwhile: %s", name, types)
+
+
+@cache
+def declared_types(kernel: Dispatcher) -> tuple[tuple[types.Type, ...], ...]:
+    """Of the arguments: one tuple for each signature. Raises KeyError for a kernel of kernels only."""
+    hints = DECLARED[name_of(kernel)].types
+    every = [tuple(_numba_type(hint, variant) for hint in hints) for variant in range(MAX_VARIANTS)]
+    return tuple(dict.fromkeys(every))
+
+
+def name_of(kernel: Dispatcher) -> str:
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+
+
+def start_compiler() -> None:
+    """Have numba read its registries, without scipy.
+
+    It would import scipy.linalg only to know whether np.dot can be had: half of the time that this takes. No
+    kernel multiplies matrices that way.
+    """
+    load_compiler()
+    if "scipy.linalg" in sys.modules:
+        return
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
+    try:
+        cpu_target.typing_context.refresh()
+        cpu_target.target_context.refresh()
+    finally:
+        del sys.modules["scipy.linalg"]
+
+
+@cache
+def _jobs_of(kernel: Dispatcher) -> list[Job]:
+    function, reached = kernel.py_func, {kernel}
+    for k in (waiting := [kernel]):
+        names = map(k.py_func.__globals__.get, k.py_func.__code__.co_names)
+        called = {called for called in names if isinstance(called, Dispatcher)} - reached
+        reached |= called
+        waiting += called
+    length = sum(len(k.py_func.__code__.co_code) for k in reached)
+    variants = range(len(declared_types(kernel)))
+    return [Job(function.__module__, function.__name__, variant, length) for variant in variants]
+
+
+def _numba_type(hint: Any, variant: int) -> types.Type:
+    """Of a NamedTuple, of Annotated[..., Layout, ...], of a scalar."""
+    if get_origin(hint) is Annotated:
+        layouts: list[Layout] = [x for x in get_args(hint) if isinstance(x, Layout)]
+        dtype, ndim, is_readonly = layouts[min(variant, len(layouts) - 1)]
+        return types.Array(from_dtype(np.dtype(dtype)), ndim, "C", readonly=is_readonly)
+    if issubclass(hint, tuple):
+        fields = get_type_hints(hint, include_extras=True).values()
+        members = [_numba_type(field, variant) for field in fields]
+        return types.BaseTuple.from_types(members, hint)  # type: ignore[no-untyped-call,no-any-return]
+    return from_dtype(np.dtype(hint))  # type: ignore[no-any-return]

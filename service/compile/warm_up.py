@@ -1,0 +1,180 @@
+"""Compiles the kernels that this process calls before the first scan, or loads them from the cache.
+
+numba compiles one kernel at a time and holds the interpreter meanwhile, so a further core needs a process of
+its own. Each process takes the next kernel until none is left. What the others have compiled is read from the
+cache that all share, and what they have not is compiled here.
+"""
+
+import gc
+import logging
+import os
+import pickle
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+
+from numba.core import event
+
+from service.compile.cache import compiling_alone, forget_kernels
+from service.compile.signatures import Job, jobs_of_process, start_compiler
+from service.compile.worker import Worker, job_of
+
+log = logging.getLogger(__name__)
+
+CUT_SHORT = (EOFError, pickle.UnpicklingError)  # a file of the cache that a power cut left empty or in part
+
+
+class KernelProgress:
+    """How many of the kernels that are not in the cache have been compiled.
+
+    on_change   called after each, by the thread that adds it
+    """
+
+    def __init__(
+        self, on_change: Callable[["KernelProgress"], object] = lambda progress: log.info("%s", progress)
+    ) -> None:
+        self._on_change = on_change
+        self._began_s = time.monotonic()
+        self._lengths: list[int] = []
+        self._done: list[int] = []
+
+    def expect(self, jobs: Iterable[Job]) -> None:
+        """These will be compiled."""
+        self._lengths += [job.length for job in jobs]
+
+    def done(self, job: Job) -> None:
+        """It is compiled, here or in another process."""
+        self._done.append(job.length)
+        self._on_change(self)
+
+    @property
+    def share(self) -> float:
+        """0 to 1, by length; 0 where none had to be compiled."""
+        return sum(self._done) / max(sum(self._lengths), 1)
+
+    def __str__(self) -> str:
+        taken_s = time.monotonic() - self._began_s
+        if not self._lengths:
+            return f"loading kernels, {taken_s:.0f} s"
+        return f"compiling kernels: {len(self._done)} of {len(self._lengths)}, {taken_s:.0f} s"
+
+
+def warm_up(
+    back_end_elsewhere: bool = False, progress: KernelProgress | None = None, leaves_seldom: bool = False
+) -> list[Job]:
+    """Compile the kernels that the modules imported by now call, or load them from the cache.
+
+    Half a second where the cache has them, nothing where this process has them. Call ensure_cache_dir first.
+    A cache that cannot be read is emptied, with a warning, and filled again.
+
+    back_end_elsewhere   leave out what only the graph's back end calls: its process loads that itself
+    progress             left out, the log says how far it is
+    leaves_seldom        leave out what not every scan calls and the cache does not have
+    Returns what is left out for that.
+    """
+    progress = progress or KernelProgress()
+    start_compiler()
+    jobs, seldom = jobs_of_process(back_end_elsewhere)
+    with _without_garbage_collection():
+        try:
+            missing = _missing(jobs + seldom)
+        except CUT_SHORT as error:
+            if not forget_kernels():
+                raise
+            log.warning("compiled kernels could not be read (%r); all are compiled again", error)
+            missing = _missing(jobs + seldom)
+        left = [job for job in missing if leaves_seldom and job in seldom]
+        if now := [job for job in missing if job not in left]:
+            progress.expect(now)
+            _compile(deque(now), progress)
+    return left
+
+
+def warm_up_in_turn(progress: KernelProgress) -> None:
+    """As warm_up; of processes that share a cache one compiles at a time, and the others load that."""
+    with compiling_alone():
+        warm_up(progress=progress)
+
+
+def _missing(jobs: Iterable[Job]) -> list[Job]:
+    """Load what is in the cache; the rest."""
+
+    def is_loaded(job: Job) -> bool:
+        with suppress(_NotCachedError):
+            job.do()
+            return True
+        return False
+
+    with event.install_listener("numba:compile", _OnlyFromCache()):
+        return [job for job in jobs if not is_loaded(job)]
+
+
+class _NotCachedError(Exception):
+    """A kernel would have to be compiled."""
+
+
+class _OnlyFromCache(event.Listener):
+    def on_start(self, event: event.Event) -> None:
+        raise _NotCachedError
+
+    def on_end(self, event: event.Event) -> None:
+        return
+
+
+def _compile(left: deque[Job], progress: KernelProgress) -> None:
+    """With a process for each further core."""
+    further_cores = len(os.sched_getaffinity(0)) - 1
+    with ThreadPoolExecutor(further_cores or 1, "warm-up-helper") as pool:
+        helpers = [pool.submit(_help, left, progress) for _ in range(further_cores)]
+        try:
+            while job := _next(left):
+                job.do()
+                progress.done(job)
+        finally:
+            left.clear()
+        for job in [job for helper in helpers for job in helper.result()]:
+            job.do()
+
+
+def _help(left: deque[Job], progress: KernelProgress) -> list[Job]:
+    """Have a process compile one job after the other; those that it was given."""
+    given = []
+    with Worker() as worker:
+        assert worker.stdout is not None
+        for line in worker.stdout:
+            if done := job_of(line):
+                progress.done(done)
+                continue
+            if job := _next(left):
+                given.append(job)
+            with suppress(BrokenPipeError):  # it has ended, see below
+                worker.send(job)
+    if worker.returncode:
+        log.warning(
+            "the process that helps to compile ended with code %d; its part is compiled here",
+            worker.returncode,
+        )
+    return given
+
+
+def _next(left: deque[Job]) -> Job | None:
+    try:
+        return left.popleft()
+    except IndexError:
+        return None
+
+
+@contextmanager
+def _without_garbage_collection() -> Iterator[None]:
+    """Collects the compiler's objects when all is compiled: collections meanwhile take a tenth of the time;
+    without any, the process needs 200 MB more.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

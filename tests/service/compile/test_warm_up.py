@@ -1,0 +1,176 @@
+import gc
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba import njit
+
+from service.compile import warm_up as module
+from service.compile.signatures import Job
+from service.compile.warm_up import KernelProgress, warm_up
+from service.compile.worker import Worker
+
+CORES = {0, 1}
+
+
+class Work:
+    """Jobs in place of the kernels of this process; "cached" ones compile nothing."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.done: list[str] = []
+        self.sought_garbage: list[bool] = []
+        monkeypatch.setattr(Job, "do", lambda job: self._do(job))
+        self._monkeypatch = monkeypatch
+
+    def is_to_do(self, every: str, seldom: str = "") -> None:
+        jobs = (
+            [Job("made_up", name, 0, 10) for name in every.split()],
+            [Job("made_up", name, 0, 10) for name in seldom.split()],
+        )
+        self._monkeypatch.setattr(module, "jobs_of_process", lambda back_end_elsewhere: jobs)
+
+    def _do(self, job: Job) -> None:
+        if not job.name.startswith("cached") and job.name not in self.done:
+            self.sought_garbage.append(gc.isenabled())
+            if job.name == "broken":
+                raise TypeError("cannot lower")
+            njit(lambda x: x + 1)(1)
+        self.done.append(job.name)
+
+
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> Work:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0})
+    return Work(monkeypatch)
+
+
+def worker_that(does: str) -> type[Worker]:
+    """A process that does something else instead of compiling."""
+
+    class Pretended(subprocess.Popen[bytes]):
+        def __init__(self) -> None:
+            pipe = subprocess.PIPE
+            command = [sys.executable, "-c", f"import sys\nprint('null', flush=True)\n{does}"]
+            super().__init__(command, bufsize=0, stdin=pipe, stdout=pipe)
+
+        send = Worker.send
+
+    return Pretended  # type: ignore[return-value]
+
+
+OBEYS = "for line in sys.stdin:\n    if line == 'null\\n': break\n    print(line + 'null', flush=True)"
+DIES = "sys.stdin.readline()\nsys.exit(3)"
+
+
+@pytest.mark.parametrize(("does", "warning"), [(OBEYS, ""), (DIES, "ended with code 3")])
+def test_what_a_further_process_took_is_loaded_here_or_compiled_if_it_died(
+    does: str, warning: str, work: Work, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    names = {f"job{k}" for k in range(50)}
+    work.is_to_do(" ".join(names))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: CORES)
+    monkeypatch.setattr(module, "Worker", worker_that(does))
+    warm_up()
+    assert sorted(work.done) == sorted(names)  # each once in this process
+    assert (warning in caplog.text) if warning else (caplog.text == "")
+
+
+def test_no_process_begins_where_all_is_in_the_cache(work: Work, monkeypatch: pytest.MonkeyPatch):
+    work.is_to_do("cached1 cached2", "cached3")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: CORES)
+    monkeypatch.setattr(module, "Worker", lambda: pytest.fail("a process was begun"))
+    changes: list[float] = []
+    assert warm_up(progress=KernelProgress(lambda p: changes.append(p.share))) == []
+    assert work.done == ["cached1", "cached2", "cached3"]
+    assert changes == []
+
+
+def test_progress_is_that_of_what_is_not_in_the_cache(work: Work):
+    work.is_to_do("cached a b", "c d")
+    said: list[tuple[float, str]] = []
+    progress = KernelProgress(lambda p: said.append((p.share, str(p).rpartition(",")[0])))
+    assert str(progress) == "loading kernels, 0 s"
+    warm_up(progress=progress)
+    assert said == [(k / 4, f"compiling kernels: {k} of 4") for k in range(1, 5)]
+
+
+def test_seldom_kernels_that_are_not_in_the_cache_are_left_out_on_request(work: Work):
+    work.is_to_do("a", "cached b c")
+    left = warm_up(leaves_seldom=True)
+    assert [job.name for job in left] == ["b", "c"]
+    assert work.done == ["cached", "a"]
+    assert warm_up() == []
+    assert work.done[-2:] == ["b", "c"]
+
+
+@pytest.mark.parametrize("is_enabled", [True, False])
+def test_no_garbage_is_collected_while_kernels_are_compiled(is_enabled: bool, work: Work):
+    work.is_to_do("broken")
+    try:
+        (gc.enable if is_enabled else gc.disable)()
+        with pytest.raises(TypeError, match="cannot lower"):
+            warm_up()
+        assert gc.isenabled() == is_enabled
+    finally:
+        gc.enable()
+    assert set(work.sought_garbage) == {False}
+
+
+def test_a_cache_that_was_cut_short_is_emptied_and_filled_again(
+    work: Work, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    damaged = tmp_path / "match.match_scan-1.py311.nbi"
+    damaged.write_bytes(b"")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    work.is_to_do("cached")
+    do = Job.do
+
+    def load(job: Job) -> None:
+        if damaged.exists():
+            pickle.loads(damaged.read_bytes())
+        do(job)
+
+    monkeypatch.setattr(Job, "do", load)
+    warm_up()
+    assert work.done == ["cached"]
+    assert not damaged.exists()
+    assert "all are compiled again" in caplog.text
+
+
+def test_what_cannot_be_read_from_an_empty_cache_is_raised(
+    work: Work, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    def broken(job: Job) -> None:
+        raise EOFError
+
+    work.is_to_do("cached")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(Job, "do", broken)
+    with pytest.raises(EOFError):
+        warm_up()
+
+
+def test_a_script_that_maps_as_it_is_imported_is_not_run_by_the_processes_that_compile(tmp_path: Path):
+    (tmp_path / "script.py").write_text(
+        "from service.compile.worker import Worker\n"
+        "print('mapped', flush=True)\n"
+        "with Worker() as worker:\n"
+        "    assert worker.stdout.readline() == b'null\\n'\n"
+        "    worker.send(None)\n"
+        "assert worker.returncode == 0\n"
+    )
+    command = [sys.executable, str(tmp_path / "script.py")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (ended.stdout, ended.stderr) == ("mapped\n", "")
+
+
+def test_a_process_that_compiles_ends_with_the_one_that_began_it():
+    with Worker() as worker:
+        assert worker.stdout is not None
+        worker.stdout.readline()
+        assert worker.stdin is not None
+        worker.stdin.close()
+    assert worker.returncode == 1
