@@ -1,4 +1,4 @@
-"""What `corridor doctor` knows of a type of sensor beyond its config, its wire and its session.
+"""What `corridor doctor` and `corridor init` know of a type of sensor beyond its config, wire and session.
 
 It stands beside the sensor (drivers/<sensor>/advice.py) and every part of it may be left out: a sensor
 without advice is looked at all the same, by its session alone.
@@ -24,6 +24,9 @@ class OtherSettings(NamedTuple):
 class Advice:
     """The callables take the sensor's own config model.
 
+    name            of the first such sensor in a config that `corridor init` writes; "": its type
+    at_host         settings with which `corridor init` asks whether this sensor is at a host; None: not asked
+    at_port         the same of a serial port
     rate_hz         frames a second that the config asks for, None where nobody knows
     recognise       which device sends these bytes, in words; "" where it is not this type of sensor. Raises
                     nothing for any bytes up to 16 KiB
@@ -36,6 +39,9 @@ class Advice:
     silence         what to do about a device that sends nothing
     """
 
+    name: str = ""
+    at_host: Mapping[str, Any] | None = None
+    at_port: Mapping[str, Any] | None = None
     rate_hz: Callable[[Any], float | None] = lambda config: None
     recognise: Callable[[bytes], str] = lambda data: ""
     bauds: tuple[int, ...] = ()

@@ -33,6 +33,9 @@ def settings_of(identity: Mapping[str, str]) -> dict[str, Any]:
 
 
 ADVICE = Advice(
+    name="utm",
+    at_host={},
+    at_port={},
     rate_hz=rate_hz,
     recognise=recognise,
     doubt=doubt,

@@ -22,6 +22,8 @@ def recognise(data: bytes) -> str:
 
 
 ADVICE = Advice(
+    name="lux",
+    at_host={},
     rate_hz=rate_hz,
     recognise=recognise,
     worries=(

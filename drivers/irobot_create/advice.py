@@ -28,6 +28,8 @@ def recognise(data: bytes) -> str:
 
 
 ADVICE = Advice(
+    name="base",
+    at_port={},
     rate_hz=rate_hz,
     recognise=recognise,
     bauds=(115_200, 57_600, 38_400, 28_800, 19_200),

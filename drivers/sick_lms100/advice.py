@@ -54,6 +54,8 @@ def settings_of(identity: Mapping[str, str]) -> dict[str, Any]:
 
 
 ADVICE = Advice(
+    name="lms",
+    at_host={},
     rate_hz=rate_hz,
     recognise=recognise,
     other_settings=other_settings,

@@ -39,6 +39,8 @@ def doubt(config: XsensMtigConfig, identity: Mapping[str, str]) -> str:
 
 
 ADVICE = Advice(
+    name="imu",
+    at_port={"baud": 115_200},
     rate_hz=rate_hz,
     recognise=recognise,
     bauds=LIKELY_BAUDS,

@@ -26,16 +26,6 @@ from service.sensor_kinds import SENSOR_KINDS
 ASK_S = 8.0  # for the first answer of one type of device; a LUX may be silent for seconds
 LISTEN_S = 0.6
 LISTEN_BAUD = 115_200
-BY_HOST: tuple[tuple[str, Mapping[str, Any]], ...] = (
-    ("sick_lms100", {}),
-    ("hokuyo_utm30lx", {}),
-    ("ibeo_lux", {}),
-)
-BY_PORT: tuple[tuple[str, Mapping[str, Any]], ...] = (  # a robot before the unit whose bytes it might take
-    ("hokuyo_utm30lx", {}),
-    ("irobot_create", {}),
-    ("xsens_mtig", {"baud": LISTEN_BAUD}),
-)
 PORT_NAMES = ("corridor/*", "serial/by-id/*", "ttyACM*", "ttyUSB*")  # the names that stay come first
 
 
@@ -104,13 +94,12 @@ def discover(wires: Sequence[Wire], ask_s: float = ASK_S) -> list[Found]:
 
 
 def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
-    candidates = BY_PORT if wire.device else BY_HOST
-    if wire.type:
-        candidates = ((wire.type, {}),)
-    elif wire.device.startswith(("/", ".")) and (heard := _heard(wire.device, stop)):
-        candidates = tuple(c for c in candidates if recognise_sensor(heard, c[0])) or candidates
+    candidates: Mapping[str, Mapping[str, Any]] = {wire.type: {}} if wire.type else _asked_at(wire)
+    if not wire.type and wire.device.startswith(("/", ".")) and (heard := _heard(wire.device, stop)):
+        recognised = {kind: candidates[kind] for kind in candidates if recognise_sensor(heard, kind)}
+        candidates = recognised or candidates
     words: list[str] = []
-    for kind, settings in candidates:
+    for kind, settings in candidates.items():
         try:
             found = _ask_for(wire, kind, settings, ask_s, stop)
         except ValidationError as error:  # of these settings, or of those that the device shows
@@ -120,6 +109,13 @@ def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
             return found
         words.append(found.words)
     return Found(wire, words="; ".join(dict.fromkeys(words)))
+
+
+def _asked_at(wire: Wire) -> dict[str, Mapping[str, Any]]:
+    """Types that may be there, in the order of asking, and the settings to ask with."""
+    advice = {name: kind.advice for name, kind in SENSOR_KINDS.items()}
+    settings = {name: one.at_port if wire.device else one.at_host for name, one in advice.items()}
+    return {name: asked for name, asked in settings.items() if asked is not None}
 
 
 def _heard(device: str, stop: threading.Event) -> bytes:

@@ -15,13 +15,6 @@ from service.offline.writing import refuse_unwritable_file
 from service.resources import CONFIG
 from service.sensor_kinds import SENSOR_KINDS
 
-NAMES = {
-    "sick_lms100": "lms",
-    "hokuyo_utm30lx": "utm",
-    "ibeo_lux": "lux",
-    "xsens_mtig": "imu",
-    "irobot_create": "base",
-}
 REST = re.compile(r"^(?:#[^\n]*\n)*mapping:\n.*", re.MULTILINE | re.DOTALL)  # the same for all devices
 EXAMPLE_DATA = "/var/lib/corridor"  # in config/vehicle.yaml
 HEAD = """\
@@ -78,10 +71,9 @@ def write_new_config(
         raise UsageError(
             "this machine has no serial port; name the hosts to ask: corridor init 192.168.0.1, say"
         )
-    stand_in = Found(wires[0], "sick_lms100", {"host": "192.168.0.1"})
-    parse_config(
-        render({"lms": stand_in}, vehicle, data, out), str(out)
-    )  # before devices are asked for a minute
+    at_host = next(name for name, kind in SENSOR_KINDS.items() if kind.advice.at_host is not None)
+    stand_in = Found(wires[0], at_host, {"host": "192.168.0.1"})
+    parse_config(render({"any": stand_in}, vehicle, data, out), str(out))  # devices are asked for a minute
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -114,7 +106,7 @@ def named(found: Sequence[Found]) -> dict[str, Found]:
     """By names that fit their types: lms, lms_2, imu ..."""
     sensors: dict[str, Found] = {}
     for one in found:
-        name, number = NAMES.get(one.type, one.type), 1
+        name, number = SENSOR_KINDS[one.type].advice.name or one.type, 1
         while (free := name if number == 1 else f"{name}_{number}") in sensors:
             number += 1
         sensors[free] = one
