@@ -25,6 +25,7 @@ from service.encoding import Message
 from service.errors import StorageError, words_of
 from service.recording.mcap_file import ACTIVE_SUFFIX, LATCHED, McapFile, StreamOpener, create_stream
 from service.recording.mcap_recovery import Leftovers
+from service.recording.session_change import SessionChange, SessionHeard
 
 log = logging.getLogger(__name__)
 
@@ -45,18 +46,6 @@ State = Literal["waiting", "recording", "stopped", "disk full", "disk error", "f
 class _Metadata:
     name: str
     values: dict[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class SessionChange:
-    """What became of the request to begin or to end a session."""
-
-    changed: bool  # False: it was so already
-    files: list[Path]  # the one being written; of an ended session all, complete, oldest first
-    error: str  # why the disk does not do it, else ""
-
-
-SessionHeard = Callable[[SessionChange], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from service.errors import StorageError
 from service.mapper.edit_requests import Who
 from service.mapper.mapping_session import GraphRequest, LoadMap, SessionAction
 from service.publishing.commands import CommandError, Outcome, Request, Verb
-from service.recording.mcap_recorder import SessionChange
+from service.recording.session_change import SessionChange
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import Answer
 from service.runtime.mapping_outputs import MappingOutputs

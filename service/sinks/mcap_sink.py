@@ -8,7 +8,8 @@ from drivers.counted import counted
 from service.encoding import ERROR, OK, WARNING, Message, Status, encode_event
 from service.errors import StorageError
 from service.recording.config import RecordingConfig
-from service.recording.mcap_recorder import McapRecorder, SessionHeard
+from service.recording.mcap_recorder import McapRecorder
+from service.recording.session_change import SessionHeard
 from service.sinks.sink import Sink, SinkContext
 
 _LEVELS = {

@@ -7,6 +7,7 @@ from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
 from service.publishing.ros2_names import MAP, OF_SENSORS, TOPICS
 from service.publishing.ros2_topics import Ros2Topics
+from service.publishing.shared import SharedZenoh
 from service.sinks.counted_row import counted_row
 from service.sinks.sink import Sink, SinkContext
 
@@ -25,7 +26,7 @@ class Ros2Sink(Sink):
         self._context = context
         self._place = f"domain {config.ros2.domain}, {config.ros2.namespace or '/'}"
         self._routers = ", ".join(config.connect) if config.ros2.router == "connect" else ""
-        self._topics = Ros2Topics(config, context.zenoh, context.tiles)
+        self._topics = Ros2Topics(config, context.shared.of(SharedZenoh), context.tiles)
 
     def start(self) -> None:
         self._topics.answer(self._context.command, self._context.folders.get("map"))

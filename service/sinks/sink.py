@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 from drivers.link import LinkHealth
 from service.encoding import Message, Status
@@ -16,8 +16,24 @@ from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer
-from service.publishing.shared import SharedZenoh
-from service.recording.mcap_recorder import SessionHeard
+from service.recording.session_change import SessionHeard
+
+PartT = TypeVar("PartT")
+
+
+class Shared:
+    """What several sinks of one service use: a session, say. Sinks are opened one after the other."""
+
+    def __init__(self) -> None:
+        self._made: dict[type, object] = {}
+
+    def of(self, part: type[PartT]) -> PartT:
+        """The same for all; the first who asks has it made."""
+        if part not in self._made:
+            self._made[part] = part()
+        made = self._made[part]
+        assert isinstance(made, part)
+        return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +58,7 @@ class SinkContext:
     is_paused: Callable[[], bool]  # whether a command has paused the mapping
     present_profile: Callable[[], str]  # that maps now
     pose_sent: Callable[[int], None]  # takes ns from the last byte of a scan to its pose on the network
-    zenoh: SharedZenoh = field(default_factory=SharedZenoh)  # of the sinks that speak it
+    shared: Shared = field(default_factory=Shared)  # what several sinks of this service use
 
 
 class Sink(Protocol):

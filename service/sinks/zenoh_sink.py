@@ -6,6 +6,7 @@ from dataclasses import replace
 from service.encoding import Message, Status, decode_diagnostics
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
+from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.sinks.counted_row import counted_row
 from service.sinks.sink import Sink, SinkContext
@@ -29,7 +30,7 @@ class ZenohSink(Sink):
     def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
         self._context = context
         self._publisher = ZenohPublisher(
-            config, context.vehicle, context.tiles, context.pose_sent, shared=context.zenoh
+            config, context.vehicle, context.tiles, context.pose_sent, shared=context.shared.of(SharedZenoh)
         )
 
     def start(self) -> None:

@@ -13,8 +13,9 @@ from service.encoding import STRING, Message, decode_event, encode_event
 from service.errors import StorageError
 from service.recording import mcap_recorder
 from service.recording.mcap_reader import Recording
-from service.recording.mcap_recorder import McapRecorder, SessionChange
+from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_recovery import recover
+from service.recording.session_change import SessionChange
 from tests.service.recording.sessions import (
     PLENTY,
     T0_NS,

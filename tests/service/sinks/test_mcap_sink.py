@@ -9,7 +9,7 @@ from service.errors import StorageError
 from service.recording.config import RecordingConfig
 from service.recording.mcap_file import McapFile
 from service.recording.mcap_reader import Recording
-from service.recording.mcap_recorder import SessionChange
+from service.recording.session_change import SessionChange
 from service.sinks.mcap_sink import McapSink
 from tests.service.sinks.contexts import sink_context
 
