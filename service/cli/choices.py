@@ -6,12 +6,14 @@ A test holds them against simulators.worlds and service.mapper.profiles.
 import argparse
 import difflib
 from collections.abc import Sequence
+from pathlib import Path
 
+METHODS = Path(__file__).parents[1] / "mapper" / "methods"  # a folder for each profile
 WORLDS = (
     *("corridor100", "crowd", "featureless", "floor", "glass_corridor", "glass_hall", "hall100", "hall200"),
     *("hall300", "library", "mall", "office", "ring", "room", "spins", "stop_and_go", "t_room"),
 )
-PROFILES = ("corridor", "contour_lm", "imle", "owolm_eskf", "submap_graph")
+PROFILES = tuple(sorted(path.parent.name for path in METHODS.glob("*/method.py")))
 
 
 class OneOf:
