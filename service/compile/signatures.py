@@ -18,7 +18,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.np.numpy_support import from_dtype
 
-from service.compile.lazy import DECLARED, Layout, load_compiler
+from service.compile.lazy import DECLARED, load_compiler
 
 log = logging.getLogger(__name__)
 
@@ -123,9 +123,11 @@ def _jobs_of(kernel: Dispatcher) -> list[Job]:
 
 
 def _numba_type(hint: Any, variant: int) -> types.Type:
-    """Of a NamedTuple, of Annotated[..., Layout, ...], of a scalar."""
+    """Of a NamedTuple, of Annotated[array, Layout, ...], of Annotated[NamedTuple, variant], of a scalar."""
     if get_origin(hint) is Annotated:
-        layouts: list[Layout] = [x for x in get_args(hint) if isinstance(x, Layout)]
+        of, *layouts = get_args(hint)
+        if isinstance(layouts[0], int):  # of a NamedTuple this variant alone
+            return _numba_type(of, layouts[0])
         dtype, ndim, is_readonly = layouts[min(variant, len(layouts) - 1)]
         return types.Array(from_dtype(np.dtype(dtype)), ndim, "C", readonly=is_readonly)
     if issubclass(hint, tuple):

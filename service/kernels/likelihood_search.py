@@ -8,7 +8,7 @@ Sums are float32 in the order of the points.
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,9 @@ class LikelihoodLayer(NamedTuple):
     offset: float
     scale: float
     cell_m: float
+
+
+ByteLayer = Annotated[LikelihoodLayer, 1]  # the second kind of LikelihoodCells
 
 
 class SearchWindow(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D, UInt8_1D, UInt8_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.likelihood_search import LikelihoodLayer
+from service.kernels.likelihood_search import ByteLayer
 from service.kernels.tiles import NO_TILE, find_tile
 
 RINGS = 2  # around the cell that was hit
@@ -56,7 +56,7 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
                 cells[slot, r, c] = level
 
 
-@kernel(Float64_2D, Int32_1D, LikelihoodLayer, UInt8_1D, UInt8_1D, int, Float64_1D)
+@kernel(Float64_2D, Int32_1D, ByteLayer, UInt8_1D, UInt8_1D, int, Float64_1D)
 def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
     """Draw a scan: a cell for each point, and a line where two neighbouring beams end close to each other.
 
@@ -108,7 +108,7 @@ def mean_value(xy_base, pose, layer):
     return total / xy_base.shape[0]
 
 
-@kernel(Float64_2D, LikelihoodLayer, Float64_1D, Float64_2D, float, float)
+@kernel(Float64_2D, ByteLayer, Float64_1D, Float64_2D, float, float)
 def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
     """Climb by chance: try places around the best so far; look more closely once enough were tried in vain.
 

@@ -94,7 +94,7 @@ def test_the_address_of_the_page_is_said_once_and_not_before_it_is_served(
         raise RunEndedError
 
     monkeypatch.setattr(demo, "run", run)
-    monkeypatch.setattr(demo, "warm_up", lambda mapping, kernels: None)
+    monkeypatch.setattr(demo, "warm_up", lambda progress: None)
     monkeypatch.setattr(
         demo, "simulators", lambda options, truth: contextlib.nullcontext(Simulators(None, []))
     )

@@ -84,7 +84,7 @@ def test_bash_completes_commands_options_names_and_files(tmp_path: Path):
     lines = {
         "corridor re": "replay report recover",
         "corridor replay --prof": "--profile",
-        "corridor replay --profile c": "corridor contour_lm",
+        "corridor replay --profile c": "contour_lm corridor",
         "corridor check v": "vehicle.yaml",
     }
     script = 'source <(corridor completion bash); for COMP_LINE in "$@"; do COMP_POINT=${#COMP_LINE}; '
@@ -163,7 +163,7 @@ def test_a_name_that_is_nearly_right_is_offered_and_all_are_named(capsys: pytest
     said = capsys.readouterr().err
     assert "no world 'ofice'; did you mean office? there are corridor100, crowd, " in said
     assert code_of(["replay", "a.mcap", "--profile", "icp"]) == UsageError.exit_code
-    assert "no profile 'icp'; there are corridor, contour_lm, " in capsys.readouterr().err
+    assert "no profile 'icp'; there are contour_lm, corridor, " in capsys.readouterr().err
 
 
 def test_the_names_that_help_lists_are_those_there_are(capsys: pytest.CaptureFixture[str]):
