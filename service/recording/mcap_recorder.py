@@ -322,6 +322,7 @@ class McapRecorder:
             file = None
         if file is None:
             file = self._open(message)
+            self._sync_at_s = self._monotonic_s()  # with this batch: until then the file is empty
         file.write(message)
         self._unsynced[message.channel] += 1
         self.health.messages += 1

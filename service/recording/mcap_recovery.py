@@ -420,11 +420,17 @@ class Leftovers:
 
 
 def recover_leftovers(paths: Sequence[Path]) -> None:
-    """Recover each; what holds nothing is renamed so that it is not tried again, what fails is logged."""
+    """Recover each; an empty one is removed, one that cannot be read is renamed so that it is not tried again,
+    what fails is logged.
+    """
     for path in paths:
         try:
             if is_locked(path):
                 continue  # another service writes to the same directory
+            if path.stat().st_size == 0:  # killed before the first batch was written
+                path.unlink()
+                log.info("removed %s, which was empty", path)
+                continue
             log.info("recovered %s", recover(path))
         except InUseError as error:  # since the look above
             log.info("%s", error)

@@ -208,6 +208,13 @@ def test_a_leftover_that_another_began_to_recover_meanwhile_is_left_to_it(active
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_an_empty_leftover_is_removed(tmp_path):
+    path = tmp_path / "x.mcap.active"
+    path.touch()
+    recover_leftovers([path])
+    assert not path.exists()
+
+
 def test_what_is_no_mcap_is_refused_with_what_was_found(tmp_path):
     path = tmp_path / "notes.txt"
     path.write_text("hello, this is text")
