@@ -420,8 +420,8 @@ class Leftovers:
 
 
 def recover_leftovers(paths: Sequence[Path]) -> None:
-    """Recover each; an empty one is removed, one that cannot be read is renamed so that it is not tried again,
-    what fails is logged.
+    """Recover each; an empty one is removed, one that cannot be read is renamed so that it is not tried
+    again, what fails is logged.
     """
     for path in paths:
         try:
