@@ -6,7 +6,7 @@ calls the kernels that modules outside of KERNEL_PACKAGE have imported.
 
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib import import_module
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
@@ -37,8 +37,15 @@ class Job(NamedTuple):
 
     def do(self) -> None:
         """Compile it, or load it from the cache; nothing where this process has it."""
-        kernel = getattr(import_module(self.module), self.name)
+        kernel = self._kernel()
         kernel.compile(declared_types(kernel)[self.variant])
+
+    def reached(self) -> frozenset[Dispatcher]:
+        """The kernel, and all that it calls: what is compiled with it."""
+        return _reached_from(self._kernel())
+
+    def _kernel(self) -> Any:
+        return getattr(import_module(self.module), self.name)
 
 
 def jobs_of_process(back_end_elsewhere: bool = False) -> tuple[list[Job], list[Job]]:
@@ -109,17 +116,27 @@ def start_compiler() -> None:
         del sys.modules["scipy.linalg"]
 
 
+def code_length(kernels: Iterable[Dispatcher]) -> int:
+    """Bytes of Python's code."""
+    return sum(len(kernel.py_func.__code__.co_code) for kernel in kernels)
+
+
 @cache
 def _jobs_of(kernel: Dispatcher) -> list[Job]:
-    function, reached = kernel.py_func, {kernel}
+    function, length = kernel.py_func, code_length(_reached_from(kernel))
+    variants = range(len(declared_types(kernel)))
+    return [Job(function.__module__, function.__name__, variant, length) for variant in variants]
+
+
+@cache
+def _reached_from(kernel: Dispatcher) -> frozenset[Dispatcher]:
+    reached = {kernel}
     for k in (waiting := [kernel]):
         names = map(k.py_func.__globals__.get, k.py_func.__code__.co_names)
         called = {called for called in names if isinstance(called, Dispatcher)} - reached
         reached |= called
         waiting += called
-    length = sum(len(k.py_func.__code__.co_code) for k in reached)
-    variants = range(len(declared_types(kernel)))
-    return [Job(function.__module__, function.__name__, variant, length) for variant in variants]
+    return frozenset(reached)
 
 
 def _numba_type(hint: Any, variant: int) -> types.Type:

@@ -9,16 +9,17 @@ import gc
 import logging
 import os
 import pickle
+import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 
 from numba.core import event
+from numba.core.dispatcher import Dispatcher
 
 from service.compile.cache import compiling_alone, forget_kernels
-from service.compile.signatures import Job, jobs_of_process, start_compiler
+from service.compile.signatures import Job, code_length, jobs_of_process, start_compiler
 from service.compile.worker import Worker, job_of
 
 log = logging.getLogger(__name__)
@@ -88,7 +89,7 @@ def warm_up(
         left = [job for job in missing if leaves_seldom and job in seldom]
         if now := [job for job in missing if job not in left]:
             progress.expect(now)
-            _compile(deque(now), progress)
+            _compile(_Left(now), progress)
     return left
 
 
@@ -123,13 +124,38 @@ class _OnlyFromCache(event.Listener):
         return
 
 
-def _compile(left: deque[Job], progress: KernelProgress) -> None:
+class _Left:
+    """Jobs that nobody has taken yet. Each process takes the one that shares most with what it has compiled:
+    two that compile kernels with the same inner ones at a time would compile these twice.
+    """
+
+    def __init__(self, jobs: list[Job]) -> None:
+        self._jobs = jobs
+        self._lock = threading.Lock()
+
+    def take(self, compiled: set[Dispatcher]) -> Job | None:
+        """`compiled` by the process that takes the job; what the job reaches is added."""
+        with self._lock:
+            if not self._jobs:
+                return None
+            job = max(self._jobs, key=lambda job: (code_length(job.reached() & compiled), job.length))
+            self._jobs.remove(job)
+            compiled |= job.reached()
+            return job
+
+    def clear(self) -> None:
+        with self._lock:
+            self._jobs.clear()
+
+
+def _compile(left: _Left, progress: KernelProgress) -> None:
     """With a process for each further core."""
     further_cores = len(os.sched_getaffinity(0)) - 1
     with ThreadPoolExecutor(further_cores or 1, "warm-up-helper") as pool:
         helpers = [pool.submit(_help, left, progress) for _ in range(further_cores)]
         try:
-            while job := _next(left):
+            compiled: set[Dispatcher] = set()
+            while job := left.take(compiled):
                 job.do()
                 progress.done(job)
         finally:
@@ -138,16 +164,17 @@ def _compile(left: deque[Job], progress: KernelProgress) -> None:
             job.do()
 
 
-def _help(left: deque[Job], progress: KernelProgress) -> list[Job]:
+def _help(left: _Left, progress: KernelProgress) -> list[Job]:
     """Have a process compile one job after the other; those that it was given."""
-    given = []
+    given: list[Job] = []
+    compiled: set[Dispatcher] = set()
     with Worker() as worker:
         assert worker.stdout is not None
         for line in worker.stdout:
             if done := job_of(line):
                 progress.done(done)
                 continue
-            if job := _next(left):
+            if job := left.take(compiled):
                 given.append(job)
             with suppress(BrokenPipeError):  # it has ended, see below
                 worker.send(job)
@@ -157,13 +184,6 @@ def _help(left: deque[Job], progress: KernelProgress) -> list[Job]:
             worker.returncode,
         )
     return given
-
-
-def _next(left: deque[Job]) -> Job | None:
-    try:
-        return left.popleft()
-    except IndexError:
-        return None
 
 
 @contextmanager

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 from numba import njit
+from numba.core.dispatcher import Dispatcher
 
 from service.compile import warm_up as module
-from service.compile.signatures import Job
+from service.compile.signatures import Job, jobs_of_process
 from service.compile.warm_up import KernelProgress, warm_up
 from service.compile.worker import Worker
+from service.mapper.profiles import mapping_config
 
 CORES = {0, 1}
 
@@ -23,6 +25,7 @@ class Work:
         self.done: list[str] = []
         self.sought_garbage: list[bool] = []
         monkeypatch.setattr(Job, "do", lambda job: self._do(job))
+        monkeypatch.setattr(Job, "reached", lambda job: frozenset())
         self._monkeypatch = monkeypatch
 
     def is_to_do(self, every: str, seldom: str = "") -> None:
@@ -174,3 +177,20 @@ def test_a_process_that_compiles_ends_with_the_one_that_began_it():
         assert worker.stdin is not None
         worker.stdin.close()
     assert worker.returncode == 1
+
+
+def test_a_process_takes_the_kernel_that_shares_most_with_what_it_has_compiled():
+    mapping_config()
+    jobs = {job.name: job for job in jobs_of_process()[0]}
+    names = ("match_scan", "predict_motion", "take_match", "see_bias")
+    left = module._Left([jobs[name] for name in names])
+    here: set[Dispatcher] = set()
+    there: set[Dispatcher] = set()
+    taken = [left.take(compiled) for compiled in (here, there, here, there, here)]
+    assert [job and job.name for job in taken] == [
+        "match_scan",
+        "predict_motion",
+        "see_bias",
+        "take_match",
+        None,
+    ]
