@@ -47,7 +47,7 @@ class Sightings(NamedTuple):
 
 
 class StaticScoreSettings(NamedTuple):
-    """Documented in service/mapper/methods/corridor/dynamic_filter.py; times in ticks."""
+    """Documented in service/mapper/scan_match/dynamic_filter.py; times in ticks."""
 
     enough: int
     free: int

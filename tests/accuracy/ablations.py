@@ -12,7 +12,7 @@ from tests.papers.report import Section
 from tests.simulated import LMS100_50HZ, Drive, run
 
 # what is switched off, and by which keys, or by which constant; None: sweeps are declared instants
-DYNAMIC_FILTER = "service.mapper.methods.corridor.dynamic_filter"
+DYNAMIC_FILTER = "service.mapper.scan_match.dynamic_filter"
 PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ("nothing", {}),
     ("deskew", None),

@@ -11,8 +11,8 @@ from service.fusion.motion import Motion, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
-from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
-from service.mapper.methods.corridor.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
+from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
+from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from simulators.world import World
 from simulators.worlds import build_world
 from tests.papers.report import Row, Section

@@ -12,12 +12,12 @@ from unittest.mock import patch
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.corrections import corrected
-from service.mapper.graph.point_clouds import SurfelSet, cloud_with_noise
-from service.mapper.methods.corridor.graph.keyframe_list import KeyFrame
-from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
-from service.mapper.methods.corridor.graph.loop_batches import Batch
-from service.mapper.methods.corridor.graph.loops import agree
-from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.model.keyframe_list import KeyFrame
+from service.mapper.graph.model.loops import agree
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.point_clouds import SurfelSet, cloud_with_noise
 from service.offline.replay.replay import ReplayOptions, replay
 from service.offline.score.trajectory import write_tum
 from service.outputs import MapperOutput
@@ -31,7 +31,7 @@ from tests.papers.report import Section
 from tests.shared_data import SHARED
 from tests.simulated import Drive, Imu, Run
 
-GRAPH = "service.mapper.methods.corridor.graph"
+GRAPH = "service.mapper.graph"
 
 
 @dataclass(frozen=True)
@@ -95,37 +95,37 @@ def unmatched_unknown(frame: KeyFrame) -> KeyFrame:
 RULES = (
     Rule("nothing"),
     Rule("several loops, over 5 m of path", settings={"consensus_span_m": 1e-9}),
-    Rule("one loop where the path leads to it", f"{GRAPH}.way_drift", {"CHI2_99_OF_3": -1.0}),
-    Rule("limit of drift", f"{GRAPH}.way_drift", {"MAX_DRIFT_CHI2": math.inf}),
+    Rule("one loop where the path leads to it", f"{GRAPH}.model.path_drift", {"CHI2_99_OF_3": -1.0}),
+    Rule("limit of drift", f"{GRAPH}.model.path_drift", {"MAX_DRIFT_CHI2": math.inf}),
     Rule("unmatched steps as the motion model says", frame=unmatched_unknown),
     Rule(
         "more variance for steps with a low inlier ratio",
-        f"{GRAPH}.odometry_edges",
+        f"{GRAPH}.model.odometry_edges",
         {"MAX_DOUBT": (0.0, 0.0)},
     ),
     Rule(
         "errors that points of one cell share",
-        "service.mapper.graph.point_clouds.SurfelSet",
+        "service.mapper.graph.model.point_clouds.SurfelSet",
         {"align_with_shared_errors": SurfelSet.align},
     ),
-    Rule("less what chance gives ([22])", f"{GRAPH}.candidate_submap", {"CHANCE_CHI2": 0.0}),
-    Rule("open directions as expected", f"{GRAPH}.candidate_submap", {"MAX_MOVES": 0}),
+    Rule("less what chance gives ([22])", f"{GRAPH}.model.candidate_submap", {"CHANCE_CHI2": 0.0}),
+    Rule("open directions as expected", f"{GRAPH}.model.candidate_submap", {"MAX_MOVES": 0}),
     Rule(
         "noise of the laser itself",
-        f"{GRAPH}.candidate_submap",
+        f"{GRAPH}.model.candidate_submap",
         {"cloud_with_noise": lambda xy, normals, _: cloud_with_noise(xy, normals, LMS100.sigma_m)},
     ),
-    Rule("unknown ground neutral", f"{GRAPH}.candidate_submap", {"UNKNOWN_LIKELIHOOD": 0.0}),
-    Rule("points in free space count", f"{GRAPH}.loop_back_end", {"MAX_AGAINST": 2.0}),
-    Rule("least inlier ratio", f"{GRAPH}.loop_back_end", {"MIN_SHARE": 0.0}),
-    Rule("contradicted loops disabled", f"{GRAPH}.loop_back_end", {"CONTRADICTION_CHI2": math.inf}),
+    Rule("unknown ground neutral", f"{GRAPH}.model.candidate_submap", {"UNKNOWN_LIKELIHOOD": 0.0}),
+    Rule("points in free space count", f"{GRAPH}.loops.loop_back_end", {"MAX_AGAINST": 2.0}),
+    Rule("least inlier ratio", f"{GRAPH}.loops.loop_back_end", {"MIN_SHARE": 0.0}),
+    Rule("contradicted loops disabled", f"{GRAPH}.loops.loop_back_end", {"CONTRADICTION_CHI2": math.inf}),
     Rule(
         "tolerance that grows with the path",
-        f"{GRAPH}.loop_back_end",
+        f"{GRAPH}.loops.loop_back_end",
         {"agree": lambda keyframes, a, b, base, _: agree(keyframes, a, b, base, (0.0, 0.0))},
     ),
-    Rule("more passes than the nearest", f"{GRAPH}.passes", {"PASSES": 1}),
-    Rule("wide search at the finish", f"{GRAPH}.loop_back_end", {"FINISH_WINDOW": (0.01, 0.01)}),
+    Rule("more passes than the nearest", f"{GRAPH}.loops.passes", {"PASSES": 1}),
+    Rule("wide search at the finish", f"{GRAPH}.loops.loop_back_end", {"FINISH_WINDOW": (0.01, 0.01)}),
 )
 WORLD_NAMES = ("corridor100d_s1", "ring_s3", "ring_bias_s1", "office300_s1", "office2000_kidnap_s1")
 REAL = ("fr079", "intel", "csail", "aces", "fhw")

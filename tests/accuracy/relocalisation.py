@@ -15,9 +15,9 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.background import BackEnd, InlineWorker
 from service.mapper.corrections import corrected
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.relocalise.detached_search import CLEARLY_LIKELIER, DetachedSearch
 from service.mapper.maps.occupancy import rendered_of
-from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
-from service.mapper.methods.corridor.graph.piece_search import CLEARLY_LIKELIER, PieceSearch
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.outputs import FREE, MapperOutput
 from service.recording.mcap_source import open_session
@@ -248,7 +248,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
     return near, far
 
 
-def is_told(pieces: PieceSearch, true: Floats) -> bool:
+def is_told(pieces: DetachedSearch, true: Floats) -> bool:
     """Whether the true place is one of two that are told, and neither is clearly likelier."""
     is_told = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
     return is_told and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER

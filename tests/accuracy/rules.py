@@ -12,8 +12,8 @@ from unittest.mock import Mock, patch
 from service.kernels.normals import estimate_normals
 from service.mapper.components import Points
 from service.mapper.filters.deskew import DeskewByTwist
-from service.mapper.methods.corridor.narrow_walls import Matrix, NarrowWalls
-from service.mapper.methods.corridor.submaps import Submap
+from service.mapper.scan_match.narrow_walls import Matrix, NarrowWalls
+from service.mapper.scan_match.submaps import Submap
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
@@ -23,7 +23,7 @@ from tests.papers.report import Section
 from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ
 
-METHOD = "service.mapper.methods.corridor"
+METHOD = "service.mapper.scan_match"
 NEVER_KNOWN = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
 
 
@@ -48,7 +48,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "unknown ground neutral in the loop search",
-        f"{METHOD}.graph.candidate_submap",
+        "service.mapper.graph.model.candidate_submap",
         {"UNKNOWN_LIKELIHOOD": 0.0},
     ),
     (

@@ -8,7 +8,7 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.profiles import BeginIn
 from tests.accuracy.relocalisation import Known, Look, Looks, is_told, look
-from tests.service.mapper.methods.corridor.graph.test_known_map import (
+from tests.service.mapper.graph.relocalise.test_known_map import (
     APART_M,
     STOOD,
     append,

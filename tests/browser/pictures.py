@@ -52,7 +52,7 @@ from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
 from tests.in_background import in_background, started
 from tests.recorded_drive import record
-from tests.service.mapper.methods.corridor.graph.rings import HALF_M, LENGTH_M
+from tests.service.mapper.graph.loops.rings import HALF_M, LENGTH_M
 from tests.service.offline.maps.bent_maps import ROUND, BentMap, bent_map, save_bent
 from tests.service.recording.sessions import write_file
 from tests.simulated import Laser, Wheels, odometry, scans

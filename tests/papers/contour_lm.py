@@ -12,7 +12,7 @@ import numpy as np
 
 from service.geometry.se2 import SE2
 from service.kernels.contours import extract_contours
-from service.mapper.methods.contour_lm.contour_map import ContourMapConfig
+from service.mapper.papers.contour_lm.contour_map import ContourMapConfig
 from service.mapper.profiles import mapping_config
 from simulators.trajectory import Follow, Limits, Pause, Spin, plan_drive
 from simulators.world import Plan, World, make_world

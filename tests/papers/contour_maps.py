@@ -4,7 +4,7 @@ import numpy as np
 
 from service.kernels.surfels import TILE_CELLS
 from service.mapper.filters.deskew import BeamsConfig
-from service.mapper.methods.contour_lm.contour_map import ContourMap, ContourMapConfig
+from service.mapper.papers.contour_lm.contour_map import ContourMap, ContourMapConfig
 from simulators.world import World
 from tests.papers.true_poses import true_scans
 from tests.simulated import LMS100_50HZ, Drive, begun_beside, drive, phase_m

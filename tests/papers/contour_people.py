@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.mapper.methods.contour_lm.contour_map import ContourMap, ContourMapConfig
+from service.mapper.papers.contour_lm.contour_map import ContourMap, ContourMapConfig
 from simulators.trajectory import Pause, plan_drive
 from simulators.world import Plan, Walk, World, make_world, walk
 from tests.papers.contour_maps import BEAMS, Array, Window, at_phase, grid, learn, offset_m, read

@@ -9,8 +9,8 @@ from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
 from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig
-from service.mapper.methods.contour_lm.contour_map import ContourMap, ContourMapConfig
-from service.mapper.methods.contour_lm.contour_matcher import ContourLm, ContourLmConfig, SearchConfig
+from service.mapper.papers.contour_lm.contour_map import ContourMap, ContourMapConfig
+from service.mapper.papers.contour_lm.contour_matcher import ContourLm, ContourLmConfig, SearchConfig
 from tests.papers.report import Row, Section, told
 from tests.papers.true_poses import true_scans
 from tests.simulated import Drive

@@ -14,7 +14,7 @@ from service.compile.warm_up import warm_up
 from service.fusion.motion import Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
-from service.mapper.methods.imle.patch_map import PatchMap, PatchMapConfig
+from service.mapper.papers.imle.patch_map import PatchMap, PatchMapConfig
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapstore.patch_files import PatchFiles

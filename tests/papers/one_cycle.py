@@ -18,10 +18,10 @@ from service.geometry.se2 import SE2
 from service.kernels.contours import ALONE, extract_contours
 from service.mapper.components import Match, Points
 from service.mapper.matchers.field_align import values_at
-from service.mapper.methods.contour_lm import contour_matcher
-from service.mapper.methods.contour_lm.contour_map import ContourMap
-from service.mapper.methods.owolm_eskf import brute_search
-from service.mapper.methods.owolm_eskf.orthogonal_map import NO_SEGMENT, OrthogonalMap
+from service.mapper.papers.contour_lm import contour_matcher
+from service.mapper.papers.contour_lm.contour_map import ContourMap
+from service.mapper.papers.owolm_eskf import brute_search
+from service.mapper.papers.owolm_eskf.orthogonal_map import NO_SEGMENT, OrthogonalMap
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from simulators.worlds.office import office

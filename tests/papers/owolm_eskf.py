@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.mapper.filters.deskew import BeamsConfig
-from service.mapper.methods.owolm_eskf import across_walls
-from service.mapper.methods.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
+from service.mapper.papers.owolm_eskf import across_walls
+from service.mapper.papers.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.profiles import mapping_config
 from simulators.worlds.corridors import corridor100
 from simulators.worlds.library import library, library_check_points, library_structure

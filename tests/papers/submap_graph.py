@@ -16,7 +16,7 @@ from drivers.frames import LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
 from service.mapper.corrections import corrected
-from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkBackEnd
+from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkBackEnd
 from service.mapper.profiles import build_mapper, mapping_config
 from simulators.world import World
 from simulators.worlds.floor import floor

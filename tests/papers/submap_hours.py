@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from drivers.frames import Frame, LaserScan, OdometrySample
 from service.compile.warm_up import warm_up
 from service.mapper.background import InlineWorker
-from service.mapper.methods.submap_graph.graph.landmark_back_end import LandmarkBackEnd
+from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkBackEnd
 from service.mapper.profiles import build_mapper, mapping_config
 from simulators.truth import LaserTruth, Ride
 from simulators.worlds.floor import floor

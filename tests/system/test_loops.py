@@ -27,7 +27,7 @@ from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.mapper.drives import cast
-from tests.service.mapper.methods.corridor.graph.rings import BEAMS, FIRST_RAD, RING, STEP_RAD, round_the_ring
+from tests.service.mapper.graph.loops.rings import BEAMS, FIRST_RAD, RING, STEP_RAD, round_the_ring
 from tests.service.runtime.inline_link import InlineLink
 
 CONFIG = """\

@@ -3,7 +3,7 @@
 from service.fusion.estimator import Estimator, EstimatorConfig
 from service.mapper.components import ComponentKind, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
-from service.mapper.graph.no_graph import NoGraph
+from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 
 ESTIMATOR = ComponentKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))

@@ -23,8 +23,7 @@ from service.mapper.edit_requests import (
     refuse_outline,
     wall_words,
 )
-from service.mapper.maps.occupancy import SHOWN_LEAST, SHOWN_MOST, OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph.editing import (
+from service.mapper.graph.edit.editing import (
     drawn_part,
     solved,
     with_area_erased,
@@ -34,6 +33,7 @@ from service.mapper.methods.corridor.graph.editing import (
     without_pair,
     without_time,
 )
+from service.mapper.maps.occupancy import SHOWN_LEAST, SHOWN_MOST, OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.drawn_tiles import with_area, with_line
 from service.mapstore.edits import Edit, undone_by

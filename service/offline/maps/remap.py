@@ -12,8 +12,8 @@ from service.errors import UsageError
 from service.geometry.polygons import Cells, area_m2, cells_inside
 from service.geometry.poses import Floats
 from service.mapper.edit_requests import EditError
+from service.mapper.graph.edit.remapping import scans_of, with_area_driven_again
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph.remapping import scans_of, with_area_driven_again
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap
 from service.offline.maps.edit import Change, Changed, edit_map, points_of

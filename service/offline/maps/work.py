@@ -9,8 +9,8 @@ import numpy as np
 from service.errors import InputError
 from service.geometry import poses as se2
 from service.mapper.by_hand import WALL
+from service.mapper.graph.edit.merging import Merged, MergeError, merge_graphs
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph.merging import Merged, MergeError, merge_graphs
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, check_versions, load_map, save_map, version_folder
 from service.offline.maps.log import utc

@@ -213,7 +213,7 @@ def _is_same(graph: SavedGraph, other: SavedGraph) -> bool:
 
 def _g2o_of(graph: SavedGraph) -> str:
     # Imported here: the back end brings the mapper's kernels, which no other reader of a result needs.
-    from service.mapper.graph.pose_graph import to_g2o
-    from service.mapper.methods.corridor.graph.editing import graph_of
+    from service.mapper.graph.edit.editing import graph_of
+    from service.mapper.graph.model.pose_graph import to_g2o
 
     return to_g2o(graph_of(graph))

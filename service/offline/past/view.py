@@ -11,7 +11,7 @@ from drivers.counted import counted
 from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_graph
 from service.errors import InputError, StorageError
 from service.geometry.poses import Floats
-from service.mapper.graph.graph_picture import draw, draw_saved
+from service.mapper.graph.model.graph_picture import draw, draw_saved
 from service.mapstore.files import StoredMap
 from service.mapstore.tiles import TileStore
 from service.offline.maps.change_file import CHANGES_FILE, read_changes

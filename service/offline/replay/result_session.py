@@ -19,7 +19,7 @@ from service.encoding import (
     encode_tf_static,
 )
 from service.errors import StorageError
-from service.mapper.graph.graph_picture import draw_saved
+from service.mapper.graph.model.graph_picture import draw_saved
 from service.mapstore.tiles import grid_of_tiles
 from service.offline.importing.session_file import write_messages
 from service.offline.replay.states_file import sigmas_of

@@ -7,7 +7,7 @@ from service.kernels import counted_occupancy, tiles
 from service.kernels.counted_occupancy import MAX_COUNT, CountWeights, count_overlap, weigh_scan
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE
-from service.mapper.methods.submap_graph.counted_submaps import CountedMap, CountedSubmapsConfig
+from service.mapper.papers.submap_graph.counted_submaps import CountedMap, CountedSubmapsConfig
 from tests.service.kernels.inner import from_python
 
 occupied_probability = from_python(counted_occupancy.occupied_probability)

@@ -8,7 +8,7 @@ from service.kernels.loops import (
     splat_field,
     thin_points,
 )
-from service.mapper.graph.point_clouds import SurfelSet, cloud_with_noise
+from service.mapper.graph.model.point_clouds import SurfelSet, cloud_with_noise
 from service.mapper.maps.occupancy import OccupancyRenderer
 
 

@@ -12,7 +12,7 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews, PossiblePlace
-from service.mapper.graph.no_graph import NoGraph
+from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
 from service.mapper.localisation import FOUND_ONCE
 from service.mapper.pipeline import MAX_BEHIND_NS, Mapper

@@ -12,10 +12,10 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import ERASED, WALL
 from service.mapper.components import FinishedGraph, GraphRequestError, WallToRender
+from service.mapper.graph.edit.editing import with_area_erased, with_wall
+from service.mapper.graph.relocalise import known_map
 from service.mapper.localisation import UNPROVEN
 from service.mapper.maps.occupancy import cells_of_wall
-from service.mapper.methods.corridor.graph import known_map
-from service.mapper.methods.corridor.graph.editing import with_area_erased, with_wall
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
@@ -252,7 +252,7 @@ def test_what_a_graph_does_not_do_is_refused_with_all_that_it_does(first):
 
 
 def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):
-    monkeypatch.setattr("service.mapper.methods.corridor.graph.loop_back_end.MAX_SESSION", 16)
+    monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", 16)
     drove, begin = first
     mapper = new_mapper(begin)
     outputs = list(outputs_of(mapper, second.frames))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.mapper.edit_requests import EDIT_MAP
-from service.mapper.methods.corridor.graph.live_edits import MAX_UNDONE
+from service.mapper.graph.loops.live_edits import MAX_UNDONE
 from service.publishing.commands import CommandDispatcher, Outcome, Request, Verb
 from service.publishing.zenoh_publisher import ZenohPublisher
 

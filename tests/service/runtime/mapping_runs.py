@@ -12,7 +12,7 @@ from service.encoding import (
 )
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
-from service.mapper.graph.no_graph import NoGraph
+from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore

@@ -1,6 +1,6 @@
 """A mapping loop that goes on where another was lost."""
 
-from service.mapper.graph.no_graph import NoGraph
+from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.mapping_session import MappingSession
 from service.runtime.mapper_messages import (
     Decisions,

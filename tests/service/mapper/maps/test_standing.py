@@ -6,9 +6,9 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.components import KnowsStanding, Standing
 from service.mapper.maps.standing import REACH_M, draw_standing
-from service.mapper.methods.corridor.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
+from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.outputs import NO_REASON, UNKNOWN, Grid, MapperOutput
 from simulators.truth import LMS100, Ride
 from simulators.worlds import build_world
@@ -53,7 +53,7 @@ def test_what_is_far_from_the_vehicle_is_left_out() -> None:
 
 
 def test_walls_of_a_room_stand_longer_from_scan_to_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.mapper.methods.corridor.submaps.FIRST_SCANS", 100)
+    monkeypatch.setattr("service.mapper.scan_match.submaps.FIRST_SCANS", 100)
     chain = SurfelSubmaps(SubmapsConfig())
     assert isinstance(chain, KnowsStanding)
     assert chain.standing() is None

@@ -10,15 +10,15 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.mapper.graph.edit.editing import solved
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph.editing import solved
-from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
-from service.mapper.methods.corridor.graph.loop_batches import Batch
-from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map, save_map
 from service.outputs import TileUpdate
-from tests.service.mapper.methods.corridor.graph.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
+from tests.service.mapper.graph.loops.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
 
 ROUND = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)  # key frames
 TURNED_RAD, SHIFTED_M = math.radians(6.0), (0.5, -0.4)  # of the second round, about where it begins

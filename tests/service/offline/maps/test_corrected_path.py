@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.mapper.methods.corridor.graph.editing import without_time
+from service.mapper.graph.edit.editing import without_time
 from service.offline.maps.corrected_path import corrected_path
-from tests.service.mapper.methods.corridor.graph.test_editing import saved_of
+from tests.service.mapper.graph.edit.test_editing import saved_of
 
 TENTH_NS = 10**8
 

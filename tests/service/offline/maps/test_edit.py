@@ -8,8 +8,8 @@ import pytest
 from service.cli import main
 from service.errors import InputError, StorageError, UsageError
 from service.mapper.components import SavedGraph
+from service.mapper.graph.edit.editing import solved
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.methods.corridor.graph.editing import solved
 from service.mapper.profiles import mapping_config
 from service.mapstore import files
 from service.mapstore.begin_in import begin_in
@@ -18,7 +18,7 @@ from service.mapstore.in_use import InUse
 from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.maps.log import map_log
 from service.outputs import TileUpdate
-from tests.service.mapper.methods.corridor.graph.test_editing import CABINET, ROUND, saved_of
+from tests.service.mapper.graph.edit.test_editing import CABINET, ROUND, saved_of
 from tests.service.mapstore.tile_makers import tile
 
 SQUARE = [0.5, 0.5, 1.5, 0.5, 1.5, 1.5, 0.5, 1.5]

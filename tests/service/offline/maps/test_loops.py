@@ -8,17 +8,17 @@ import pytest
 
 from service.cli import main
 from service.cli.map_names import map_and_version
-from service.mapper.methods.corridor.graph.loop_back_end import LoopBackEnd
-from service.mapper.methods.corridor.graph.loop_batches import Batch
-from service.mapper.methods.corridor.graph.loops import Loop
-from service.mapper.methods.corridor.graph.loops_config import LoopsConfig
-from service.mapper.methods.corridor.graph.refusals import MAX_REFUSED, Refusals
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.model.loops import Loop
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.refusals import MAX_REFUSED, Refusals
 from service.mapper.refused_loops import ALONE, CONTRADICTED, WORDS
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
 from service.offline.maps.loops import map_loops
-from tests.service.mapper.methods.corridor.graph.rings import key_frames
-from tests.service.mapper.methods.corridor.graph.test_editing import saved_of
+from tests.service.mapper.graph.edit.test_editing import saved_of
+from tests.service.mapper.graph.loops.rings import key_frames
 from tests.service.mapstore.tile_makers import tile
 
 TILES = [tile(0, 0, 1)]

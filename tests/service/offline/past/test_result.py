@@ -15,8 +15,8 @@ from service.errors import InputError, StorageError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.graph.pose_graph import to_g2o
-from service.mapper.methods.corridor.graph.editing import graph_of
+from service.mapper.graph.edit.editing import graph_of
+from service.mapper.graph.model.pose_graph import to_g2o
 from service.mapstore.files import load_map, save_map
 from service.mapstore.geo_file import write_geo
 from service.mapstore.picture import picture_of_tiles

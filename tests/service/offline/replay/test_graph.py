@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from service.mapper.graph.pose_graph import Edges, edge_chi2
+from service.mapper.graph.model.pose_graph import Edges, edge_chi2
 from service.offline.maps import edit as map_edit
 from service.offline.replay.replay import replay
 from service.offline.replay.result import write_replay

@@ -1,0 +1,259 @@
+"""Changes that a person makes to a stored graph. Each gives a new graph; none solves it but `solved`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.counted import counted
+from service.geometry import poses as se2
+from service.geometry.polygons import is_inside
+from service.geometry.poses import Floats
+from service.mapper.by_hand import BECOMES, WALL, Drawing
+from service.mapper.components import MapRenderer, RenderedMap
+from service.mapper.edit_requests import Becomes, EditError
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.model.groups import groups_of
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.pose_graph import PoseGraph
+from service.mapper.refused_loops import BY_HAND, RefusedLoops
+from service.mapper.saved_graph import SavedGraph
+
+SEEN_WITHIN_M = 0.3  # of a point that a person points at, what saw it has a point
+SAME_PASS_M = 10.0  # of way: two points of one pass say nothing of two passes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """A graph after its solution."""
+
+    graph: SavedGraph
+    rendered_map: RenderedMap
+    contradicted: int  # loops that the rest contradicts, and that are gone
+    moved_m: Floats  # (N,) of each key frame
+
+
+def with_wall(graph: SavedGraph, corners_map: Floats) -> SavedGraph:
+    """With a wall through (C, 2) m of the map, C > 1."""
+    return replace(graph, by_hand=graph.by_hand.and_drawn(Drawing(WALL, 0, corners_map), graph.map))
+
+
+def with_area_erased(
+    graph: SavedGraph, corners_map: Floats, becomes: Becomes = "as_seen"
+) -> tuple[SavedGraph, int]:
+    """Without the points within a polygon (C, 2) m of the map, and how many these were. What later key frames
+    see there is new.
+    """
+    of = np.repeat(np.arange(len(graph)), graph.point_count)
+    gone = is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners_map)
+    drawing = Drawing(BECOMES[becomes], len(graph), corners_map)
+    erased = replace(
+        graph,
+        point_count=np.bincount(of[~gone], minlength=len(graph)).astype(np.int64),
+        xy_base=graph.xy_base[~gone],
+        normals=graph.normals[~gone],
+        by_hand=graph.by_hand.and_drawn(drawing, graph.map),
+    )
+    return erased, int(gone.sum())
+
+
+def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) -> SavedGraph:
+    """Without the key frames stamped from_ns to to_ns, both included.
+
+    is_bridged   odometry over what is cut holds the two ends; else only loops and pairs do
+
+    Raises EditError where no key frame or none but these lies there, or where the graph would fall apart.
+    """
+    is_kept = (graph.stamp_ns < from_ns) | (graph.stamp_ns > to_ns)
+    if is_kept.all():
+        raise EditError("no key frame lies in that time; map info tells from when to when each session lasts")
+    if not is_kept.any():
+        raise EditError("that is all of the map: nothing would be left")
+    piece = graph.piece if is_bridged else _pieces_cut(graph.piece, is_kept)
+    number = np.cumsum(is_kept) - 1
+    loops_kept = is_kept[graph.loop_ends].all(axis=1)
+    points_kept = np.repeat(is_kept, graph.point_count)
+    per_frame = (  # but for piece: below
+        "stamp_ns odom map way_m covariance score gap_s is_lost range_sigma_m sensor_xy_m point_count"
+    )
+    less = replace(
+        graph,
+        **{name: getattr(graph, name)[is_kept] for name in per_frame.split()},
+        piece=piece[is_kept],
+        xy_base=graph.xy_base[points_kept],
+        normals=graph.normals[points_kept],
+        **_loops_of(graph, loops_kept),
+        loop_ends=number[graph.loop_ends[loops_kept]],
+        refused=graph.refused.renumbered(number, is_kept),
+        by_hand=graph.by_hand.without_keyframes(is_kept, graph.map),
+    )
+    bridge = "--bridge lets odometry hold them over what is cut"
+    _refuse_if_apart(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
+    return less
+
+
+def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None = None) -> SavedGraph:
+    """With two points (2, 2) m of the map said to be one place.
+
+    keyframes   the two that saw them; None: the first point by the key frame that has a point nearest to it,
+                the second by that of another pass
+
+    Raises EditError where nobody saw them, or one key frame both.
+    """
+    if keyframes is None:
+        first = _seeing(graph, xy_map[0], np.ones(len(graph), np.bool_), "the first point")
+        elsewhere = (np.abs(graph.way_m - graph.way_m[first]) > SAME_PASS_M) | (
+            graph.piece != graph.piece[first]
+        )
+        keyframes = first, _seeing(graph, xy_map[1], elsewhere, "the second point, in another pass,")
+    first, second = keyframes
+    for k in (first, second):
+        if not 0 <= k < len(graph):
+            raise EditError(f"there is no key frame {k}; they are numbered from 0 to {len(graph) - 1}")
+    if first == second:
+        raise EditError(f"both points are held by key frame {first}: a pair is of two key frames")
+    seen = se2.points_seen(graph.map[[first, second]], xy_map)
+    return replace(graph, by_hand=graph.by_hand.and_paired((first, second), seen))
+
+
+def without_pair(graph: SavedGraph, number: int) -> SavedGraph:
+    """Raises EditError where there is no such pair, or where the graph would fall apart."""
+    count = len(graph.by_hand.pair_ends)
+    if not 0 <= number < count:
+        raise EditError(f"there is no pair {number}; {_counted(count, 'pair')}")
+    less = replace(graph, by_hand=graph.by_hand.without_pairs([number]))
+    _refuse_if_apart(groups(graph), less, "cut one of them away first")
+    return less
+
+
+def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
+    """Raises EditError where there is no such loop, or where the graph would fall apart."""
+    count = len(graph.loop_ends)
+    if unknown := [number for number in numbers if not 0 <= number < count]:
+        raise EditError(f"there is no accepted loop {unknown[0]}; {_counted(count, 'loop')}")
+    kept = np.setdiff1d(np.arange(count), numbers)
+    less = replace(
+        graph,
+        **_loops_of(graph, kept),
+        loop_ends=graph.loop_ends[kept],
+        refused=graph.refused.and_also(_refused(graph, numbers)),
+    )
+    _refuse_if_apart(groups(graph), less, "--add-pair holds them together, or cut one of them away first")
+    return less
+
+
+def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
+    """What the graph says of some of its loops, by field; without the key frames that they join."""
+    names = ("loop_measured", "loop_covariance", "loop_score", "loop_points", "loop_against")
+    return {name: getattr(graph, name)[kept] for name in names}
+
+
+def solved(graph: SavedGraph, renderer: MapRenderer, config: LoopsConfig | None = None) -> Solved:
+    """The poses that agree best with odometry, loops and pairs; the first key frame stays where it is."""
+    back_end = LoopBackEnd(config or LoopsConfig(), renderer, graph)
+    rendered: Result = back_end.work(Batch([], "optimize"))
+    saved = back_end.work(Batch([], "checkpoint")).saved
+    assert isinstance(saved, SavedGraph)
+    rendered_map = rendered.rendered_map or back_end.render()
+    assert rendered_map is not None
+    off = saved.map[:, :2] - graph.map[:, :2]
+    return Solved(saved, rendered_map, len(graph.loop_ends) - len(saved.loop_ends), np.hypot(*off.T))
+
+
+def drawn_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:
+    """What the graph shows within a polygon (C, 2) m of the map."""
+    drawn = LoopBackEnd(LoopsConfig(), renderer, graph).render(corners_map)
+    assert drawn is not None
+    return drawn
+
+
+def graph_of(graph: SavedGraph) -> PoseGraph:
+    """What is solved of a stored graph, at the poses that it has: odometry, loops and pairs as landmarks."""
+    return LoopBackEnd(LoopsConfig(), None, graph).graph()
+
+
+def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
+    """(N,) number of the group that each key frame belongs to, by odometry, loops and pairs: the lowest key
+    frame in it.
+    """
+    joined = [*graph.loop_ends.tolist(), *graph.by_hand.pair_ends.tolist()]
+    for piece in np.unique(graph.piece):
+        own = np.flatnonzero(graph.piece == piece).tolist()
+        joined += pairwise(own)
+    return np.array(groups_of(len(graph), joined), np.int64)
+
+
+def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
+    which = np.unique(np.array(numbers, np.int64))
+    return RefusedLoops(
+        graph.loop_ends[which],
+        graph.loop_measured[which],
+        graph.loop_score[which],
+        graph.loop_points[which],
+        graph.loop_against[which],
+        np.full(len(which), BY_HAND),
+    )
+
+
+def _pieces_cut(piece: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """Numbers of pieces where odometry says nothing over what is cut out of one."""
+    cut = piece.copy()
+    number = int(piece.max()) + 1
+    for one in np.unique(piece):
+        own = np.flatnonzero(piece == one)
+        here = is_kept[own]
+        run = np.cumsum(here & ~np.append(False, here[:-1]))  # 1 for what is kept first, and so on
+        later = here & (run > 1)
+        cut[own[later]] = number + run[later] - 2
+        number += max(int(run[-1]) - 1, 0)
+    return cut
+
+
+def _refuse_if_apart(
+    before: npt.NDArray[np.int64], graph: SavedGraph, instead: str, first_ns: int | None = None
+) -> None:
+    """Raises EditError where key frames that hung together, (N,) by their groups before, do no more.
+
+    first_ns   from which times are told; None: that of the first key frame
+    """
+    first_ns = int(graph.stamp_ns.min()) if first_ns is None else first_ns
+    after = groups(graph)
+    for group in np.unique(before):
+        parts = np.unique(after[before == group])
+        if len(parts) > 1:
+            named = "; ".join(_named(graph, np.flatnonzero(after == part), first_ns) for part in parts)
+            raise EditError(
+                f"{len(parts)} parts of the map would hang together by nothing: {named}. {instead}"
+            )
+
+
+def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:
+    (left, low), (right, high) = graph.map[own, :2].min(axis=0), graph.map[own, :2].max(axis=0)
+    return (
+        f"{counted(len(own), 'key frame')} between ({left:.1f}, {low:.1f}) and ({right:.1f}, {high:.1f}) m "
+        f"from {(int(graph.stamp_ns[own[0]]) - first_ns) / 1e9:.2f} s on"
+    )
+
+
+def _seeing(graph: SavedGraph, xy_map: Floats, among: npt.NDArray[np.bool_], what: str) -> int:
+    """The key frame, of some, that has a point nearest to one of the map; of those alike the nearest."""
+    of = np.repeat(np.arange(len(graph)), graph.point_count)
+    xy = se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))
+    away_m = np.where(among[of], np.hypot(*(xy - xy_map).T), np.inf)
+    if not len(away_m) or away_m.min() > SEEN_WITHIN_M:
+        raise EditError(
+            f"{what} at ({xy_map[0]:.2f}, {xy_map[1]:.2f}) m was seen by no key frame within "
+            f"{SEEN_WITHIN_M} m; point at a wall of the map, or name two key frames by --keyframes"
+        )
+    near = np.unique(of[away_m <= max(2.0 * float(away_m.min()), 0.02)])
+    return int(near[np.argmin(np.hypot(*(graph.map[near, :2] - xy_map).T))])
+
+
+def _counted(count: int, what: str) -> str:
+    if not count:
+        return f"there is no {what} at all"
+    return f"the map has {count}, numbered from 0"

@@ -1,0 +1,135 @@
+"""A part of a stored graph driven again: new key frames for an area, and everything else as it was."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.polygons import Cells, is_inside
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.components import ScanToRender
+from service.mapper.edit_requests import EditError
+from service.mapper.graph.loops.stored_graph import ANCHOR_COVARIANCE
+from service.mapper.graph.model.keyframe_list import SESSION_APART_M
+from service.mapper.saved_graph import SavedGraph
+
+MIN_POINTS = 20  # of a key frame in the area, for it to be kept
+_PER_FRAME = [
+    "stamp_ns",
+    "odom",
+    "map",
+    "covariance",
+    "score",
+    "gap_s",
+    "is_lost",
+    "range_sigma_m",
+    "sensor_xy_m",
+]  # without way and points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remapped:
+    """A graph in which an area was driven again."""
+
+    graph: SavedGraph
+    keyframes: int  # that are new
+    points_gone: int
+    points_new: int
+
+
+def scans_of(session: SavedGraph, first: int) -> list[ScanToRender]:
+    """The scans of the key frames from `first` on, where the map has them."""
+    ends = np.concatenate(([0], np.cumsum(session.point_count)))
+    return [
+        ScanToRender(
+            session.xy_base[ends[k] : ends[k + 1]],
+            (float(session.sensor_xy_m[k, 0]), float(session.sensor_xy_m[k, 1])),
+            SE2(*session.map[k].tolist()),
+        )
+        for k in range(first, len(session))
+        if not session.is_lost[k]
+    ]
+
+
+def with_area_driven_again(
+    graph: SavedGraph, session: SavedGraph, corners_map: Floats, seen: Cells, cell_m: float
+) -> Remapped:
+    """The graph with what a session saw within a polygon (C, 2) m, that began in it and was only localised.
+
+    session   the key frames of `graph` first, as they are there, then those of the session
+    seen      (K, 2) row and column of the cells, of cell_m, within the polygon that the session has seen
+
+    What the graph has in these cells is gone; what it has in others stays, also within the polygon. No key
+    frame of the graph moves. Raises EditError where the session saw nothing of the area.
+    """
+    first = len(graph)
+    of, xy_map = _points(session)
+    is_new = (of >= first) & ~session.is_lost[of] & is_inside(xy_map, corners_map)
+    counts = np.bincount(of[is_new], minlength=len(session))
+    kept = np.flatnonzero(counts >= MIN_POINTS)
+    if not len(kept):
+        raise EditError(
+            "the drive saw nothing of the area: it was not found in the map there, or passed elsewhere"
+        )
+    is_new &= np.isin(of, kept)
+    less, gone = _without_points_in(graph, seen, cell_m)
+    way_m = session.way_m[kept] - session.way_m[kept[0]] + graph.way_m[-1] + SESSION_APART_M
+    anchored = np.unique([kept[0], kept[-1]])
+    nearest = [int(np.argmin(np.hypot(*(graph.map[:, :2] - session.map[k, :2]).T))) for k in anchored]
+    between = se2.between(graph.map[nearest], session.map[anchored])
+    ends = np.column_stack((nearest, first + np.searchsorted(kept, anchored)))
+    count = len(anchored)
+    return Remapped(
+        replace(
+            less,
+            **{name: _joined(less, session, name, kept) for name in _PER_FRAME},
+            way_m=np.concatenate((graph.way_m, way_m)),
+            piece=np.concatenate((graph.piece, np.full(len(kept), graph.piece.max() + 1))),
+            point_count=np.concatenate((less.point_count, counts[kept])),
+            xy_base=np.concatenate((less.xy_base, session.xy_base[is_new])),
+            normals=np.concatenate((less.normals, session.normals[is_new])),
+            loop_ends=np.concatenate((graph.loop_ends, ends)),
+            loop_measured=np.concatenate((graph.loop_measured, between)),
+            loop_covariance=np.concatenate(
+                (graph.loop_covariance, np.tile(ANCHOR_COVARIANCE, (count, 1, 1)))
+            ),
+            loop_score=np.concatenate((graph.loop_score, np.ones(count))),
+            loop_points=np.concatenate((graph.loop_points, np.zeros(count, np.int64))),
+            loop_against=np.concatenate((graph.loop_against, np.full(count, np.nan))),
+        ).checked(),
+        len(kept),
+        gone,
+        int(is_new.sum()),
+    )
+
+
+def _points(graph: SavedGraph) -> tuple[npt.NDArray[np.int64], Floats]:
+    """Of each point the key frame that saw it, and where it lies in the map, (M, 2) m."""
+    of = np.repeat(np.arange(len(graph)), graph.point_count)
+    return of, se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))
+
+
+def _without_points_in(graph: SavedGraph, cells: Cells, cell_m: float) -> tuple[SavedGraph, int]:
+    of, xy_map = _points(graph)
+    where = np.floor(xy_map / cell_m).astype(np.int64)
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    is_taken = np.zeros(high - low + 1, np.bool_)
+    is_taken[tuple((cells - low).T)] = True
+    at = where[:, ::-1] - low  # row, column
+    near = ((at >= 0) & (at < is_taken.shape)).all(axis=1)
+    gone = np.zeros(len(of), np.bool_)
+    gone[near] = is_taken[tuple(at[near].T)]
+    less = replace(
+        graph,
+        point_count=np.bincount(of[~gone], minlength=len(graph)).astype(np.int64),
+        xy_base=graph.xy_base[~gone],
+        normals=graph.normals[~gone],
+    )
+    return less, int(gone.sum())
+
+
+def _joined(graph: SavedGraph, session: SavedGraph, name: str, kept: npt.NDArray[np.int64]) -> Any:
+    return np.concatenate((getattr(graph, name), getattr(session, name)[kept]))

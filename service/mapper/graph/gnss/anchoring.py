@@ -1,0 +1,220 @@
+"""Fixes in the graph: which are kept, which are accepted, and where the map lies on the earth by them."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame, from_ecef, to_ecef
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.graph.gnss.fix_consensus import (
+    CORRELATED_S,
+    Consensus,
+    FixedWay,
+    find_consensus,
+    fix_edges,
+)
+from service.mapper.graph.gnss.fix_track import PlacedFix
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.pose_graph import Edges
+
+FAR_M = 1000.0  # a fix farther from the others than the way driven and this is on another part of the earth
+FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a vehicle that is not flat
+MIN_FIXES = 6  # accepted, for a reference
+MIN_SHARE = 0.5  # of the fixes kept, accepted: else it is they that contradict
+MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the map's direction is not known: the way was too short
+MORE_FIXES = (5, 0.05)  # asked anew when so many came, and such a share of them
+MAX_S = 10.0  # that a fix counts for, however long the pause before it was
+NEWEST = 40  # fixes that are asked whether the map is still where it should be
+SOLVE_AT_M = 0.5  # what they must be off by together, to be worth a solution, and one sigma
+KERNEL_WIDTH = 3.0  # Cauchy, in sigmas
+
+
+class Anchoring:
+    """Gathers fixes beside the key frames.
+
+    counts       of fixes, by what became of them
+    reference    where the map lies on the earth; None: not known
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.reference: GeoReference | None = None
+        self._fixes: list[PlacedFix] = []
+        self._frame: LocalFrame | None = None  # for good, once there is a reference
+        self._asked = 0  # fixes kept when the consensus was found
+        self._consensus: Consensus | None = None
+        self._among: npt.NDArray[np.int64] = np.empty(0, np.int64)  # fixes that the consensus is of
+        self._in_map: frozenset[int] = frozenset()  # fixes in the newest solution
+
+    def add(self, fixes: Sequence[PlacedFix]) -> None:
+        """Fixes by rising stamps, no two of them of one spot."""
+        self._fixes += fixes
+
+    @property
+    def is_due(self) -> bool:
+        """Whether enough came since the consensus was found."""
+        new = len(self._fixes) - self._asked
+        return len(self._fixes) >= MIN_FIXES and new >= max(MORE_FIXES[0], MORE_FIXES[1] * self._asked)
+
+    @property
+    def has_news(self) -> bool:
+        return len(self._fixes) >= MIN_FIXES and len(self._fixes) > self._asked
+
+    def find(self, keyframes: KeyframeList, covariance: Floats, is_known: npt.NDArray[np.bool_]) -> bool:
+        """Ask anew which fixes are accepted; whether the map should be solved anew for it.
+
+        covariance   (N - 1, 3, 3) of the steps between the key frames
+        is_known     (N,) key frames whose place in the map is known
+        """
+        self._asked = len(self._fixes)
+        among = np.array([k for k, fix in enumerate(self._fixes) if is_known[fix.keyframe]], np.int64)
+        if len(among) < MIN_FIXES:
+            return False
+        frame = self._frame or self._middle(among)
+        enu = self._enu(frame, among)
+        way_m = keyframes.way_m[[self._fixes[k].keyframe for k in among]]
+        is_near = np.hypot(*enu.T) <= way_m[-1] + FAR_M
+        among, enu, way_m = among[is_near], enu[is_near], way_m[is_near]
+        self.counts["fixes_contradicting"] = int((~is_near).sum())
+        if len(among) < MIN_FIXES:
+            return False
+        consensus = find_consensus(self._way(keyframes, covariance, among, enu, way_m))
+        accepted = int(consensus.is_accepted.sum())
+        self.counts["fixes_contradicting"] += len(among) - accepted
+        turned = se2.adjoint(consensus.pose_odom_enu)
+        of_map = turned @ consensus.covariance @ turned.T  # of pose_enu_odom, in the axes of odom
+        yaw_sigma_rad = math.sqrt(of_map[2, 2])
+        is_vague = accepted < MIN_SHARE * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
+        if accepted < MIN_FIXES or (self.reference is None and is_vague):
+            return False  # a reference that there is stays, with the fixes that it has
+        self.counts["fixes_anchoring"] = accepted
+        self._among, self._consensus = among, consensus
+        pose_map_enu = SE2(*consensus.pose_odom_enu.tolist())
+        if self._frame is None:
+            first = self._fixes[int(among[np.argmax(consensus.is_accepted)])]
+            self._frame = LocalFrame(first.latitude_deg, first.longitude_deg, first.height_m)
+            east_m, north_m, _ = frame.to_enu(first.latitude_deg, first.longitude_deg, first.height_m)
+            pose_map_enu = pose_map_enu @ SE2(float(east_m), float(north_m))
+        is_first = self.reference is None
+        sigma_m = math.sqrt((of_map[0, 0] + of_map[1, 1]) / 2.0)
+        pose_enu_map = pose_map_enu.inverse() if is_first else self._pose_enu_map
+        self.reference = GeoReference(self._frame, pose_enu_map, sigma_m, yaw_sigma_rad, accepted)
+        return is_first or self._is_worth_it(keyframes)
+
+    @property
+    def _pose_enu_map(self) -> SE2:
+        assert self.reference is not None
+        return self.reference.pose_enu_map
+
+    def edges(self, keyframes: KeyframeList) -> Edges:
+        """Fixes accepted, as edges from pose N, where east and north lie in the map, to key frames."""
+        assert self._frame is not None
+        assert self._consensus is not None
+        used = self._among[self._consensus.is_accepted]
+        keyframe, antenna = self._points(keyframes, used)
+        return fix_edges(
+            keyframes.count,
+            keyframe,
+            keyframes.map[keyframe, 2] + self._pose_enu_map.theta_rad,
+            antenna,
+            self._enu(self._frame, used),
+            self._covariances(used) * self._repeats(used)[:, None, None],
+            KERNEL_WIDTH,
+        )
+
+    @property
+    def pose_map_enu(self) -> Floats:
+        """(3,) where east and north lie in the map, by the newest solution."""
+        pose = self._pose_enu_map.inverse()
+        return np.array([pose.x_m, pose.y_m, pose.theta_rad])
+
+    def solved(self, pose_map_enu: Floats) -> None:
+        """A solution with the edges put east and north there."""
+        assert self.reference is not None
+        assert self._consensus is not None
+        old = self.reference
+        self._in_map = frozenset(self._among[self._consensus.is_accepted].tolist())
+        self.reference = GeoReference(
+            old.origin,
+            SE2(*pose_map_enu.tolist()).inverse(),
+            old.position_sigma_m,
+            old.yaw_sigma_rad,
+            old.fixes,
+        )
+
+    def _is_worth_it(self, keyframes: KeyframeList) -> bool:
+        """Whether a fix in the map is not accepted any more, or the newest ones pull together."""
+        assert self._frame is not None
+        assert self._consensus is not None
+        used = self._among[self._consensus.is_accepted]
+        if not self._in_map <= set(used.tolist()):
+            return True
+        used = used[-NEWEST:]
+        keyframe, antenna = self._points(keyframes, used)
+        there = se2.points_seen(self.pose_map_enu, se2.points_from(keyframes.map[keyframe], antenna))
+        mean_m = float(np.hypot(*(self._enu(self._frame, used) - there).mean(axis=0)))
+        variance = np.trace(self._covariances(used), axis1=1, axis2=2) / 2.0
+        sigma_m = math.sqrt(float((variance * self._repeats(used)).sum())) / len(used)
+        return mean_m > max(SOLVE_AT_M, sigma_m)
+
+    def _middle(self, among: npt.NDArray[np.int64]) -> LocalFrame:
+        """A frame about the median of the fixes: a single one may lie on the other side of the earth."""
+        fixes = [self._fixes[k] for k in among]
+        ecef = np.array([to_ecef(fix.latitude_deg, fix.longitude_deg, fix.height_m) for fix in fixes])
+        return LocalFrame(*from_ecef(np.median(ecef, axis=0)))
+
+    def _enu(self, frame: LocalFrame, which: npt.NDArray[np.int64]) -> Floats:
+        """(M, 2) m."""
+        fixes = [self._fixes[k] for k in which]
+        return np.array([frame.to_enu(f.latitude_deg, f.longitude_deg, f.height_m)[:2] for f in fixes])
+
+    def _covariances(self, which: npt.NDArray[np.int64]) -> Floats:
+        """(M, 2, 2) m^2."""
+        rows = np.array([self._fixes[k].covariance for k in which])
+        return rows[:, [[0, 1], [1, 2]]] + FLOOR_M**2 * np.eye(2)
+
+    def _points(
+        self, keyframes: KeyframeList, which: npt.NDArray[np.int64]
+    ) -> tuple[npt.NDArray[np.int64], Floats]:
+        """Key frame (M,) of each fix, and the antenna (M, 2) in its frame."""
+        fixes = [self._fixes[k] for k in which]
+        keyframe = np.array([fix.keyframe for fix in fixes], np.int64)
+        base = np.array([(p.x_m, p.y_m, p.theta_rad) for p in (fix.pose_odom_base for fix in fixes)])
+        antenna = np.array([fix.antenna_xy_m for fix in fixes])
+        return keyframe, se2.points_from(se2.between(keyframes.odom[keyframe], base), antenna)
+
+    def _way(
+        self,
+        keyframes: KeyframeList,
+        covariance: Floats,
+        which: npt.NDArray[np.int64],
+        enu: Floats,
+        way_m: Floats,
+    ) -> FixedWay:
+        keyframe, antenna = self._points(keyframes, which)
+        odom = keyframes.odom[keyframe]
+        last = np.searchsorted(keyframe, np.arange(1, keyframes.count))  # fix that each step leads to
+        inside = (last > 0) & (last < len(which))
+        moved = se2.adjoint(se2.between(odom[last[inside]], keyframes.odom[1:][inside]))
+        step = np.zeros((len(which), 3, 3))
+        np.add.at(step, last[inside], moved @ covariance[inside] @ moved.transpose(0, 2, 1))
+        step += np.diag([FLOOR_M**2, FLOOR_M**2, 1e-6])
+        covariances, repeats = self._covariances(which), self._repeats(which)
+        return FixedWay(odom, step, way_m, antenna, enu, covariances, repeats)
+
+    def _repeats(self, which: npt.NDArray[np.int64]) -> Floats:
+        """(M,) how many fixes as near in time to the one before make one independent measurement.
+
+        After a pause the first fix is not worth a measurement by itself, as it would be if nothing were ever
+        reflected: nothing beside it could tell.
+        """
+        stamps_s = np.array([self._fixes[k].stamp_ns for k in which], np.int64) * 1e-9
+        since_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[0] - MAX_S), MAX_S)
+        repeats: Floats = CORRELATED_S / since_s
+        return repeats

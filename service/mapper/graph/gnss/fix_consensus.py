@@ -1,0 +1,196 @@
+"""Which fixes agree with the way that the lasers saw, and where east and north lie for them.
+
+The way from fix to fix is that of odometry with its covariance, without loops and without anything that
+fixes did before: that a fix was once accepted is no reason to accept it again. Poses of the key frames and
+the frame of east and north are solved for together, with weights that fall to nothing for what contradicts.
+
+Source: Yang, Antonante, Tzoumas, Carlone, Graduated non-convexity for robust spatial perception, 2020, eq. 12
+to 14 (truncated least squares).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.mapper.graph.model.pose_graph import Edges, Ints, PoseGraph, SolverConfig
+from service.mapper.graph.model.pose_graph_solver import solve
+
+GATE_CHI2 = 9.21  # of 2 degrees of freedom, 1 in 100: a fix that is farther off than it says is not accepted
+HEADING_SIGMA_RAD = 100.0  # of a fix: it says nothing of the heading
+MIN_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
+CORRELATED_S = 120.0  # fixes of so long make one measurement: twice the time in which errors change
+JUMP_M = 1.5  # errors do not change by more from fix to fix, besides JUMP_SIGMAS: satellites are seen anew
+JUMP_SIGMAS = 0.5
+STRETCH_SIGMAS = 1.5  # the mean of a stretch between two jumps is off by no more than this
+LARGEST_STRETCH = 0.5  # of all fixes: a larger one is what the others are judged by
+ROUNDS = 6
+MORE_CONVEX = 2.0  # factor from one step of the graduation to the next
+MAX_MU = 1e4  # then what is undecided lies within a ten-thousandth of the gate
+QUICK = SolverConfig(most_iterations=4, least_gain=1e-3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedWay:
+    """Fixes on the way, M of them.
+
+    odom         (M, 3)      pose_odom_base of the key frame of each
+    step         (M, 3, 3)   covariance of the way from the one before to each, in its own axes; row 0: unused
+    way_m        (M,)        driven up to each
+    antenna      (M, 2) m    at the moment of the fix, in the frame of the key frame
+    enu          (M, 2) m    east and north of the fix
+    covariance   (M, 2, 2)   m^2, east and north, as the receiver says
+    repeats      (M,)        how many such fixes make one independent measurement, >= 1
+    """
+
+    odom: Floats
+    step: Floats
+    way_m: Floats
+    antenna: Floats
+    enu: Floats
+    covariance: Floats
+    repeats: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Consensus:
+    """is_accepted (M,); pose_odom_enu (3,), and its covariance (3, 3) in its own axes."""
+
+    is_accepted: npt.NDArray[np.bool_]
+    pose_odom_enu: Floats
+    covariance: Floats
+
+
+def find_consensus(way: FixedWay) -> Consensus:
+    """M >= 2. Deterministic. Raises GraphError where the solver fails."""
+    is_accepted, poses = _graduate(way, np.ones(len(way.odom), np.bool_))
+    is_candidate = np.ones(len(way.odom), np.bool_)
+    for _ in range(ROUNDS):
+        is_wrong = _wrong_stretches(way, _errors(way, poses))
+        if not (is_wrong & is_accepted).any() or (is_accepted & ~is_wrong).sum() < 2:
+            break
+        is_candidate &= ~is_wrong
+        is_accepted, poses = _graduate(way, is_candidate)
+    solved = solve(_graph(way, poses, is_accepted.astype(np.float64)), covariances_of=[len(way.odom)])
+    return Consensus(is_accepted, solved.poses[-1], solved.covariances[len(way.odom)])
+
+
+def fix_edges(
+    enu_index: int,
+    keyframe: Ints,
+    heading_rad: Floats,
+    antenna: Floats,
+    enu: Floats,
+    covariance: Floats,
+    kernel_width: float,
+) -> Edges:
+    """Fixes as edges from the frame of east and north to key frames; they say nothing of the heading.
+
+    heading_rad   (M,)        of each key frame against east, as it is held to be
+    antenna       (M, 2) m    in the frame of the key frame
+    enu           (M, 2) m    where the antenna is
+    covariance    (M, 2, 2)   m^2, east and north
+    """
+    count = len(keyframe)
+    antenna_enu = np.column_stack((enu, heading_rad))
+    lever = np.column_stack((antenna, np.zeros(count)))
+    measured = se2.compose(antenna_enu, se2.between(lever, np.zeros(3)))
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    turn = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
+    at_antenna = np.zeros((count, 3, 3))
+    at_antenna[:, :2, :2] = turn @ covariance @ turn.transpose(0, 2, 1)
+    at_antenna[:, 2, 2] = HEADING_SIGMA_RAD**2
+    moved = se2.adjoint(lever)
+    return Edges(
+        np.full(count, enu_index, np.int64),
+        keyframe.astype(np.int64),
+        measured,
+        moved @ at_antenna @ moved.transpose(0, 2, 1),
+        np.full(count, kernel_width),
+    )
+
+
+def align(points: Floats, enu: Floats) -> Floats:
+    """(3,) pose_odom_enu that aligns (M, 2) points of odom with their (M, 2) east and north best.
+
+    Source: Umeyama 1991, in the plane, without scale.
+    """
+    to, of = points - points.mean(axis=0), enu - enu.mean(axis=0)
+    theta = np.arctan2((of[:, 0] * to[:, 1] - of[:, 1] * to[:, 0]).sum(), (of * to).sum())
+    turned = se2.points_from(np.array([0.0, 0.0, theta]), enu.mean(axis=0))
+    return np.array([*(points.mean(axis=0) - turned), theta])
+
+
+def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
+    """Fixes accepted (M,) and poses (M + 1, 3), E the last, by graduated non-convexity."""
+    points = se2.points_from(way.odom, way.antenna)
+    start = align(points[is_candidate], way.enu[is_candidate])
+    poses = np.vstack((way.odom, start))
+    weight = is_candidate.astype(np.float64)
+    poses = solve(_graph(way, poses, weight), QUICK).poses
+    chi2 = _chi2(way, poses)
+    worst = float(chi2[is_candidate].max())
+    if worst <= GATE_CHI2:
+        return is_candidate, poses
+    mu = max(GATE_CHI2 / (2.0 * worst - GATE_CHI2), 1e-4)
+    while True:
+        weight = is_candidate * _weights(chi2, mu)
+        if weight.sum() < 2.0:
+            return weight > 0.5, poses
+        poses = solve(_graph(way, poses, weight), QUICK).poses
+        chi2 = _chi2(way, poses)
+        is_decided = bool(((weight == 0.0) | (weight == 1.0)).all())
+        if (is_decided and mu > 1.0) or mu > MAX_MU:
+            return weight > 0.5, poses
+        mu *= MORE_CONVEX
+
+
+def _weights(chi2: Floats, mu: float) -> Floats:
+    """Eq. 14 of the source."""
+    low, high = mu / (mu + 1.0) * GATE_CHI2, (mu + 1.0) / mu * GATE_CHI2
+    between = np.sqrt(GATE_CHI2 * mu * (mu + 1.0) / np.maximum(chi2, 1e-12)) - mu
+    return np.where(chi2 <= low, 1.0, np.where(chi2 >= high, 0.0, between))
+
+
+def _graph(way: FixedWay, poses: Floats, weight: Floats) -> PoseGraph:
+    count = len(way.odom)
+    used = np.flatnonzero(weight > MIN_WEIGHT)
+    heading = poses[used, 2] - poses[-1, 2]
+    covariance = way.covariance[used] * (way.repeats[used] / weight[used])[:, None, None]
+    fixes = fix_edges(count, used, heading, way.antenna[used], way.enu[used], covariance, 0.0)
+    step = np.arange(1, count)
+    measured = se2.between(way.odom[:-1], way.odom[1:])
+    keyframes = Edges(step - 1, step, measured, way.step[1:], np.zeros(count - 1))
+    return PoseGraph(poses, keyframes.and_also(fixes))
+
+
+def _errors(way: FixedWay, poses: Floats) -> Floats:
+    """(M, 2) m east and north: fix minus where the antenna was."""
+    off: Floats = way.enu - se2.points_seen(poses[-1], se2.points_from(poses[:-1], way.antenna))
+    return off
+
+
+def _chi2(way: FixedWay, poses: Floats) -> Floats:
+    off = _errors(way, poses)
+    return np.asarray(np.einsum("ki,ki->k", off, np.linalg.solve(way.covariance, off[..., None])[..., 0]))
+
+
+def _wrong_stretches(way: FixedWay, off_m: Floats) -> npt.NDArray[np.bool_]:
+    """(M,) fixes in a stretch between two jumps of the error that lies off as a whole.
+
+    A reflected signal puts each fix of a minute off by no more than a single one may be. What tells it from
+    noise is that it begins and ends at once.
+    """
+    sigma_m = np.sqrt(np.trace(way.covariance, axis1=1, axis2=2) / 2.0)
+    change_m = np.hypot(*np.diff(off_m, axis=0).T)
+    limit_m = JUMP_M + JUMP_SIGMAS * np.maximum(sigma_m[1:], sigma_m[:-1])
+    starts = np.flatnonzero(change_m > limit_m) + 1
+    is_wrong = np.zeros(len(off_m), np.bool_)
+    for stretch in np.split(np.arange(len(off_m)), starts):
+        if len(stretch) > LARGEST_STRETCH * len(off_m):
+            continue
+        mean_m = float(np.hypot(*off_m[stretch].mean(axis=0)))
+        is_wrong[stretch] = mean_m > STRETCH_SIGMAS * float(sigma_m[stretch].mean())
+    return is_wrong

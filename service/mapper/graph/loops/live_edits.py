@@ -1,0 +1,204 @@
+"""Changes that a person makes to a map while it is being made, in the key frames of the back end."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.counted import counted
+from service.geometry import poses as se2
+from service.geometry.polygons import is_inside
+from service.geometry.poses import Floats
+from service.mapper.by_hand import BECOMES, WALL, ByHand, Drawing, pairs_of
+from service.mapper.components import EditAnswer
+from service.mapper.edit_requests import (
+    AddPairs,
+    Cut,
+    EditError,
+    Erase,
+    LiveChange,
+    Optimize,
+    RemovePair,
+    SeenPair,
+    Undo,
+    Wall,
+    erased_words,
+    moved_words,
+    wall_words,
+)
+from service.mapper.graph.model.keyframe_list import KeyframeList, ThinnedScan
+from service.mapper.graph.model.loops import Loop
+
+MAX_UNDONE = 50  # changes; what they took away takes memory
+WALL_MARGIN_M = 0.2  # around a line that is a cell or two wide
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """A change that was made, and what it took away, to be given back.
+
+    words     what it did
+    is_bent   the graph is to be solved
+    about     (C, 2) m in the map: nothing outside is drawn otherwise; None: all may be
+    points    by key frame
+    matched   key frames whose poses were matches
+    """
+
+    words: str
+    by_hand: ByHand
+    is_bent: bool = True
+    about: Floats | None = None
+    points: Mapping[int, ThinnedScan] = field(default_factory=dict)
+    matched: Sequence[int] = ()
+    loops: Sequence[Loop] = ()
+
+
+class LiveEdits:
+    """Makes changes one after the other, and takes them back, the newest first. Moves no key frame itself."""
+
+    def __init__(self, keyframes: KeyframeList) -> None:
+        self._keyframes = keyframes
+        self._made: list[Made] = []
+
+    def make(self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]) -> tuple[Made, list[Loop]]:
+        """And the loops that are left. is_known (N,): key frames of which the place in the map is known.
+
+        Raises EditError.
+        """
+        if not is_known.any():
+            raise EditError("there is nothing in the map yet; it begins with the first scan that is mapped")
+        before = self._keyframes.by_hand
+        if isinstance(change, Undo):
+            made = self._undo()
+            return made, [*loops, *made.loops]
+        if isinstance(change, Optimize):
+            return Made("optimised", before), [*loops]
+        match change:
+            case Erase():
+                made = self._erase(np.array(change.corners), BECOMES[change.becomes], is_known, before)
+            case Wall():
+                line = np.array(change.corners)
+                self._draw(Drawing(WALL, 0, line), is_known)
+                made = Made(wall_words(line), before, False, _around(line))
+            case Cut():
+                made = self._cut(change, is_known, before, loops)
+            case AddPairs():
+                made = self._pair(change.pairs, is_known, before)
+            case RemovePair():
+                made = self._remove_pair(change.pair, before)
+        self._made = [*self._made, made][-MAX_UNDONE:]
+        return made, [loop for loop in loops if not any(loop is gone for gone in made.loops)]
+
+    def answer(self, made: Made, is_known: Mask, before: Floats, contradicted: int = 0) -> EditAnswer:
+        """before: (N, 3) where the key frames were; contradicted: loops that the solution had to drop."""
+        keyframes = self._keyframes
+        moved_m = float(np.hypot(*(keyframes.map - before)[is_known, :2].T).max())
+        words = moved_words(made.words, moved_m, contradicted) if made.is_bent else made.words
+        pairs = pairs_of(keyframes.by_hand, keyframes.map)
+        return EditAnswer(
+            {"done": words, "moved_m": round(moved_m, 3), "pairs": pairs, "undoable": len(self._made)}
+        )
+
+    def _undo(self) -> Made:
+        if not self._made:
+            raise EditError("no change of this session is left to take back")
+        made, keyframes = self._made.pop(), self._keyframes
+        keyframes.by_hand = made.by_hand
+        for k, points in made.points.items():
+            keyframes.put_points(k, points)
+        keyframes.set_lost(made.matched, False)
+        return replace(made, words=f"took back: {made.words}")
+
+    def _erase(self, corners: Floats, kind: int, is_known: Mask, before: ByHand) -> Made:
+        keyframes = self._keyframes
+        taken: dict[int, ThinnedScan] = {}
+        count = 0
+        for k in np.flatnonzero(keyframes_near(keyframes, corners, is_known)).tolist():
+            points = keyframes.thinned[k]
+            gone = is_inside(se2.points_from(keyframes.map[k], points.xy_base.astype(np.float64)), corners)
+            if gone.any():
+                taken[k] = points
+                left = ThinnedScan(points.xy_base[~gone], points.normals[~gone], points.sensor_xy_m)
+                keyframes.put_points(k, left)
+                count += int(gone.sum())
+        self._draw(Drawing(kind, keyframes.count, corners), is_known)
+        words = f"{erased_words(corners)}: {counted(count, 'point')} gone"
+        return Made(words, before, False, corners, taken)
+
+    def _draw(self, drawing: Drawing, is_known: Mask) -> None:
+        known = np.where(is_known[:, None], self._keyframes.map, np.nan)
+        self._keyframes.by_hand = self._keyframes.by_hand.and_drawn(drawing, known)
+
+    def _cut(self, change: Cut, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
+        """Points, loops and pairs of the key frames are gone. Their poses stay, for odometry leads over them:
+        with a bridge as well as it was measured, else as where the vehicle was lost.
+        """
+        keyframes = self._keyframes
+        stamps_ns = np.array(keyframes.stamps_ns, np.int64)
+        after_s = (stamps_ns - stamps_ns[is_known].min()) / 1e9
+        is_cut = is_known & (after_s >= change.from_s) & (after_s <= change.to_s)
+        if not is_cut.any():
+            raise EditError("no key frame lies in that time")
+        if is_cut[is_known].all():
+            raise EditError("that is all of the map: nothing would be left")
+        points = {k: keyframes.thinned[k] for k in np.flatnonzero(is_cut).tolist()}
+        for k in points:
+            keyframes.forget(k)
+        matched = [] if change.bridge else [k for k in points if not keyframes.is_lost[k]]
+        keyframes.set_lost(matched, True)
+        gone = [loop for loop in loops if is_cut[loop.of] or is_cut[loop.to]]
+        pairs = np.flatnonzero(is_cut[before.pair_ends].any(axis=1))
+        keyframes.by_hand = before.without_pairs(pairs.tolist())
+        words = f"cut {counted(len(points), 'key frame')} out, and {counted(len(gone), 'loop')} with them"
+        return Made(words, before, points=points, matched=matched, loops=gone)
+
+    def _pair(self, pairs: Sequence[SeenPair], is_known: Mask, before: ByHand) -> Made:
+        by_hand, number = before, len(before.pair_ends)
+        for pair in pairs:
+            first, second = (self._keyframe(int(stamp), is_known) for stamp in pair.stamps_ns)
+            if first == second:
+                raise EditError("both points of a pair are of one key frame; a pair is of two")
+            by_hand = by_hand.and_paired((first, second), np.array(pair.points_base))
+        self._keyframes.by_hand = by_hand
+        last = number + len(pairs) - 1
+        named = f"pair {number}" if len(pairs) == 1 else f"pairs {number} to {last}"
+        return Made(named, before)
+
+    def _keyframe(self, stamp_ns: int, is_known: Mask) -> int:
+        found = np.flatnonzero((np.array(self._keyframes.stamps_ns, np.int64) == stamp_ns) & is_known)
+        if len(found) != 1:
+            raise EditError(
+                f"the key frame of {stamp_ns} ns is not in the map any more; fetch the key frames again"
+            )
+        return int(found[0])
+
+    def _remove_pair(self, number: int, before: ByHand) -> Made:
+        if number >= (count := len(before.pair_ends)):
+            raise EditError(f"there is no pair {number}; the map has {count}, numbered from 0")
+        self._keyframes.by_hand = before.without_pairs([number])
+        return Made(f"removed pair {number}", before)
+
+
+def keyframes_near(keyframes: KeyframeList, corners_map: Floats, among: Mask) -> Mask:
+    """(N,) the key frames, of some, that may see what lies within a polygon (C, 2) m of the map."""
+    low, high = corners_map.min(axis=0), corners_map.max(axis=0)
+    near = np.flatnonzero(among)
+    away_m = np.hypot(*(keyframes.map[near, :2] - 0.5 * (low + high)).T)
+    sees_m = np.array([_reach_m(keyframes.thinned[k]) for k in near.tolist()])
+    is_near = np.zeros(keyframes.count, np.bool_)
+    is_near[near] = away_m <= sees_m + 0.5 * float(np.hypot(*(high - low)))
+    return is_near
+
+
+def _reach_m(scan: ThinnedScan) -> float:
+    return math.sqrt(float((scan.xy_base.astype(np.float64) ** 2).sum(axis=1).max(initial=0.0)))
+
+
+def _around(line: Floats) -> Floats:
+    """(4, 2) m, the rectangle around a line (C, 2), and some more."""
+    (left, low), (right, high) = line.min(axis=0) - WALL_MARGIN_M, line.max(axis=0) + WALL_MARGIN_M
+    return np.array([(left, low), (right, low), (right, high), (left, high)])

@@ -1,0 +1,498 @@
+"""Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
+
+import math
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.kernels.loops import thin_points
+from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
+from service.mapper.edit_requests import ONLY_LOCALISED, EditError, LiveChange
+from service.mapper.graph.gnss.anchoring import Anchoring
+from service.mapper.graph.loops.drawing import Drawing
+from service.mapper.graph.loops.live_edits import LiveEdits, Made, keyframes_near
+from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.old_passes import OldPasses
+from service.mapper.graph.loops.passes import worth_asking
+from service.mapper.graph.loops.solution_due import SolutionDue
+from service.mapper.graph.loops.stored_graph import (
+    Placement,
+    anchor_loop,
+    graph_on_held,
+    landmarks_of_pairs,
+    moved_loops,
+    saved_graph,
+    stored_loops,
+    to_render,
+)
+from service.mapper.graph.model.candidate_submap import MIN_SCORE, CandidateSubmap, cloud_of
+from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
+from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.graph.model.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.odometry_edges import odometry_edges
+from service.mapper.graph.model.path_drift import PathDrift, lengths_from
+from service.mapper.graph.model.point_clouds import Fit, PointCloud
+from service.mapper.graph.model.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
+from service.mapper.graph.model.pose_graph_solver import solve
+from service.mapper.graph.model.refusals import Refusals
+from service.mapper.graph.relocalise.detached_search import MAX_STANDING, DetachedSearch
+from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
+from service.mapper.saved_graph import KeepGraph, SavedGraph
+from service.mapper.walls import walls_of
+
+WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
+DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
+MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
+FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
+MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
+MIN_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
+MAX_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
+AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
+CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
+SUBMAPS_KEPT = 16
+PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
+MAX_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
+
+
+class LoopBackEnd:
+    """BackEnd. Key frames, loops and poses gather here, behind those of a stored map if there is one.
+
+    is_localizing   the stored map stays as it is: its key frames are held, what is new is forgotten
+    """
+
+    def __init__(
+        self,
+        config: LoopsConfig,
+        renderer: MapRenderer | None,
+        stored: SavedGraph | None = None,
+        is_localizing: bool = False,
+        keep_graph: KeepGraph | None = None,
+    ) -> None:
+        self._keep_graph = keep_graph
+        self._config = config
+        self._renderer = renderer
+        self._keyframes = KeyframeList(stored)
+        self._held = self._keyframes.stored if is_localizing else 0
+        self._is_switched = False  # to localisation, in a session that maps: the map is stored without it
+        self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
+        self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
+        self._candidates: list[Loop] = []
+        self._disabled: list[Loop] = []
+        self._refusals = Refusals(None if stored is None else stored.refused)
+        self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
+        self._drift = PathDrift(self._keyframes, config.keyframe_distance_m)
+        self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
+        self._due = SolutionDue(config, self._searched_m)
+        # Numbers of the pieces whose place in the map is known.
+        self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
+        self.pieces = DetachedSearch(config, self._keyframes)
+        self._is_merging = False  # what is stored was put together, and no loop holds it yet
+        self._placement = Placement(stored is not None)
+        self._old_passes = OldPasses(config, self._keyframes)
+        self._edits = LiveEdits(self._keyframes)
+        self._anchoring = Anchoring()
+        self._drawing = Drawing()
+
+    def make_ready(self) -> None:
+        """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
+        if self._keyframes.stored:
+            self.pieces.make_ready(np.flatnonzero(self._usable()))
+
+    def work(self, batch: Batch) -> Result:
+        result = self._work(batch)
+        anchoring, is_asked = self._anchoring, batch.is_last or bool(batch.request)
+        result = replace(
+            result,
+            geo=anchoring.reference,
+            fixes=dict(anchoring.counts),
+            place=self._place(),
+            picture=self._drawing.picture(
+                self._keyframes, self._joined, self._loops, self._refusals, is_asked
+            ),
+        )
+        if batch.is_last or batch.request == "checkpoint":
+            held = self._held if self._is_switched else None
+            saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals, held)
+            result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
+        return result
+
+    def _place(self) -> PlaceNews:
+        pieces = self.pieces
+        possible = pieces.possible if self._is_detached() else ()
+        return PlaceNews(self._placement.state, possible, pieces.pose_refused, pieces.found_once)
+
+    def _work(self, batch: Batch) -> Result:
+        for frame in batch.frames:
+            self._append(frame)
+        self._anchoring.add(batch.fixes)
+        if batch.request == "set_pose":
+            self.pieces.expect_at(np.array(batch.pose))
+        if batch.request == "set_mode":
+            return self._set_mode(batch.is_localizing)
+        joined = self._look_for_piece() if self._is_detached() else None
+        every_m = self._config.keyframe_distance_m if batch.is_last else self._config.search_every_m
+        moved = joined is not None or (batch.change is None and self._look_for_loops(every_m))
+        moved |= self._anchoring.is_due and self._find_anchors()
+        if batch.request == "undo" and self._accepted:
+            gone = self._accepted.pop()
+            self._loops = [loop for loop in self._loops if loop not in gone]
+            self._refusals.add(gone, BY_HAND)
+            moved = True
+        has_pairs = len(self._keyframes.by_hand.pair_ends) > 0
+        made, edited = self._edit(batch.change)
+        moved |= made is not None and made.is_bent
+        if batch.request == "optimize" and (self._loops or self._anchoring.reference or has_pairs):
+            moved = True
+        if batch.is_last:
+            return self._finish()
+        if self._held:
+            self._forget_session()
+        elif not self._is_detached():  # else the search waits for it, and nothing new lies in the map
+            self._old_passes.forget(self._loops)
+        if not moved:
+            drawn = None if made is None else self.render(made.about)
+            return Result(len(self._loops), len(self._disabled), rendered_map=drawn, edited=edited)
+        before = self._keyframes.map.copy()
+        disabled = len(self._disabled)
+        self._solve()
+        if made is not None:
+            edited = self._edits.answer(made, self._known(), before, len(self._disabled) - disabled)
+        graph = self._to_solve(is_in_hindsight=True)
+        known = known_pose(self._keyframes, self._joined, graph, self._held)
+        if joined is not None or batch.request:
+            self._due.must_draw()
+        drawn = self.render() if self._due.take_drawing() else None
+        newest = self._keyframes.correction(-1)
+        return Result(len(self._loops), len(self._disabled), joined, newest, known, drawn, edited=edited)
+
+    def _set_mode(self, is_localizing: bool) -> Result:
+        """Hold all that is placed in the map, or let it be moved and extended again."""
+        known, counts = self._known(), (len(self._loops), len(self._disabled))
+        held = int(known.sum())
+        if is_localizing and not self._held and (not held or not known[:held].all()):
+            error = "a part of the map has not been placed in the rest yet" if held else "there is no map yet"
+            return Result(*counts, edited=EditAnswer(error=error))
+        self._held = (self._held or held) if is_localizing else 0
+        self._candidates, self._is_switched = [], is_localizing
+        self._accepted = [] if is_localizing else self._accepted  # an undo would change the stored map
+        told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self._keyframes.count}
+        return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing)
+
+    def _edit(self, change: LiveChange | None) -> tuple[Made | None, EditAnswer | None]:
+        """What a person changes by hand; None: nothing, or it is refused."""
+        if change is None:
+            return None, None
+        try:
+            if self._held:
+                raise EditError(ONLY_LOCALISED)
+            made, self._loops = self._edits.make(change, self._known(), self._loops)
+        except EditError as error:
+            return None, EditAnswer(error=str(error))
+        self._candidates = []
+        self._submaps.clear()
+        self.pieces.forget_map()
+        return made, self._edits.answer(made, self._known(), self._keyframes.map)
+
+    @property
+    def loops(self) -> Sequence[Loop]:
+        """Those that are accepted."""
+        return self._loops
+
+    def begin_session_at(self, k: int) -> None:
+        """Take the key frames from k on for those of this session, though they are stored, too."""
+        self._keyframes.stored, self._is_merging = k, True
+
+    def _is_detached(self) -> bool:
+        """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
+        return bool(self._keyframes.count) and int(self._keyframes.piece[-1]) not in self._joined
+
+    def _find_anchors(self) -> bool:
+        """Whether fixes are worth a solution now."""
+        is_known = ~self._keyframes.is_lost & self._known()
+        return self._anchoring.find(self._keyframes, self._steps().covariance, is_known)
+
+    def _known(self) -> npt.NDArray[np.bool_]:
+        """(N,) key frames whose place in the map is known."""
+        return np.isin(self._keyframes.piece, list(self._joined))
+
+    def _usable(self) -> npt.NDArray[np.bool_]:
+        """(N,) key frames that others can be aligned with: matched, with points, in a place that is known."""
+        return self._keyframes.is_usable & self._known()
+
+    def _look_for_piece(self) -> int | None:
+        """Number of the newest piece, if its place was found now; else None."""
+        loops = self.pieces.find(np.flatnonzero(self._usable()))
+        if loops is None:
+            return None
+        piece = int(self._keyframes.piece[-1])
+        self._joined.add(piece)
+        self._placement.found(float(self._keyframes.way_m[-1]))
+        self._loops += loops
+        self._accepted.append([*loops])
+        return piece
+
+    def _append(self, frame: KeyFrame) -> None:
+        keyframes, pose = self._keyframes, frame.pose_odom_base
+        odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if keyframes.count > keyframes.stored:
+            odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
+        xy, normals = walls_of(
+            frame.xy_base.astype(np.float64), frame.sensor_xy_m, frame.angle_step_rad, frame.range_sigma_m
+        )
+        kept = np.empty(len(xy), np.bool_)
+        thin_points(xy, self._config.thin_m, kept)
+        thinned = ThinnedScan(
+            xy[kept].astype(np.float32), normals[kept].astype(np.float32), frame.sensor_xy_m
+        )
+        keyframes.append(frame, odom, thinned)
+        if self._is_detached():
+            keyframes.forget_one_standing(MAX_STANDING, self._config)
+
+    def _look_for_loops(self, every_m: float) -> bool:
+        """Search if it is time; whether what came to be accepted is worth a solution now."""
+        keyframes = self._keyframes
+        if not keyframes.count or keyframes.way_m[-1] - self._searched_m < every_m:
+            return False
+        self._searched_m = float(keyframes.way_m[-1])
+        self._prove()
+        for found in self._search(keyframes.count - 1):
+            self._candidates.append(found)
+            self._refusals.add([found], ALONE)
+            self._accept(found)
+        oldest_m = self._searched_m - 2.0 * WITHIN_M
+        self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
+        return self._due.has_news(keyframes, self._loops)
+
+    def _prove(self) -> None:
+        """Look again whether the session lies where it was found in the stored map."""
+        keyframes, last = self._keyframes, self._keyframes.count - 1
+        if self._placement.state != "unproven":
+            return
+        stored = np.flatnonzero(self._usable()[: keyframes.stored])
+        away_m = np.hypot(*(keyframes.map[stored, :2] - keyframes.map[last, :2]).T)
+        if not len(stored) or away_m.min() > PROOF_NEAR_M:
+            return
+        submap = self._submap_about(int(stored[np.argmin(away_m)]))
+        cloud = cloud_of(keyframes, [last], last)
+        expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
+        fit = submap.align(cloud, expected)
+        is_near = math.dist(fit.pose[:2], expected[:2]) < WINDOW_M
+        agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MAX_AGAINST
+        if self._placement.seen(float(keyframes.way_m[last]), agrees):
+            self._take_back(int(keyframes.piece[last]))
+
+    def _take_back(self, piece: int) -> None:
+        """A piece does not lie where it was found."""
+        self._due.must_draw()
+        self._joined.discard(piece)
+        of_piece = self._keyframes.piece == piece
+        self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
+        self._candidates, self._accepted = [], []
+
+    def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
+        """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
+        config, keyframes = self._config, self._keyframes
+        way = keyframes.way_m
+        first = int(np.searchsorted(way, way[last] - config.place_m))
+        usable = self._usable()
+        members = [k for k in range(first, last + 1) if usable[k]]
+        if len(members) < 3:
+            return []
+        reference = members[len(members) // 2]
+        length_m = lengths_from(self._keyframes, self._loops, reference)
+        if window is None:
+            reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MAX_WINDOW_M)
+            reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MAX_WINDOW_RAD)
+        else:
+            reach_m, reach_rad = np.full(keyframes.count, window[0]), np.full(keyframes.count, window[1])
+        away_m = np.hypot(*(keyframes.map[:, :2] - keyframes.map[reference, :2]).T)
+        apart = np.abs(way - way[reference]) >= config.apart_m + config.place_m
+        if window is None:
+            apart &= way < way[reference]
+        near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
+        if self._held:
+            near = near[near < self._held]
+        cloud: PointCloud | None = None
+        found = []
+        for k in worth_asking(way, near, away_m, reach_m, config.place_m):
+            submap = self._submap_about(k)
+            if cloud is None:
+                cloud = cloud_of(keyframes, members, reference)
+            guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
+            reach = float(reach_m[k]), float(reach_rad[k])
+            pose = submap.search(cloud, guess, *reach, MIN_SCORE)
+            if pose is None:
+                continue
+            fit = submap.align_about(cloud, pose, guess, *reach)
+            is_good = self._is_good(fit)
+            against = submap.against(cloud, fit.pose) if is_good else math.nan
+            loop = loop_of(
+                submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
+            )
+            if not against < MAX_AGAINST:
+                self._refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
+            elif not self._drift.allows(loop):
+                self._refusals.add([loop], TOO_FAR)
+            else:
+                found.append(loop)
+        return found
+
+    def _is_good(self, fit: Fit) -> bool:
+        return fit.share >= MIN_SHARE * float(np.median(self._keyframes.score))
+
+    def _submap_about(self, k: int) -> CandidateSubmap:
+        """One about key frame k; a place that is kept already and lies near will do."""
+        way, config = self._keyframes.way_m, self._config
+        for reference in self._submaps:
+            if abs(way[reference] - way[k]) <= self._config.search_every_m:
+                self._submaps.move_to_end(reference)
+                return self._submaps[reference]
+        first = int(np.searchsorted(way, way[k] - config.place_m))
+        last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
+        usable = self._usable()
+        members = [m for m in range(first, last) if usable[m]]
+        self._submaps[k] = CandidateSubmap(self._keyframes, members, k)
+        if len(self._submaps) > SUBMAPS_KEPT:
+            self._submaps.popitem(last=False)
+        return self._submaps[k]
+
+    def _accept(self, found: Loop) -> None:
+        """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
+        config, way = self._config, self._keyframes.way_m
+        base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
+        group = [
+            loop
+            for loop in self._candidates
+            if abs(way[loop.to] - way[found.to]) <= WITHIN_M
+            and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
+            and agree(self._keyframes, found, loop, base, growth)
+        ]
+        is_one_spot = np.ptp([way[loop.to] for loop in group]) < config.consensus_span_m
+        if is_one_spot and not self._drift.confirms(found):
+            return
+        new = [loop for loop in group if loop not in self._loops and loop not in self._disabled]
+        if new:
+            self._loops += new
+            self._accepted.append(new)
+
+    def graph(self, is_in_hindsight: bool = False) -> PoseGraph:
+        """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
+        edges = self._steps(is_in_hindsight).and_also(as_edges(self._loops))
+        pairs = landmarks_of_pairs(self._keyframes)
+        if self._anchoring.reference is None:
+            return PoseGraph(self._keyframes.map.copy(), edges, *pairs)
+        poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
+        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)), *pairs)
+
+    def _to_solve(self, is_in_hindsight: bool = False) -> PoseGraph:
+        """The graph, or what of it is not held, behind one pose for all that is."""
+        if not self._held:
+            return self.graph(is_in_hindsight)
+        return graph_on_held(self._keyframes, self._steps(is_in_hindsight), self._loops, self._held)
+
+    def _steps(self, is_in_hindsight: bool = False) -> Edges:
+        edges_of = edges_in_hindsight if is_in_hindsight else odometry_edges
+        return edges_of(self._keyframes, self._config.keyframe_distance_m)
+
+    def _solve(self) -> None:
+        """Poses that agree best; loops that the rest contradicts are disabled."""
+        if self._keyframes.count < 2:
+            return
+        before = self._keyframes.map.copy()
+        for _ in range(3):
+            poses = solve(self._to_solve()).poses
+            moving = self._keyframes.map[self._held :]
+            moving[:] = poses[self._held > 0 :][: len(moving)]
+            if self._anchoring.reference is not None and not self._held:
+                self._anchoring.solved(poses[-1])
+            if not self._disable_refuted():
+                break
+        self._due.solved(float(self._keyframes.way_m[-1]), before, self._keyframes.map)
+
+    def _disable_refuted(self) -> bool:
+        """Whether a loop had to go."""
+        chi2 = edge_chi2(as_edges(self._loops), self._keyframes.map)
+        go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
+        self._loops = [loop for loop in self._loops if loop not in go]
+        self._disabled += go
+        self._refusals.add(go, CONTRADICTED)
+        return bool(go)
+
+    def _finish(self) -> Result:
+        keyframes = self._keyframes
+        if keyframes.count == keyframes.stored:
+            return Result(len(self._loops), len(self._disabled))
+        if self._anchoring.has_news:
+            self._find_anchors()
+        if (self._loops or self._anchoring.reference) and not self._is_merging:
+            self._solve()
+        if not self._held:
+            self._search_again()
+        if self._loops:
+            self._solve()
+        self._submaps.clear()
+        corrections = [self._keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
+        return Result(
+            len(self._loops),
+            len(self._disabled),
+            newest=corrections[-1],
+            rendered_map=self.render(),
+            all=corrections,
+            g2o=to_g2o(self.graph()),
+            keyframes=keyframes.count,
+        )
+
+    def _search_again(self) -> None:
+        """Stretches against the passes that lie near them now: revisits that were missed on the way."""
+        config, way = self._config, self._keyframes.way_m
+        done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
+        self._candidates = list(self._loops)
+        new = []
+        first_m = config.place_m + float(way[self._keyframes.stored])
+        stretches_m = np.arange(first_m, way[-1], config.search_every_m)
+        if len(stretches_m) > MAX_STRETCHES:
+            tied_m = way[[loop.to for loop in self._loops]] + 0.5 * config.place_m  # ends of the queries
+            stretches_m = untied(stretches_m, tied_m, config.search_every_m)
+        for at_m in stretches_m:
+            for loop in self._search(int(np.searchsorted(way, at_m)), FINISH_WINDOW):
+                spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
+                if spot not in done and loop.of < loop.to:
+                    done.add(spot)
+                    new.append(loop)
+        self._candidates += new
+        self._refusals.add(new, ALONE)
+        for loop in new:
+            if loop not in self._loops:
+                self._accept(loop)
+
+    def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
+        """The shown map, or only a polygon (C, 2) m of it; None where none is drawn."""
+        keyframes, renderer, known = self._keyframes, self._renderer, self._known()
+        if renderer is None or self._held:
+            return None
+        if corners_map is None:
+            return renderer.render(to_render(keyframes, known))
+        near = keyframes_near(keyframes, corners_map, known)
+        return renderer.render_part(to_render(keyframes, near), corners_map)
+
+    def _forget_session(self) -> None:
+        """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
+        keyframes, held = self._keyframes, self._held
+        if self._is_detached():
+            keyframes.forget_all(held, keyframes.count - MAX_SESSION)
+            return
+        last = held + (keyframes.count - held) // 2
+        if keyframes.count - held < MAX_SESSION:
+            return
+        keyframes.drop(held, last)
+        self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
+        self._candidates = moved_loops(self._candidates, held, last)
+        self._disabled, self._accepted = [], []
+        self._refusals.clear()
+        self._submaps = OrderedDict((k, one) for k, one in self._submaps.items() if k < held)

@@ -1,0 +1,67 @@
+"""When a solution of the graph is worth its time, and when the map is worth being drawn anew after it."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.geometry.poses import Floats
+from service.geometry.se2 import wrap_angle
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.loops import WITHIN_M, Loop, as_edges, disagreement
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.pose_graph import edge_chi2
+
+NEWEST = 20  # loops that are asked
+NEWS_CHI2 = 4.0  # of a loop: two sigmas
+# Of way with loops that agree with the map: each moves it by less than is worth a solution, but an error
+# that grows lap by lap is found by all of them together.
+SOLVE_EVERY_M = 100.0
+DRAW_AT_M = 0.02  # less than half a cell of the shown map
+LEVER_M = 10.0  # from a key frame to the walls that it saw
+
+
+class SolutionDue:
+    """Remembers the newest solution, and how far the map has moved since it was drawn."""
+
+    def __init__(self, config: LoopsConfig, way_m: float) -> None:
+        """way_m: at the end of the stored map"""
+        self._config = config
+        self._solved_m = way_m
+        self._undrawn_m = 0.0
+
+    def has_news(self, keyframes: KeyframeList, loops: Sequence[Loop]) -> bool:
+        """Whether one of the newest of these loops would move the map by more than it is itself unsure of, or
+        SOLVE_EVERY_M were driven since the newest solution.
+        """
+        loops, way_m = loops[-NEWEST:], keyframes.way_m
+        if way_m[-1] - self._solved_m >= SOLVE_EVERY_M and any(
+            way_m[loop.to] > self._solved_m for loop in loops
+        ):
+            return True
+        for loop, chi2 in zip(loops, edge_chi2(as_edges(loops), keyframes.map).tolist(), strict=True):
+            off_m, off_rad = disagreement(keyframes, loop)
+            if way_m[loop.to] <= way_m[-1] - WITHIN_M:
+                continue
+            if (off_m > self._config.solve_at_m and chi2 > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
+                return True
+        return False
+
+    def solved(self, way_m: float, before: Floats, after: Floats) -> None:
+        """The key frames lay at (N, 3) before and lie at (N, 3) now."""
+        self._solved_m = way_m
+        away_m = np.hypot(*(after - before)[:, :2].T) + LEVER_M * np.abs(
+            wrap_angle(after[:, 2] - before[:, 2])
+        )
+        self._undrawn_m += float(away_m.max(initial=0.0))
+
+    def must_draw(self) -> None:
+        """There is more or less in the map than before."""
+        self._undrawn_m = math.inf
+
+    def take_drawing(self) -> bool:
+        """Whether the map has changed visibly since it was drawn; it is drawn now if it has."""
+        is_due = self._undrawn_m >= DRAW_AT_M
+        if is_due:
+            self._undrawn_m = 0.0
+        return is_due

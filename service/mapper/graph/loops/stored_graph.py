@@ -1,0 +1,194 @@
+"""A stored map under a new session: what is saved of a graph, and the session's poses on what is held."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.components import Placed, ScanToRender, ToRender
+from service.mapper.drawn_by_hand import among_scans
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.loops import Loop, as_edges
+from service.mapper.graph.model.pose_graph import Edges, PoseGraph, Sightings
+from service.mapper.graph.model.refusals import Refusals
+from service.mapper.graph.relocalise.detached_search import MIN_APART_M
+from service.mapper.saved_graph import SavedGraph
+
+MAX_CONTRADICTIONS = 2  # looks in a row
+PAIR_COVARIANCE = np.diag([0.02**2, 0.02**2])  # m^2, of each of two points that a person says are one
+ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key frame left, as loops held it
+
+
+def stored_loops(stored: SavedGraph) -> list[Loop]:
+    return [
+        Loop(int(of), int(to), measured, covariance, float(score), int(points), float(against))
+        for (of, to), measured, covariance, score, points, against in zip(
+            stored.loop_ends,
+            stored.loop_measured,
+            stored.loop_covariance,
+            stored.loop_score,
+            stored.loop_points,
+            stored.loop_against,
+            strict=True,
+        )
+    ]
+
+
+def saved_graph(
+    keyframes: KeyframeList,
+    loops: Sequence[Loop],
+    joined: Collection[int],
+    refusals: Refusals,
+    held: int | None = None,
+) -> SavedGraph:
+    """The key frames whose place in the map is known, and the loops between them.
+
+    held   only of the first so many; None: of all
+    """
+    is_known = np.isin(keyframes.piece, list(joined))
+    if held is not None:
+        is_known[held:] = False
+    by_hand = keyframes.by_hand
+    if not is_known.all():
+        by_hand = by_hand.without_keyframes(is_known, keyframes.map)
+    kept = np.flatnonzero(is_known)
+    number = np.cumsum(is_known) - 1
+    between = [loop for loop in loops if is_known[loop.of] and is_known[loop.to]]
+    edges = as_edges(between)
+    thinned = [keyframes.thinned[k] for k in kept.tolist()]
+    return SavedGraph(
+        stamp_ns=np.array(keyframes.stamps_ns, np.int64)[kept],
+        odom=keyframes.odom[kept],
+        map=keyframes.map[kept],
+        way_m=keyframes.way_m[kept],
+        covariance=keyframes.covariance[kept],
+        score=keyframes.score[kept],
+        gap_s=keyframes.gap_s[kept],
+        piece=keyframes.piece[kept],
+        is_lost=keyframes.is_lost[kept],
+        range_sigma_m=keyframes.range_sigma_m[kept],
+        sensor_xy_m=np.array([one.sensor_xy_m for one in thinned], np.float64).reshape(-1, 2),
+        point_count=np.array([len(one.xy_base) for one in thinned], np.int64),
+        xy_base=np.concatenate([np.zeros((0, 2), np.float32), *(one.xy_base for one in thinned)]),
+        normals=np.concatenate([np.zeros((0, 3), np.float32), *(one.normals for one in thinned)]),
+        loop_ends=np.column_stack((number[edges.of], number[edges.to])).astype(np.int64),
+        loop_measured=edges.measured,
+        loop_covariance=edges.covariance,
+        loop_score=np.array([loop.share for loop in between]),
+        loop_points=np.array([loop.points for loop in between], np.int64),
+        loop_against=np.array([loop.against for loop in between], np.float64),
+        refused=refusals.arrays(loops).renumbered(number, is_known),
+        by_hand=by_hand,
+    )
+
+
+def to_render(keyframes: KeyframeList, among: npt.NDArray[np.bool_]) -> Iterator[ToRender]:
+    """The scans of some key frames (N,), without those that were not matched, and what a person drew."""
+    known = np.flatnonzero(among & ~keyframes.is_lost)
+    scans = (
+        (
+            k,
+            ScanToRender(
+                keyframes.thinned[k].xy_base,
+                keyframes.thinned[k].sensor_xy_m,
+                SE2(*keyframes.map[k].tolist()),
+            ),
+        )
+        for k in known.tolist()
+    )
+    return among_scans(scans, keyframes.by_hand, keyframes.map)
+
+
+def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
+    """(P, 2) m in the map, where a person says that two points are one; and the points as they were seen."""
+    ends, xy = keyframes.by_hand.pair_ends, keyframes.by_hand.pair_xy
+    count = len(ends)
+    if not count:
+        return np.empty((0, 2)), Sightings.none()
+    sightings = Sightings(
+        ends.ravel(),
+        np.repeat(np.arange(count), 2),
+        xy.reshape(-1, 2),
+        np.tile(PAIR_COVARIANCE, (2 * count, 1, 1)),
+        np.zeros(2 * count),
+    )
+    return se2.points_from(keyframes.map[ends], xy).mean(axis=1), sightings
+
+
+def graph_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], held: int) -> PoseGraph:
+    """The key frames from `held` on, where those before stay as they are, behind one pose for all of these.
+
+    A loop to a held key frame measures against that one's place.
+    """
+    own = (odometry.of >= held) & (odometry.to >= held)
+    seen = as_edges([loop for loop in loops if loop.to >= held])
+    is_held = seen.of < held
+    measured = seen.measured.copy()
+    measured[is_held] = se2.compose(keyframes.map[seen.of[is_held]], seen.measured[is_held])
+    edges = Edges(
+        odometry.of[own] - held + 1,
+        odometry.to[own] - held + 1,
+        odometry.measured[own],
+        odometry.covariance[own],
+        odometry.kernel_width[own],
+    ).and_also(
+        Edges(
+            np.where(is_held, 0, seen.of - held + 1),
+            seen.to - held + 1,
+            measured,
+            seen.covariance,
+            seen.kernel_width,
+        )
+    )
+    poses = np.vstack((np.zeros(3), keyframes.map[held:]))
+    return PoseGraph(poses, edges)
+
+
+def moved_loops(loops: Sequence[Loop], first: int, last: int) -> list[Loop]:
+    """Loops when the key frames first..last - 1 are gone: those that ended there are gone, too."""
+    away = last - first
+    return [
+        replace(loop, of=loop.of - away * (loop.of >= last), to=loop.to - away * (loop.to >= last))
+        for loop in loops
+        if not first <= loop.of < last and not first <= loop.to < last
+    ]
+
+
+def anchor_loop(keyframes: KeyframeList, k: int) -> Loop:
+    """What key frame k knew by those that are gone: where it is in the map."""
+    return Loop(0, k, se2.between(keyframes.map[0], keyframes.map[k]), ANCHOR_COVARIANCE, 1.0)
+
+
+class Placement:
+    """How sure it is where a session lies in the stored map that it began in.
+
+    A place is found by what is seen from one spot, and rooms look alike: it is proven by what is seen from
+    MIN_APART_M on, and taken back where that contradicts it.
+    """
+
+    def __init__(self, is_in_stored: bool) -> None:
+        self.state: Placed = "unknown" if is_in_stored else "proven"
+        self._found_m = 0.0  # way at which it was found
+        self._contradictions = 0
+
+    def found(self, way_m: float) -> None:
+        if self.state == "unknown":
+            self.state, self._found_m, self._contradictions = "unproven", way_m, 0
+
+    def seen(self, way_m: float, agrees: bool) -> bool:
+        """What is seen after so much way on known ground lies where the map says, or not; whether the place
+        must be taken back.
+        """
+        if self.state != "unproven":
+            return False
+        if agrees and way_m - self._found_m >= MIN_APART_M:
+            self.state = "proven"
+        self._contradictions = 0 if agrees else self._contradictions + 1
+        if self._contradictions < MAX_CONTRADICTIONS:
+            return False
+        self.state = "unknown"
+        return True

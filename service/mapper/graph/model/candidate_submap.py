@@ -1,0 +1,174 @@
+"""A stretch of the way as something to be found again: surfels, free space, and a field to search in."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.geometry.se2 import wrap_angle
+from service.kernels import occupancy
+from service.kernels.branch_and_bound import MaxPyramid, padding_cells, pool_levels, search_branch_and_bound
+from service.kernels.loops import fill_unknown, share_in_free_space, splat_field
+from service.kernels.occupancy import OccupancyGrid, trace_scan
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.point_clouds import (
+    CELL_M,
+    POOL_TILES,
+    Fit,
+    PointCloud,
+    SurfelSet,
+    cloud_with_noise,
+    cover,
+    joined,
+)
+from service.mapper.maps.occupancy import EVIDENCE
+from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.matchers.window_search import thinned, window_around
+
+FIELD_SIGMA_M = 0.12
+LEVELS = 7
+REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
+FREE = -20  # two misses and no hit
+SEARCH_POINTS = 200
+# Of a point on ground that the sub-map has not seen, which says nothing: somewhat less than that of one on a
+# wall, so that ground that is known wins.
+UNKNOWN_LIKELIHOOD = 0.7
+MIN_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
+# [22] Squared sigmas of chance in what walls say of a loop: of the loops along 30 m of a corridor, one each
+# 2 m, the largest counts.
+CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
+REACH_SIGMAS = 3.5  # of the drift between two passes, that half a window is: DRIFTS of the back end
+MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
+TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
+
+
+def cloud_of(
+    keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
+) -> PointCloud:
+    """Key frames as odometry places them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
+    poses = keyframes.odom if poses is None else poses
+    return joined(
+        [seen_by(keyframes, k).transformed(se2.between(poses[reference], poses[k])) for k in members]
+    )
+
+
+def seen_by(keyframes: KeyframeList, k: int, reach_m: float = REACH_M) -> PointCloud:
+    """The points of a key frame that are asked, in its own frame."""
+    kept = keyframes.thinned[k]
+    near = (kept.xy_base * kept.xy_base).sum(axis=1) < reach_m * reach_m
+    xy, normals = kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64)
+    return cloud_with_noise(xy, normals, float(keyframes.range_sigma_m[k]))
+
+
+class CandidateSubmap:
+    """Key frames around one, `reference`, in whose frame all lies, put together by odometry.
+
+    poses   (N, 3) of all key frames, where these put them together instead: those of the graph do where the
+            members are of several passes
+    """
+
+    def __init__(
+        self,
+        keyframes: KeyframeList,
+        members: Iterable[int],
+        reference: int,
+        poses: Floats | None = None,
+    ) -> None:
+        poses = keyframes.odom if poses is None else poses
+        self.reference = reference
+        self.members = list(members)
+        cells = (occupancy.TILE_CELLS,) * 2
+        self._space = TileMap(
+            TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
+        )
+        self._pyramid: MaxPyramid | None = None
+        self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
+        self._sensors = [
+            se2.points_from(
+                se2.between(poses[reference], poses[k]),
+                np.array(keyframes.thinned[k].sensor_xy_m),
+            )
+            for k in self.members
+        ]
+        whole = joined(self._clouds)
+        self._xy = whole.xy
+        self._surfels = SurfelSet(whole)
+        self._knows_space = False
+
+    def search(
+        self,
+        cloud: PointCloud,
+        pose: Floats,
+        reach_m: float,
+        reach_rad: float,
+        least: float,
+        step_rad: float = CELL_M / 10.0,
+    ) -> Floats | None:
+        """Where the cloud lies best within a window about a pose; None where nowhere well enough."""
+        if not len(cloud.xy) or not len(self._xy):
+            return None
+        window = window_around(pose, (reach_m, reach_rad), self.pyramid(), step_rad)
+        found = search_branch_and_bound(thinned(cloud.xy, SEARCH_POINTS), self.pyramid(), window, least)
+        return found.pose if found.score >= least else None
+
+    def align(self, cloud: PointCloud, pose: Floats) -> Fit:
+        """The cloud aligned with the surfels, from a pose near enough."""
+        return self._surfels.align_with_shared_errors(cloud, pose, CHANCE_CHI2)
+
+    def align_about(
+        self, cloud: PointCloud, pose: Floats, expected: Floats, reach_m: float, reach_rad: float
+    ) -> Fit:
+        """The same, and where the walls leave a direction open it lies there as expected.
+
+        expected             pose (3,) that the search was about
+        reach_m, reach_rad   half of its window: REACH_SIGMAS of the expected pose
+        What a search chose in an open direction is chance. Along a corridor it was up to 1.5 m, and what the
+        walls say across it holds near by alone. The expected pose says where to align again, and is not in
+        the fit.
+        """
+        fit = self.align(cloud, pose)
+        sigmas = np.array([reach_m, reach_m, reach_rad]) / REACH_SIGMAS
+        prior = np.diag(sigmas**-2)
+        for _ in range(MAX_MOVES):
+            off = expected - fit.pose
+            off[2] = wrap_angle(off[2])
+            move = np.linalg.solve(fit.information + prior, prior @ off)
+            if abs(move / sigmas).max() < SETTLED_SIGMAS:
+                break
+            fit = self.align(cloud, fit.pose + move)
+        return fit
+
+    def against(self, cloud: PointCloud, pose: Floats) -> float:
+        """Share of the points that would lie in free space of the place, 0..1."""
+        return float(share_in_free_space(cloud.xy, pose, self._free(), FREE))
+
+    def pyramid(self) -> MaxPyramid:
+        if self._pyramid is None:
+            pad = padding_cells(LEVELS)
+            low = np.floor(self._xy.min(axis=0) / CELL_M).astype(np.int64) - 2 - pad
+            high = np.floor(self._xy.max(axis=0) / CELL_M).astype(np.int64) + 3
+            levels = np.zeros((LEVELS, high[1] - low[1], high[0] - low[0]), np.float32)
+            row, column = int(low[1]), int(low[0])
+            splat_field(self._xy, row, column, CELL_M, FIELD_SIGMA_M, levels[0])
+            fill_unknown(levels[0], row, column, self._free(), UNKNOWN_LIKELIHOOD)
+            pool_levels(levels, UNKNOWN_LIKELIHOOD)
+            self._pyramid = MaxPyramid(levels, row, column, UNKNOWN_LIKELIHOOD, 0.0, 1.0, CELL_M)
+        return self._pyramid
+
+    def _trace(self) -> None:
+        cover(self._space, occupancy.TILE_BITS, np.concatenate((self._xy, self._sensors)))
+        for number in range(0, len(self._clouds), TRACED_EVERY):
+            cloud, sensor = self._clouds[number], self._sensors[number]
+            if len(cloud.xy):
+                trace_scan(
+                    cloud.xy, sensor, np.zeros(3), self._free(), EVIDENCE, REACH_M, np.uint16(number + 1)
+                )
+
+    def _free(self) -> OccupancyGrid:
+        if not self._knows_space:
+            self._knows_space = True
+            self._trace()
+        evidence, touched, changed = self._space.pool.arrays
+        return OccupancyGrid(self._space.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]

@@ -1,0 +1,132 @@
+"""A pose graph as GTSAM's factors, and its solution: the only module that imports GTSAM."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from service.geometry.poses import Floats
+from service.mapper.graph.model.pose_graph import PoseGraph, SolverConfig, bearing_range
+
+HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
+ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
+MIN_RANGE_M = 1.0  # a point nearer than this is seen by the helper
+
+
+def solve_held(
+    graph: PoseGraph, held: list[int], config: SolverConfig, covariances_of: Sequence[int]
+) -> tuple[Floats, Floats, dict[int, Floats]]:
+    """Poses (N, 3) m and rad, landmarks (L, 2) m, and covariances (3, 3) by pose asked for.
+
+    held   the poses that stay where the guess has them
+    Raises what GTSAM raises: RuntimeError.
+    """
+    factors, values = _factors(graph, held)
+    values = _optimise(factors, values, config)
+    poses, landmarks = _read(graph, values)
+    marginals = gtsam.Marginals(factors, values) if len(covariances_of) else None
+    covariances = {int(k): marginals.marginalCovariance(int(k)) for k in covariances_of if marginals}
+    return poses, landmarks, covariances
+
+
+def marginal_of(graph: PoseGraph, k: int) -> Floats:
+    """(3, 3) covariance of pose k against the fixed one, in its own axes, at the poses as they are.
+
+    Raises what GTSAM raises: RuntimeError.
+    """
+    settings = gtsam.ISAM2Params()
+    settings.setFactorization("QR")  # gtsam.Marginals has no other than Cholesky
+    bayes_tree = gtsam.ISAM2(settings)
+    bayes_tree.update(*_factors(graph, [graph.fixed]))
+    return np.asarray(bayes_tree.marginalCovariance(k))
+
+
+def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
+    for k, pose in enumerate(graph.poses.tolist()):
+        values.insert(k, gtsam.Pose2(*pose))
+    for k, xy in enumerate(graph.landmarks):
+        values.insert(pose_count + k, xy)
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, HELD_SIGMA)
+    for k in held:
+        factors.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(*graph.poses[k]), tight))
+    noise = _Noise()
+    edges = graph.edges
+    for of, to, measured, covariance, width in zip(
+        edges.of.tolist(),
+        edges.to.tolist(),
+        edges.measured.tolist(),
+        edges.covariance,
+        edges.kernel_width.tolist(),
+        strict=True,
+    ):
+        factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), noise(covariance, width)))
+    helpers: dict[int, int] = {}
+    aside = gtsam.Pose2(-ASIDE_M, 0.0, 0.0)
+    sightings = graph.sightings
+    for of, landmark, xy, covariance, width in zip(
+        sightings.of.tolist(),
+        sightings.landmark.tolist(),
+        sightings.xy,
+        sightings.covariance,
+        sightings.kernel_width.tolist(),
+        strict=True,
+    ):
+        seer = of
+        if np.hypot(*xy) < MIN_RANGE_M:  # bearing and range say nothing at the pose itself
+            xy = np.add(xy, (ASIDE_M, 0.0))
+            seer = helpers.get(of, -1)
+            if seer < 0:
+                seer = helpers[of] = pose_count + landmark_count + len(helpers)
+                values.insert(seer, values.atPose2(of).compose(aside))
+                factors.add(gtsam.BetweenFactorPose2(of, seer, aside, tight))
+        bearing_rad, range_m, of_both = bearing_range(xy, covariance)
+        factors.add(
+            gtsam.BearingRangeFactor2D(
+                seer,
+                pose_count + landmark,
+                gtsam.Rot2(bearing_rad),
+                range_m,
+                noise(of_both, width),
+            )
+        )
+    return factors, values
+
+
+class _Noise:
+    """Noise models, with one kernel object a width."""
+
+    def __init__(self) -> None:
+        self._kernels: dict[float, gtsam.noiseModel.mEstimator.Cauchy] = {}
+
+    def __call__(self, covariance: Floats, kernel_width: float) -> gtsam.noiseModel.Base:
+        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        if kernel_width == 0.0:
+            return gaussian
+        kernel = self._kernels.get(kernel_width)
+        if kernel is None:
+            kernel = self._kernels[kernel_width] = gtsam.noiseModel.mEstimator.Cauchy.Create(kernel_width)
+        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
+
+
+def _optimise(
+    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, config: SolverConfig
+) -> gtsam.Values:
+    """Step by step, not in one call: GTSAM holds the interpreter, and other threads run between steps."""
+    optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams())
+    for _ in range(config.most_iterations):
+        before = optimiser.error()
+        optimiser.iterate()
+        if before - optimiser.error() <= config.least_gain * before:
+            break
+    return optimiser.values()
+
+
+def _read(graph: PoseGraph, values: gtsam.Values) -> tuple[Floats, Floats]:
+    count = len(graph.poses)
+    found = [values.atPose2(k) for k in range(count)]
+    poses = np.array([(pose.x(), pose.y(), pose.theta()) for pose in found])
+    landmarks = np.array([values.atPoint2(count + k) for k in range(len(graph.landmarks))])
+    return poses, landmarks.reshape(-1, 2)

@@ -1,0 +1,57 @@
+"""How well the newest key frame is known in the map, by the graph and by the motion model in hindsight."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.odometry_edges import (
+    MIN_COVARIANCE,
+    UNKNOWN_COVARIANCE,
+    matched_steps,
+)
+from service.mapper.graph.model.pose_graph import Edges, PoseGraph
+from service.mapper.graph.model.pose_graph_solver import covariance_of
+from service.mapper.known_pose import KnownPose
+
+MIN_SHARE = 1e-12  # of the largest variance of a step: above what rounding leaves of the smallest one
+
+
+def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
+    """From each key frame to the next, known as well as the motion model says by all that came later: those
+    of a way without loops add up to what it says of the newest pose.
+
+    A key frame is known at least as well as the ones after it, but for what was added on the way there; [34].
+    """
+    edges, is_unknown = matched_steps(keyframes, step_m)
+    known = keyframes.motion_covariance.copy()
+    is_known = np.isfinite(known[edges.of] + known[edges.to]).all(axis=(1, 2)) & ~is_unknown
+    there = se2.adjoint(edges.measured)
+    back = np.linalg.inv(there)
+    for k in np.flatnonzero(is_known)[::-1].tolist():
+        of, to = edges.of[k], edges.to[k]
+        variances, axes = np.linalg.eigh(known[to] - back[k] @ known[of] @ back[k].T)
+        added = (axes * np.maximum(variances, max(variances[-1] * MIN_SHARE, 0.0))) @ axes.T
+        known[of] = there[k] @ (known[to] - added) @ there[k].T
+        edges.covariance[k] = added + MIN_COVARIANCE
+    edges.covariance[is_unknown] = UNKNOWN_COVARIANCE
+    return edges
+
+
+def known_pose(
+    keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, held: int
+) -> KnownPose | None:
+    """The newest key frame whose piece has a known place in the map; None: there is none, or the motion model
+    says nothing of it.
+
+    joined   numbers of those pieces
+    graph    with edges in hindsight; of it the first `held` key frames are one pose
+    """
+    placed = np.flatnonzero(np.isin(keyframes.piece, list(joined)))
+    if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():
+        return None
+    k = int(placed[-1])
+    covariance = covariance_of(graph, k - max(held - 1, 0))
+    return KnownPose(SE2(*keyframes.odom[k].tolist()), keyframes.motion_covariance[k].copy(), covariance)

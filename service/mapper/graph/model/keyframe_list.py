@@ -1,0 +1,252 @@
+"""Key frames: what the back end keeps of a drive."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.by_hand import ByHand
+from service.mapper.components import Correction
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.saved_graph import SavedGraph
+
+NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyFrame:
+    """A scan at a step of the way, as it goes to the back end."""
+
+    stamp_ns: int
+    pose_odom_base: SE2
+    covariance: Floats  # (3, 3) of the pose against the local map, base axes
+    piece: int  # connected piece of the map that it belongs to
+    score: float  # share of its points on the local map
+    is_lost: bool  # the pose is a prediction
+    xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
+    sensor_xy_m: tuple[float, float]  # base frame
+    angle_step_rad: float
+    range_sigma_m: float = 0.01
+    gap_s: float = math.inf  # longest time without a scan since the key frame before
+    motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
+    is_unmeasured: bool = False  # nobody measured the way from the newest key frame of a known place to here
+    # m^2, rad^2: by how much it may be off the key frame before where its match is wrong, by the predictions
+    doubt: tuple[float, float] = (math.inf, math.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThinnedScan:
+    """Points of a key frame, thinned."""
+
+    xy_base: npt.NDArray[np.float32]  # (N, 2) m
+    normals: npt.NDArray[np.float32]  # (N, 3) as estimate_normals gives them
+    sensor_xy_m: tuple[float, float]
+
+
+# Of KeyframeList, one row a key frame
+ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_doubt")
+SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
+
+
+class KeyframeList:
+    """All key frames so far, one behind the other. Arrays grow by doubling; rows are key frames.
+
+    Those of a stored map stand first, the pieces they belong to numbered from -1 down.
+    """
+
+    def __init__(self, stored: SavedGraph | None = None) -> None:
+        self.count = self.stored = 0
+        self._poses = np.zeros((64, 6))
+        self._numbers = np.zeros((64, 7))
+        self._covariance = np.zeros((64, 3, 3))
+        self._motion_covariance = np.zeros((64, 3, 3))
+        self._doubt = np.zeros((64, 2))
+        self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
+        self.stamps_ns: list[int] = []
+        self.thinned: list[ThinnedScan] = []
+        self.by_hand = ByHand() if stored is None else stored.by_hand
+        if stored is not None:
+            self._restore(stored)
+
+    def _restore(self, stored: SavedGraph) -> None:
+        self.count = self.stored = len(stored)
+        _, piece = np.unique(stored.piece, return_inverse=True)
+        self._poses = np.column_stack((stored.odom, stored.map))
+        self._numbers = np.column_stack(
+            (
+                stored.way_m,
+                stored.score,
+                stored.is_lost,
+                stored.point_count > 0,
+                -1 - piece,
+                stored.gap_s,
+                stored.range_sigma_m,
+            )
+        ).astype(np.float64)
+        self._covariance = stored.covariance.copy()
+        self._motion_covariance = np.full_like(stored.covariance, np.nan)
+        self._doubt = np.full((len(stored), 2), np.inf)
+        self.stamps_ns = stored.stamp_ns.tolist()
+        ends = np.cumsum(stored.point_count)[:-1]
+        self.thinned = [
+            ThinnedScan(xy, normals, (float(sensor[0]), float(sensor[1])))
+            for xy, normals, sensor in zip(
+                np.split(stored.xy_base, ends),
+                np.split(stored.normals, ends),
+                stored.sensor_xy_m,
+                strict=True,
+            )
+        ]
+
+    @property
+    def odom(self) -> Floats:
+        """(N, 3) pose_odom_base."""
+        return self._poses[: self.count, :3]
+
+    @property
+    def map(self) -> Floats:
+        """(N, 3) pose_map_base; to be written to by who solves."""
+        return self._poses[: self.count, 3:]
+
+    @property
+    def way_m(self) -> Floats:
+        """(N,) travelled up to each."""
+        return self._numbers[: self.count, 0]
+
+    @property
+    def score(self) -> Floats:
+        """(N,) share of each one's points on the local map."""
+        return self._numbers[: self.count, 1]
+
+    @property
+    def is_lost(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether its pose in odom is a prediction."""
+        lost: npt.NDArray[np.bool_] = self._numbers[: self.count, 2] != 0.0
+        return lost
+
+    @property
+    def has_points(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether its points are still kept."""
+        has: npt.NDArray[np.bool_] = self._numbers[: self.count, 3] != 0.0
+        return has
+
+    @property
+    def piece(self) -> npt.NDArray[np.int64]:
+        """(N,) number of the connected piece of the map that each belongs to."""
+        return self._numbers[: self.count, 4].astype(np.int64)
+
+    @property
+    def gap_s(self) -> Floats:
+        """(N,) longest time without a scan since the key frame before each."""
+        return self._numbers[: self.count, 5]
+
+    @property
+    def range_sigma_m(self) -> Floats:
+        """(N,) noise of the ranges of each."""
+        return self._numbers[: self.count, 6]
+
+    @property
+    def is_usable(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether others can be aligned with it: its pose is a match, and its points are there."""
+        return self.has_points & ~self.is_lost
+
+    @property
+    def covariance(self) -> Floats:
+        """(N, 3, 3) of each one's match."""
+        return self._covariance[: self.count]
+
+    @property
+    def motion_covariance(self) -> Floats:
+        """(N, 3, 3) of each one's pose against the first scan of its session; NaN where that is not known."""
+        return self._motion_covariance[: self.count]
+
+    @property
+    def doubt(self) -> Floats:
+        """(N, 2) m^2, rad^2 of each one, as in KeyFrame."""
+        return self._doubt[: self.count]
+
+    def append(self, frame: KeyFrame, pose_map: Floats, thinned: ThinnedScan) -> None:
+        if self.count == len(self._poses):
+            for name in ARRAYS:
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate((array, np.zeros_like(array))))
+        k = self.count
+        pose = frame.pose_odom_base
+        self._poses[k] = pose.x_m, pose.y_m, pose.theta_rad, *pose_map
+        way_m = 0.0
+        if k and k == self.stored:
+            way_m = self._numbers[k - 1, 0] + SESSION_APART_M
+        elif k:
+            before = self._poses[k - 1]
+            way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
+        self._numbers[k] = (
+            way_m,
+            frame.score,
+            frame.is_lost,
+            True,
+            frame.piece,
+            frame.gap_s,
+            frame.range_sigma_m,
+        )
+        self._covariance[k] = frame.covariance
+        known = frame.motion_covariance
+        self._motion_covariance[k] = np.nan if known is None else known
+        self._doubt[k] = frame.doubt
+        if frame.is_unmeasured:
+            self.unmeasured.add(frame.piece)
+        self.stamps_ns.append(frame.stamp_ns)
+        self.thinned.append(thinned)
+        self.count += 1
+
+    def correction(self, k: int) -> Correction:
+        """Where key frame k lies."""
+        before = max(k % self.count - 1, 0)
+        return Correction(
+            self.stamps_ns[k],
+            SE2(*self.odom[k].tolist()),
+            SE2(*self.map[k].tolist()),
+            bool(self.piece[k] != self.piece[before]),
+        )
+
+    def drop(self, first: int, last: int) -> None:
+        """Take out the key frames first..last - 1; those behind move up."""
+        for name in ARRAYS:
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate((array[:first], array[last : self.count])))
+        del self.stamps_ns[first:last], self.thinned[first:last]
+        self.count -= last - first
+
+    def forget(self, k: int) -> None:
+        """Keep of a key frame no more than where it is."""
+        self.put_points(k, ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m))
+
+    def put_points(self, k: int, thinned: ThinnedScan) -> None:
+        """Other points of a key frame."""
+        self.thinned[k] = thinned
+        self._numbers[k, 3] = len(thinned.xy_base) > 0
+
+    def set_lost(self, keyframes: Iterable[int], is_lost: bool) -> None:
+        """Whether the poses of some key frames are predictions."""
+        self._numbers[list(keyframes), 2] = is_lost
+
+    def forget_all(self, first: int, last: int) -> None:
+        """Forget the key frames first..last - 1."""
+        for k in first + np.flatnonzero(self.has_points[first : max(first, last)]):
+            self.forget(int(k))
+
+    def forget_one_standing(self, most: int, config: LoopsConfig) -> None:
+        """Forget the one before the newest `most`, if the one kept before it is of the same spot and piece.
+
+        While a piece is looked for, key frames are made where the vehicle stands, too.
+        """
+        old = self.count - 1 - most
+        before = np.flatnonzero(self._numbers[self.stored : max(old, self.stored), 3])
+        if not len(before) or self._numbers[self.stored + before[-1], 4] != self._numbers[old, 4]:
+            return
+        pose, kept = (SE2(*self.odom[k].tolist()) for k in (old, self.stored + before[-1]))
+        if not pose.is_step_from(kept, config.keyframe_distance_m, config.keyframe_turn_rad):
+            self.forget(old)

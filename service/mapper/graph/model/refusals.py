@@ -1,0 +1,55 @@
+"""Loops that were not accepted, kept for a person who asks why a map looks as it does."""
+
+from collections import OrderedDict
+from collections.abc import Collection, Iterable
+
+import numpy as np
+
+from service.mapper.graph.model.loops import Loop
+from service.mapper.refused_loops import RefusedLoops
+
+MAX_REFUSED = 1000  # the newest; time must not fill memory
+
+
+class Refusals:
+    """Loops by their key frames, with the reason that was found last."""
+
+    def __init__(self, stored: RefusedLoops | None = None) -> None:
+        self._by_ends: OrderedDict[tuple[int, int], tuple[Loop, int]] = OrderedDict()
+        stored = stored or RefusedLoops()
+        for k, (of, to) in enumerate(stored.ends.tolist()):
+            loop = Loop(
+                of,
+                to,
+                stored.measured[k],
+                np.zeros((3, 3)),  # nothing asks for it
+                float(stored.score[k]),
+                int(stored.points[k]),
+                float(stored.against[k]),
+            )
+            self._by_ends[of, to] = loop, int(stored.reason[k])
+
+    def add(self, loops: Iterable[Loop], reason: int) -> None:
+        """reason: of service.mapper.refused_loops."""
+        for loop in loops:
+            self._by_ends.pop((loop.of, loop.to), None)
+            self._by_ends[loop.of, loop.to] = loop, reason
+            if len(self._by_ends) > MAX_REFUSED:
+                self._by_ends.popitem(last=False)
+
+    def clear(self) -> None:
+        """The key frames have other numbers now."""
+        self._by_ends.clear()
+
+    def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
+        """Those that were not accepted after all."""
+        held = {(loop.of, loop.to) for loop in accepted}
+        left = [one for ends, one in self._by_ends.items() if ends not in held]
+        return RefusedLoops(
+            np.array([(loop.of, loop.to) for loop, _ in left], np.int64).reshape(-1, 2),
+            np.array([loop.measured for loop, _ in left], np.float64).reshape(-1, 3),
+            np.array([loop.share for loop, _ in left], np.float64),
+            np.array([loop.points for loop, _ in left], np.int64),
+            np.array([loop.against for loop, _ in left], np.float64),
+            np.array([reason for _, reason in left], np.int64),
+        )

@@ -1,0 +1,125 @@
+"""Scan to scan by iterative closest points: the start of a search, or a matcher by itself."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from drivers.section import Section
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.deskew import deskew_points
+from service.kernels.icp import icp_point_to_point
+from service.mapper.components import Match, Points
+from service.mapper.judgement import JudgementConfig, begun, held, too_few
+from service.mapper.matchers.covariances import diagonal, inverse
+from service.mapper.matchers.judged import Aligned, judged_alone
+from service.mapper.papers.imle.patch_map import PatchMap
+from service.outputs import Reason
+
+Array = npt.NDArray[np.float64]
+
+
+class IcpConfig(Section):
+    """Which points are pairs, and when it ends."""
+
+    pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
+    points: int = Field(default=180, ge=20)  # of the newer scan that look for a partner, evenly chosen
+    iterations: int = Field(default=50, ge=1, le=1000)
+    settled: float = Field(default=1e-3, gt=0.0)  # m and rad: ends with a step below it
+    least_inlier_ratio: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
+
+
+class Step(NamedTuple):
+    """Where the base is by the scan before.
+
+    rms_m   root mean square of the pairs' distances
+    share   of the points that are in pairs
+    """
+
+    pose: SE2
+    rms_m: float
+    share: float
+
+
+class ScanIcp:
+    """Remembers the scan before, and where it was."""
+
+    def __init__(self, config: IcpConfig) -> None:
+        self._config = config
+        self._last: tuple[Array, SE2] | None = None
+
+    def step(self, points: Points, predicted: Prediction) -> Step | None:
+        """None where there was no scan before, or where it has too little in common."""
+        if self._last is None:
+            return None
+        older, pose = self._last
+        guess = pose.inverse() @ predicted.pose_odom_base
+        config = self._config
+        stride = max(1, round(len(points.xy_base) / config.points))
+        newer = np.ascontiguousarray(points.xy_base[::stride])
+        result = icp_point_to_point(
+            newer,
+            older,
+            np.array([guess.x_m, guess.y_m, guess.theta_rad]),
+            config.pair_m,
+            config.iterations,
+            config.settled,
+        )
+        if result.paired < max(config.least_inlier_ratio * len(newer), 3):
+            return None
+        x_m, y_m, theta_rad = result.step.tolist()
+        return Step(pose @ SE2(x_m, y_m, theta_rad), float(result.rms_m), result.paired / len(newer))
+
+    def remember(self, match: Match) -> None:
+        self._last = (match.points.xy_base, match.motion.pose_odom_base)
+
+
+def deskewed(points: Points, predicted: Prediction, pose: SE2) -> Points:
+    """The points with the twist that follows from where the base was found."""
+    xy_base = np.empty_like(points.xy_base)
+    deskew_points(points.xy_raw, points.beam_time_s, np.array(predicted.twist_at(pose)), xy_base)
+    return replace(points, xy_base=xy_base)
+
+
+class IcpScanToScanConfig(IcpConfig, JudgementConfig):
+    """Plain ICP: all points, pairs at any distance."""
+
+    pair_m: float = Field(default=1000.0, gt=0.0)
+    points: int = Field(default=100_000, ge=20)
+    settled: float = Field(default=1e-4, gt=0.0)
+    position_sigma_m: float = Field(default=0.02, gt=0.0)  # of a step
+    heading_sigma_rad: float = Field(default=0.01, gt=0.0)
+
+
+class IcpScanToScan:
+    """Matcher[PatchMap] that never looks at the map: what the searches are measured against.
+
+    The prediction is where ICP begins and has no other say, so nothing is left to be joined.
+    """
+
+    def __init__(self, config: IcpScanToScanConfig) -> None:
+        self._config = config
+        self._icp = ScanIcp(config)
+        self._covariance = diagonal(config.position_sigma_m, config.heading_sigma_rad)
+        self._information = inverse(self._covariance)
+
+    def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
+        if reason := too_few(points):
+            return held(points, predicted, reason)
+        step = self._icp.step(points, predicted)
+        if local_map.is_empty:
+            match = begun(points, predicted)
+        elif step is None:
+            reason = Reason("little_in_common", "the scan has too little in common with the one before")
+            match = held(points, predicted, reason)
+        else:
+            measured = Measurement(step.pose, self._covariance, self._information)
+            aligned = Aligned(measured, deskewed(points, predicted, step.pose))
+            match = judged_alone(aligned, predicted, round(step.share * len(points.xy_base)), self._config)
+        self._icp.remember(match)
+        return match
+
+    compare = match  # what the matcher remembers of the scan before is of any laser

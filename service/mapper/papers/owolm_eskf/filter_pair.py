@@ -1,0 +1,128 @@
+"""Two filters of one drive: what walls say of it, and what every dot of the map says.
+
+Along a bare corridor dots hold the pose back (across_walls.py); beside furniture they are all that fixes it.
+From where walls fix the position both filters set out alike. While they agree, the pose is that of the dots,
+which is the smoother one; how well it is known is always what the walls say.
+"""
+
+import copy
+import math
+
+import numpy as np
+
+from service.fusion.motion import Matrix, Measurement
+from service.geometry.chi2 import CHI2_999_OF_3
+from service.geometry.se2 import SE2
+from service.mapper.judgement import chi2_between, sigmas_of
+from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter
+
+BLIND_SIGMA = (100.0, 100.0, math.pi)  # m, m, rad: of what a scan says nothing about
+FIXED_M = 0.1  # sigma in the worst direction, up to which walls fix the position: that of `degraded_sigma_m`
+# Share of the way between both poses that dots have moved theirs backwards: a half where wheels give the way
+# with the wrong sign, as those of fr079 do in reverse; none where dots hold it back, but for a match's noise.
+BACKWARDS_SHARE = 0.25
+STEP_M = 0.05  # of way, in which that is counted
+MIN_COVARIANCE = 1e-6 * np.eye(3)
+
+
+class FilterPair:
+    """across: corrected across walls alone. dots: by all that lies on the map; None: that is not asked."""
+
+    def __init__(self, begun: ErrorStateFilter) -> None:
+        self.across = begun
+        self.dots: ErrorStateFilter | None = None
+        self._is_confirmed = False
+        self.is_fixed = True  # by the walls of the newest match
+        self._drift = np.zeros((2, 2))  # m^2, of the ground in sight against the first scan, odom axes
+        self._counted = SE2(), SE2()  # both, where what follows was counted last
+        self._backwards_m = 0.0  # that dots went against the motion, since both were one
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Wheels and IMU both measure the motion: then dots are not asked."""
+        return self._is_confirmed
+
+    @is_confirmed.setter
+    def is_confirmed(self, is_confirmed: bool) -> None:
+        self._is_confirmed = is_confirmed
+        if is_confirmed:
+            self.dots = None
+
+    @property
+    def all(self) -> list[ErrorStateFilter]:
+        return [self.across] if self.dots is None else [self.across, self.dots]
+
+    @property
+    def best(self) -> ErrorStateFilter:
+        return self.across if self.dots is None else self.dots
+
+    def covariance(self) -> Matrix:
+        """(3, 3) of the pose against the first scan, base axes.
+
+        Behind a stretch in which only the motion said how far it was, the map is as far off as that was.
+        """
+        covariance = self.across.pose_covariance()
+        turn = _rotation(self.across.yaw_rad)
+        covariance[:2, :2] += turn.T @ self._drift @ turn
+        return covariance
+
+    def observe(self, measured: Measurement) -> None:
+        """Take a match: its information is what walls say, its covariance what dots do."""
+        if measured.prior_weight < 1.0:
+            for each in self.all:
+                each.doubt_pose(measured.prior_weight)
+        told, across = self.across.pose, _across(measured)  # told: where wheels or IMU put the base
+        self.is_fixed = sigmas_of(across)[0] <= FIXED_M
+        before = self.across.pose_covariance()
+        self.across.observe_pose(measured.pose_odom_base, across)
+        if self.dots is None and sigmas_of(before)[0] > FIXED_M:
+            turn = _rotation(told.theta_rad)
+            self._drift += turn @ (before - self.across.pose_covariance())[:2, :2] @ turn.T
+        if self.dots is not None:
+            self.dots.observe_pose(measured.pose_odom_base, measured.covariance)
+            self._compare(told, self.dots)
+        elif not (self._is_confirmed or measured.is_joined) and self.is_fixed:
+            self.dots = copy.deepcopy(self.across)
+            self._begin_to_count()
+
+    def _compare(self, told: SE2, dots: ErrorStateFilter) -> None:
+        """Where both contradict each other, dots are left, unless they went the other way."""
+        way, by_dots = self._counted[0].inverse() @ told, self._counted[1].inverse() @ dots.pose
+        backwards_m = self._backwards_m + _backwards_m(way, by_dots)
+        if math.hypot(way.x_m, way.y_m) >= STEP_M:
+            self._backwards_m = backwards_m
+            self._counted = self.across.pose, dots.pose
+        covariance = self.across.pose_covariance() + MIN_COVARIANCE
+        if chi2_between(self.across.pose, dots.pose, covariance) <= CHI2_999_OF_3:
+            return
+        apart = dots.position_m - self.across.position_m
+        if backwards_m <= BACKWARDS_SHARE * float(np.hypot(*apart[:2])):
+            self.dots = None
+            return
+        known = self.across.covariance  # no surer than before
+        self.across = copy.deepcopy(dots)
+        self.across.covariance = known
+        self._begin_to_count()
+
+    def _begin_to_count(self) -> None:
+        self._counted, self._backwards_m = (self.across.pose, self.best.pose), 0.0
+
+
+def _backwards_m(way: SE2, by_dots: SE2) -> float:
+    """How far dots went against a way; little of it is the noise of a match."""
+    length_m = math.hypot(way.x_m, way.y_m)
+    if length_m == 0.0:
+        return 0.0
+    along_m = (by_dots.x_m * way.x_m + by_dots.y_m * way.y_m) / length_m
+    return -along_m if along_m < -0.5 * length_m else 0.0
+
+
+def _rotation(angle_rad: float) -> Matrix:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def _across(measured: Measurement) -> Matrix:
+    """(3, 3) covariance of what a scan says without any prediction, base axes; wide where it says nothing."""
+    least = np.diag(1.0 / np.square(BLIND_SIGMA)) if measured.is_joined else 0.0
+    return np.asarray(np.linalg.inv(measured.information + least), np.float64)

@@ -1,0 +1,57 @@
+"""What passes between the parts of the default profile's matcher."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.fusion.motion import Prediction
+from service.geometry.se2 import SE2
+from service.kernels.match import MatchResult, Prior
+from service.mapper.components import Points
+from service.mapper.judgement import chi2_between
+from service.mapper.scan_match.posts import Posts
+from service.mapper.scan_match.submaps import Submap
+from service.outputs import Reason, State
+
+Matrix = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """A scan that is to be aligned with a map, and where the prediction puts it there."""
+
+    points: Points  # where their beams meet walls
+    unmoved: Points  # as they were measured
+    normals: Matrix  # (N, 3) from estimate_normals
+    posts: Posts | None  # where there are few walls
+    predicted: Prediction
+    prior: Prior
+    usual_ratio: float  # inlier ratio of this laser's scans of late
+
+    @property
+    def stamp_ns(self) -> int:
+        return self.points.scan.stamp_ns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Where it ended on one sub-map."""
+
+    result: MatchResult
+    xy_base: Matrix  # (N, 2) m, deskewed with the twist found
+    submap: Submap
+    state: State
+    reason: Reason
+    is_contradicted: bool  # by free space and walls of the map; False where too much lies on it to ask
+    is_moving: npt.NDArray[np.bool_] | None = None  # as in Match
+
+    @property
+    def pose(self) -> SE2:
+        x_m, y_m, theta_rad = self.result.pose.tolist()
+        return SE2(x_m, y_m, theta_rad)
+
+
+def chi2_of(pose: SE2, prior: Prior) -> float:
+    """How far a pose is from the prediction, in squared sigmas."""
+    return chi2_between(SE2(*prior.pose.tolist()), pose, prior.covariance)

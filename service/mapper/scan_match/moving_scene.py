@@ -1,0 +1,351 @@
+"""Whether part of the scene moves: what stands still, and odometry, against all that the laser sees; [35].
+
+A scan that is matched to people who walk beside the vehicle shows a vehicle that stands. Some hundred returns
+outweigh any odometry, so no weight of the prediction helps: it takes a decision about which returns belong to
+what stands still. What was seen from different places, over STATIC_PATH_M of the path, stands still whatever
+moves now, and no vehicle changes its speed at once. Both decide between two hypotheses where the matched path
+leaves that of odometry and gyro:
+
+    laser      the matched pose is right, and odometry errs
+    odometry   the pose by odometry is right, and part of the scene moves
+
+Sources: Haehnel, Triebel, Burgard, Thrun, Map building with mobile robots in dynamic environments, ICRA 2003
+(a return belongs to the static map or does not); van de Ven, Ramos, Tipaldi, An integrated probabilistic
+model for scan matching, moving object detection and motion estimation, ICRA 2010 (motion and association).
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from service.fusion.estimator import EstimatorConfig
+from service.fusion.motion import Prediction, Reckoned
+from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.filter_state import STUDENT
+from service.kernels.match import Prior, student_cost
+from service.mapper.judgement import MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
+from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
+from service.mapper.scan_match.steady_motion import SteadyMotion
+from service.mapper.scan_match.submaps import Submap
+from service.outputs import NO_REASON, Reason, State
+
+WINDOW_NS, WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
+USUAL = EstimatorConfig()  # how vehicles move, and odometry errs, before anything is learnt
+MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
+RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
+OUTLIER_SHARE = 0.1  # of the returns, which lie on no such wall by chance
+BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measurement of it
+# By how much likelier it is that part of the scene moves than that odometry errs, before anything is asked:
+# where things are seen to move, and where none are.
+MOVING_NATS, STILL_NATS = 5.0, -5.0
+MIN_STATIC_SHARE = 0.2  # of the returns on static walls: with less, their evidence is none
+MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
+ON_WALL_M = 0.05
+MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
+# Between two scans: after more, the vehicle may be elsewhere as well as the scene have moved.
+MAX_UNSEEN_S = 1.0
+MAX_SILENT_S = 0.05  # of odometry that is alive, as it comes at 20 Hz
+STILL_NS = 1_000_000_000  # with less for so long, the scene stands still again
+NOTHING_MOVES = -1  # ns, before all stamps
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Both paths at one scan."""
+
+    stamp_ns: int
+    reckoned: SE2  # by odometry and gyro
+    matched: SE2
+    variance_m2: float  # of `reckoned`, summed up
+    variance_rad2: float
+    travel_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conflict:
+    """Where odometry and gyro put the base, though it was matched elsewhere; covariance (3, 3), base axes."""
+
+    pose: SE2
+    covariance: Matrix
+    is_turned: bool  # the headings differ: people who walk along turn no scan, late stamps do
+
+
+class Reckoning:
+    """The path by odometry and gyro beside the matched one."""
+
+    def __init__(self) -> None:
+        self._steps: deque[_Step] = deque()
+        self._silent_s = math.inf  # since odometry measured a step
+
+    def restart(self, stamp_ns: int, matched: SE2) -> None:
+        """Compare from here on."""
+        self._steps.clear()
+        self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0))
+
+    def forget(self) -> None:
+        self._steps.clear()
+
+    def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
+        """A scan, and where it was matched; the conflict where both paths do not agree."""
+        self._silent_s = self._silent_s + predicted.elapsed_s if predicted.reckoned is None else 0.0
+        if self._silent_s > MAX_SILENT_S or not self._steps:
+            self.restart(stamp_ns, matched)
+            return None
+        steps, step = self._steps, predicted.reckoned or _by_speed(predicted)
+        last = steps[-1]
+        newest = _Step(
+            stamp_ns,
+            last.reckoned @ step.pose,
+            matched,
+            last.variance_m2 + step.variance_m2,
+            last.variance_rad2 + step.variance_rad2,
+            last.travel_m + math.hypot(step.pose.x_m, step.pose.y_m),
+        )
+        steps.append(newest)
+        while len(steps) > 2 and (
+            stamp_ns - steps[1].stamp_ns > WINDOW_NS or newest.travel_m - steps[1].travel_m > WINDOW_M
+        ):
+            steps.popleft()
+        return _conflict(steps[0], newest)
+
+
+def _by_speed(predicted: Prediction) -> Reckoned:
+    """The step at the last speed: between scans of two lasers there may be no sample of odometry."""
+    elapsed_s = predicted.elapsed_s
+    forward, left, turn = predicted.twist_base
+    way_m2, turn_rad2 = _walked(elapsed_s)
+    return Reckoned(SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), way_m2, turn_rad2)
+
+
+def _walked(elapsed_s: float) -> tuple[float, float]:
+    """(m^2, rad^2) by how much a vehicle may leave the path of its last speed."""
+    walked_s3 = elapsed_s**3 / 3.0
+    return USUAL.acceleration**2 * walked_s3, USUAL.turn_acceleration**2 * walked_s3
+
+
+def _conflict(begin: _Step, end: _Step) -> Conflict | None:
+    reckoned = begin.reckoned.inverse() @ end.reckoned
+    off = reckoned.inverse() @ begin.matched.inverse() @ end.matched
+    travel_m = end.travel_m - begin.travel_m
+    turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
+    scale_m = USUAL.odometry_scale_sigma * travel_m
+    way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
+    way_m2 += turn_rad2 * travel_m**2 / 3.0  # the heading walks along the path
+    turn_chi2 = wrap_angle(off.theta_rad) ** 2 / turn_rad2
+    chi2 = (off.x_m**2 + off.y_m**2) / way_m2 + turn_chi2
+    if chi2 <= CHI2_999_OF_3:
+        return None
+    covariance = np.diag([way_m2, way_m2, turn_rad2])
+    return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)
+
+
+def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
+    """By how much likelier static walls are where odometry puts the base than where the laser does, nats.
+
+    of_odometry, of_laser   (N,) residuals at both poses, m; NaN where no static wall is
+    beam                    (N,) of the scan
+    """
+    ratio = _log_likelihood(of_odometry) - _log_likelihood(of_laser)
+    group = beam // BEAMS_TOGETHER
+    sums, counts = np.bincount(group, weights=ratio), np.bincount(group)
+    return float((sums[counts > 0] / counts[counts > 0]).sum())
+
+
+def inertia_nats(
+    went_on: SE2, by_odometry: SE2, by_laser: SE2, elapsed_s: float, covariance: Matrix
+) -> float:
+    """By how much likelier one step is than another, since a vehicle does not change its speed at once, nats.
+
+    went_on       where the base would be had it gone on as between the last matches
+    by_odometry   where odometry puts it, from the last match; by_laser: where the scan does
+    elapsed_s     since the last match
+    covariance    (3, 3) of the prediction, base axes
+    """
+    way_m2, turn_rad2 = _walked(elapsed_s)
+    covariance = covariance + np.diag(
+        [way_m2 + MATCH_SIGMA_M**2, way_m2 + MATCH_SIGMA_M**2, turn_rad2 + MATCH_SIGMA_RAD**2]
+    )
+    odometry_cost, laser_cost = (
+        student_cost(chi2_between(went_on, pose, covariance), STUDENT) for pose in (by_odometry, by_laser)
+    )
+    return float(laser_cost - odometry_cost)
+
+
+def _log_likelihood(residual_m: Matrix) -> Matrix:
+    on_wall = np.exp(-0.5 * (np.nan_to_num(residual_m, nan=np.inf) / RESIDUAL_SIGMA_M) ** 2)
+    likelihood: Matrix = np.log(OUTLIER_SHARE + (1.0 - OUTLIER_SHARE) * on_wall)
+    return likelihood
+
+
+class MovingScene:
+    """Watches the matches of a drive, and replaces those that what moves has led astray.
+
+    align               (attempt, start (3,), sub-map, is_held) -> the match; held to the prior, which then
+                        errs by no more than it says
+    steady              the motion of the matches
+    degraded_sigma_m    a direction that is known worse is open
+    """
+
+    def __init__(
+        self,
+        align: Callable[[Attempt, Matrix, Submap, bool], Aligned],
+        steady: SteadyMotion,
+        degraded_sigma_m: float,
+    ) -> None:
+        self._align = align
+        self._steady = steady
+        self._degraded_sigma_m = degraded_sigma_m
+        self._reckoning = Reckoning()
+        self._moves_until_ns = NOTHING_MOVES  # at least
+        # Since part of the scene was seen to move last: the steps from each match of what stands still to
+        # that of the whole scan, one after the other, and the way.
+        self._drag, self._way_m = SE2(), 0.0
+
+    def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
+        """The match of what stands still, while part of the scene moves; None: it stands still again, or what
+        stands still contradicts odometry.
+        """
+        if attempt.stamp_ns > self._moves_until_ns:
+            return None
+        static, _share = self._align_static(attempt, attempt.prior, submap)
+        if static.result.used < MIN_CONFIRMING or is_loose(sigmas_of(static.result.covariance)):
+            self._moves_until_ns = NOTHING_MOVES
+            return None
+        conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
+        if conflict is None:
+            return self._accepted(static, attempt)
+        by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
+        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + MOVING_NATS < 0.0:
+            self._moves_until_ns = NOTHING_MOVES
+            return None
+        return self._begun(by_odometry, attempt)
+
+    def judge(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+        """An accepted match, or that of what stands still where part of the scene has led it astray."""
+        conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, aligned.pose)
+        if attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+            self._reckoning.restart(attempt.stamp_ns, aligned.pose)
+            return aligned
+        if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
+            return aligned
+        is_moving = _moved_share(aligned) >= MIN_MOVING_SHARE
+        if is_moving if conflict is None else not conflict.is_turned:
+            prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
+            static, share = self._align_static(attempt, prior, aligned.submap)
+            if share >= MIN_STATIC_SHARE:
+                nats = self._evidence_nats(attempt, static, aligned)
+                nats += MOVING_NATS if is_moving else STILL_NATS
+            else:  # too little stands still to say anything
+                nats = self._inertia_nats(attempt, aligned) + STILL_NATS
+            if nats >= 0.0:
+                return self._begun(static, attempt)
+        if conflict is not None:
+            self._reckoning.restart(attempt.stamp_ns, aligned.pose)
+        return aligned
+
+    def explain(self, attempt: Attempt, submap: Submap) -> Aligned | None:
+        """The match of what stands still near the prediction, for a scan that the map contradicts: what moves
+        may hide walls, but no beam passes through them. None: that is not so.
+        """
+        if attempt.predicted.reckoned is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+            self._reckoning.forget()
+            return None
+        static, _share = self._align_static(attempt, attempt.prior, submap)
+        pose, xy_base = static.result.pose, static.xy_base
+        residual_m = submap.static_residuals(xy_base, attempt.normals, pose)
+        on_walls = int((np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M).sum())
+        through = submap.through_static(attempt.points, xy_base, pose)
+        if (
+            on_walls < MIN_CONFIRMING
+            or on_walls < MIN_STATIC_AGREEMENT * (on_walls + through)
+            or is_loose(sigmas_of(static.result.covariance))
+        ):
+            self._reckoning.forget()
+            return None
+        return self._begun(static, attempt)
+
+    def _evidence_nats(self, attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
+        """By how much likelier odometry is than the laser, by static walls and by inertia, for a scan that
+        was aligned in two ways on one sub-map.
+        """
+        of_odometry, of_laser = (
+            one.submap.static_residuals(one.xy_base, attempt.normals, one.result.pose)
+            for one in (by_odometry, by_laser)
+        )
+        nats = evidence_nats(of_odometry, of_laser, attempt.points.beam)
+        return nats + self._inertia_nats(attempt, by_laser)
+
+    def _inertia_nats(self, attempt: Attempt, by_laser: Aligned) -> float:
+        """The part of inertia in that; 0 where the motion of the last matches is not known."""
+        last, went_on = self._steady.last, self._steady.pose_at(attempt.stamp_ns)
+        predicted = attempt.predicted
+        if last is None or went_on is None or not predicted.is_measured:
+            return 0.0
+        step = predicted.reckoned or _by_speed(predicted)
+        poses = last @ step.pose, by_laser.pose
+        return inertia_nats(went_on, *poses, predicted.elapsed_s, attempt.prior.covariance)
+
+    def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
+        """The match of the points on static walls, from a prior, and their share of all."""
+        residual_m = submap.static_residuals(attempt.points.xy_base, attempt.normals, prior.pose)
+        is_static = np.isfinite(residual_m)
+        normals = attempt.normals.copy()
+        normals[~is_static, 2] = 0.0
+        static = replace(attempt, normals=normals, prior=prior)
+        return self._align(static, prior.pose, submap, True), float(is_static.mean())
+
+    def _begun(self, static: Aligned, attempt: Attempt) -> Aligned:
+        self._reckoning.restart(attempt.stamp_ns, static.pose)
+        self._moves(attempt)
+        return self._accepted(static, attempt)
+
+    def _moves(self, attempt: Attempt) -> None:
+        self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        self._drag, self._way_m = SE2(), 0.0
+
+    def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
+        """With the weight that the prediction has by its own distribution, and what is not to be mapped."""
+        is_moving = static.submap.moved(static.xy_base, static.result.pose)
+        moving_share = float(is_moving.mean())
+        if moving_share >= MIN_MOVING_SHARE or self._is_dragged(static, attempt):
+            self._moves(attempt)
+        state: State = "ok"
+        reason = NO_REASON
+        if static.result.weakest_sigma_m > self._degraded_sigma_m or static.result.used < MIN_CONFIRMING:
+            state = "degraded"
+            reason = Reason(
+                "scene_moves",
+                f"{moving_share:.0%} of the returns move or lie where nothing stood before, and what stands "
+                "still does not fix the position; the pose follows the prediction there",
+            )
+        chi2 = chi2_of(static.pose, attempt.prior)
+        weight = min(1.0, (STUDENT + 3.0) / (STUDENT + chi2))
+        result = static.result._replace(prior_weight=weight)
+        return replace(static, result=result, state=state, reason=reason, is_moving=is_moving)
+
+    def _is_dragged(self, static: Aligned, attempt: Attempt) -> bool:
+        """Whether matches of whole scans leave the path of what stands still: what moves along on ground that
+        the map does not know is not seen to move.
+        """
+        whole = self._align(attempt, attempt.prior.pose, static.submap, False)
+        self._drag = self._drag @ (static.pose.inverse() @ whole.pose)
+        self._way_m += attempt.predicted.travel_m
+        off_m, off_rad = math.hypot(self._drag.x_m, self._drag.y_m), abs(self._drag.theta_rad)
+        scale = USUAL.odometry_scale_sigma * self._way_m
+        return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
+
+
+def _moved_share(aligned: Aligned) -> float:
+    """Of the returns, those that lie where nothing stood before."""
+    return float(aligned.submap.moved(aligned.xy_base, aligned.result.pose).mean())
+
+
+def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:
+    pose = conflict.pose
+    at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+    return attempt.prior._replace(pose=at, covariance=conflict.covariance)

@@ -1,0 +1,445 @@
+"""What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from drivers.section import Section
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
+from service.kernels.static_score import (
+    Sightings,
+    count_contradicting,
+    count_hits,
+    count_through,
+    find_moved,
+    remove_by_ray_cast,
+    static_residuals,
+    weigh_static_score,
+)
+from service.kernels.surfels import (
+    COLUMNS,
+    LASERS,
+    PARTS,
+    TILE_BITS,
+    TILE_CELLS,
+    SurfelGrid,
+    insert_surfels,
+    shorten_surfels,
+)
+from service.kernels.tiles import NO_TILE
+from service.mapper.components import MapChange, Match, Points, Standing
+from service.mapper.judgement import too_few
+from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from service.mapper.scan_match.dynamic_filter import DynamicFilterConfig, ticks_in
+from service.mapper.scan_match.narrow_walls import NarrowWalls, narrow_wall_pool
+from service.mapper.scan_match.posts import Posts, posts_of
+from service.mapper.walls import walls_of
+
+FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
+COUNT_LIMIT = 1000.0  # points of one laser that a surfel stands for at most: it forgets what was moved
+SURFEL_SIGMA_M = 0.01  # of the points that surfels count in: a unit alone, no pose depends on it
+FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
+FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
+POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
+MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
+GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
+NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
+MAX_MISSES = 3  # then another piece is begun
+STATIC_PATH_M = 1.0  # what was seen over so much of the path stands still: nothing moves along for longer
+MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
+MAX_NUMBER = 65_535  # of a key frame, then from 1 again
+
+
+class SubmapsConfig(Section):
+    """How sub-maps are cut and filled."""
+
+    dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
+    cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
+    spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
+    keyframe_distance_m: float = Field(default=0.05, gt=0.0)
+    keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
+    memory_m: float = Field(default=0.5, gt=0.0)
+
+
+class Submap:
+    """One sub-map of surfels, in the odom frame."""
+
+    def __init__(
+        self, number: int, pool: TilePool, fine: TilePool, narrow: TilePool, config: SubmapsConfig
+    ) -> None:
+        self.number = number
+        self.narrow_walls = NarrowWalls(narrow, config.cell_m, GRAZING_WEIGHT)
+        self.scan_count = 0
+        self._last_ns: int | None = None  # of its newest key frame
+        self._last_pose: SE2 | None = None
+        self._path_m = 0.0  # over its key frames
+        self._config = config
+        self._dynamic_filter = config.dynamic_filter.settings()
+        self._tiles = TileMap(pool)
+        self._fine_tiles = TileMap(fine)
+
+    def grid(self) -> SurfelGrid:
+        surfels, field, *_ = self._tiles.pool.arrays
+        return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
+
+    def fine_grid(self) -> SurfelGrid:
+        """The surfels of the same points in cells of which PARTS x PARTS make up one, without a field."""
+        surfels, field = self._fine_tiles.pool.arrays
+        cell_m = self._config.cell_m / PARTS
+        return SurfelGrid(self._fine_tiles.index(), surfels, field, cell_m)  # type: ignore[arg-type]
+
+    def weighed(
+        self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """The normals of a scan as to be matched from a pose (3,): what stands for long weighs more."""
+        if self._dynamic_filter.enough == 0:
+            return normals
+        weighed = normals.copy()
+        weigh_static_score(
+            points.xy_base, pose, self.grid(), self._sightings(), self._dynamic_filter, weighed
+        )
+        return weighed
+
+    def contradicting(
+        self,
+        points: Points,
+        xy_base: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+    ) -> tuple[int, int]:
+        """How many points (N, 2) of a scan at a pose (3,) lie where nothing stands, and how many behind what
+        stands, where nobody has looked.
+        """
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        behind_m = self._dynamic_filter.behind_m
+        in_free, behind = count_contradicting(
+            xy_base, sensor, normals, pose, self.grid(), self._sightings(), behind_m
+        )
+        return int(in_free), int(behind)
+
+    def static_residuals(
+        self,
+        xy_base: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+    ) -> npt.NDArray[np.float64]:
+        """(N,) m from points (N, 2) of a scan at a pose (3,) to static walls, those that have been seen over
+        STATIC_PATH_M of the path; NaN where none is.
+        """
+        residual_m = np.empty(len(xy_base))
+        grid, sightings = self.grid(), self._sightings()
+        cosine, latest = MIN_NORMAL_COSINE, self._static_mark
+        static_residuals(xy_base, normals, pose, grid, sightings, cosine, latest, residual_m)
+        return residual_m
+
+    def moved(self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """(N,) whether points lie where nothing stood over STATIC_PATH_M of the path."""
+        is_moved = np.zeros(len(xy_base), np.bool_)
+        find_moved(xy_base, pose, self.grid(), self._sightings(), self._static_mark, is_moved)
+        return is_moved
+
+    def through_static(
+        self, points: Points, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> int:
+        """How many beams pass through static walls."""
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        grid, sightings, behind_m = self.grid(), self._sightings(), self._dynamic_filter.behind_m
+        return int(count_through(xy_base, sensor, pose, grid, sightings, self._static_mark, behind_m))
+
+    @property
+    def _static_mark(self) -> int:
+        return _mark_at(self._path_m - STATIC_PATH_M)
+
+    def insert(
+        self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2, laser: int
+    ) -> None:
+        """laser: as in insert_surfels."""
+        cell_m = self._config.cell_m
+        near, reach_m = (pose.x_m, pose.y_m), reach_of(points.xy_base)
+        self._tiles.cover_around(near, reach_m, cell_m, TILE_BITS, SPLAT_REACH_CELLS)
+        self._fine_tiles.cover_around(near, reach_m, cell_m / PARTS, TILE_BITS)
+        grid = self.grid()
+        pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if self._last_pose is not None:
+            self._path_m += math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
+        self._last_pose = pose
+        if self._dynamic_filter.enough > 0:
+            normals = self._sight(points, normals, pose_vector, grid)
+        if posts is None:  # what is round has another direction from each side
+            normals = self.narrow_walls.insert(points, normals, pose_vector)
+        walls = [(points.xy_base, normals)]
+        if posts is not None:
+            whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
+            walls.append((np.repeat(posts.xy_base, 2, axis=0), whole))
+        point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        for surfels in (grid, self.fine_grid()):
+            for xy, directions in walls:
+                insert_surfels(xy, directions, pose_vector, surfels, COUNT_LIMIT, point_count, sensor, laser)
+        splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
+        self.scan_count += 1
+
+    def shorten(self, laser: int, step_m: float) -> None:
+        """Take out of the walls what one of LASERS has measured too long."""
+        shorten_surfels(self.grid(), laser, step_m)
+        shorten_surfels(self.fine_grid(), laser, step_m)
+
+    def _sight(
+        self,
+        points: Points,
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+        grid: SurfelGrid,
+    ) -> npt.NDArray[np.float64]:
+        """Note what a key frame sees and what it sees through; its normals, without points of what moves."""
+        number = np.uint16(self.scan_count % MAX_NUMBER + 1)
+        ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
+        static = normals.copy()
+        settings, sightings = self._dynamic_filter, self._sightings()
+        mark = np.uint16(_mark_at(self._path_m))
+        count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks, mark)
+        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        remove_by_ray_cast(
+            points.xy_base, sensor, pose, grid, self.fine_grid(), sightings, settings, number, ticks
+        )
+        return static
+
+    def _ticks_since(self, stamp_ns: int) -> int:
+        """From the key frame before to one of this stamp; 1 at least."""
+        last_ns = stamp_ns if self._last_ns is None else self._last_ns
+        self._last_ns = stamp_ns
+        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
+
+    def standing(self) -> Standing | None:
+        """As KnowsStanding.standing, of this sub-map."""
+        enough, cell_m = self._dynamic_filter.enough, self._config.cell_m
+        if enough == 0:
+            return None
+        rows, columns = np.nonzero(self._tiles.slots != NO_TILE)
+        score = self._sightings().score[self._tiles.slots[rows, columns]]
+        tile, row, column = np.nonzero(score > 0)
+        first_row, first_column = self._tiles.origin
+        x_m = ((columns[tile] + first_column) * TILE_CELLS + column + 0.5) * cell_m
+        y_m = ((rows[tile] + first_row) * TILE_CELLS + row + 0.5) * cell_m
+        return Standing(np.column_stack((x_m, y_m)), score[tile, row, column] / enough, cell_m)
+
+    def _sightings(self) -> Sightings:
+        _surfels, _field, score, touched, since = self._tiles.pool.arrays
+        return Sightings(score, touched, since)  # type: ignore[arg-type]
+
+    def release(self) -> None:
+        """Hand the tiles back, with nothing sighted in them: who takes one clears its surfels alone."""
+        slots = self._tiles.slots[self._tiles.slots != NO_TILE]
+        for sighted in self._sightings():
+            sighted[slots] = 0
+        self._tiles.release()
+        self._fine_tiles.release()
+        self.narrow_walls.release()
+
+
+def _mark_at(path_m: float) -> int:
+    """Mark of the path of a sub-map, from 1 on; 0 before its beginning."""
+    return min(1 + math.floor(path_m / MARK_M), MAX_MARK) if path_m >= 0.0 else 0
+
+
+class SurfelSubmaps:
+    """The chain. Key frames go into two sub-maps; when the younger has grown spacing_m long, it takes over.
+
+    Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
+    tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece,
+    and the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. Where
+    nobody measured the way, the old map is not tried: a place in it that fits proves nothing while others may
+    fit as well. The graph looks for the piece in all of the map; once it has joined it, the piece is what
+    scans are matched to.
+    """
+
+    def __init__(self, config: SubmapsConfig) -> None:
+        self._config = config
+        self._pool = TilePool(
+            (
+                Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32),
+                Layer((TILE_CELLS, TILE_CELLS), np.float32),
+                # Sightings
+                Layer((TILE_CELLS, TILE_CELLS), np.int8),
+                Layer((TILE_CELLS, TILE_CELLS), np.uint16),
+                Layer((TILE_CELLS, TILE_CELLS, 2), np.uint16),
+            ),
+            POOL_TILES,
+        )
+        no_field = Layer((1, 1), np.float32)
+        fine = Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32)
+        self._fine_pool = TilePool((fine, no_field), FINE_POOL_TILES)
+        self._narrow_pool = narrow_wall_pool()
+        self._next_number = 0
+        self._pair: list[Submap] = []
+        self._detached: Submap | None = None
+        self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
+        self._pause_s = 0.0  # in which nobody measured the way to the piece; 0: it was measured
+        self._misses = 0  # scans in a row that fitted neither the map nor the piece
+        self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
+        self._travelled_m = 0.0  # since the younger of the pair was begun
+        self._last_keyframe: SE2 | None = None
+        self._lasers: dict[str, int] = {}
+        self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of what is around
+
+    @property
+    def matched_to(self) -> Submap | None:
+        """The sub-map that scans are matched to; None before the first scan."""
+        return self._pair[0] if self._pair else None
+
+    @property
+    def detached(self) -> Submap | None:
+        """The piece that is not joined to the map; None where there is none."""
+        return self._detached
+
+    @property
+    def pause_s(self) -> float:
+        """For how long nobody measured the way, so that the map says nothing until the graph has found the
+        piece in it; 0: the way was measured.
+        """
+        return self._pause_s
+
+    def detach(self, pause_s: float) -> None:
+        """As HasPieces.detach."""
+        if not self._pair:
+            return
+        self._pause_s = pause_s
+        if self._detached is not None:
+            self._detached.release()
+            self._detached = None
+
+    def attach(self) -> None:
+        """As HasPieces.attach."""
+        self._pause_s = 0.0
+
+    def standing(self) -> Standing | None:
+        """As KnowsStanding.standing."""
+        return None if self.matched_to is None else self.matched_to.standing()
+
+    def join(self, piece: int) -> None:
+        """The graph has found where a detached piece lies: go on with it, if it is the newest."""
+        if self._detached is None or piece != self._piece:
+            return
+        for submap in self._pair:
+            submap.release()
+        self._pair, self._detached, self._pause_s = [self._detached], None, 0.0
+        self._joined_piece = self._piece
+        self._travelled_m = 0.0
+
+    def laser_of(self, sensor: str) -> int:
+        """Its number among LASERS, in the order in which they came; LASERS: one too many."""
+        return self._lasers.setdefault(sensor, min(len(self._lasers), LASERS))
+
+    def shorten(self, sensor: str, step_m: float) -> None:
+        """Its ranges turn out to have been so much too long: move the walls that it has seen."""
+        laser = self.laser_of(sensor)
+        for submap in (*self._pair, self._detached):
+            if submap is not None and laser < LASERS:
+                submap.shorten(laser, step_m)
+
+    @property
+    def tile_count(self) -> int:
+        return self._pool.used_count + self._fine_pool.used_count
+
+    def on_walls(self, points: Points) -> tuple[Points, npt.NDArray[np.float64]]:
+        """The points, moved to where their beams meet walls, and the (N, 3) normals there; see walls_of."""
+        sensor = points.sensor_base
+        xy_base, normals = walls_of(
+            points.xy_base,
+            (sensor.x_m, sensor.y_m),
+            points.spacing_rad,
+            points.range_sigma_m,
+            GRAZING_WEIGHT,
+        )
+        xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm, turned by what a sweep turns by
+        return replace(points, xy_base=xy_base, xy_raw=xy_raw), normals
+
+    def insert(self, points: Points, match: Match) -> MapChange:
+        if not len(points.xy_base):
+            return MapChange()
+        pose = match.motion.pose_odom_base
+        if match.state == "lost" and self._pair:
+            return self._insert_detached(points, match)
+        if self._detached is not None:
+            self._detached.release()
+            self._detached = None
+            self._begin_keyframes()
+        if self._pair and not self._is_keyframe(points, pose, self._pair[0]):
+            return MapChange(piece=self._joined_piece)
+        self._advance(points, pose)
+        if not self._pair or self._travelled_m >= self._config.spacing_m:
+            self._begin_submap()
+        self._insert_keyframe(self._pair, points, pose)
+        return MapChange(is_keyframe=True, error_left=self._error_left(match), piece=self._joined_piece)
+
+    def _insert_detached(self, points: Points, match: Match) -> MapChange:
+        """Put a lost scan into the piece, if it was matched to it, or begins one; few returns do neither."""
+        if too_few(points):
+            return MapChange(piece=self._joined_piece if self._detached is None else self._piece)
+        pose = match.motion.pose_odom_base
+        self._misses = 0 if match.measured is not None else self._misses + 1
+        if self._detached is None or self._misses >= MAX_MISSES:
+            if self._detached is not None:
+                self._detached.release()
+            self._detached = self.new_submap()
+            self._begin_keyframes()
+            self._misses = 0
+            self._piece += 1
+            self._advance(points, pose)
+            self._insert_keyframe([self._detached], points, pose)
+            return MapChange(is_keyframe=True, error_left=NEW_PIECE_ERROR, piece=self._piece)
+        elif match.measured is None:
+            return MapChange(piece=self._piece)
+        if not self._is_keyframe(points, pose, self._detached):
+            return MapChange(piece=self._piece)
+        self._advance(points, pose)
+        self._insert_keyframe([self._detached], points, pose)
+        return MapChange(is_keyframe=True, error_left=self._error_left(match), piece=self._piece)
+
+    def _error_left(self, match: Match) -> float:
+        """What lay on the map keeps it from taking over the pose's error; what is new has all of it."""
+        kept = math.exp(-self._moved_m / self._config.memory_m - self._turned)
+        return max(min(kept, match.inlier_ratio), NEW_PIECE_ERROR)
+
+    def _begin_keyframes(self) -> None:
+        self._last_keyframe = None
+        self._last_of.clear()
+
+    def _is_keyframe(self, points: Points, pose: SE2, submap: Submap) -> bool:
+        """Whether a sub-map wants a scan from here: it is new, or this laser is farther on than it was."""
+        last = self._last_of.get(points.scan.sensor)
+        if last is None or submap.scan_count < FIRST_SCANS:
+            return True
+        return pose.is_step_from(last, self._config.keyframe_distance_m, self._config.keyframe_turn_rad)
+
+    def _advance(self, points: Points, pose: SE2) -> None:
+        last = self._last_keyframe
+        self._last_of[points.scan.sensor] = pose
+        self._moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) if last is not None else 0.0
+        self._travelled_m += self._moved_m
+        turned_rad = abs(wrap_angle(pose.theta_rad - last.theta_rad)) if last is not None else 0.0
+        self._turned = turned_rad / abs(points.scan.angle_step_rad * len(points.scan.range_m))
+        self._last_keyframe = pose
+
+    def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
+        posts = posts_of(points)
+        points, normals = self.on_walls(points)
+        for submap in submaps:
+            submap.insert(points, normals, posts, pose, self.laser_of(points.scan.sensor))
+
+    def new_submap(self) -> Submap:
+        """An empty one, which belongs to nothing yet."""
+        self._next_number += 1
+        return Submap(self._next_number - 1, self._pool, self._fine_pool, self._narrow_pool, self._config)
+
+    def _begin_submap(self) -> None:
+        """Start a sub-map; of three the oldest is closed."""
+        self._pair.append(self.new_submap())
+        self._travelled_m = 0.0
+        if len(self._pair) > 2:
+            self._pair.pop(0).release()

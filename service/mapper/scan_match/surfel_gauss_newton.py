@@ -1,0 +1,467 @@
+"""The matcher of the default profile: Gauss-Newton on surfels, with a coarse map to fall back on."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from service.fusion.motion import Measurement, Motion, Prediction
+from service.geometry.se2 import SE2
+from service.kernels.deskew import Returns
+from service.kernels.filter_state import STUDENT
+from service.kernels.likelihood import LikelihoodField
+from service.kernels.match import (
+    MIN_PRIOR_WEIGHT,
+    MatchResult,
+    MatchSettings,
+    Prior,
+    match_scan,
+    student_cost,
+)
+from service.kernels.normals import ROUGH_WEIGHT
+from service.mapper.components import Match, Points
+from service.mapper.judgement import (
+    CARRIED_S,
+    GAP_S,
+    JUMP_CHI2,
+    Evidence,
+    JudgementConfig,
+    begun,
+    held,
+    is_contradicted,
+    is_loose,
+    judge,
+    sigmas_of,
+    too_few,
+)
+from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, Confirmation, reach_of, search_around
+from service.mapper.matchers.window_search import layer_of
+from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of
+from service.mapper.scan_match.moving_scene import MovingScene
+from service.mapper.scan_match.posts import Posts, posts_of
+from service.mapper.scan_match.range_bias import RangeBias
+from service.mapper.scan_match.steady_motion import SteadyMotion
+from service.mapper.scan_match.submaps import (
+    MIN_NORMAL_COSINE,
+    SURFEL_SIGMA_M,
+    Submap,
+    SurfelSubmaps,
+)
+from service.outputs import Reason, State
+
+Matrix = npt.NDArray[np.float64]
+
+INLIER_M = 0.10  # a point this near to its surfel lies on the map
+ITERATIONS, DESKEW_ROUNDS = 15, 8
+SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
+NEAR = 10.0  # times that, on surfels of whole cells: finer ones align from there
+COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
+COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
+SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
+CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
+MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
+MAX_REPEATS = 100.0
+GAUSSIAN = 1e9  # degrees of freedom of an error that is never far larger than usual
+LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
+USUAL_SCANS = 50  # over which the usual inlier ratio is taken
+# Of the usual inlier ratio: with less, other starts are tried. Of that far from the prediction: with less
+# near it, the map may have drawn the scan away, [33].
+DOUBT_RATIO = 0.9
+
+
+class SurfelMatcherConfig(JudgementConfig):
+    """How a scan is aligned with the sub-map, and when the result is accepted."""
+
+    wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
+    cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gap:
+    """Where a detached piece of the map began, and how well that was known in the map before."""
+
+    pose: SE2
+    covariance: Matrix  # (3, 3) base axes
+
+
+class SurfelGaussNewton:
+    """Matcher[SurfelSubmaps]."""
+
+    def __init__(self, config: SurfelMatcherConfig) -> None:
+        self._config = config
+        self._settings = MatchSettings(
+            range_sigma_m=0.01,
+            surfel_sigma_m=SURFEL_SIGMA_M,
+            wall_sigma_m=config.wall_sigma_m,
+            repeats=1.0,
+            chance_chi2=0.0,
+            information_chance_chi2=0.0,
+            cauchy_m=config.cauchy_m,
+            least_normal_cosine=MIN_NORMAL_COSINE,
+            iterations=ITERATIONS,
+            deskew_rounds=DESKEW_ROUNDS,
+            inlier_m=INLIER_M,
+            coarse_sigma=COARSE_SIGMA,
+            coarse_m=COARSE_M,
+            coarse_rad=COARSE_RAD,
+            coarse_beams=COARSE_BEAMS,
+            coarse_iterations=COARSE_ITERATIONS,
+            near=NEAR,
+            settled_m=SETTLED_M,
+            settled_rad=SETTLED_RAD,
+            degrees_of_freedom=STUDENT,
+        )
+        self._bias = RangeBias()
+        self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
+        self._steady = SteadyMotion()
+        self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
+        self._was_contradicted = False  # the prediction, by the scan before
+        self._rest_until_ns = 0  # no wide search before
+        self._gap: _Gap | None = None
+        self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
+        self._detached: Submap | None = None  # the piece that `gap` belongs to
+        self._confirmation = Confirmation()  # of where the piece lies on the map
+
+    def bias_m(self, sensor: str) -> Matrix:
+        """(NODES,) by how much ranges of a laser are too long; see RangeBias."""
+        return self._bias.curve_m(sensor)
+
+    def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
+        points = self._bias.without(points)
+        if reason := too_few(points):
+            return held(points, predicted, reason)
+        if local_map.matched_to is None:
+            return begun(points, predicted)
+        if local_map.detached is None:
+            self._gap = None
+            self._detached = None
+        elif local_map.detached is not self._detached:  # a piece that begins where the prediction puts it
+            self._detached = local_map.detached
+            self._gap = self._began
+            self._confirmation.forget()
+        match = self._matched(self._attempt(points, predicted, local_map), local_map, local_map.matched_to)
+        if match.measured is not None:
+            self._steady.matched(points.scan.stamp_ns, match.measured.pose_odom_base)
+        return match
+
+    def compare(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
+        """No farther from the prediction than that errs: of new ground, more lies on the map wherever walls
+        look alike.
+        """
+        points = self._bias.without(points)
+        if reason := too_few(points):
+            return held(points, predicted, reason)
+        if local_map.matched_to is None:
+            return begun(points, predicted)
+        attempt = self._attempt(points, predicted, local_map)
+        aligned = self._align(attempt, attempt.prior.pose, local_map.matched_to)
+        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
+            attempt = replace(attempt, usual_ratio=0.0)  # no other start is tried
+            aligned = self._align(attempt, attempt.prior.pose, local_map.matched_to)
+        if aligned.state == "lost":
+            return held(points, predicted, aligned.reason, aligned.result.share, aligned.is_contradicted)
+        return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+
+    def _attempt(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Attempt:
+        on_walls, normals = local_map.on_walls(points)
+        prior = _prior_of(predicted, self._gap)
+        usual = self._usual_ratios.get(points.scan.sensor, 1.0)
+        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
+
+    def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
+        if local_map.pause_s:
+            return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
+        if (static := self._scene.match(attempt, submap)) is not None:
+            return self._as_match(static, attempt, static.state, static.reason)
+        aligned = self._likelier(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._searched(self._matched_as_if_driven_on(aligned, attempt), attempt)
+        if aligned.state != "lost" and self._is_found(aligned, attempt):
+            aligned = self._scene.judge(aligned, attempt)
+            if aligned.is_moving is not None:
+                return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+            sensor, usual = attempt.points.scan.sensor, attempt.usual_ratio
+            self._usual_ratios[sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
+            self._learn_bias(aligned, attempt, local_map)
+            self._was_contradicted = aligned.result.prior_weight < MIN_PRIOR_WEIGHT
+            return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+        if self._gap is None and (static := self._scene.explain(attempt, submap)) is not None:
+            return self._as_match(static, attempt, static.state, static.reason)
+        return self._on_piece(
+            attempt, local_map, aligned.reason, aligned.result.share, aligned.is_contradicted
+        )
+
+    def _on_piece(
+        self,
+        attempt: Attempt,
+        local_map: SurfelSubmaps,
+        reason: Reason,
+        inlier_ratio: float,
+        is_contradicted: bool,
+    ) -> Match:
+        """The match on the detached piece, if there is one; lost for a reason all the same."""
+        points, predicted = attempt.points, attempt.predicted
+        self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
+        if local_map.detached is None:
+            return held(points, predicted, reason, inlier_ratio, is_contradicted)
+        attempt = replace(attempt, prior=_prior_of(predicted, None))
+        detached = self._align(attempt, attempt.prior.pose, local_map.detached)
+        if detached.state == "lost":
+            return held(points, predicted, reason, inlier_ratio, is_contradicted)
+        reason = reason.reworded(f"{reason}; a detached map begins here until its place is found")
+        return self._as_match(detached, attempt, "lost", reason)
+
+    def _is_found(self, aligned: Aligned, attempt: Attempt) -> bool:
+        """Whether a scan that was mapped apart is accepted as lying on the map again.
+
+        One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
+        same. A find that the way so far rules out is none: where else it may be the graph looks.
+        """
+        if self._gap is None:
+            return True
+        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
+            return False
+        if not is_loose(sigmas_of(attempt.prior.covariance)):
+            return True
+        return self._confirmation.confirms(aligned.pose, attempt.predicted.pose_odom_base)
+
+    def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
+        result = aligned.result
+        forward, left, turn = result.twist.tolist()
+        pose = aligned.pose
+        gap = None
+        if state != "lost" and self._gap is not None:
+            gap = attempt.prior.covariance - attempt.predicted.local_covariance
+        measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
+        motion = Motion(pose, (forward, left, turn), result.covariance)
+        moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
+        deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
+        number, is_moving = aligned.submap.number, aligned.is_moving
+        return Match(motion, deskewed, result.share, state, reason, number, measured, is_moving=is_moving)
+
+    def _learn_bias(self, aligned: Aligned, attempt: Attempt, local_map: SurfelSubmaps) -> None:
+        if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:
+            return
+        sensor = attempt.points.scan.sensor
+        if attempt.posts is not None or not self._bias.is_due(sensor, attempt.predicted.travel_m):
+            return
+        deskewed = replace(attempt.points, xy_base=aligned.xy_base)
+        offset_m = self._bias.learn(
+            deskewed,
+            aligned.submap.weighed(deskewed, attempt.normals, aligned.result.pose),
+            aligned.result.pose,
+            aligned.submap,
+            local_map.laser_of(sensor),
+            self._settings._replace(range_sigma_m=attempt.points.range_sigma_m),
+        )
+        if offset_m:
+            local_map.shorten(sensor, offset_m)
+
+    def _align(self, attempt: Attempt, start: Matrix, submap: Submap, is_held: bool = False) -> Aligned:
+        """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it.
+
+        is_held: the prediction errs by no more than it says, and the map is asked what contradicts that.
+        """
+        points = attempt.points
+        xy_base, normals = points.xy_base.copy(), attempt.normals
+        if attempt.posts is None:
+            normals = submap.narrow_walls.directed(points, normals, start)
+        normals = submap.weighed(points, normals, start)
+        returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
+        if attempt.posts is not None:
+            returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
+        chance_chi2 = _chance_chi2(attempt.predicted)
+        result: MatchResult = match_scan(
+            returns,
+            normals,
+            attempt.prior,
+            start,
+            submap.grid(),
+            # Directions are noisier in them, and where scans alone measure the motion chance is followed.
+            submap.grid() if attempt.predicted.is_scan_alone else submap.fine_grid(),
+            self._settings._replace(
+                range_sigma_m=points.range_sigma_m,
+                repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
+                chance_chi2=0.0 if attempt.predicted.is_scan_alone else chance_chi2,
+                information_chance_chi2=chance_chi2,
+                degrees_of_freedom=GAUSSIAN if is_held else STUDENT,
+            ),
+            DOUBT_RATIO * attempt.usual_ratio,
+            xy_base,
+        )
+        xy_base = xy_base[: len(points.xy_base)]
+        evidence = self._evidence(result, xy_base, attempt, submap, is_held)
+        return Aligned(
+            result, xy_base, submap, *judge(evidence, self._config), is_contradicted=is_contradicted(evidence)
+        )
+
+    def _evidence(
+        self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap, is_asked: bool
+    ) -> Evidence:
+        prior = sigmas_of(attempt.prior.covariance)
+        is_far = (
+            attempt.predicted.pause_s > GAP_S  # nobody saw the way: the vehicle may have been carried
+            or _chi2(result.pose, attempt.prior) > JUMP_CHI2
+            or (is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S))
+        )
+        in_free, behind = 0, 0
+        doubt_ratio = max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio)
+        if is_asked or is_far or result.share < doubt_ratio:
+            in_free, behind = submap.contradicting(attempt.points, xy_base, attempt.normals, result.pose)
+        return Evidence(
+            used=result.used,
+            on_map=result.share * result.used,
+            in_free=in_free,
+            sigma=sigmas_of(result.covariance),
+            prior=prior,
+            is_measured=attempt.predicted.is_measured,
+            is_far=is_far,
+            behind=behind,
+            is_doubted=self._gap is not None,
+            weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
+        )
+
+    def _likelier(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+        """A match far from the prediction, or the one near it, where scan and prediction agree better; [33].
+
+        Returns on ground that the map does not know cost as much as returns that contradict it, so a scan
+        that sees much of it, and walls alike all along, would be drawn into the map. Where about as much of
+        it lies on the map near the prediction, that is not why it was left.
+        """
+        if aligned.result.prior_weight >= MIN_PRIOR_WEIGHT:
+            return aligned
+        near = self._align(attempt, attempt.prior.pose, aligned.submap, is_held=True)
+        if near.is_contradicted or near.result.share > DOUBT_RATIO * aligned.result.share:
+            return aligned
+        pulled = np.linalg.solve(attempt.prior.covariance, _off(near.result.pose, attempt.prior))
+        scan_cost = 0.5 * float(pulled @ np.linalg.pinv(near.result.information, hermitian=True) @ pulled)
+        cost, cost_near = (
+            student_cost(_chi2(result.pose, attempt.prior), STUDENT)
+            for result in (aligned.result, near.result)
+        )
+        return near if cost_near + scan_cost < cost else aligned
+
+    def _matched_as_if_driven_on(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+        """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
+        as before, if clearly more lies on the map there. Odometry may have died. Where the scan before
+        contradicted its prediction, this one is asked always, and any more is enough.
+        """
+        share = aligned.result.share
+        if share >= DOUBT_RATIO * attempt.usual_ratio and not self._was_contradicted:
+            return aligned
+        start = self._steady.pose_at(attempt.stamp_ns)
+        if start is None:
+            return aligned
+        begun = np.array([start.x_m, start.y_m, start.theta_rad])
+        if _chi2(begun, attempt.prior) < JUMP_CHI2:
+            return aligned  # that is where the match began
+        found = self._align(attempt, begun, aligned.submap)
+        gain = 0.0 if self._was_contradicted else GAIN
+        return found if found.state != "lost" and found.result.share > share + gain else aligned
+
+    def _searched(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+        """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
+
+        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
+        Returns that do not lie on the map may be of new ground, and more of them lie on it wherever things
+        look alike. So a match that the map does not contradict is left only for a pose that is about as
+        likely by the prediction.
+        """
+        prior = sigmas_of(attempt.prior.covariance)
+        share = aligned.result.share
+        if aligned.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * attempt.usual_ratio):
+            return aligned
+        reach_m, reach_rad = reach_of(prior)
+        if aligned.state == "lost":
+            if attempt.points.scan.stamp_ns < self._rest_until_ns:
+                return aligned
+            self._rest_until_ns = attempt.points.scan.stamp_ns + round(REST_S * 1e9)
+            reach_m, reach_rad = max(reach_m, FIRST[0]), max(reach_rad, FIRST[1])
+        grid = aligned.submap.grid()
+        layer = layer_of(LikelihoodField(grid.tiles, grid.field, grid.cell_m))
+        start = search_around(
+            attempt.points.xy_base, attempt.predicted.pose_odom_base, (reach_m, reach_rad), layer
+        )
+        if start is None:
+            return aligned
+        found = self._align(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), aligned.submap)
+        if found.state == "lost" or found.result.share < share + GAIN:
+            return aligned
+        less_likely = _chi2(found.result.pose, attempt.prior) - _chi2(aligned.result.pose, attempt.prior)
+        return found if aligned.is_contradicted or less_likely <= LESS_LIKELY_CHI2 else aligned
+
+
+def _with_posts(
+    attempt: Attempt, posts: Posts, weighed: Matrix, heading_rad: float
+) -> tuple[Returns, Matrix, Matrix]:
+    """The points of a scan, and behind them the middle of each post twice; what stood longer weighs more."""
+    points = attempt.points
+    weighed = weighed.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        static = np.nan_to_num(weighed[posts.point, 2] / attempt.normals[posts.point, 2], nan=0.0)
+    weighed[posts.is_on_post, 2] = np.minimum(weighed[posts.is_on_post, 2], ROUGH_WEIGHT)
+    weight = static * points.range_sigma_m**2 / posts.variance_m2
+    return (
+        Returns(
+            np.vstack((points.xy_raw, np.repeat(posts.xy_raw, 2, axis=0))),
+            np.concatenate((points.beam_time_s, np.repeat(posts.beam_time_s, 2))),
+            np.concatenate((points.beam, np.repeat(posts.beam, 2))),
+        ),
+        np.vstack((weighed, posts.normals(heading_rad, weight))),
+        np.vstack((points.xy_base, np.repeat(posts.xy_base, 2, axis=0))),
+    )
+
+
+def _unmeasured(pause_s: float) -> Reason:
+    return Reason(
+        "unmeasured_way",
+        f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {CARRIED_S:g} s; "
+        "1 s if odometry stops faster than a vehicle brakes); the vehicle may have been carried or towed",
+    )
+
+
+def _apart_m(predicted: Prediction) -> float:
+    """Travel since the scan before, m; standing, scans count as the hundredth part of SAME_WALL_M apart."""
+    return max(predicted.travel_m, SAME_WALL_M / MAX_REPEATS)
+
+
+def _chance_chi2(predicted: Prediction) -> float:
+    """Squared sigmas of chance that are taken off what a scan says; [22].
+
+    Chance misleads where the prediction knows better. Where nothing else measures the motion, the match
+    follows the little that the scan says; what is then known is less by chance all the same, [31].
+    """
+    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MAX_CHANCE_SCANS))
+
+
+def _chi2(pose: Matrix, prior: Prior) -> float:
+    return chi2_of(SE2(*pose.tolist()), prior)
+
+
+def _off(pose: Matrix, prior: Prior) -> Matrix:
+    """(3,) m, m, rad: where a pose (3,) lies seen from the prediction, in its axes."""
+    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
+    return np.array([away.x_m, away.y_m, away.theta_rad])
+
+
+def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
+    """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map."""
+    pose = predicted.pose_odom_base
+    if gap is not None:
+        step = gap.pose.inverse() @ pose
+        c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
+        carry = np.array(
+            [
+                [c, s, s * step.x_m - c * step.y_m],
+                [-s, c, c * step.x_m + s * step.y_m],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        predicted = predicted.less_known(carry @ gap.covariance @ carry.T)
+    return Prior(
+        np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+        np.array(predicted.twist_base),
+        predicted.local_covariance,
+        predicted.twist_gain,
+    )

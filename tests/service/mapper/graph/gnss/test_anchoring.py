@@ -1,0 +1,239 @@
+"""Fixes that anchor a drive outdoors; whatever is wrong with one moves nothing."""
+
+import math
+import pickle
+from dataclasses import replace
+from itertools import starmap
+
+import numpy as np
+import pytest
+
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
+from service.mapper.graph.gnss import anchoring
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch, Result
+from simulators.gnss import GnssModel, Reflection
+from tests.service.mapper.graph.gnss.outdoors import (
+    NO_SEARCH,
+    ORIGIN,
+    YAW_RAD,
+    Outing,
+    ate_m,
+    batches,
+    errors_m,
+    fed,
+    outing,
+    with_fixes,
+)
+from tests.soaked import in_soak
+
+WAY_M = 450.0
+LONG_M = 700.0  # on which drift is more than fixes err by
+
+
+@pytest.fixture(scope="module")
+def drive() -> Outing:
+    return outing(WAY_M, seed=1, turn_walk_rad=0.001)
+
+
+@pytest.fixture(scope="module")
+def results(drive: Outing) -> list[Result]:
+    return fed(drive)[1]
+
+
+@pytest.fixture(scope="module")
+def anchored(results: list[Result]) -> Result:
+    return results[-1]
+
+
+@pytest.fixture(scope="module")
+def bare(drive: Outing) -> Result:
+    """The same drive without a fix."""
+    return fed(replace(drive, fixes=[]))[1][-1]
+
+
+def places(result: Result) -> np.ndarray:
+    return np.array([(c.pose_map_base.x_m, c.pose_map_base.y_m) for c in result.all])
+
+
+def on_earth_m(result: Result) -> np.ndarray:
+    assert result.geo is not None
+    return np.array([ORIGIN.to_enu(*result.geo.to_geodetic(*xy), 51.7)[:2] for xy in places(result)])
+
+
+def moved_m(a: Result, b: Result) -> float:
+    """Most that a key frame lies elsewhere in the map or on the earth."""
+    assert a.geo is not None
+    assert b.geo is not None
+    on_earth = [
+        np.array([ORIGIN.to_enu(*r.geo.to_geodetic(*xy), 51.7)[:2] for xy in places(r)])
+        for r in (a, b)
+        if r.geo
+    ]
+    return float(
+        max(np.hypot(*(places(a) - places(b)).T).max(), np.hypot(*(on_earth[0] - on_earth[1]).T).max())
+    )
+
+
+def test_fixes_bend_a_drifting_way_back_and_say_where_it_lies():
+    drive = outing(LONG_M, seed=1, turn_walk_rad=0.001)
+    anchored, bare = (fed(what)[1][-1] for what in (drive, replace(drive, fixes=[])))
+    assert bare.geo is None
+    assert bare.fixes == {}
+    assert ate_m(anchored, drive) < 0.7 * ate_m(bare, drive)
+    assert errors_m(anchored, drive).max() < 3.5
+    assert anchored.geo is not None
+    assert anchored.geo.fixes == anchored.fixes["fixes_anchoring"] > 100
+    turned_rad = anchored.geo.pose_enu_map.theta_rad - YAW_RAD
+    assert abs(turned_rad) < 3.0 * anchored.geo.yaw_sigma_rad < math.radians(6.0)
+    assert anchored.g2o.count("VERTEX_SE2") == len(drive.frames) + 1
+
+
+def test_a_way_that_is_too_short_gives_no_reference_and_moves_nothing(drive: Outing):
+    short = replace(drive, frames=drive.frames[:100], fixes=drive.fixes[:80])
+    result, bare = fed(short)[1][-1], fed(replace(short, fixes=[]))[1][-1]
+    assert result.geo is None
+    assert result.all == bare.all
+    assert result.g2o == bare.g2o
+
+
+def test_the_reference_comes_once_the_direction_is_known_and_stays(results: list[Result]):
+    known = [result.geo is not None for result in results]
+    first = known.index(True)
+    assert all(known[first:])
+    assert 60.0 < 6.0 * first < 250.0  # m: 20 key frames a batch
+    before = [r.newest for r in results[:first]]
+    assert before == [None] * first
+    assert results[first].newest is not None
+    assert {r.geo.origin for r in results[first:] if r.geo} == {results[first].geo.origin}
+
+
+def test_the_same_drive_gives_the_same_bits_and_a_pickled_back_end_too(drive: Outing, anchored: Result):
+    back_end = pickle.loads(pickle.dumps(LoopBackEnd(NO_SEARCH, None)))
+    for k, batch in enumerate(batches(drive)):
+        if k % 10 == 0:
+            back_end = pickle.loads(pickle.dumps(back_end))
+        back_end.work(batch)
+    again = back_end.work(Batch([], is_last=True))
+    assert again.all == anchored.all
+    assert again.geo == anchored.geo
+    assert again.g2o == anchored.g2o
+
+
+@pytest.mark.parametrize(
+    "useless",
+    [
+        {"status": -1},
+        {"covariance": (0.0,) * 9},
+        {"covariance": (math.nan,) * 9},
+        {"covariance": (400.0, 0, 0, 0, 400.0, 0, 0, 0, 900.0)},
+        {"latitude_deg": 60.161, "longitude_deg": 24.546},  # the receiver hangs
+    ],
+)
+def test_fixes_that_say_nothing_change_nothing_to_the_last_bit(drive: Outing, bare: Result, useless):
+    result = fed(with_fixes(drive, lambda fix: replace(fix, **useless)))[1][-1]
+    assert result.geo is None
+    assert result.all == bare.all
+    assert result.g2o == bare.g2o
+
+
+def without(drive: Outing, wrong: range) -> Result:
+    return fed(replace(drive, fixes=[fix for k, fix in enumerate(drive.fixes) if k not in wrong]))[1][-1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "wrong"),
+    [
+        in_soak(lambda fix: replace(fix, latitude_deg=fix.latitude_deg + 50.0 / 111_200.0), range(800, 840)),
+        (lambda fix: replace(fix, latitude_deg=fix.latitude_deg + 50.0 / 111_200.0), range(0, 60)),
+        (lambda fix: replace(fix, latitude_deg=-fix.latitude_deg), range(800, 820)),
+        in_soak(lambda fix: replace(fix, longitude_deg=-fix.longitude_deg), range(0, 30)),
+        in_soak(lambda fix: replace(fix, latitude_deg=0.0, longitude_deg=0.0), range(0, 30)),
+    ],
+    ids=["jump of 50 m", "jump at the start", "sign of latitude", "first fixes in the west", "zeros"],
+)
+def test_a_jump_and_a_swapped_sign_move_nothing(drive: Outing, fault, wrong):
+    fixes = [fault(fix) if k in wrong else fix for k, fix in enumerate(drive.fixes)]
+    result = fed(replace(drive, fixes=fixes))[1][-1]
+    assert result.fixes["fixes_contradicting"] > 0
+    assert moved_m(result, without(drive, wrong)) < 0.5  # other fixes are kept beside those
+    assert errors_m(result, drive).max() < 5.0
+
+
+@pytest.fixture(scope="module")
+def hidden() -> Result:
+    """A minute without fixes."""
+    outage = GnssModel(outages=[(200.0, 260.0)])
+    return fed(outing(WAY_M, 1, outage, turn_walk_rad=0.001))[1][-1]
+
+
+@pytest.mark.parametrize(
+    ("direction_rad", "size_m"),
+    [(0.4, 5.0), (3.5, 15.0), *starmap(in_soak, [(0.4, 8.0), (0.4, 15.0), (3.5, 5.0), (3.5, 8.0)])],
+)
+def test_a_minute_of_reflections_moves_nothing(direction_rad, size_m, hidden: Result):
+    off = size_m * math.cos(direction_rad), size_m * math.sin(direction_rad)
+    model = GnssModel(reflections=[Reflection(200.0, 260.0, *off)])
+    reflected = outing(WAY_M, 1, model, turn_walk_rad=0.001)
+    result = fed(reflected)[1][-1]
+    assert result.fixes["fixes_contradicting"] >= 15
+    assert moved_m(result, hidden) < 0.2
+
+
+def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing):
+    hung, at = range(800, 1100), drive.fixes[800]
+    fixes = [
+        replace(fix, latitude_deg=at.latitude_deg, longitude_deg=at.longitude_deg) if k in hung else fix
+        for k, fix in enumerate(drive.fixes)
+    ]
+    result = fed(replace(drive, fixes=fixes))[1][-1]
+    assert result.fixes["fixes_contradicting"] == 0  # they do not even come so far
+    assert moved_m(result, without(drive, hung)) < 0.3
+
+
+def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Outing, bare: Result):
+    noise = np.random.default_rng(2)
+    elsewhere = LocalFrame(60.161, 24.546, 51.7)
+
+    def wild(fix):
+        latitude_deg, longitude_deg = elsewhere.on_ground(*(300.0 * noise.standard_normal(2)))
+        return replace(fix, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+
+    result = fed(with_fixes(drive, wild))[1][-1]
+    assert result.geo is None
+    assert result.fixes["fixes_contradicting"] > 50
+    assert result.all == bare.all
+
+
+def test_a_lever_arm_that_is_told_wrong_shows_in_the_place(drive: Outing):
+    """On a way in one direction, where it is said to be 6 m behind where it is."""
+    straight = outing(WAY_M, 1, GnssModel(lasting_sigma_m=0.2), route=lambda way_m: SE2(way_m, 0.0, 0.0))
+    right = fed(straight)[1][-1]
+    wrong = LoopBackEnd(NO_SEARCH, None)
+    for batch in batches(straight):
+        fixes = [replace(fix, antenna_xy_m=(fix.antenna_xy_m[0] - 6.0, 0.1)) for fix in batch.fixes]
+        wrong.work(replace(batch, fixes=fixes))
+    off = wrong.work(Batch([], is_last=True))
+    assert np.median(errors_m(right, straight)) < 0.5
+    assert np.median(errors_m(off, straight)) == pytest.approx(6.0, abs=0.5)
+
+
+def test_a_reference_stays_with_its_fixes_where_none_is_believed_any_more(drive: Outing, monkeypatch):
+    back_end = LoopBackEnd(NO_SEARCH, None)
+    for batch in batches(drive):
+        back_end.work(batch)
+    before = back_end.work(Batch([]))
+    found = anchoring.find_consensus
+
+    def nothing(way):
+        consensus = found(way)
+        return replace(consensus, is_accepted=np.zeros_like(consensus.is_accepted))
+
+    monkeypatch.setattr(anchoring, "find_consensus", nothing)
+    back_end._anchoring._asked = 0
+    after = back_end.work(Batch([], is_last=True))
+    assert before.geo is not None
+    assert after.geo is not None
+    assert after.geo.fixes == before.geo.fixes
+    assert after.fixes["fixes_contradicting"] > 80

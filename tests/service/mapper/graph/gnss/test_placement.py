@@ -1,0 +1,46 @@
+"""When the place of a session in a stored map counts as proven, and when it is taken back."""
+
+from service.mapper.graph.loops.stored_graph import MAX_CONTRADICTIONS, MIN_APART_M, Placement
+
+
+def found(way_m: float = 10.0) -> Placement:
+    placement = Placement(is_in_stored=True)
+    placement.found(way_m)
+    return placement
+
+
+def test_without_a_stored_map_there_is_nothing_to_prove():
+    placement = Placement(is_in_stored=False)
+    placement.found(1.0)
+    assert placement.state == "proven"
+
+
+def test_a_find_is_unproven_until_it_is_seen_from_elsewhere():
+    placement = found()
+    assert placement.state == "unproven"
+    placement.seen(10.0 + 0.9 * MIN_APART_M, agrees=True)
+    assert placement.state == "unproven"
+    placement.seen(10.0 + MIN_APART_M, agrees=True)
+    assert placement.state == "proven"
+
+
+def test_contradictions_in_a_row_take_a_find_back():
+    placement = found()
+    for _ in range(MAX_CONTRADICTIONS - 1):
+        assert not placement.seen(12.0, agrees=False)
+    placement.seen(12.0, agrees=True)  # people stood around, say
+    for _ in range(MAX_CONTRADICTIONS - 1):
+        assert not placement.seen(13.0, agrees=False)
+    assert placement.seen(14.0, agrees=False)
+    assert placement.state == "unknown"
+    placement.found(15.0)
+    assert placement.state == "unproven"
+    assert not placement.seen(16.0, agrees=False)  # counted anew
+
+
+def test_what_is_proven_stays_so():
+    placement = found()
+    placement.seen(20.0, agrees=True)
+    for _ in range(5):
+        assert not placement.seen(30.0, agrees=False)
+    assert placement.state == "proven"

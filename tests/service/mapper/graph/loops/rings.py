@@ -1,0 +1,72 @@
+"""Key frames of a drive round a ring of corridors, with odometry that turns a little too far."""
+
+import math
+
+import numpy as np
+
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.keyframe_list import KeyFrame
+from tests.service.mapper.drives import cast
+
+LENGTH_M, WIDTH_M, HALF_M = 14.0, 9.0, 1.0  # of the middle line, and from there to the walls
+STEP_M = 0.3
+TURN_ERROR_RADPM = 0.004
+FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 360, 361
+
+
+def _rectangle(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
+    return [(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)]
+
+
+RING = [
+    *_rectangle(-HALF_M, -HALF_M, LENGTH_M + HALF_M, WIDTH_M + HALF_M),
+    *_rectangle(HALF_M, HALF_M, LENGTH_M - HALF_M, WIDTH_M - HALF_M),
+    *_rectangle(4.0, -HALF_M, 4.6, -0.7),  # cabinets, so that no two places look alike
+    *_rectangle(9.0, 0.7, 9.3, HALF_M),
+    *_rectangle(LENGTH_M + 0.6, 3.0, LENGTH_M + HALF_M, 3.5),
+    *_rectangle(10.0, WIDTH_M + 0.7, 11.5, WIDTH_M + HALF_M),
+    *_rectangle(3.0, WIDTH_M + 0.5, 3.3, WIDTH_M + HALF_M),
+    *_rectangle(-HALF_M, 5.0, -0.6, 6.2),
+]
+
+
+def round_the_ring(way_m: float) -> SE2:
+    """Where the base is after so much way: straight between the corners, turning within a metre of them."""
+    corners = [(0.0, 0.0), (LENGTH_M, 0.0), (LENGTH_M, WIDTH_M), (0.0, WIDTH_M)]
+    sides = [LENGTH_M, WIDTH_M, LENGTH_M, WIDTH_M]
+    turns, left_m = divmod(way_m, sum(sides))
+    for k, side_m in enumerate(sides):
+        if left_m < side_m:
+            ahead = math.pi / 2 * k
+            turned = math.pi / 2 * max(0.0, left_m - side_m + 1.0)
+            x, y = corners[k]
+            return SE2(
+                x + left_m * math.cos(ahead),
+                y + left_m * math.sin(ahead),
+                math.remainder(ahead + turned, 2.0 * math.pi),
+            )
+        left_m -= side_m
+    raise AssertionError(turns)
+
+
+def key_frames(
+    rounds: float, seed: int = 0, turn_error_radpm: float = TURN_ERROR_RADPM
+) -> tuple[list[KeyFrame], list[SE2]]:
+    """And the truth, seen from the first."""
+    noise = np.random.default_rng(seed)
+    angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
+    truth, frames = [], []
+    accepted = SE2()
+    for k in range(int(rounds * 2.0 * (LENGTH_M + WIDTH_M) / STEP_M)):
+        pose = round_the_ring(k * STEP_M)
+        truth.append(pose)
+        if k:
+            step = truth[-2].inverse() @ pose
+            accepted = accepted @ SE2(step.x_m, step.y_m, step.theta_rad + turn_error_radpm * STEP_M)
+        origins = np.tile([pose.x_m, pose.y_m], (BEAMS, 1))
+        ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+        range_m = cast(RING, origins, ways) + 0.005 * noise.standard_normal(BEAMS)
+        xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle))).astype(np.float32)
+        covariance = np.diag([1e-4, 1e-4, 1e-5])
+        frames.append(KeyFrame(k * 10**8, accepted, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
+    return frames, truth

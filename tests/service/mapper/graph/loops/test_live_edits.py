@@ -1,0 +1,214 @@
+"""Changes by hand in a back end that is at work: a ring of corridors, driven one and a half times."""
+
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.geometry.polygons import is_inside
+from service.mapper.components import EditAnswer
+from service.mapper.edit_requests import EDIT_MAP
+from service.mapper.graph.loops import live_edits
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.saved_graph import SavedGraph
+from tests.service.mapper.graph.edit.test_editing import RENDERER, ROUND, seam_m
+from tests.service.mapper.graph.loops.rings import key_frames
+
+FRAMES, TRUTH = key_frames(1.4)
+SPOTS = (8, 30, 52)  # key frames of the first round
+CUT = {"what": "cut", "from_s": 4.0, "to_s": 4.5}
+
+
+def fed(config: LoopsConfig) -> bytes:
+    back_end = LoopBackEnd(config, RENDERER)
+    for k in range(0, len(FRAMES), 7):
+        back_end.work(Batch(FRAMES[k : k + 7]))
+    return pickle.dumps(back_end)
+
+
+@pytest.fixture(scope="module")
+def open_ring() -> bytes:
+    """No loop was accepted: the second round lies beside the first."""
+    return fed(LoopsConfig(consensus_span_m=1000.0))
+
+
+@pytest.fixture(scope="module")
+def closed_ring() -> bytes:
+    return fed(LoopsConfig())
+
+
+def asked(back_end: LoopBackEnd, **change: Any) -> tuple[Result, EditAnswer]:
+    result = back_end.work(Batch([], "edit_map", change=EDIT_MAP.validate_python({"change": change}).change))
+    assert result.edited is not None
+    return result, result.edited
+
+
+def saved(back_end: LoopBackEnd) -> SavedGraph:
+    graph = back_end.work(Batch([], "checkpoint")).saved
+    assert isinstance(graph, SavedGraph)
+    return graph.checked()
+
+
+def pairs_of_both_rounds(graph: SavedGraph, off_m: float = 0.0) -> list[dict[str, Any]]:
+    """A point of the wall that both saw, off_m beside it in the second round."""
+    pairs = []
+    for k in SPOTS:
+        wall = graph.xy_base[graph.point_count[:k].sum()].astype(np.float64)
+        true_map = TRUTH[k] @ type(TRUTH[k])(float(wall[0]), float(wall[1]), 0.0)
+        later = TRUTH[k + ROUND].inverse() @ true_map
+        stamps = (str(FRAMES[k].stamp_ns), str(FRAMES[k + ROUND].stamp_ns))
+        points = (tuple(wall.tolist()), (later.x_m + off_m, later.y_m))
+        pairs.append({"stamps_ns": stamps, "points_base": points})
+    return pairs
+
+
+def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_each(open_ring: bytes):
+    back_end = pickle.loads(open_ring)
+    before = saved(back_end)
+    assert seam_m(before, TRUTH).min() > 0.5
+    result, answer = asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
+    assert answer.told["done"].startswith("pairs 0 to 2; key frames moved by up to ")
+    assert [pair["apart_mm"] < 50.0 for pair in answer.told["pairs"]] == [True] * 3
+    assert answer.told["moved_m"] > 0.5
+    assert result.newest is not None
+    assert result.rendered_map is not None
+    assert seam_m(saved(back_end), TRUTH).max() < 0.1
+    _, answer = asked(back_end, what="remove-pair", pair=1)
+    assert len(answer.told["pairs"]) == 2
+    at_s = SPOTS[0] / 10.0
+    _, answer = asked(back_end, what="cut", from_s=at_s - 0.05, to_s=at_s + 0.05, bridge=True)
+    assert len(answer.told["pairs"]) == 1
+    for count in (2, 3, 0):
+        _, answer = asked(back_end, what="undo")
+        assert len(answer.told["pairs"]) == count
+    np.testing.assert_allclose(saved(back_end).map, before.map, atol=2e-3)
+    assert "left to take back" in asked(back_end, what="undo")[1].error
+
+
+@pytest.mark.parametrize("is_bridged", [False, True])
+def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(
+    closed_ring: bytes, is_bridged: bool
+):
+    back_end = pickle.loads(closed_ring)
+    before = saved(back_end)
+    ends = before.loop_ends.tolist()
+    assert ends
+    span = {"what": "cut", "from_s": ends[0][1] / 10.0 - 0.2, "to_s": ends[0][1] / 10.0 + 0.2}
+    is_cut = np.abs(np.arange(len(before)) - ends[0][1]) <= 2
+    touched = int(is_cut[np.array(ends)].any(axis=1).sum())
+    _, answer = asked(back_end, **span, bridge=is_bridged)
+    gone = f"{touched} loop{'s' * (touched > 1)}"
+    assert answer.told["done"].startswith(f"cut 5 key frames out, and {gone} with them")
+    less = saved(back_end)
+    np.testing.assert_array_equal(less.point_count == 0, is_cut)
+    assert len(less.loop_ends) == len(ends) - touched
+    asked(back_end, what="undo")
+    again = saved(back_end)
+    np.testing.assert_array_equal(again.point_count, before.point_count)
+    np.testing.assert_array_equal(again.is_lost, before.is_lost)
+    assert sorted(again.loop_ends.tolist()) == sorted(ends)
+    np.testing.assert_allclose(again.map, before.map, atol=2e-3)
+
+
+def test_loops_of_a_map_that_stays_as_it_is_are_not_undone(closed_ring: bytes):
+    back_end = pickle.loads(closed_ring)
+    before = saved(back_end)
+    assert len(before.loop_ends)
+    back_end.work(Batch([], "set_mode", is_localizing=True))
+    back_end.work(Batch([], "undo"))
+    np.testing.assert_array_equal(saved(back_end).loop_ends, before.loop_ends)
+
+
+def test_without_a_bridge_odometry_yields_where_it_is_cut(open_ring: bytes):
+    """Pairs ask for more than odometry errs by: it must give somewhere."""
+
+    def given_m(is_bridged: bool) -> float:
+        back_end = pickle.loads(open_ring)
+        asked(back_end, **CUT, bridge=is_bridged)
+        asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(saved(back_end), off_m=0.5))
+        graph = saved(back_end)
+        over_cut = slice(39, 46), slice(40, 47)
+        driven, lies = (se2.between(*(of[part] for part in over_cut)) for of in (graph.odom, graph.map))
+        return float(np.abs(lies - driven)[:, :2].sum())
+
+    assert given_m(is_bridged=False) > 5.0 * given_m(is_bridged=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"what": "remove-pair", "pair": 0}, "there is no pair 0"),
+        ({"what": "cut", "from_s": 1e6, "to_s": 1e7}, "no key frame lies in that time"),
+        ({"what": "cut", "from_s": 0.0, "to_s": 1e7}, "that is all of the map"),
+        (
+            {
+                "what": "add-pair",
+                "pairs": [{"stamps_ns": ("0", "7"), "points_base": ((0.0, 0.0), (0.0, 0.0))}],
+            },
+            "the key frame of 7 ns is not in the map",
+        ),
+        (
+            {
+                "what": "add-pair",
+                "pairs": [{"stamps_ns": ("0", "0"), "points_base": ((0.0, 0.0), (0.0, 0.0))}],
+            },
+            "of one key frame",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
+    open_ring: bytes, change: dict[str, Any], words: str
+):
+    back_end = pickle.loads(open_ring)
+    before = saved(back_end)
+    result, answer = asked(back_end, **change)
+    assert words in answer.error
+    assert result.rendered_map is None
+    after = saved(back_end)
+    np.testing.assert_array_equal(after.map, before.map)
+    np.testing.assert_array_equal(after.point_count, before.point_count)
+
+
+def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_held(open_ring: bytes):
+    """Some in the middle are of a piece whose place is not found: these are not stored."""
+    back_end = pickle.loads(open_ring)
+    for piece, after_ns in ((1, 10**12), (0, 2 * 10**12)):
+        frames = [replace(f, piece=piece, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]
+        back_end.work(Batch(frames))
+    corners = back_end._keyframes.map[[len(FRAMES) + 1, -1], :2]
+    asked(back_end, what="wall", corners=[*map(tuple, corners.tolist())])
+    assert len(FRAMES) + 1 not in back_end._keyframes.by_hand.corner_keyframe
+    graph = saved(back_end)
+    assert len(graph) == len(FRAMES) + 3
+    assert graph.by_hand.corner_keyframe[1] == len(graph) - 1
+    np.testing.assert_allclose(graph.by_hand.drawings(graph.map)[0].corners_map, corners, atol=1e-9)
+    assert asked(back_end, what="cut", from_s=900.0, to_s=1100.0)[1].error == "no key frame lies in that time"
+    switched = back_end.work(Batch([], "set_mode", is_localizing=True)).edited
+    assert switched is not None
+    assert "has not been placed" in switched.error
+
+
+def test_so_many_changes_can_be_taken_back(open_ring: bytes, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(live_edits, "MAX_UNDONE", 2)
+    back_end = pickle.loads(open_ring)
+    walls = [asked(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]
+    assert [answer.told["undoable"] for answer in walls] == [1, 2, 2]
+
+
+def test_what_was_seen_in_an_area_is_searched_no_more_once_it_is_erased(open_ring: bytes):
+    """Every key frame with a point there loses it, in places that were gathered before, too."""
+    back_end = pickle.loads(open_ring)
+    submap = back_end._submap_about(SPOTS[0])
+    back_end.pieces.make_ready(np.flatnonzero(back_end._usable()))
+    corners = np.array([(3.9, -1.2), (4.7, -1.2), (4.7, -0.6), (3.9, -0.6)])  # a cabinet
+    asked(back_end, what="erase", corners=[*map(tuple, corners.tolist())])
+    assert back_end._submap_about(SPOTS[0]) is not submap
+    assert back_end.pieces._known_map is None
+    keyframes = back_end._keyframes
+    for pose, points in zip(keyframes.map, keyframes.thinned, strict=True):
+        assert not is_inside(se2.points_from(pose, points.xy_base.astype(np.float64)), corners).any()

@@ -1,0 +1,390 @@
+"""Loops in a ring of corridors: found, accepted in company or where the way leads, taken back when wrong."""
+
+import math
+import pickle
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.components import Correction
+from service.mapper.graph.loops import loop_back_end, solution_due
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.model.keyframe_list import KeyFrame
+from service.mapper.graph.model.loops import Loop
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.relocalise import known_map
+from service.mapper.known_pose import carried
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.refused_loops import CONTRADICTED
+from tests.service.mapper.graph.loops.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
+
+BATCH = 7
+
+
+@pytest.fixture(scope="module")
+def ring() -> tuple[list[KeyFrame], list[SE2]]:
+    return key_frames(1.4)
+
+
+def fed(
+    frames: list[KeyFrame], config: LoopsConfig | None = None, renders: bool = True
+) -> tuple[LoopBackEnd, list[Result]]:
+    renderer = OccupancyTiles(OccupancyConfig(), 0.05).renderer if renders else None
+    back_end = LoopBackEnd(config or LoopsConfig(), renderer)
+    return back_end, [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
+
+
+@pytest.fixture(scope="module")
+def ring_fed(ring: tuple[list[KeyFrame], list[SE2]]) -> tuple[bytes, list[Result]]:
+    """A back end that has all of the ring, for each test to load a copy of its own; and what it said."""
+    back_end, results = fed(ring[0])
+    return pickle.dumps(back_end), results
+
+
+def errors_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
+    away = [true.inverse() @ c.pose_map_base for true, c in zip(truth, corrections, strict=True)]
+    return np.array([np.hypot(e.x_m, e.y_m) for e in away])
+
+
+def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
+    """How far the second round lies off the first, seen from there."""
+    off = []
+    round_frames = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    for k in range(20, len(truth) - round_frames - 5, 5):
+        a, b = k, k + round_frames
+        here = corrections[a].pose_map_base.inverse() @ corrections[b].pose_map_base
+        away = (truth[a].inverse() @ truth[b]).inverse() @ here
+        off.append(np.hypot(away.x_m, away.y_m))
+    return np.array(off)
+
+
+def test_a_ring_is_closed_and_the_way_bent_back(
+    ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
+):
+    frames, truth = ring
+    back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
+    drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in frames]
+    assert seam_m(drifted, truth).min() > 0.5
+    assert results[len(frames) // (2 * BATCH)].loops == 0
+    corrected_live = next(r for r in results if r.newest is not None)
+    assert corrected_live.loops >= 3
+    assert corrected_live.rendered_map is not None
+    finished = back_end.work(Batch([], is_last=True))
+    assert seam_m(list(finished.all), truth).max() < 0.02
+    assert np.median(errors_m(list(finished.all), truth)) < 0.3 * np.median(errors_m(drifted, truth))
+    assert finished.disabled == 0
+    assert finished.g2o.count("VERTEX_SE2") == len(frames)
+    assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
+
+
+def test_after_a_long_drive_the_finish_searches_where_no_loop_ties_it(
+    ring_fed: tuple[bytes, list[Result]], monkeypatch: pytest.MonkeyPatch
+):
+    """Else it takes longer the longer the drive was, and a service that ends does not wait for it."""
+    searched: list[int] = []
+    search = LoopBackEnd._search
+    monkeypatch.setattr(
+        LoopBackEnd, "_search", lambda self, last, window: searched.append(last) or search(self, last, window)
+    )
+    pickle.loads(ring_fed[0])._search_again()
+    every = searched.copy()
+    searched.clear()
+    monkeypatch.setattr(loop_back_end, "MAX_STRETCHES", len(every) - 1)
+    back_end: LoopBackEnd = pickle.loads(ring_fed[0])
+    back_end._search_again()
+    tied = {loop.to for loop in back_end._loops}
+    assert 0 < len(searched) < len(every)
+    assert not tied & {last - round(2.5 / STEP_M) for last in searched}  # the middles of the queries
+
+
+def test_a_closed_ring_is_known_better_than_the_way_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):
+    """Also where the motion model said how far each step may have erred."""
+    variance = np.array([1e-4, 1e-4, 4e-5])
+    by_motion, frames = np.zeros((3, 3)), []
+    for before, frame in pairwise([ring[0][0], *ring[0]]):
+        step = before.pose_odom_base.inverse() @ frame.pose_odom_base
+        by_motion = carried(by_motion, np.array([step.x_m, step.y_m, step.theta_rad])) + np.diag(variance)
+        frames.append(replace(frame, motion_covariance=by_motion))
+    _, results = fed(frames, renders=False)
+    known = [result.known for result in results if result.known is not None]
+    assert len(known) > 2
+    for one in known:
+        assert one.covariance.shape == (3, 3)
+        assert np.linalg.eigvalsh(one.covariance)[0] > 0.0
+        assert np.trace(one.covariance[:2, :2]) < 0.5 * np.trace(one.motion_covariance[:2, :2])
+
+
+def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_anew(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Else the live error grows lap by lap: no loop is off by what is worth a solution."""
+    frames, _ = key_frames(1.4, turn_error_radpm=1e-6)
+    assert not any(result.newest for result in fed(frames)[1])
+    monkeypatch.setattr(solution_due, "SOLVE_EVERY_M", 20.0)
+    results = fed(frames)[1]
+    solved = [result for result in results if result.newest is not None]
+    assert solved
+    assert all(result.known is None and result.rendered_map is None for result in solved)
+
+
+def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
+    ring_fed: tuple[bytes, list[Result]],
+):
+    back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
+    pictures = [result.picture for result in results if result.picture is not None]
+    stamps = np.array([picture.stamp_ns for picture in pictures])
+    assert (np.diff(stamps) >= 2_000_000_000).all()
+    false = Loop(10, 80, np.zeros(3), np.eye(3), 0.9)
+    back_end._refusals.add([false], CONTRADICTED)
+    last = back_end.work(Batch([], is_last=True)).picture
+    assert last is not None
+    keyframes = back_end._keyframes
+    (way,) = last.ways
+    np.testing.assert_array_equal(way, keyframes.map[:, :2].astype(np.float32))
+    assert len(last.accepted) == len(back_end.loops) > 3
+    loop = back_end.loops[0]
+    np.testing.assert_array_equal(last.accepted[0], keyframes.map[[loop.of, loop.to], :2].astype(np.float32))
+    refused = keyframes.map[[false.of, false.to], :2].astype(np.float32).tolist()
+    assert refused in last.refused.tolist()
+    believed = [ends.tolist() for ends in last.accepted]
+    assert not any(ends.tolist() in believed for ends in last.refused)
+
+
+def test_memory_grows_with_the_area_and_not_with_the_way():
+    frames, truth = key_frames(3.8)
+    back_end, _ = fed(frames, LoopsConfig(keep_passes=2), renders=False)
+    has_points = back_end._keyframes.has_points
+    a_round = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    assert has_points[-2 * a_round :].all()
+    assert not has_points[20 : a_round - 20].any()
+    assert has_points.sum() < 3.2 * a_round
+    finished = back_end.work(Batch([], is_last=True))
+    assert seam_m(list(finished.all), truth).max() < 0.02
+    everything, _ = fed(frames, LoopsConfig(keep_passes=100, search_every_m=1e9), renders=False)
+    assert everything._keyframes.has_points.all()
+
+
+def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):
+    """However often a spot is passed: passes of the session go, and then nothing would be known there."""
+    stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
+    assert stored is not None
+    back_end = LoopBackEnd(LoopsConfig(keep_passes=2), None, stored, is_localizing=True)
+    frames, _ = key_frames(2.2, seed=1)
+    session = [replace(frame, piece=0) for frame in frames]
+    results = [back_end.work(Batch(session[k : k + BATCH])) for k in range(0, len(session), BATCH)]
+    keyframes = back_end._keyframes
+    assert results[-1].place.placed == "proven"
+    assert keyframes.has_points[: len(stored)].all()
+
+
+def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
+    ring: tuple[list[KeyFrame], list[SE2]],
+    ring_fed: tuple[bytes, list[Result]],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Of what fits nowhere; of the way before it keeps the poses."""
+    monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)  # it takes as long as it is looked for
+    most = 2 * BATCH
+    monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", most)
+    stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
+    assert stored is not None
+    back_end = LoopBackEnd(LoopsConfig(), None, stored, is_localizing=True)
+    noise = np.random.default_rng(1)
+    lost = [
+        replace(frame, piece=0, xy_base=noise.uniform(-4.0, 4.0, (60, 2)).astype(np.float32))
+        for frame in ring[0][: 4 * BATCH]
+    ]
+    results = [back_end.work(Batch(lost[k : k + BATCH])) for k in range(0, len(lost), BATCH)]
+    assert {result.joined for result in results} == {None}
+    has_points = back_end._keyframes.has_points[len(stored) :]
+    assert len(has_points) == len(lost)
+    assert not has_points[:-most].any()
+    assert has_points[-most:].sum() > most // 2  # besides those of one spot
+    assert back_end._keyframes.has_points[: len(stored)].all()
+
+
+def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
+    ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
+):
+    frames = ring[0]
+    back_end = pickle.loads(pickle.dumps(LoopBackEnd(LoopsConfig(), None)))
+    for k in range(0, len(frames), BATCH):
+        back_end.work(Batch(frames[k : k + BATCH]))
+    again = back_end.work(Batch([], is_last=True))
+    first = pickle.loads(ring_fed[0]).work(Batch([], is_last=True))
+    assert again.all == first.all
+    assert again.g2o == first.g2o
+
+
+def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE2]]):
+    back_end, results = fed(ring[0], LoopsConfig(consensus_span_m=1000.0))
+    assert {result.loops for result in results} == {0}
+    assert back_end.work(Batch([], is_last=True)).loops == 0
+
+
+@pytest.mark.parametrize("is_known", [True, False], ids=["known", "unknown"])
+def test_a_lap_that_ends_where_it_began_is_closed_where_the_way_is_known(is_known: bool):
+    """What the last metres see again is one spot: there is no company."""
+    frames, truth = key_frames(1.0, turn_error_radpm=2e-4)
+    known = [
+        replace(frame, motion_covariance=k * np.diag([1e-4, 1e-4, 6e-7]) if is_known else None)
+        for k, frame in enumerate(frames)
+    ]
+    back_end, _ = fed(known)
+    finished = back_end.work(Batch([], is_last=True))
+    end_m = errors_m(list(finished.all), truth)[-1]
+    assert bool(finished.loops) is is_known
+    assert bool(end_m < 0.03) is is_known, end_m
+
+
+def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[KeyFrame], list[SE2]]):
+    frames = ring[0][:100]
+    back_end, results = fed(frames)
+    assert all(result.newest is None for result in results)
+    finished = back_end.work(Batch([], is_last=True))
+    for correction in finished.all:
+        away = correction.pose_odom_base.inverse() @ correction.pose_map_base
+        assert abs(away.x_m) + abs(away.y_m) + abs(away.theta_rad) < 1e-9
+
+
+def test_a_false_loop_that_the_rest_contradicts_is_dropped(
+    ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
+):
+    truth, back_end = ring[1], pickle.loads(ring_fed[0])
+    false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
+    back_end._loops.append(false)
+    finished = back_end.work(Batch([], is_last=True))
+    assert finished.disabled >= 1
+    assert false in back_end._disabled
+    assert seam_m(list(finished.all), truth).max() < 0.02
+
+
+def test_who_undoes_the_last_loops_gets_the_way_before_them(ring_fed: tuple[bytes, list[Result]]):
+    back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
+    before = results[-1].loops
+    groups = len(back_end._accepted)
+    for _ in range(groups):
+        result = back_end.work(Batch([], "undo"))
+    assert before > result.loops == 0
+    assert result.newest is not None
+    assert result.newest.pose_map_base.x_m == pytest.approx(result.newest.pose_odom_base.x_m, abs=1e-3)
+
+
+def test_lost_key_frames_are_neither_looked_for_nor_trusted(ring: tuple[list[KeyFrame], list[SE2]]):
+    lost = [replace(frame, is_lost=True) for frame in ring[0]]
+    _, results = fed(lost)
+    assert {result.loops for result in results} == {0}
+
+
+@pytest.mark.parametrize("says_so", [True, False])
+def test_behind_a_doubtful_match_loops_are_looked_for_farther_away(
+    ring: tuple[list[KeyFrame], list[SE2]], says_so: bool
+):
+    """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
+    frames, truth = ring
+    kink = len(frames) // 2
+    before = frames[kink - 1].pose_odom_base
+    turned = [
+        replace(frame, pose_odom_base=before @ SE2(0.0, 0.0, 0.35) @ before.inverse() @ frame.pose_odom_base)
+        for frame in frames[kink:]
+    ]
+    if says_so:
+        turned[0] = replace(turned[0], score=0.5 * turned[0].score)
+    back_end, _ = fed([*frames[:kink], *turned])
+    finished = back_end.work(Batch([], is_last=True))
+    assert bool(seam_m(list(finished.all), truth).max() < 0.05) is says_so
+
+
+def moved(frame: KeyFrame, by: SE2, piece: int, later_ns: int) -> KeyFrame:
+    """The same key frame, in the odom of a piece that began elsewhere."""
+    return replace(
+        frame, stamp_ns=frame.stamp_ns + later_ns, pose_odom_base=by @ frame.pose_odom_base, piece=piece
+    )
+
+
+ELSEWHERE = SE2(30.0, -20.0, 1.0)
+SIDE = round(LENGTH_M / STEP_M)  # key frames along the first side
+
+
+def piece_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]:
+    """The frames as a piece whose odom says that it lies elsewhere."""
+    later_ns = known[-1].stamp_ns + 10**8
+    return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
+
+
+def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    again = piece_after(known, known[5:-5])
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    back_end.work(Batch(known))
+    joined_at = []
+    for k in range(0, len(again), 4):
+        result = back_end.work(Batch(again[k : k + 4]))
+        if result.joined:
+            joined_at.append(k)
+            assert result.joined == 1
+            assert result.newest is not None
+    assert len(joined_at) == 1  # and not again
+    assert (joined_at[0] + 4) * STEP_M >= 4.0
+    finished = back_end.work(Batch([], is_last=True))
+    assert [k for k, one in enumerate(finished.all) if one.begins_piece] == [SIDE]
+    for first, second in zip(finished.all[5:], finished.all[SIDE:], strict=False):
+        away = first.pose_map_base.inverse() @ second.pose_map_base
+        assert np.hypot(away.x_m, away.y_m) < 0.05
+        assert abs(away.theta_rad) < 0.01
+
+
+def test_where_a_piece_was_found_is_told_from_the_first_find_until_it_is_joined(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    assert back_end.work(Batch(known)).place.found_once is None
+    again = piece_after(known, known[5:-5])
+    results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
+    is_told = [result.place.found_once is not None for result in results]
+    first, joined = is_told.index(True), [result.joined for result in results].index(1)
+    assert is_told == [first <= k < joined for k in range(len(results))]
+    for once in (result.place.found_once for result in results[first:joined]):
+        assert once is not None
+        assert once.piece == 1
+        off = once.pose_map_odom @ ELSEWHERE
+        assert np.hypot(off.x_m, off.y_m) < 0.1
+        assert abs(off.theta_rad) < 0.02
+        assert 0.05 < math.sqrt(once.known.covariance[0, 0]) < 0.2
+
+
+def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
+    """Standing, a room looks like any other of its kind."""
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    back_end.work(Batch(known))
+    for k, frame in enumerate(piece_after(known, known[10:11] * 6)):
+        assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
+
+
+def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_rendered(
+    ring: tuple[list[KeyFrame], list[SE2]],
+):
+    known = ring[0][:SIDE]
+    back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).renderer)
+    back_end.work(Batch(known))
+    alone = back_end.render()
+    back_end.work(Batch(piece_after(known, known[10:11] * 3)))
+    assert back_end._keyframes.count == SIDE + 3
+    assert back_end._usable().tolist() == [True] * SIDE + [False] * 3
+    rendered = back_end.render()
+    assert alone is not None
+    assert rendered is not None
+    np.testing.assert_array_equal(rendered.evidence, alone.evidence)
+    back_end._joined.add(1)
+    assert back_end._usable().all()
+    both = back_end.render()
+    assert both is not None
+    assert both.evidence.shape != alone.evidence.shape or (both.evidence != alone.evidence).any()

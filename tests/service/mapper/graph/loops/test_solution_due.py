@@ -1,0 +1,71 @@
+"""When the graph is solved, and when the map is drawn anew: laps of a round, each of which drifts a bit."""
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.mapper.graph.loops.solution_due import DRAW_AT_M, LEVER_M, SOLVE_EVERY_M, SolutionDue
+from service.mapper.graph.model.keyframe_list import (
+    NO_NORMALS,
+    NO_POINTS,
+    KeyFrame,
+    KeyframeList,
+    ThinnedScan,
+)
+from service.mapper.graph.model.loops import FLOOR, Loop
+from service.mapper.graph.model.loops_config import LoopsConfig
+
+LAP, STEP_M = 40, 1.0
+COUNT = round(1.5 * SOLVE_EVERY_M / STEP_M)
+
+
+def laps() -> KeyframeList:
+    keyframes, pose = KeyframeList(), np.zeros(3)
+    for k in range(COUNT):
+        pose = se2.compose(pose, np.array([STEP_M, 0.0, 2.0 * np.pi / LAP])) if k else pose
+        frame = KeyFrame(k, SE2(*pose.tolist()), np.eye(3), 0, 0.9, False, NO_POINTS, (0.0, 0.0), 0.01)
+        keyframes.append(frame, pose, ThinnedScan(NO_POINTS, NO_NORMALS, (0.0, 0.0)))
+    return keyframes
+
+
+def loop(to: int, off_m: float) -> Loop:
+    """To the lap before, the key frame `to` seen so far beside where it lies."""
+    return Loop(to - LAP, to, np.array([0.0, off_m, 0.0]), FLOOR, 0.9)
+
+
+@pytest.mark.parametrize(("off_m", "is_news"), [(0.04, False), (0.06, True)])
+def test_one_loop_is_news_if_it_moves_the_map_visibly(off_m: float, is_news: bool) -> None:
+    due = SolutionDue(LoopsConfig(), (COUNT - 20) * STEP_M)
+    assert due.has_news(laps(), [loop(COUNT - 1, off_m)]) is is_news
+    assert not due.has_news(laps(), [loop(COUNT - 40, off_m)])  # of long ago
+
+
+def test_loops_that_agree_are_brought_in_after_some_way() -> None:
+    keyframes, agreeing = laps(), [loop(COUNT - 1, 0.001)]
+    assert SolutionDue(LoopsConfig(), 0.0).has_news(keyframes, agreeing)
+    due = SolutionDue(LoopsConfig(), 0.0)
+    due.solved(0.6 * SOLVE_EVERY_M, keyframes.map, keyframes.map)
+    assert not due.has_news(keyframes, agreeing)
+
+
+def test_without_a_loop_since_the_newest_solution_nothing_is_due() -> None:
+    keyframes = laps()
+    due = SolutionDue(LoopsConfig(), 0.25 * SOLVE_EVERY_M)
+    assert not due.has_news(keyframes, [])
+    assert not due.has_news(keyframes, [loop(round(0.2 * SOLVE_EVERY_M / STEP_M), 0.001)])
+
+
+@pytest.mark.parametrize("moved", [(0.6 * DRAW_AT_M, 0.0, 0.0), (0.0, 0.0, -0.6 * DRAW_AT_M / LEVER_M)])
+def test_the_map_is_drawn_anew_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
+    before = laps().map.copy()
+    after = before + np.array(moved)
+    due = SolutionDue(LoopsConfig(), 0.0)
+    assert not due.take_drawing()
+    due.solved(100.0, before, after)
+    assert not due.take_drawing()
+    due.solved(200.0, before, after)
+    assert due.take_drawing()
+    assert not due.take_drawing()
+    due.must_draw()
+    assert due.take_drawing()

@@ -1,0 +1,41 @@
+"""What all graphs with a back end do when it is lost."""
+
+from collections.abc import Callable
+
+import pytest
+
+from service.mapper.background import ElsewhereWorker
+from service.mapper.components import Graph, GraphRequestError
+from service.mapper.graph.loops.loop_closing import LoopClosing
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkGraphConfig
+from service.mapper.papers.submap_graph.graph.landmark_graph import LandmarkGraph
+
+
+def loop_closing() -> Graph:
+    return LoopClosing(LoopsConfig(), None, ElsewhereWorker)
+
+
+def landmark_graph() -> Graph:
+    return LandmarkGraph(LandmarkGraphConfig(), None, ElsewhereWorker)
+
+
+@pytest.mark.parametrize("new_graph", [loop_closing, landmark_graph])
+def test_lost_work_is_counted_and_told(new_graph: Callable[[], Graph]):
+    graph = new_graph()
+    graph.request("optimize", {})
+    assert graph.waiting == 1
+    update = graph.apply_result()
+    assert update is not None
+    assert update.counts == {"graph_work_lost": 1}
+    assert (graph.waiting, graph.fault) == (0, "this back end works elsewhere")
+    with pytest.raises(GraphRequestError, match="this back end works elsewhere"):
+        graph.request("optimize", {})
+    assert graph.apply_result() is None
+
+
+@pytest.mark.parametrize("new_graph", [loop_closing, landmark_graph])
+def test_what_is_lost_at_the_finish_is_counted_once(new_graph: Callable[[], Graph]):
+    graph = new_graph()
+    graph.request("optimize", {})
+    assert graph.finish().update.counts == {"graph_work_lost": 1}

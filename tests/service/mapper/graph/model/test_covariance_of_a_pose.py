@@ -1,0 +1,110 @@
+"""The covariance of a pose of a chain with loops, against that of a solution and where that has none."""
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.mapper.graph.model.pose_graph import Edges, GraphError, PoseGraph, Sightings
+from service.mapper.graph.model.pose_graph_solver import covariance_of, solve
+
+COUNT = 40
+
+
+def chain(loops: list[tuple[int, int]], seed: int = 1) -> PoseGraph:
+    """A winding way whose edges all fit, with covariances of any shape."""
+    random = np.random.default_rng(seed)
+    poses = np.zeros((COUNT, 3))
+    for k in range(1, COUNT):
+        poses[k] = se2.compose(poses[k - 1], np.array([0.3, 0.02, random.normal(0.0, 0.1)]))
+    of = np.array([*range(COUNT - 1), *(a for a, _ in loops)])
+    to = np.array([*range(1, COUNT), *(b for _, b in loops)])
+    roots = random.normal(size=(len(of), 3, 3)) * np.array([0.01, 0.01, 0.003])
+    covariance = np.swapaxes(roots, 1, 2) @ roots + 1e-6 * np.eye(3)
+    width = np.r_[np.zeros(COUNT - 1), np.full(len(loops), 2.0)]
+    return PoseGraph(poses, Edges(of, to, se2.between(poses[of], poses[to]), covariance, width))
+
+
+def rows(edges: Edges, which: list[int]) -> Edges:
+    return Edges(*(getattr(edges, name)[which] for name in Edges.__slots__))
+
+
+@pytest.mark.parametrize("loops", [[], [(0, 39)], [(3, 30), (5, 33), (10, 21), (2, 39), (0, 14)]])
+def test_it_is_what_a_solver_gives(loops: list[tuple[int, int]]):
+    graph = chain(loops)
+    expected = solve(graph, covariances_of=[25, COUNT - 1]).covariances
+    for k in (25, COUNT - 1):
+        np.testing.assert_allclose(covariance_of(graph, k), expected[k], rtol=1e-3, atol=1e-9)
+
+
+def pairs_of(graph: PoseGraph, ends: list[tuple[int, int]], seed: int = 2) -> PoseGraph:
+    """The graph with points that both poses of each pair saw, in front of and beside them."""
+    random = np.random.default_rng(seed)
+    landmarks = np.array([graph.poses[a, :2] + random.normal(0.0, 4.0, 2) for a, _ in ends])
+    of, which = np.array(ends).ravel(), np.repeat(np.arange(len(ends)), 2)
+    roots = random.normal(0.0, 0.02, (len(of), 2, 2))
+    covariance = roots @ np.swapaxes(roots, 1, 2) + 1e-4 * np.eye(2)
+    xy = se2.points_seen(graph.poses[of], landmarks[which])
+    seen = Sightings(of, which, xy, covariance, np.zeros(len(of)))
+    return PoseGraph(graph.poses, graph.edges, landmarks, seen)
+
+
+@pytest.mark.parametrize("loops", [[], [(3, 30)]])
+@pytest.mark.parametrize("pairs", [[(0, 39)], [(2, 25), (0, 20), (7, 39)]])
+def test_points_that_two_poses_saw_say_how_well_the_last_is_known(
+    loops: list[tuple[int, int]], pairs: list[tuple[int, int]]
+):
+    graph = pairs_of(chain(loops), pairs)
+    expected = solve(graph, covariances_of=[COUNT - 1]).covariances[COUNT - 1]
+    np.testing.assert_allclose(covariance_of(graph, COUNT - 1), expected, rtol=1e-3, atol=1e-9)
+    assert np.trace(expected) < 0.9 * np.trace(covariance_of(chain(loops), COUNT - 1))
+
+
+def test_two_pairs_of_points_join_what_nothing_else_does():
+    whole = chain([])
+    kept = [k for k in range(len(whole.edges.of)) if k != 20]
+    cut = PoseGraph(whole.poses, rows(whole.edges, kept))
+    assert np.trace(covariance_of(cut, 39)[:2, :2]) > 1e3
+    joined = covariance_of(pairs_of(cut, [(2, 38), (10, 39)]), 39)
+    assert np.trace(joined[:2, :2]) < 0.1
+    assert joined[2, 2] < 0.01
+
+
+def test_a_loop_over_a_step_that_nothing_measures_says_how_well_the_pose_is_known():
+    graph = chain([(5, 30)])
+    graph.edges.covariance[:-1] = np.diag([1e-8, 1e-8, 1e-10])
+    graph.edges.covariance[19] = np.diag([1e3, 1e3, 10.0])
+    graph.edges.covariance[-1] = np.diag([1e-4, 1e-4, 1e-6])
+    with pytest.raises(GraphError):  # at a pose that no loop holds
+        solve(PoseGraph(graph.poses, rows(graph.edges, list(range(COUNT - 1)))), covariances_of=[COUNT - 1])
+    found = covariance_of(graph, COUNT - 1)
+    heading_m2 = 1e-6 * ((graph.poses[-1, :2] - graph.poses[30, :2]) ** 2).sum()
+    assert found[2, 2] == pytest.approx(1e-6, rel=0.05)
+    assert np.trace(found[:2, :2]) == pytest.approx(2e-4 + heading_m2, rel=0.05)
+
+
+def test_a_step_that_is_missing_is_known_by_nothing_but_a_loop():
+    whole = chain([(0, 39)])
+    kept = [k for k in range(len(whole.edges.of)) if k != 20]
+    cut = PoseGraph(whole.poses, rows(whole.edges, kept))
+    np.testing.assert_allclose(covariance_of(cut, 39), whole.edges.covariance[-1], rtol=1e-3)
+    without = PoseGraph(whole.poses, rows(whole.edges, kept[:-1]))
+    assert np.trace(covariance_of(without, 39)[:2, :2]) > 1e3
+
+
+def test_a_loop_that_errs_by_many_sigmas_counts_less():
+    graph = chain([(0, 39)])
+    right = covariance_of(graph, 39)
+    graph.edges.measured[-1, 0] += 0.5
+    assert np.trace(covariance_of(graph, 39)) > 2.0 * np.trace(right)
+
+
+def test_a_loop_only_ever_makes_it_smaller_however_many_come_after():
+    """The loop that bridges the step that nothing measures is the oldest of all."""
+    graph = chain([(5, 8), *[(k, k + 3) for k in range(9, 36)] * 5])
+    graph.edges.covariance[6] = np.diag([1e3, 1e3, 10.0])
+    before = np.inf
+    for loops in (0, 1, 101, 136):
+        found = covariance_of(PoseGraph(graph.poses, rows(graph.edges, list(range(COUNT - 1 + loops)))), 39)
+        assert np.trace(found) < before
+        before = np.trace(found)
+    assert before < 0.1

@@ -1,0 +1,61 @@
+import numpy as np
+
+from service.mapper.graph.model.graph_picture import MAX_KEYFRAMES, MAX_LOOPS, draw, draw_saved, stretches
+from service.mapper.refused_loops import RefusedLoops
+from service.mapper.saved_graph import SavedGraph
+
+NONE = np.empty((0, 2), np.int64)
+
+
+def test_key_frames_of_unknown_place_and_their_loops_are_left_out() -> None:
+    xy = np.column_stack((np.arange(6.0), np.zeros(6)))
+    picture = draw(
+        7, xy, np.array([0, 0, -1, 1, 1, 1]), np.array([(0, 5), (1, 2)]), np.array([(2, 4), (0, 3)])
+    )
+    assert picture.stamp_ns == 7
+    assert [way.tolist() for way in picture.ways] == [[[0, 0], [1, 0]], [[3, 0], [4, 0], [5, 0]]]
+    assert picture.accepted.tolist() == [[[0, 0], [5, 0]]]
+    assert picture.refused.tolist() == [[[0, 0], [3, 0]]]
+
+
+def test_a_long_way_is_thinned_and_keeps_its_end() -> None:
+    count = 10 * MAX_KEYFRAMES + 1
+    xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))
+    loops = np.column_stack((np.arange(2000), np.arange(2000) + 3000))
+    (way,) = (picture := draw(1, xy, np.zeros(count, np.int64), loops, NONE)).ways
+    assert MAX_KEYFRAMES / 2 < len(way) <= MAX_KEYFRAMES + 1
+    assert way[-1].tolist() == [count - 1, 0.0]
+    assert len(picture.accepted) == MAX_LOOPS
+    assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
+
+
+def test_a_stretch_ends_at_another_piece_another_session_and_a_gap() -> None:
+    way_m = np.array([0.0, 1.0, 2.0, 103.0, 104.0, 105.0, 106.0])
+    piece = np.array([0, 0, 0, 0, 1, 1, 1])
+    known = np.array([True, True, True, True, True, False, True])
+    numbers = stretches(way_m, piece, known)
+    assert numbers[:3].tolist() == [0, 0, 0]
+    assert numbers[5] == -1
+    assert len(set(numbers.tolist())) == 5
+    assert stretches(np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_)).tolist() == []
+
+
+def test_a_stored_graph_shows_its_key_frames_and_its_loops() -> None:
+    n = 4
+    graph = SavedGraph(
+        stamp_ns=np.arange(n) + 5, odom=np.zeros((n, 3)), map=np.arange(3.0 * n).reshape(n, 3),
+        way_m=np.arange(n, dtype=float), covariance=np.zeros((n, 3, 3)), score=np.ones(n), gap_s=np.zeros(n),
+        piece=np.zeros(n, np.int64), is_lost=np.array([False, False, False, True]),
+        range_sigma_m=np.full(n, 0.01),
+        sensor_xy_m=np.zeros((n, 2)), point_count=np.zeros(n, np.int64),
+        xy_base=np.zeros((0, 2), np.float32), normals=np.zeros((0, 3), np.float32),
+        loop_ends=np.array([(0, 2)]), loop_measured=np.zeros((1, 3)), loop_covariance=np.zeros((1, 3, 3)),
+        loop_score=np.ones(1), loop_points=np.zeros(1, np.int64), loop_against=np.zeros(1),
+        refused=RefusedLoops(np.array([(1, 2), (0, 3)]), np.zeros((2, 3)), np.zeros(2), np.zeros(2, np.int64),
+                             np.zeros(2), np.zeros(2, np.int64)),
+    )  # fmt: skip
+    picture = draw_saved(graph.checked())
+    assert [way.tolist() for way in picture.ways] == [[[0, 1], [3, 4], [6, 7]]]
+    assert picture.accepted.tolist() == [[[0, 1], [6, 7]]]
+    assert picture.refused.tolist() == [[[3, 4], [6, 7]]]
+    assert (picture.stamp_ns, len(picture.borders)) == (8, 0)

@@ -1,0 +1,125 @@
+"""How well the newest key frame is known, of a drive in a curve, by what its motion model says on the way."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
+from service.mapper.graph.model.keyframe_list import (
+    NO_NORMALS,
+    NO_POINTS,
+    KeyFrame,
+    KeyframeList,
+    ThinnedScan,
+)
+from service.mapper.graph.model.odometry_edges import odometry_edges
+from service.mapper.graph.model.pose_graph import Edges, PoseGraph
+from service.mapper.graph.model.pose_graph_solver import covariance_of
+from service.mapper.known_pose import KnownPose, carried
+
+STEP_M, COUNT = 0.25, 21
+STEP = np.array([STEP_M, 0.0, 0.02])
+BY_STEP = np.diag([4e-6, 1e-6, 1e-7])
+WIDE = np.diag([0.04, 0.09, 0.01])  # of a while in which nothing was matched
+
+
+def driven(
+    wide: Sequence[int] = (), doubtful: Sequence[int] = (), piece: Sequence[int] = (), is_known: bool = True
+) -> KeyframeList:
+    keyframes, pose, by_motion = KeyframeList(), np.zeros(3), np.zeros((3, 3))
+    for k in range(COUNT):
+        if k:
+            pose, by_motion = se2.compose(pose, STEP), carried(by_motion, STEP) + BY_STEP
+        frame = KeyFrame(
+            k,
+            SE2(*pose.tolist()),
+            np.diag([1e-4, 1e-4, 1e-6]),
+            int(k in piece),
+            0.4 if k in doubtful else 0.9,
+            k in wide,
+            NO_POINTS,
+            (0.0, 0.0),
+            0.01,
+            motion_covariance=by_motion + (k in wide) * WIDE if is_known else None,
+        )
+        keyframes.append(frame, pose, ThinnedScan(NO_POINTS, NO_NORMALS, (0.0, 0.0)))
+    return keyframes
+
+
+def graph_of(keyframes: KeyframeList, loop: tuple[int, int] | None = None) -> PoseGraph:
+    edges, poses = edges_in_hindsight(keyframes, STEP_M), keyframes.map.copy()
+    if loop is not None:
+        of, to = np.array([loop[0]]), np.array([loop[1]])
+        measured, tight = se2.between(poses[of], poses[to]), np.diag([3e-5, 3e-5, 2e-6])[None]
+        edges = edges.and_also(Edges(of, to, measured, tight, np.full(1, 2.0)))
+    return PoseGraph(poses, edges)
+
+
+def known(keyframes: KeyframeList, loop: tuple[int, int] | None = None) -> KnownPose:
+    found = known_pose(keyframes, {0}, graph_of(keyframes, loop), 0)
+    assert found is not None
+    return found
+
+
+def sigmas_mm(covariance: Floats) -> Floats:
+    return np.asarray(1e3 * np.sqrt(covariance.diagonal()))
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [{}, {"wide": (7, 8)}, {"wide": (4, 9, 14)}, {"doubtful": (5, 6, 11)}, {"wide": (7,), "doubtful": (7,)}],
+    ids=str,
+)
+def test_without_a_loop_it_is_known_as_the_motion_model_says(odd: dict[str, Sequence[int]]) -> None:
+    """Whatever happened on the way: the motion model has taken that in."""
+    found = known(driven(**odd))
+    np.testing.assert_allclose(
+        sigmas_mm(found.covariance), sigmas_mm(found.motion_covariance), rtol=0.01, atol=0.5
+    )
+
+
+@pytest.mark.parametrize(
+    "odd", [{}, {"wide": (7, 8)}, {"doubtful": (5, 6, 11)}, {"piece": (18, 19)}], ids=str
+)
+def test_a_loop_makes_it_no_larger(odd: dict[str, Sequence[int]]) -> None:
+    found = known(driven(**odd), loop=(2, COUNT - 2))
+    assert np.linalg.eigvalsh(found.motion_covariance - found.covariance)[0] > -1e-6
+    assert np.trace(found.covariance) < np.trace(known(driven()).covariance)
+
+
+def test_a_pose_in_the_middle_is_no_better_known_than_what_led_there() -> None:
+    graph = graph_of(driven(wide=(7, 8)))
+    for k in (5, 12):
+        expected = known(driven()).covariance if k == COUNT - 1 else driven().motion_covariance[k]
+        np.testing.assert_allclose(
+            sigmas_mm(covariance_of(graph, k)), sigmas_mm(expected), rtol=0.01, atol=0.5
+        )
+
+
+def test_in_a_piece_whose_place_is_not_known_the_newest_key_frame_before_it_counts() -> None:
+    """What odometry measured since comes on top of it."""
+    keyframes = driven(piece=range(15, COUNT))
+    found = known(keyframes)
+    assert found.pose_odom_base == SE2(*keyframes.odom[14].tolist())
+    np.testing.assert_array_equal(found.motion_covariance, keyframes.motion_covariance[14])
+    assert sigmas_mm(found.covariance).max() < 20.0
+    assert known_pose(keyframes, {0, 1}, graph_of(keyframes), 0).covariance[0, 0] > 100.0  # type: ignore[union-attr]
+
+
+def test_of_key_frames_that_the_motion_model_says_nothing_of_the_match_counts_without_doubt() -> None:
+    keyframes = driven(doubtful=(5, 6), is_known=False)
+    in_hindsight, solved = edges_in_hindsight(keyframes, STEP_M), odometry_edges(keyframes, STEP_M)
+    assert in_hindsight.covariance[:, 2, 2].max() < 1e-4 < 1e-2 < solved.covariance[:, 2, 2].max()
+    assert known_pose(keyframes, {0}, graph_of(keyframes), 0) is None
+
+
+def test_a_step_of_kilometres_in_one_direction_beside_millimetres_can_be_weighed() -> None:
+    keyframes = driven()
+    for k, wide in enumerate(np.random.default_rng(1).normal(0.0, (1e5, 1e5, 300.0), (COUNT, 3))):
+        keyframes.motion_covariance[k] += np.outer(wide, wide)
+    np.linalg.cholesky(edges_in_hindsight(keyframes, STEP_M).covariance)
+    assert np.isfinite(known(keyframes).covariance).all()

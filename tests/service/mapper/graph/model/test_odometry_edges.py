@@ -1,0 +1,130 @@
+"""Covariance of a step between two key frames: eleven of them straight ahead, one of which is odd."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.keyframe_list import (
+    NO_NORMALS,
+    NO_POINTS,
+    KeyFrame,
+    KeyframeList,
+    ThinnedScan,
+)
+from service.mapper.graph.model.odometry_edges import (
+    LOST_COVARIANCE,
+    MAX_DOUBT,
+    MIN_COVARIANCE,
+    PIECE_COVARIANCE,
+    STEP_FLOOR,
+    UNKNOWN_COVARIANCE,
+    odometry_edges,
+)
+from service.mapper.graph.model.pose_graph import Edges
+
+STEP_M, COUNT, ODD = 0.25, 11, 5
+MATCHED = np.diag([1e-4, 4e-4, 1e-6])
+SOUND = MATCHED + STEP_FLOOR
+
+
+def edges(ahead_m: float = STEP_M, by_motion: bool = False, **odd: Any) -> Edges:
+    """ahead_m: from the key frame before the odd one to it; `odd`: what else differs in that one."""
+    keyframes = KeyframeList()
+    for k in range(COUNT):
+        x_m = STEP_M * k + (ahead_m - STEP_M if k >= ODD else 0.0)
+        usual = {"score": 0.9, "is_lost": False, "piece": 0, "motion_covariance": 1e-6 * k * np.eye(3)}
+        pose = SE2(x_m, 0.0, 0.0)
+        chosen = usual | (odd if k == ODD else {})
+        frame = KeyFrame(
+            k, pose, MATCHED, xy_base=NO_POINTS, sensor_xy_m=(0, 0), angle_step_rad=0.01, **chosen
+        )
+        keyframes.append(frame, np.array([x_m, 0.0, 0.0]), ThinnedScan(NO_POINTS, NO_NORMALS, (0.0, 0.0)))
+    return odometry_edges(keyframes, STEP_M, by_motion)
+
+
+def check(found: Edges, into: Floats, out_of: Floats) -> None:
+    """Covariance of the step into the odd key frame and of that out of it; all others are sound."""
+    expected = np.tile(SOUND, (COUNT - 1, 1, 1))
+    expected[ODD - 1], expected[ODD] = into, out_of
+    np.testing.assert_allclose(found.covariance, expected)
+
+
+def test_a_matched_step_is_known_as_well_as_its_match_at_best_to_the_floor() -> None:
+    check(edges(), SOUND, SOUND)
+
+
+def test_steps_at_a_key_frame_that_was_not_matched_are_known_as_the_motion_model_says() -> None:
+    added = np.diag([0.04, 0.04, 0.0])
+    found = edges(is_lost=True, motion_covariance=added + 1e-6 * ODD * np.eye(3))
+    np.testing.assert_allclose(found.covariance[ODD - 1], added + 1e-6 * np.eye(3) + STEP_FLOOR, atol=2e-6)
+    np.testing.assert_allclose(found.covariance[ODD], STEP_FLOOR, atol=2e-6)
+    np.testing.assert_allclose(found.covariance[[0, -1]], [SOUND, SOUND])
+
+
+def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
+    check(edges(is_lost=True, motion_covariance=None), LOST_COVARIANCE, LOST_COVARIANCE)
+
+
+@pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
+def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_doubted(score: float, added: float) -> None:
+    """The others lie on it with 0.9, and 60 % of that is 0.54."""
+    doubted = SOUND + added * np.diag([MAX_DOUBT[0], *MAX_DOUBT])
+    check(edges(score=score), doubted, doubted)
+
+
+def test_a_match_in_doubt_is_known_as_well_as_the_predictions() -> None:
+    doubted = SOUND + np.diag([1e-4, 1e-4, 4e-6])
+    check(edges(score=0.53, doubt=(1e-4, 4e-6)), doubted, doubted)
+
+
+@pytest.mark.parametrize(("ahead_m", "sigma"), [(2.0 * STEP_M, 0.0), (2.0 * STEP_M + 3.0, 0.3)])
+def test_a_way_without_scans_is_doubted_by_its_length_beyond_two_steps(ahead_m: float, sigma: float) -> None:
+    """By a tenth of it, m and rad."""
+    check(edges(ahead_m), SOUND + sigma**2 * np.eye(3), SOUND)
+
+
+def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
+    found = edges(by_motion=True, motion_covariance=None).covariance
+    usual = np.diag(np.full(3, 1e-6)) + MIN_COVARIANCE
+    np.testing.assert_allclose(found[[0, -1]][:, 0, 0], usual[0, 0], rtol=1e-6)
+    np.testing.assert_allclose(found[ODD - 1], SOUND)
+    np.testing.assert_allclose(found[ODD], SOUND)
+
+
+def test_nobody_knows_the_way_into_another_piece_and_back_it_is_counted_from_where_it_was_left() -> None:
+    found = edges(piece=1)
+    np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
+    assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
+    np.testing.assert_allclose(found.measured[ODD], [2.0 * STEP_M, 0.0, 0.0])
+    np.testing.assert_allclose(found.covariance[ODD], SOUND)
+
+
+@pytest.mark.parametrize("by_motion", [False, True])
+@pytest.mark.parametrize(
+    ("odd", "is_known"),
+    [
+        ({"gap_s": 1.5}, True),
+        ({"gap_s": 2.5}, False),
+        ({"gap_s": 1.5, "is_unmeasured": True}, False),
+        ({"gap_s": 1.5, "motion_covariance": None}, False),
+    ],
+)
+def test_into_another_piece_dead_reckoning_knows_the_way_where_nobody_can_have_carried_the_vehicle(
+    odd: dict[str, Any], is_known: bool, by_motion: bool
+) -> None:
+    found = edges(by_motion=by_motion, piece=1, **odd).covariance[ODD - 1]
+    expected = PIECE_COVARIANCE if is_known else UNKNOWN_COVARIANCE
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_match_in_doubt_is_doubted_beside_the_motion_model_too(is_lost: bool) -> None:
+    """What was not matched cannot be a wrong match: odometry alone says how well it is known."""
+    odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
+    added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance
+    expected = np.zeros((COUNT - 1, 3, 3))
+    expected[[ODD - 1, ODD]] = 0.0 if is_lost else np.diag([MAX_DOUBT[0], *MAX_DOUBT])
+    np.testing.assert_allclose(added, expected, atol=1e-12)

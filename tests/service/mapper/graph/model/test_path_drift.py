@@ -1,0 +1,140 @@
+"""Whether a loop lies where the way between its ends can have drifted to."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.model.keyframe_list import KeyFrame
+from service.mapper.graph.model.loops import Loop
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.path_drift import (
+    MAX_DRIFT_CHI2,
+    NEAR_SIGMA_M,
+    UNMODELLED_SHARE,
+    PathDrift,
+)
+from service.mapper.refused_loops import TOO_FAR
+from tests.service.mapper.graph.loops.rings import key_frames
+
+STEPS, STEP_M = 40, 0.25
+VARIANCE = np.diag([4e-4, 1e-4, 1e-8])  # that a step adds: m^2, m^2, rad^2
+SURE = 1e-12 * np.eye(3)
+BESIDE_M = 1.5
+BATCH = 10
+
+
+def straight(
+    is_known: bool = True,
+    lost: int | None = None,
+    variance: np.ndarray = VARIANCE,
+    beside: Sequence[int] = (),
+    doubtful: int | None = None,
+) -> PathDrift:
+    """Ten metres ahead, each step known as well as the one before; key frames `beside` are another piece,
+    and of `doubtful` little lies on the map.
+    """
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    frames = [
+        KeyFrame(
+            k * 10**8,
+            SE2(STEP_M * k, 0.0, 0.0),
+            np.diag([1e-4, 1e-4, 1e-6]),
+            int(k in beside),
+            0.4 if k == doubtful else 0.9,
+            k == lost,
+            np.zeros((0, 2), np.float32),
+            (0.0, 0.0),
+            0.01,
+            motion_covariance=variance * k if is_known else None,
+        )
+        for k in range(STEPS + 1)
+    ]
+    back_end.work(Batch(frames))
+    return PathDrift(back_end._keyframes, STEP_M)
+
+
+def loop(x_m: float, y_m: float, theta_rad: float, of: int = 0) -> Loop:
+    return Loop(of, STEPS, np.array([x_m, y_m, theta_rad]), SURE, 0.5)
+
+
+def test_the_drift_of_a_way_is_the_sum_of_its_steps():
+    drift = straight()
+    assert drift.chi2(loop(10.0, 0.0, 0.0)) == pytest.approx(0.0, abs=1e-6)
+    sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
+    assert drift.chi2(loop(10.0 + 3.0 * sigma_m, 0.0, 0.0)) == pytest.approx(9.0, rel=0.01)
+
+
+def test_a_loop_beyond_that_is_not_allowed_unless_nobody_knows_the_way():
+    off_m = 1.1 * np.sqrt(MAX_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
+    assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
+    assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
+    assert straight(is_known=False).allows(loop(10.0 + off_m, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("odd", [{"lost": 20}, {"beside": (20, 21, 22)}], ids=["unseen", "beside"])
+def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_way(odd: dict[str, Any]):
+    """At the end of a row of vines nothing may be seen for a scan, or a piece be begun and left again."""
+    drift = straight(**odd)
+    assert drift.chi2(loop(10.0, BESIDE_M, 0.0)) == pytest.approx(
+        straight().chi2(loop(10.0, BESIDE_M, 0.0)), rel=0.05
+    )
+    assert not drift.allows(loop(10.0, 4.0 * BESIDE_M, 0.0))
+
+
+def test_nobody_knows_the_way_from_a_piece_beside_it():
+    drift = straight(beside=(20, 21, 22))
+    assert drift.allows(loop(0.25 * (STEPS - 21), 4.0 * BESIDE_M, 0.0, of=21))
+    assert not drift.allows(loop(0.25 * (STEPS - 19), 4.0 * BESIDE_M, 0.0, of=19))
+
+
+def test_a_loop_is_where_the_way_leads_if_that_is_known_well_and_says_so():
+    sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
+    there, aside = loop(10.0 + 3.0 * sigma_m, 0.0, 0.0), loop(10.0 + 4.0 * sigma_m, 0.0, 0.0)
+    assert straight().confirms(there)
+    assert not straight().confirms(aside)
+    assert straight().allows(aside)
+    assert not straight(is_known=False).confirms(there)
+    doubtful = (1.1 * NEAR_SIGMA_M / sigma_m) ** 2 * VARIANCE
+    assert not straight(variance=doubtful).confirms(there)  # something alike may lie nearer
+
+
+def test_a_slip_that_nobody_noticed_does_not_keep_loops_away():
+    """A scan that was matched wrong leaves the covariance as small as it was."""
+    sure = straight(variance=1e-4 * VARIANCE)
+    assert sure.allows(loop(10.0 * 1.02, 0.0, 0.0))
+    assert not sure.allows(loop(10.0 * 1.04, 0.0, 0.0))
+
+
+def test_a_slip_where_little_lay_on_the_map_does_not_keep_loops_away():
+    """A turn onto new ground may be matched 0.3 rad off, with the covariance of a good match."""
+    turned = loop(10.0, 0.0, 0.6)
+    assert not straight().allows(turned)
+    assert straight(doubtful=30).allows(turned)
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_an_aisle_that_looks_like_another_beside_it_is_not_taken_for_it(is_known: bool):
+    """Where nobody knows how well the way is known, the same scans close a loop."""
+    aisle, _ = key_frames(0.5, turn_error_radpm=0.0)
+    away = SE2(0.0, BESIDE_M, 0.0)
+    like = [
+        replace(frame, stamp_ns=frame.stamp_ns + 10**11, pose_odom_base=away @ frame.pose_odom_base)
+        for frame in aisle
+    ]
+    frames = [
+        replace(frame, motion_covariance=0.2 * VARIANCE * k if is_known else None)
+        for k, frame in enumerate([*aisle, *like])
+    ]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    for k in range(0, len(frames), BATCH):
+        back_end.work(Batch(frames[k : k + BATCH]))
+    result = back_end.work(Batch([], is_last=True))
+    assert (result.loops == 0) == is_known
+    refused = back_end._refusals.arrays(back_end._loops).reason
+    assert (TOO_FAR in refused) == is_known

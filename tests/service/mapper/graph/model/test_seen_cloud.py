@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.seen_cloud import WEIGHED_M, seen_cloud
+from service.mapper.graph.relocalise.known_map import KnownMap
+from service.mapper.graph.relocalise.place_search import find_places
+from tests.service.mapper.graph.relocalise.test_known_map import STOOD, append, room, rooms
+
+
+def test_who_stands_and_looks_again_has_no_more_evidence_than_before():
+    keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
+    walls = room(0.0, with_pillar=True)
+    own = [append(keyframes, walls, STOOD, 1, noise) for _ in range(4)]
+    known_map = KnownMap(keyframes, np.arange(own[0]))
+    evidence = []
+    for looks in (1, 4):
+        seen = seen_cloud(keyframes, own[:looks], own[0])
+        evidence.append(find_places(known_map, seen)[0].weight.evidence)
+    assert evidence[1] == pytest.approx(evidence[0], rel=0.25)
+
+
+def test_what_each_of_two_looks_has_seen_alone_counts_whole():
+    keyframes, noise = KeyframeList(), np.random.default_rng(1)
+    there = [(4.0, -2.0, 4.0, 2.0)], [(-4.0, -2.0, -4.0, 2.0)]
+    own = [append(keyframes, walls, SE2(), 0, noise) for walls in there]
+    seen = seen_cloud(keyframes, own, own[0])
+    assert (seen.shares == 1.0).all()
+    twice = seen_cloud(keyframes, [own[0], own[0]], own[0])
+    assert (twice.shares == 0.5).all()
+
+
+def test_walls_are_weighed_from_as_far_as_a_heading_is_known():
+    keyframes, noise = KeyframeList(), np.random.default_rng(1)
+    walls = [(WEIGHED_M - 1.0, -9.0, WEIGHED_M - 1.0, 0.0), (WEIGHED_M + 3.0, 0.0, WEIGHED_M + 3.0, 9.0)]
+    own = append(keyframes, walls, SE2(), 0, noise)
+    seen = seen_cloud(keyframes, [own], own)
+    assert len(seen.cloud.xy)
+    assert (np.abs(seen.cloud.xy[:, 0] - (WEIGHED_M - 1.0)) < 0.1).all()
+    assert (seen.sensors == 0.0).all()

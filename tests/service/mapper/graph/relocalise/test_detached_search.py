@@ -1,0 +1,139 @@
+"""What is told of a piece that was found once."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.odometry_edges import AWAY_S
+from service.mapper.graph.relocalise.detached_search import CLEARLY_LIKELIER, DetachedSearch
+from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
+from tests.service.mapper.graph.relocalise.test_known_map import STOOD, Walls, append, room, rooms
+
+KNOWN = OdometryPrior(np.zeros(3), np.diag([0.01, 0.01, 0.001]), 100.0)
+VAGUE = OdometryPrior(np.zeros(3), np.diag([9.0, 9.0, 1.0]), 100.0)
+
+
+@pytest.mark.parametrize(
+    ("prior", "evidence", "may_be_there"),
+    [
+        (KNOWN, 0.0, True),  # new ground: nothing seen speaks for or against
+        (KNOWN, -0.9 * CLEARLY_LIKELIER, True),
+        (KNOWN, -1.1 * CLEARLY_LIKELIER, False),
+        (VAGUE, 0.0, False),
+        (None, 0.0, False),
+    ],
+)
+def test_where_dead_reckoning_leads_the_vehicle_may_be_unless_what_is_seen_contradicts(
+    prior: OdometryPrior | None, evidence: float, may_be_there: bool
+) -> None:
+    search = DetachedSearch(LoopsConfig(), KeyframeList())
+    search._asked = SimpleNamespace()  # type: ignore[assignment]
+    there = SimpleNamespace(weight=SimpleNamespace(evidence=evidence))
+    search._known_map = SimpleNamespace(align=lambda seen, pose: there)  # type: ignore[assignment]
+    assert search._may_be_at(prior) is may_be_there
+
+
+@pytest.mark.parametrize("is_disputed", [False, True])
+def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_told(is_disputed: bool) -> None:
+    keyframes = SimpleNamespace(odom=np.zeros((1, 3)), motion_covariance=np.eye(3)[None])
+    search = DetachedSearch(LoopsConfig(), keyframes)  # type: ignore[arg-type]
+    assert search.found_once is None
+    loop = SimpleNamespace(to=0, covariance=np.eye(3))
+    search._hypothesis = SimpleNamespace(  # type: ignore[assignment]
+        pose_map_odom=np.array([1.0, 2.0, 0.5]), loop=loop, piece=3, is_disputed=is_disputed, is_sure=True
+    )
+    told = search.found_once
+    assert (told is None) is is_disputed
+    if told is not None:
+        assert (told.piece, told.pose_map_odom.x_m) == (3, 1.0)
+
+
+JUNCTION = [  # of two bare corridors, 3 and 2 m wide
+    (2.0, -12.0, 2.0, 12.0),
+    (-1.0, -12.0, -1.0, -1.0),
+    (-1.0, 1.0, -1.0, 12.0),
+    (-15.0, -1.0, -1.0, -1.0),
+    (-15.0, 1.0, -1.0, 1.0),
+    (-15.0, -1.0, -15.0, 1.0),
+]
+BOXES = [(-4.5, 0.5), (-3.0, -1.0), (-2.6, 0.6), (0.5, -0.9), (0.6, 0.8), (0.6, -2.5)]  # 0.4 m wide
+IN_JUNCTION = SE2(-3.5, 0.1, 0.2)
+
+
+def junction(with_boxes: bool, at_m: float = 0.0) -> Walls:
+    boxes = [
+        (*a, *b)
+        for x, y in (BOXES if with_boxes else [])
+        for a, b in pairwise([(x, y), (x + 0.4, y), (x + 0.4, y + 0.4), (x, y + 0.4), (x, y)])
+    ]
+    return [(x0 + at_m, y0, x1 + at_m, y1) for x0, y0, x1, y1 in [*JUNCTION, *boxes]]
+
+
+def searched(known: Walls, seen: Walls) -> DetachedSearch:
+    """Past a junction and into it; and then what a vehicle sees that was carried 100 m."""
+    keyframes, noise = KeyframeList(), np.random.default_rng(5)
+    for y_m in np.arange(-5.0, 5.1, 0.5):
+        append(keyframes, known, SE2(0.0, float(y_m), 0.5 * np.pi), 0, noise)
+    for x_m in np.arange(-0.5, -3.1, -0.5):
+        append(keyframes, known, SE2(float(x_m), 0.0, np.pi), 0, noise)
+    mapped = np.arange(keyframes.count)
+    at = SE2(IN_JUNCTION.x_m + 100.0, IN_JUNCTION.y_m, IN_JUNCTION.theta_rad)
+    append(keyframes, seen, at, 1, noise)
+    search = DetachedSearch(LoopsConfig(), keyframes)
+    assert search.find(mapped) is None
+    return search
+
+
+def test_walls_as_stand_in_any_wing_of_a_building_say_too_little_to_be_found_by() -> None:
+    """All of what is seen lies on the map, and may be another junction of bare corridors."""
+    search = searched(junction(False), junction(False, at_m=100.0))
+    assert search.found_once is None
+    (possible,) = search.possible
+    assert (possible.x_m, possible.y_m) == pytest.approx((IN_JUNCTION.x_m, IN_JUNCTION.y_m), abs=0.2)
+    assert possible.least is not None
+    assert 5.0 < possible.nats < possible.least
+
+
+def test_a_junction_with_things_in_it_is_found() -> None:
+    search = searched(junction(True), junction(True, at_m=100.0))
+    found = search.found_once
+    assert found is not None
+    assert search.possible == []
+    at = found.pose_map_odom @ SE2(IN_JUNCTION.x_m + 100.0, IN_JUNCTION.y_m, IN_JUNCTION.theta_rad)
+    assert (at.x_m, at.y_m) == pytest.approx((IN_JUNCTION.x_m, IN_JUNCTION.y_m), abs=0.02)
+
+
+def test_ground_that_the_map_does_not_know_is_no_reason_against_a_place() -> None:
+    """Half of what is seen is new: a piece that comes from new ground onto the map is found on its border."""
+    new = [(-15.0, 1.0, -6.5, 4.0), (-6.5, 4.0, -5.5, 4.0), (-5.5, 4.0, -5.5, 1.0), (-5.5, 1.0, -1.0, 1.0)]
+    seen = [wall for wall in junction(True) if wall != JUNCTION[4]] + new
+    search = searched(junction(True), [(x0 + 100.0, y0, x1 + 100.0, y1) for x0, y0, x1, y1 in seen])
+    assert search.found_once is not None
+
+
+@pytest.mark.parametrize("gap_s", [0.5, 15.0])
+def test_who_drove_on_is_not_looked_for_in_a_room_that_dead_reckoning_rules_out(gap_s: float) -> None:
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    mapped = np.arange(keyframes.count)
+    append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise, gap_s=gap_s)
+    search = DetachedSearch(LoopsConfig(), keyframes)
+    search.find(mapped)
+    assert len(search.possible) == (2 if gap_s > AWAY_S else 0)
+    assert (search.found_once is None) == (gap_s > AWAY_S)
+
+
+def test_of_a_large_map_as_much_is_searched_as_of_a_small_one() -> None:
+    keyframes, noise = KeyframeList(), np.random.default_rng(5)
+    for x_m in np.arange(0.0, 400.0, 5.0):
+        append(keyframes, [(x_m, 2.0, x_m + 1.0, 2.0)], SE2(float(x_m), 0.0, 0.0), 0, noise)
+    search, known = DetachedSearch(LoopsConfig(), keyframes), np.arange(keyframes.count)
+    near = search._within(known, 40, 4.0)
+    assert 40 in near
+    assert np.ptp(keyframes.map[near, 0]) < 120.0
+    np.testing.assert_array_equal(search._within(known, 41, 4.0), near)
+    np.testing.assert_array_equal(search._within(known, 40, np.inf), known)

@@ -1,0 +1,277 @@
+"""Two rooms that differ by a pillar: which of them a scan was taken in, and when nobody can tell."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.kernels.beam_likelihood import FULL_RATIO
+from service.kernels.loops import thin_points
+from service.kernels.normals import estimate_normals
+from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.graph.model.loops import loop_of
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.seen_cloud import seen_cloud
+from service.mapper.graph.relocalise.detached_search import (
+    CLEARLY_LIKELIER,
+    FOR_UNEXPLAINED,
+    CandidatePose,
+    DetachedSearch,
+)
+from service.mapper.graph.relocalise.known_map import MAX_OF_WALL, UNKNOWN_LIKELIHOOD, KnownMap, Weight
+from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
+from tests.service.mapper.drives import cast
+
+Walls = list[tuple[float, float, float, float]]
+APART_M = 30.0  # from one room to the other
+FIRST_RAD, STEP_RAD, BEAMS = -0.75 * math.pi, math.radians(0.5), 541
+PILLAR = (3.0, 2.2, 0.4)  # x, y of its corner and its edge, m
+
+
+def room(at_m: float, with_pillar: bool) -> Walls:
+    corners = [(0.0, 0.0), (7.0, 0.0), (7.0, 4.0), (5.0, 4.0), (5.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+    walls = [(*a, *b) for a, b in pairwise(corners)]
+    if with_pillar:
+        x, y, edge = PILLAR
+        corners = [(x, y), (x + edge, y), (x + edge, y + edge), (x, y + edge), (x, y)]
+        walls += [(*a, *b) for a, b in pairwise(corners)]
+    return [(x0 + at_m, y0, x1 + at_m, y1) for x0, y0, x1, y1 in walls]
+
+
+def append(
+    keyframes: KeyframeList,
+    walls: Walls,
+    pose: SE2,
+    piece: int,
+    noise: np.random.Generator,
+    odom: SE2 | None = None,
+    **motion: Any,
+) -> int:
+    """A key frame of what is seen from a pose; its number. odom: where it is said to be, if not there.
+
+    motion   further fields of the key frame
+    """
+    angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
+    ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+    range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
+    range_m = range_m + 0.012 * noise.standard_normal(BEAMS)
+    angle, range_m = angle[np.isfinite(range_m)], range_m[np.isfinite(range_m)]
+    xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle)))
+    normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
+    estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals, np.empty(len(xy)))
+    thin_points(xy, 0.04, kept)
+    nothing = np.zeros((0, 2), np.float32)
+    odom = odom or pose
+    frame = KeyFrame(
+        keyframes.count, odom, np.eye(3), piece, 0.9, False, nothing, (0.0, 0.0), STEP_RAD, **motion
+    )
+    thinned = ThinnedScan(xy[kept].astype(np.float32), normals[kept].astype(np.float32), (0.0, 0.0))
+    keyframes.append(frame, np.array([odom.x_m, odom.y_m, odom.theta_rad]), thinned)
+    return keyframes.count - 1
+
+
+def rooms(pillar_in_first: bool, pillar_in_second: bool) -> tuple[KeyframeList, np.random.Generator]:
+    """A way through each of the two, both known."""
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for at_m, with_pillar in ((0.0, pillar_in_first), (APART_M, pillar_in_second)):
+        for x_m in np.arange(1.0, 5.5, 0.3):
+            append(keyframes, room(at_m, with_pillar), SE2(at_m + x_m, 1.2, 0.0), 0, noise)
+    return keyframes, noise
+
+
+STOOD = SE2(2.0, 3.1, 0.3)  # in a room, where no key frame was
+
+
+def looked_for(keyframes: KeyframeList, own: int) -> tuple[DetachedSearch, tuple[np.ndarray, object] | None]:
+    search = DetachedSearch(LoopsConfig(), keyframes)
+    known = np.arange(own)
+    return search, search.best_of(search.places_of([own], own, known))
+
+
+@pytest.mark.parametrize("stands_in_second", [False, True])
+def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_second):
+    """Seen where the map knows that nothing stands; or looked through where the map has it."""
+    for pillar_in_second in (False, True):
+        keyframes, noise = rooms(not pillar_in_second, pillar_in_second)
+        at_m = APART_M if stands_in_second else 0.0
+        walls = room(at_m, stands_in_second == pillar_in_second)
+        pose = SE2(at_m + STOOD.x_m, STOOD.y_m, STOOD.theta_rad)
+        search, best = looked_for(keyframes, append(keyframes, walls, pose, 1, noise))
+        assert best is not None
+        truth = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        away = se2.between(truth, best[0])
+        assert math.hypot(away[0], away[1]) < 0.02
+        assert abs(away[2]) < 0.005
+        assert search.ahead_of_others(truth) > CLEARLY_LIKELIER
+        in_the_other = truth + np.array([-APART_M if stands_in_second else APART_M, 0.0, 0.0])
+        assert search.ahead_of_others(in_the_other) < -CLEARLY_LIKELIER
+
+
+def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    search, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
+    assert best is None
+    told = sorted((at.x_m, at.y_m) for at in search.possible)
+    assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
+    assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+
+
+@pytest.mark.parametrize("stands_in_second", [False, True])
+def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_known_in_part(stands_in_second):
+    """What the map does not know of the second may look as in the first."""
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for at_m, walls in ((0.0, room(0.0, with_pillar=False)), (APART_M, room(APART_M, with_pillar=False)[:5])):
+        for x_m in np.arange(1.0, 5.5, 0.3):
+            append(keyframes, walls, SE2(at_m + x_m, 1.2, 0.0), 0, noise)
+    at_m = APART_M if stands_in_second else 0.0
+    pose = SE2(at_m + STOOD.x_m, STOOD.y_m, STOOD.theta_rad)
+    own = append(keyframes, room(at_m, with_pillar=False), pose, 1, noise)
+    search, best = looked_for(keyframes, own)
+    assert best is None
+    told = sorted((at.x_m, at.y_m) for at in search.possible)
+    assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
+    assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+    assert search.ahead_of_others(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > CLEARLY_LIKELIER
+
+
+def test_what_the_map_does_not_know_at_all_is_found_nowhere():
+    keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
+    hall = [(-9.0, -8.0, 9.0, -8.0), (9.0, -8.0, 9.0, 8.0), (9.0, 8.0, -9.0, 8.0), (-9.0, 8.0, -9.0, -8.0)]
+    _, best = looked_for(keyframes, append(keyframes, hall, SE2(0.5, 0.3, 0.4), 1, noise))
+    assert best is None
+
+
+def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    own = append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise)
+    known_map = KnownMap(keyframes, np.arange(own))
+    seen = seen_cloud(keyframes, [own], own)
+    cloud = seen.cloud
+    aligned = known_map.align(seen, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
+    weight = aligned.weight
+    on_pillar = np.hypot(*(se2.points_from(aligned.fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
+    assert 0.03 < on_pillar.mean() < 0.3
+    assert weight.against == pytest.approx(on_pillar.mean(), abs=0.03)
+    count = len(cloud.xy)
+    assert weight.evidence / count == pytest.approx(1.55 - 7.3 * on_pillar.mean(), abs=0.15)
+    assert weight.unexplained == pytest.approx(FULL_RATIO * count - weight.evidence)
+
+
+def test_a_person_who_stood_there_when_the_map_was_made_hides_no_place():
+    """What is left of him lies around the sensor: each beam goes through it."""
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for at_m in (0.0, APART_M):
+        for x_m in np.arange(1.0, 5.5, 0.3):
+            walls = room(at_m, with_pillar=at_m > 0.0)
+            if at_m == 0.0 and 2.0 < x_m < 2.5:
+                corners = [(1.8, 2.9), (2.2, 2.9), (2.2, 3.3), (1.8, 3.3), (1.8, 2.9)]
+                walls = walls + [(*a, *b) for a, b in pairwise(corners)]
+            append(keyframes, walls, SE2(at_m + x_m, 1.2, 0.0), 0, noise)
+    _, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
+    assert best is not None
+    away = se2.between(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad]), best[0])
+    assert math.hypot(away[0], away[1]) < 0.02
+
+
+def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_other():
+    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
+    search = DetachedSearch(LoopsConfig(), keyframes)
+    loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
+
+    def best_of(unexplained: float, ahead: float, beside_m: float = 5.0) -> object:
+        best = CandidatePose(np.zeros(3), Weight(500.0, unexplained, 0.0, 1.0), loop)
+        other = CandidatePose(
+            np.array([beside_m, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0, 1.0), loop
+        )
+        return search.best_of([other, best])
+
+    for unexplained in (0.0, 60.0):
+        ahead = CLEARLY_LIKELIER + FOR_UNEXPLAINED * unexplained
+        assert best_of(unexplained, 0.99 * ahead) is None
+        assert [(at.x_m, at.y_m) for at in search.possible] == [(0.0, 0.0), (5.0, 0.0)]
+        assert best_of(unexplained, 1.01 * ahead) is not None
+        assert search.possible == []
+    # Beside it the same is unexplained; and a pose as near as it is known is the same one.
+    assert best_of(60.0, 1.01 * CLEARLY_LIKELIER, beside_m=0.3) is not None
+    assert best_of(60.0, 0.99 * CLEARLY_LIKELIER, beside_m=0.3) is None
+    assert best_of(60.0, 0.0, beside_m=0.05) is not None
+
+
+def test_after_an_unmeasured_way_a_place_must_beat_new_ground_and_dead_reckoning_counts() -> None:
+    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
+    search = DetachedSearch(LoopsConfig(), keyframes)
+    loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
+    prior = OdometryPrior(np.zeros(3), np.diag([0.03, 0.03, 0.01]) ** 2, 5000.0)
+
+    def best_of(evidence: float, x_m: float, rival: float = -300.0) -> object:
+        places = [
+            CandidatePose(
+                np.array([x, 0.0, 0.0]), Weight(nats, 200.0, 0.0, 0.3), loop, prior.nats(np.array([x, 0, 0]))
+            )
+            for x, nats in ((x_m, evidence), (9.0, rival))
+        ]
+        return search.best_of(places, prior)
+
+    led, elsewhere = 1.01 * CLEARLY_LIKELIER, 1.01 * (CLEARLY_LIKELIER + FOR_UNEXPLAINED * 200.0)
+    assert best_of(0.98 * led, 0.05) is None  # new ground may look so, too
+    assert best_of(led, 0.05) is not None
+    assert best_of(led, 5.0) is None  # carried: what is not explained speaks against it
+    assert best_of(elsewhere, 5.0) is not None
+    # Against a rival what dead reckoning says of both places counts, too.
+    ahead = prior.nats(np.array([0.05, 0.0, 0.0])) - prior.nats(np.array([9.0, 0.0, 0.0]))
+    assert ahead > 10.0
+    assert best_of(200.0, 0.05, rival=199.0 + ahead - CLEARLY_LIKELIER) is not None
+    assert best_of(200.0, 0.05, rival=201.0 + ahead - CLEARLY_LIKELIER) is None
+
+
+def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_ground_speaks_against():
+    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
+    facing = KnownMap(keyframes, np.arange(keyframes.count))._facing
+
+    def likelihoods(x_m: float, y_m: float) -> np.ndarray:
+        row, column = math.floor(y_m / facing.cell_m), math.floor(x_m / facing.cell_m)
+        return facing.levels[:, 0, row - facing.first_row, column - facing.first_column]
+
+    assert set(likelihoods(15.0, 2.0)) == {int(255 * UNKNOWN_LIKELIHOOD)}  # between the rooms
+    assert set(likelihoods(3.0, 2.0)) == {0}
+    wall = likelihoods(3.0, 0.05)  # by the way that it faces; of its back the map knows nothing
+    assert (wall.min(), wall.max()) == (int(255 * UNKNOWN_LIKELIHOOD), 255)
+
+
+def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
+    """Who stands there sees the wall from its back, and through the door the room that the map holds; a hall
+    elsewhere looks more like what he sees.
+    """
+    first = [(0.0, 0.0), (7.0, 0.0), (7.0, 3.0), (5.5, 3.0), (5.5, 4.0), (0.0, 4.0), (0.0, 0.0)]
+    next_to_it = [(4.2, 4.1), (9.0, 4.1), (9.0, 9.0), (-1.0, 9.0), (-1.0, 4.1), (2.8, 4.1)]
+    walls = [(*a, *b) for a, b in [*pairwise(first), *pairwise(next_to_it)] if (a, b) != (first[4], first[5])]
+    walls += [(5.5, 4.0, 4.2, 4.0), (2.8, 4.0, 0.0, 4.0), (4.2, 4.0, 4.2, 4.1), (2.8, 4.0, 2.8, 4.1)]
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for x_m in np.arange(1.0, 5.5, 0.3):
+        append(keyframes, walls, SE2(x_m, 1.2, 0.0), 0, noise)
+    hall = [(29.0, 4.1), (39.0, 4.1), (39.0, 9.0), (29.0, 9.0), (29.0, 4.1)]
+    for x_m in np.arange(31.0, 36.0, 0.5):
+        append(keyframes, [(*a, *b) for a, b in pairwise(hall)], SE2(x_m, 5.5, 0.0), 0, noise)
+    pose = np.array([3.4, 5.5, -0.4 * math.pi])
+    own = append(keyframes, walls, SE2(*pose.tolist()), 1, noise)
+    known_map = KnownMap(keyframes, np.arange(own))
+    cloud = seen_cloud(keyframes, [own], own).cloud
+    away = se2.between(pose, np.array(known_map.candidates(cloud)))
+    assert (np.hypot(away[:, 0], away[:, 1]) + np.abs(away[:, 2])).min() < 0.3
+
+
+def test_walls_speak_for_a_place_once_each_however_many_beams_end_on_them():
+    keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
+    mapped = np.arange(keyframes.count)
+    truth = np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])
+    own = [append(keyframes, room(0.0, with_pillar=is_there), STOOD, 1, noise) for is_there in (False, True)]
+    known_map = KnownMap(keyframes, mapped)
+    without, with_pillar = (known_map.structure(seen_cloud(keyframes, [k], k), truth) for k in own)
+    assert 5.0 * MAX_OF_WALL < without < 13.0 * MAX_OF_WALL  # six walls, and stray points
+    assert with_pillar < without - MAX_OF_WALL  # two sides of it are seen where nothing stood
+    elsewhere = known_map.structure(seen_cloud(keyframes, own[:1], own[0]), truth + np.array([0.5, 0.3, 0.0]))
+    assert elsewhere < 0.0

@@ -1,0 +1,47 @@
+"""Where a vehicle may be after a way that nobody measured."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from service.geometry import poses as se2
+from service.mapper.graph.model.point_clouds import Fit
+from service.mapper.graph.relocalise.odometry_prior import DROVE, FOUND_COVARIANCE, OdometryPrior
+
+AT = np.array([3.0, -2.0, 2.5])
+COVARIANCE = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.003], [0.0, 0.003, 0.004]]) * 0.1
+REGION = 2.0 * math.pi * 300.0
+
+
+def test_a_place_where_dead_reckoning_leads_is_likelier_by_how_well_that_is_known() -> None:
+    """A normal distribution in base axes, by scipy, mixed with one that is level over all of the map."""
+    prior = OdometryPrior(AT, COVARIANCE, REGION)
+    for away in (np.zeros(3), np.array([0.1, -0.05, 0.03]), np.array([0.0, 5.0, 0.0])):
+        normal = multivariate_normal(np.zeros(3), COVARIANCE + FOUND_COVARIANCE).pdf(away)
+        expected = math.log((DROVE * normal + (1.0 - DROVE) / REGION) * REGION)
+        assert prior.nats(se2.compose(AT, away)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_dead_reckoning_explains_a_place_within_chance_and_none_where_it_knows_little() -> None:
+    prior = OdometryPrior(AT, COVARIANCE, REGION)
+    assert prior.explains(se2.compose(AT, np.array([0.1, 0.1, 0.05])))
+    assert not prior.explains(se2.compose(AT, np.array([0.0, 1.0, 0.0])))
+    assert not OdometryPrior(AT, 100.0 * np.eye(3), REGION).explains(AT)
+
+
+def test_a_fit_and_dead_reckoning_together_are_the_least_squares_of_both() -> None:
+    """Along a corridor the walls say nothing: there dead reckoning says where, across it the walls do."""
+    prior = OdometryPrior(AT, COVARIANCE, REGION)
+    fit_at = AT + np.array([0.2, 0.02, 0.01])
+    information = np.diag([1e-6, 1e6, 1e6])  # axes of the map
+    fused = prior.joined(Fit(fit_at, information, 0.4))
+    c, s = math.cos(AT[2]), math.sin(AT[2])
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    root = np.linalg.cholesky(np.linalg.inv(turn @ (COVARIANCE + FOUND_COVARIANCE) @ turn.T)).T
+    rows = np.vstack((np.sqrt(information), root))
+    values = np.concatenate((np.sqrt(information) @ fit_at, root @ AT))
+    np.testing.assert_allclose(fused.pose, np.linalg.lstsq(rows, values, rcond=None)[0], atol=1e-9)
+    np.testing.assert_allclose(fused.information, rows.T @ rows)
+    assert abs(fused.pose[1] - fit_at[1]) < 1e-3 < 0.1 < abs(fused.pose[0] - fit_at[0])

@@ -1,0 +1,93 @@
+"""A corridor: which places of it are told from each other, and which are not."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.seen_cloud import seen_cloud
+from service.mapper.graph.relocalise.detached_search import DetachedSearch
+from service.mapper.graph.relocalise.known_map import KnownMap
+from service.mapper.graph.relocalise.place_search import find_places, is_same_pose
+from tests.service.mapper.graph.relocalise.test_known_map import Walls, append
+
+LENGTH_M = 70.0
+
+
+def corridor(niche_at_m: tuple[float, ...] = ()) -> Walls:
+    """Two walls, closed at both ends, with niches in one of them."""
+    points = [(0.0, 1.2)]
+    for x_m in niche_at_m:
+        points += [(x_m, 1.2), (x_m, 2.4), (x_m + 1.6, 2.4), (x_m + 1.6, 1.2)]
+    points += [(LENGTH_M, 1.2), (LENGTH_M, -1.2), (0.0, -1.2), (0.0, 1.2)]
+    return [(*a, *b) for a, b in pairwise(points)]
+
+
+def mapped(walls: Walls) -> tuple[KeyframeList, np.random.Generator]:
+    noise, keyframes = np.random.default_rng(5), KeyframeList()
+    for x_m in np.arange(1.0, LENGTH_M - 1.0, 0.5):
+        append(keyframes, within(walls, x_m), SE2(x_m, 0.0, 0.0), 0, noise)
+    return keyframes, noise
+
+
+def within(walls: Walls, x_m: float, reach_m: float = 9.0) -> Walls:
+    """What a laser of so short a reach can see."""
+    low, high = x_m - reach_m, x_m + reach_m
+    near = []
+    for x0, y0, x1, y1 in walls:
+        if max(x0, x1) >= low and min(x0, x1) <= high:
+            near.append((float(np.clip(x0, low, high)), y0, float(np.clip(x1, low, high)), y1))
+    return near
+
+
+def looked_for(walls: Walls, pose: SE2) -> tuple[DetachedSearch, tuple[np.ndarray, object] | None]:
+    keyframes, noise = mapped(walls)
+    known = np.arange(keyframes.count)
+    own = append(keyframes, within(walls, pose.x_m), pose, 1, noise)
+    search = DetachedSearch(LoopsConfig(), keyframes)
+    return search, search.best_of(search.places_of([own], own, known))
+
+
+def test_along_walls_that_say_nothing_no_place_is_taken():
+    """Each cell of a block of the search fits as well as the one that it gives."""
+    search, best = looked_for(corridor(), SE2(33.0, 0.3, 0.2))
+    assert best is None
+    assert len(search.possible) == 2
+
+
+def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_tells():
+    pose = SE2(33.0, 0.3, 0.2)
+    for niches, are_there_others in (((), True), ((34.0, 35.9), False)):
+        walls = corridor(niches)
+        keyframes, noise = mapped(walls)
+        known_map = KnownMap(keyframes, np.arange(keyframes.count))
+        own = append(keyframes, within(walls, pose.x_m), pose, 1, noise)
+        seen = seen_cloud(keyframes, [own], own)
+        aligned = known_map.align(seen, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+        off_m = [one.fit.pose - aligned.fit.pose for one in known_map.along(seen, aligned)]
+        assert all(abs(off[1]) < 0.02 and abs(off[2]) < 0.01 for off in off_m)
+        assert (max((abs(off[0]) for off in off_m), default=0.0) > 1.5) == are_there_others
+        best, *others = find_places(known_map, seen)
+        rivals = [one.fit.pose for one in others if best.weight.evidence - one.weight.evidence < 20.0]
+        assert any(0.1 < abs(at[0] - best.fit.pose[0]) < 1.65 for at in rivals) == are_there_others
+
+
+def test_a_niche_tells_where_along_a_corridor():
+    pose = SE2(33.0, 0.3, 0.2)
+    _, best = looked_for(corridor((13.0, 34.0, 35.9)), pose)
+    assert best is not None
+    assert is_same_pose(best[0], np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+    away = se2.between(np.array([pose.x_m, pose.y_m, pose.theta_rad]), best[0])
+    assert math.hypot(away[0], away[1]) < 0.03
+
+
+def test_two_niches_that_are_alike_are_told_both():
+    search, best = looked_for(corridor((13.0, 47.0)), SE2(12.0, 0.3, 0.2))
+    assert best is None
+    x_m, other_m = sorted(at.x_m for at in search.possible)
+    assert abs(x_m - 12.0) < 0.1
+    assert abs(other_m - 46.0) < 0.1

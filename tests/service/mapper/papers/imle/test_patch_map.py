@@ -1,0 +1,171 @@
+"""Patches of the likelihood map: which are in memory, and that none is lost."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.fusion.motion import Motion
+from service.geometry.se2 import SE2
+from service.kernels import line_likelihood
+from service.mapper.components import Match, Points
+from service.mapper.papers.imle.patch_map import PatchMap, PatchMapConfig
+from service.mapper.patch_store import MemoryPatches
+from tests.service.kernels.inner import from_python
+
+mean_value = from_python(line_likelihood.mean_value)
+
+CONFIG = PatchMapConfig(cell_m=0.02, patch_cells=200, resident_patches=16, ahead_m=1.0)  # patches of 4 m
+
+
+class CountingStore(MemoryPatches):
+    def __init__(self) -> None:
+        super().__init__()
+        self.saved: list[tuple[int, int]] = []
+        self.loaded: list[tuple[int, int]] = []
+
+    def save(self, key, layers) -> None:
+        self.saved.append(key)
+        super().save(key, layers)
+
+    def load(self, key, layers) -> bool:
+        is_there = super().load(key, layers)
+        self.loaded += [key] * is_there
+        return is_there
+
+
+def circle(radius_m: float = 1.5, count: int = 200) -> Points:
+    angle = np.linspace(-3.1, 3.1, count)
+    xy = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    scan = LaserScan(
+        "front",
+        0,
+        0,
+        0,
+        1,
+        -3.1,
+        6.2 / (count - 1),
+        0.0,
+        20.0,
+        np.full(count, radius_m, np.float32),
+        NO_INTENSITY,
+    )
+    return Points(xy, xy, np.zeros(count), np.arange(count, dtype=np.int32), SE2(), scan)
+
+
+def insert(patches: PatchMap, x_m: float, state: str = "ok") -> None:
+    motion = Motion(SE2(x_m, 0.0, 0.0), (0.0, 0.0, 0.0), np.eye(3))
+    patches.insert(circle(), Match(motion, circle(), 1.0, state))
+
+
+# C14 C15
+def test_a_patch_of_ten_metres_takes_a_megabyte_and_its_coarse_layer_forty_kilobytes() -> None:
+    config = PatchMapConfig()
+    patches = PatchMap(config, MemoryPatches)
+    assert config.patch_m == pytest.approx(10.0)
+    assert patches.fine.cells[0].nbytes == 1_000_000
+    assert patches.coarse.cells[0].nbytes == 40_000
+    assert (patches.fine.cell_m, patches.coarse.cell_m) == (0.01, 0.05)
+    assert 80 / config.patch_m * patches.fine.cells.shape[1] == pytest.approx(8000)
+
+
+# C1 C9
+@pytest.mark.parametrize(("score", "meaning"), [("product", np.log), ("mean", lambda value: value)])
+def test_the_bytes_of_a_cell_stand_for_the_likelihoods_of_the_paper(score, meaning) -> None:
+    patches = PatchMap(PatchMapConfig(score=score), MemoryPatches)
+    layer = patches.fine
+    values = layer.offset + layer.scale * np.array([*patches.levels, layer.empty])
+    np.testing.assert_allclose(values, meaning(np.array([0.9, 0.6, 0.3, 0.1])), atol=2e-3)
+
+
+# C13
+def test_no_more_patches_stay_in_memory_than_are_allowed_and_none_is_lost() -> None:
+    store = CountingStore()
+    patches = PatchMap(CONFIG, lambda: store)
+    insert(patches, 2.0)
+    first = patches.resident
+    before = {key: patches.fine.cells[patches._slots[key]].copy() for key in first}
+    for x_m in np.arange(6.0, 80.0, 2.0):
+        insert(patches, float(x_m))
+        assert len(patches.resident) <= 16
+    assert len(patches.fine.cells) == 16
+    assert not set(first) & set(patches.resident)
+    assert set(first) <= set(store.saved)
+    patches.prepare(circle().xy_base + np.array([2.0, 0.0]), 0.1)
+    for key, cells in before.items():
+        after = patches.fine.cells[patches._slots[key]]
+        assert (after >= cells).all()
+        assert cells.any()
+
+
+# C13
+def test_the_patch_used_longest_ago_goes_first_and_an_unchanged_one_is_not_written_again() -> None:
+    store = CountingStore()
+    patches = PatchMap(CONFIG, lambda: store)
+    for x_m in np.arange(2.0, 60.0, 2.0):
+        insert(patches, float(x_m))
+    written = list(store.saved)
+    assert written == sorted(written, key=lambda key: key[1])  # the drive goes along x
+    patches.prepare(circle().xy_base + np.array([2.0, 0.0]), 0.1)
+    for x_m in np.arange(60.0, 100.0, 2.0):
+        insert(patches, float(x_m))
+    assert set(store.loaded) & set(written)
+    assert store.saved.count(store.loaded[0]) == 1
+
+
+# C31
+def test_what_lies_ahead_is_fetched_before_it_is_needed() -> None:
+    store = CountingStore()
+    patches = PatchMap(CONFIG, lambda: store)
+    for x_m in [*np.arange(2.0, 60.0, 1.0), *np.arange(60.0, 20.0, -0.25)]:
+        needed = [
+            key
+            for key in patches._touched(circle().xy_base + np.array([x_m, 0.0]), 3 * CONFIG.coarse_cell_m)
+            if key not in patches.resident and store.holds(key)
+        ]
+        assert needed == []
+        insert(patches, float(x_m))
+    assert len(store.loaded) > 5
+
+
+def test_a_scan_that_was_not_placed_is_not_drawn() -> None:
+    patches = PatchMap(CONFIG, MemoryPatches)
+    insert(patches, 2.0, state="lost")
+    assert patches.is_empty
+    assert patches.resident == []
+
+
+# C26
+def test_a_scan_is_drawn_after_some_way_or_turn_and_not_before() -> None:
+    patches = PatchMap(PatchMapConfig(), MemoryPatches)
+    drawn = []
+    for x_m, theta_rad in ((0.0, 0.0), (0.1, 0.0), (0.19, 0.09), (0.21, 0.0), (0.21, 0.11)):
+        motion = Motion(SE2(x_m, 0.0, theta_rad), (0.0, 0.0, 0.0), np.eye(3))
+        drawn.append(patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe)
+    assert drawn == [True, False, False, True, True]
+    patches.begin_anew()
+    assert patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe
+
+
+def test_layers_that_do_not_fit_on_each_other_are_refused() -> None:
+    with pytest.raises(ValidationError, match="must be a multiple of coarse_cells"):
+        PatchMapConfig(coarse_cells=7)
+    with pytest.raises(ValidationError, match="more than half a patch"):
+        PatchMapConfig(ahead_m=6.0)
+
+
+# C10
+def test_a_line_that_cuts_off_the_corner_of_a_patch_is_drawn_there_too() -> None:
+    """Neither end lies in the patch nor near it: 6 m of wall seen aslant from 34 m away."""
+    patches = PatchMap(PatchMapConfig(), MemoryPatches)
+    xy = np.array([[27.0, 31.5], [31.5, 27.0]])
+    scan = replace(circle().scan, angle_step_rad=0.01)
+    points = Points(xy, xy, np.zeros(2), np.arange(2, dtype=np.int32), SE2(), scan)
+    patches.insert(points, Match(Motion(SE2(), (0.0, 0.0, 0.0), np.eye(3)), points, 1.0))
+    assert set(patches.resident) == {(2, 2), (3, 2), (2, 3)}
+    for layer in (patches.fine, patches.coarse):
+        for xy_m in ([29.255, 29.245], [27.755, 30.745], [30.745, 27.755]):
+            there = mean_value(np.array([xy_m]), np.zeros(3), layer)
+            assert there >= patches.levels[1]  # hit, or beside the line by a cell

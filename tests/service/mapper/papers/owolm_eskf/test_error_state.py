@@ -1,0 +1,226 @@
+"""The filter against a world with its own noise: signs, lever arm, and whether it knows how wrong it is."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY, rotation_of
+from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter
+
+DENSITIES = np.array([0.003, 0.001, 0.001, 0.0001])
+IMU_S = 0.01  # the filter is the same at 200 Hz, and a test of 100 runs takes seconds
+STEPS_PER_SCAN = 5
+UP = np.array([0.0, 0.0, 9.81])  # what a standing accelerometer feels
+MATCH_SIGMA = np.array([0.01, 0.01, 0.002])
+FIRST_SIGMA = np.concatenate([np.zeros(3), [0.1, 0.1, 0.02], [0.02, 0.02, 0.0], [0.02] * 3, [0.002] * 3])
+
+
+class Flight:
+    """A true motion, and what an IMU with an arm and with errors drawn once says of it."""
+
+    def __init__(self, seed: int, arm_m: np.ndarray | None = None) -> None:
+        self.noise = np.random.default_rng(seed)
+        self.arm_m = np.zeros(3) if arm_m is None else arm_m
+        first = FIRST_SIGMA * self.noise.standard_normal(STATES)
+        self.filter = ErrorStateFilter(self.arm_m, 9.81, DENSITIES)
+        self.filter.covariance = np.diag(FIRST_SIGMA**2)
+        self.rotation = Rotation.from_rotvec(-first[ATTITUDE:FORCE_BIAS]).as_matrix()
+        self.position = self.rotation @ self.arm_m
+        self.velocity = -first[VELOCITY:ATTITUDE]
+        self.force_bias = -first[FORCE_BIAS:RATE_BIAS]
+        self.rate_bias = -first[RATE_BIAS:]
+
+    def step(self, time_s: float) -> None:
+        """The IMU's own truth: it accelerates and turns as it likes, the floor ends nothing here."""
+        acceleration = np.array([0.8 * math.sin(time_s), 0.5 * math.cos(1.3 * time_s), 0.0])
+        rate = np.array([0.05 * math.sin(2 * time_s), 0.04 * math.cos(time_s), 0.6 * math.sin(0.7 * time_s)])
+        half = np.empty((3, 3))
+        rotation_of(0.5 * IMU_S * rate, half)
+        middle = self.rotation @ half
+        force = middle.T @ (acceleration + UP)
+        self.position = self.position + self.velocity * IMU_S + 0.5 * acceleration * IMU_S**2
+        self.velocity = self.velocity + acceleration * IMU_S
+        self.rotation = middle @ half
+        white = DENSITIES[:2] / math.sqrt(IMU_S)
+        self.filter.advance(
+            IMU_S,
+            force + self.force_bias + white[0] * self.noise.standard_normal(3),
+            rate + self.rate_bias + white[1] * self.noise.standard_normal(3),
+        )
+        self.force_bias = self.force_bias + DENSITIES[2] * math.sqrt(IMU_S) * self.noise.standard_normal(3)
+        self.rate_bias = self.rate_bias + DENSITIES[3] * math.sqrt(IMU_S) * self.noise.standard_normal(3)
+
+    def base(self) -> SE2:
+        place = self.position - self.rotation @ self.arm_m
+        return SE2(place[0], place[1], math.atan2(self.rotation[1, 0], self.rotation[0, 0]))
+
+    def see(self) -> None:
+        self.filter.settle()
+        self.filter.observe_pose(
+            self.base() @ SE2(*(MATCH_SIGMA * self.noise.standard_normal(3))), np.diag(MATCH_SIGMA**2)
+        )
+
+    def error(self) -> np.ndarray:
+        f = self.filter
+        return np.concatenate(
+            [
+                f.position_m - self.position,
+                f.velocity_mps - self.velocity,
+                Rotation.from_matrix(f.rotation @ self.rotation.T).as_rotvec(),
+                f.force_bias - self.force_bias,
+                f.rate_bias - self.rate_bias,
+            ]
+        )
+
+    def fly(self, seconds: float) -> None:
+        for k in range(round(seconds / IMU_S)):
+            self.step(k * IMU_S)
+            if (k + 1) % STEPS_PER_SCAN == 0:
+                self.see()
+
+
+def test_the_error_lies_within_its_covariance_over_100_runs():  # B7 B11 B12 B13
+    """NEES of all 15 states and of the pose, at the end of 2 s: means within their 95 % bands."""
+    runs = 100
+    full, pose = [], []
+    for seed in range(runs):
+        flight = Flight(seed, arm_m=np.array([0.3, -0.1, 0.0]))
+        flight.fly(2.0)
+        error, covariance = flight.error(), flight.filter.covariance
+        full.append(error @ np.linalg.solve(covariance, error))
+        away = flight.base().inverse() @ flight.filter.pose
+        apart = np.array([away.x_m, away.y_m, away.theta_rad])
+        pose.append(apart @ np.linalg.solve(flight.filter.pose_covariance(), apart))
+    for nees, states in ((full, STATES), (pose, 3)):
+        low, high = chi2.ppf([0.025, 0.975], runs * states) / runs
+        assert low < np.mean(nees) < high, (states, np.mean(nees), low, high)
+
+
+def test_steps_gathered_give_the_covariance_of_step_by_step():  # B10 B11
+    flight = Flight(1)
+    one_by_one = flight.filter.covariance.copy()
+    noise_per_s = np.zeros(STATES)
+    noise_per_s[VELOCITY:] = np.repeat(DENSITIES**2, 3)
+    for k in range(STEPS_PER_SCAN):
+        flight.step(k * IMU_S)
+        phi = flight.filter._step
+        one_by_one = phi @ one_by_one @ phi.T + np.diag(noise_per_s * IMU_S)
+    flight.filter.settle()
+    np.testing.assert_allclose(flight.filter.covariance, one_by_one, rtol=1e-9, atol=1e-18)
+
+
+def test_noise_spreads_equally_in_all_directions():  # B8: G W G^T of rotations is the diagonal of W
+    rotation = Rotation.from_euler("zyx", [1.0, 0.2, -0.1]).as_matrix()
+    G = np.zeros((STATES, 6))  # noqa: N806 - as in eq. 8
+    G[VELOCITY:ATTITUDE, :3] = rotation
+    G[ATTITUDE:FORCE_BIAS, 3:] = -rotation
+    W = block_diag(0.003**2 * np.eye(3), 0.001**2 * np.eye(3))  # noqa: N806
+    filter_ = ErrorStateFilter(np.zeros(3), 9.81, np.array([0.003, 0.001, 0.0, 0.0]))
+    filter_.rotation = rotation
+    filter_.advance(1.0, np.array([0.0, 0.0, 9.81]), np.zeros(3))
+    np.testing.assert_allclose(filter_._noise, G @ W @ G.T, atol=1e-15)
+
+
+def test_the_measurement_looks_at_three_of_fifteen_with_an_arm():  # B9 B12
+    """H by finite differences."""
+    filter_ = ErrorStateFilter(np.array([0.4, 0.2, 0.0]), 9.81, DENSITIES)
+    filter_.rotation = Rotation.from_euler("zyx", [0.7, 0.1, -0.05]).as_matrix()
+    rows, before = filter_.pose_rows(), filter_.pose
+    assert rows.shape == (3, STATES)
+    small = 1e-6
+    position, rotation = filter_.position_m.copy(), filter_.rotation.copy()
+    for state in range(9):
+        push = np.zeros(9)
+        push[state] = small
+        filter_.position_m = position + push[:3]
+        filter_.rotation = Rotation.from_rotvec(push[6:]).as_matrix() @ rotation
+        after = filter_.pose
+        slope = np.array([after.x_m - before.x_m, after.y_m - before.y_m, after.theta_rad - before.theta_rad])
+        np.testing.assert_allclose(slope / small, rows[:, state], atol=1e-5)
+    assert not rows[:, 9:].any()
+
+
+@pytest.mark.parametrize("arm_m", [(0.0, 0.0, 0.0), (0.5, 0.3, 0.0)])
+def test_a_turn_on_the_spot_keeps_the_base_in_place(arm_m):  # B9: the IMU rides a circle, the base does not
+    arm = np.array(arm_m)
+    filter_ = ErrorStateFilter(arm, 9.81, DENSITIES)
+    rate = np.array([0.0, 0.0, 1.0])
+    filter_.velocity_mps = np.cross(rate, arm)
+    inward = np.cross(rate, np.cross(rate, arm)) + UP
+    for _ in range(200):
+        filter_.advance(0.005, inward, rate)
+    pose = filter_.pose
+    assert math.hypot(pose.x_m, pose.y_m) < 1e-4
+    assert pose.theta_rad == pytest.approx(1.0)  # left turn, z up
+    np.testing.assert_allclose(filter_.base_velocity(rate), 0.0, atol=1e-3)
+
+
+def test_biases_are_learnt():
+    flight = Flight(3)
+    flight.rate_bias = np.array([0.0, 0.0, 0.004])
+    flight.fly(10.0)
+    assert flight.filter.rate_bias[2] == pytest.approx(flight.rate_bias[2], abs=0.001)
+    assert np.linalg.det(flight.filter.rotation) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_height_and_climb_stay_bounded_without_any_height():  # B12: the floor stands in for it
+    filter_ = ErrorStateFilter(np.zeros(3), 9.81, DENSITIES)
+    filter_.covariance = np.diag(FIRST_SIGMA**2)
+    for _ in range(800):
+        filter_.advance(0.025, np.array([0.0, 0.0, 9.85]), np.zeros(3))
+        filter_.settle()
+        filter_.observe_floor(0.05, 0.05)
+        filter_.observe_pose(SE2(), np.diag(MATCH_SIGMA**2))
+    assert abs(filter_.position_m[2]) < 0.05
+    assert np.linalg.eigvalsh(filter_.covariance)[0] > -1e-12
+    assert filter_.force_bias[2] == pytest.approx(0.04, abs=0.01)
+
+
+def test_200_hz_costs_a_small_part_of_a_core():  # B13
+    """A second of IMU and 40 corrections, thread time; 100 ms would be a tenth of a core."""
+    flight = Flight(1)
+    force, rate = np.array([0.1, 0.0, 9.81]), np.array([0.0, 0.0, 0.1])
+    best_s = math.inf
+    for _ in range(5):
+        began_s = time.thread_time()
+        for _ in range(40):
+            for _ in range(STEPS_PER_SCAN):
+                flight.filter.advance(0.005, force, rate)
+            flight.filter.settle()
+            flight.filter.observe_pose(SE2(), np.diag(MATCH_SIGMA**2))
+            flight.filter.observe_floor(0.05, 0.05)
+        best_s = min(best_s, time.thread_time() - began_s)
+    assert best_s < 0.1
+
+
+def test_prediction_and_update_are_those_of_filterpy_to_the_bit():
+    flight = Flight(3, np.array([0.2, -0.1, 0.3]))
+    oracle = KalmanFilter(dim_x=STATES, dim_z=3)
+    for scan in range(20):
+        for step in range(STEPS_PER_SCAN):
+            flight.step((scan * STEPS_PER_SCAN + step) * IMU_S)
+        tested = flight.filter
+        oracle.P = tested.covariance
+        oracle.predict(F=tested._transition, Q=tested._noise)
+        tested.settle()
+        assert np.array_equal(tested.covariance, oracle.P)
+
+        matched, rows = flight.base(), tested.pose_rows()
+        turn = np.eye(3)
+        turn[:2, :2] = [[math.cos(a := matched.theta_rad), -math.sin(a)], [math.sin(a), math.cos(a)]]
+        before, pose = (tested.position_m, tested.rate_bias), tested.pose
+        turned = wrap_angle(pose.theta_rad - matched.theta_rad)
+        z = [pose.x_m - matched.x_m, pose.y_m - matched.y_m, turned]
+        oracle.x = np.zeros((STATES, 1))
+        oracle.update(np.array([z]).T, R=turn @ np.diag(MATCH_SIGMA**2) @ turn.T, H=rows)
+        tested.observe_pose(matched, np.diag(MATCH_SIGMA**2))
+        assert np.array_equal(tested.covariance, 0.5 * (oracle.P + oracle.P.T))
+        assert np.array_equal(tested.position_m, before[0] - oracle.x[:VELOCITY, 0])
+        assert np.array_equal(tested.rate_bias, before[1] - oracle.x[RATE_BIAS:, 0])

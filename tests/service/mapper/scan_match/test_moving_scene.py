@@ -1,0 +1,136 @@
+"""Whether part of the scene moves: what stands still, and odometry, against all that the laser sees."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.fusion.motion import Prediction, Reckoned
+from service.geometry.se2 import SE2
+from service.mapper.scan_match.moving_scene import Reckoning, evidence_nats, inertia_nats
+from service.offline.replay.replay import ReplayOptions, replay
+from tests.accuracy.scene_drives import Case, staged
+from tests.accuracy.scene_judge import judge
+from tests.accuracy.scenes import mapped
+from tests.soaked import in_soak
+
+STEP_M, STEP_NS = 0.04, 40_000_000
+
+
+def predicted(step: SE2 | None, elapsed_s: float = 0.04) -> Prediction:
+    reckoned = None if step is None else Reckoned(step, (0.02**2) * STEP_M, 1e-6)
+    no = np.eye(3)
+    return Prediction(SE2(), (1.0, 0.0, 0.0), no, no, no, elapsed_s, STEP_M, True, reckoned=reckoned)
+
+
+def conflict_of(matched_m: float, scans: int = 10) -> float | None:
+    """Odometry drives STEP_M a scan, the matched path so much: where odometry is in the first conflict, m."""
+    reckoning = Reckoning()
+    for k in range(scans):
+        conflict = reckoning.add(k * STEP_NS, predicted(SE2(STEP_M)), SE2(k * matched_m))
+        if conflict is not None:
+            return conflict.pose.x_m
+    return None
+
+
+def test_paths_that_agree_are_no_conflict() -> None:
+    assert conflict_of(STEP_M) is None
+    assert conflict_of(1.05 * STEP_M) is None
+
+
+def test_a_matched_path_that_stands_while_odometry_drives_is_a_conflict_within_decimetres() -> None:
+    pose_m = conflict_of(0.0)
+    assert pose_m is not None
+    assert STEP_M <= pose_m <= 0.2
+
+
+def test_without_odometry_there_is_no_conflict() -> None:
+    reckoning = Reckoning()
+    reckoning.restart(0, SE2())
+    assert reckoning.add(STEP_NS, predicted(None), SE2(3.0)) is None
+
+
+@pytest.mark.parametrize(("matched_m", "is_conflict"), [(0.0, True), (STEP_M, False)])
+def test_scans_of_two_lasers_between_two_samples_of_odometry_are_compared_too(
+    matched_m: float, is_conflict: bool
+) -> None:
+    reckoning, conflicts = Reckoning(), []
+    for k in range(20):
+        step = SE2(STEP_M / 4) if k % 4 == 0 else None
+        conflicts.append(reckoning.add(k * STEP_NS // 4, predicted(step, 0.01), SE2(k * matched_m / 4)))
+    assert any(conflicts) == is_conflict
+
+
+def test_paths_are_compared_from_the_restart_on() -> None:
+    reckoning = Reckoning()
+    reckoning.restart(0, SE2(5.0))
+    assert reckoning.add(STEP_NS, predicted(SE2(STEP_M)), SE2(5.0 + STEP_M)) is None
+
+
+def test_evidence_is_for_the_pose_at_which_static_walls_lie() -> None:
+    beam = np.arange(100, dtype=np.int32)
+    on_walls, off = np.full(100, 0.01), np.full(100, math.nan)
+    nats = evidence_nats(on_walls, off, beam)
+    assert nats == pytest.approx(-evidence_nats(off, on_walls, beam))
+    assert nats == pytest.approx(10 * 2.2, rel=0.1)  # a measurement for each ten neighbours
+    assert evidence_nats(off, off, beam) == 0.0
+
+
+@pytest.mark.parametrize(("elapsed_s", "least", "most"), [(0.04, 5.0, 20.0), (1.5, 0.0, 0.1)])
+def test_a_vehicle_does_not_stop_within_a_scan_but_within_a_second(
+    elapsed_s: float, least: float, most: float
+) -> None:
+    """Odometry goes on, the laser has jumped back by 7 cm; then the other way round."""
+    known = np.diag([0.003**2, 0.003**2, 0.001**2])
+    nats = inertia_nats(SE2(STEP_M), SE2(STEP_M), SE2(-0.03), elapsed_s, known)
+    assert least <= nats <= most
+    assert inertia_nats(SE2(STEP_M), SE2(-0.03), SE2(STEP_M), elapsed_s, known) == pytest.approx(-nats)
+
+
+def test_a_jump_back_onto_the_map_is_possible_where_the_pose_is_little_known() -> None:
+    vague = np.diag([0.1**2, 0.1**2, 0.01**2])
+    assert inertia_nats(SE2(STEP_M), SE2(STEP_M), SE2(-0.03), 0.04, vague) < 5.0
+
+
+@pytest.mark.parametrize(
+    ("world", "worst_m"),
+    [
+        ("library", 0.05),  # a third of the returns, on ground never seen
+        ("ring", 0.15),  # a twelfth of them, and nothing else along the way
+    ],
+)
+def test_a_line_on_the_floor_does_not_hold_the_vehicle(world: str, worst_m: float) -> None:
+    of = staged(Case("tilted", world, 3, 0.625, speed_mps=2.0))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
+    assert verdict.worst_m < worst_m
+    assert verdict.lost_percent == 0.0
+
+
+def test_a_vehicle_that_is_towed_while_its_laser_is_silent_is_lost_until_its_place_is_found() -> None:
+    of = staged(Case("towed", "office", 3, 0.75))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
+    assert verdict.ok_off == 0
+    assert verdict.end_m < 0.05
+    assert next(o.state for o in outputs if o.stamp_ns >= of.to_ns) == "lost"
+
+
+def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
+    of = staged(Case("escort", "ring", for_s=4.0, share=0.5))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns, ghosts=0)
+    assert of.returns >= 0.5
+    assert verdict.ok_off == 0
+    assert verdict.worst_m < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "end_m"), [in_soak("escort5_s41_0_16s", 13.2), ("ramp_laser_s41_12_22s", 11.9)]
+)
+def test_given_recordings_of_a_scene_that_moves_end_where_the_vehicle_did(
+    shared: Path, name: str, end_m: float
+) -> None:
+    done = replay([shared / "cases" / f"{name}.mcap"], ReplayOptions())
+    assert done.outputs[-1].pose_odom_base.x_m == pytest.approx(end_m, abs=0.1)

@@ -1,0 +1,172 @@
+"""Posts: their middle is the same from all sides, and a wood is mapped by them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.frames import NO_INTENSITY, LaserScan
+from service.geometry.se2 import SE2
+from service.mapper.components import Points
+from service.mapper.profiles import mapping_config
+from service.mapper.scan_match import posts
+from service.mapper.scan_match.posts import posts_of
+from simulators.trajectory import Follow, plan_drive
+from simulators.truth import LMS100
+from simulators.world import Plan, World, make_world
+from tests.simulated import Laser, Wheels, drive, run
+
+FIRST_RAD, STEP_RAD, BEAMS = -2.0, math.radians(0.5), 459
+FAR_M = 15.0
+SIGMA_M = 0.012
+
+
+def seen(posts: list[tuple[float, float, float]], wall_m: float = math.inf) -> Points:
+    """What stands at the origin sees of circles (x, y, radius) m, and of a wall across at x = wall_m."""
+    noise = np.random.default_rng(3)
+    angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
+    c, s = np.cos(angle), np.sin(angle)
+    range_m = np.where(c > 0.0, wall_m / np.maximum(c, 1e-9), math.inf)
+    for x, y, radius in posts:
+        ahead, beside = c * x + s * y, -s * x + c * y
+        hit = (np.abs(beside) < radius) & (ahead > 0.0)
+        front = ahead - np.sqrt(np.maximum(radius**2 - beside**2, 0.0))
+        range_m = np.where(hit & (front < range_m), front, range_m)
+    range_m = range_m + SIGMA_M * noise.standard_normal(BEAMS)
+    beam = np.flatnonzero(range_m < FAR_M).astype(np.int32)
+    xy = np.column_stack((range_m * c, range_m * s))[beam]
+    scan = LaserScan(
+        "front", 0, 0, 0, 20_000_000, FIRST_RAD, STEP_RAD, 0.05, FAR_M,
+        np.where(range_m < FAR_M, range_m, np.nan).astype(np.float32), NO_INTENSITY,
+    )  # fmt: skip
+    return Points(xy, xy, np.zeros(len(xy)), beam, SE2(), scan, SIGMA_M)
+
+
+def found(points: Points) -> np.ndarray:
+    seen_whole = posts_of(points)
+    return np.zeros((0, 2)) if seen_whole is None else seen_whole.xy_raw
+
+
+@pytest.mark.parametrize("radius_m", [0.06, 0.12, 0.25])
+@pytest.mark.parametrize("bearing_deg", [-90.0, 0.0, 40.0])
+def test_the_middle_of_a_post_is_found_from_every_side(radius_m: float, bearing_deg: float):
+    bearing = math.radians(bearing_deg)
+    middle = 4.0 * math.cos(bearing), 4.0 * math.sin(bearing)
+    (xy,) = found(seen([(*middle, radius_m)]))
+    assert math.hypot(xy[0] - middle[0], xy[1] - middle[1]) < 0.03
+
+
+def test_what_stands_half_behind_another_or_at_the_edge_of_the_view_is_left_out():
+    whole = [(3.0 * math.cos(bearing), 3.0 * math.sin(bearing), 0.2) for bearing in (-1.2, -0.6, 0.0, 0.6)]
+    behind = (6.0, 0.35, 0.2)
+    edge = (4.0 * math.cos(FIRST_RAD), 4.0 * math.sin(FIRST_RAD), 0.2)
+    xy = found(seen([*whole, behind, edge]))
+    assert xy == pytest.approx(np.array(whole)[:, :2], abs=0.03)
+
+
+def test_where_walls_are_in_view_posts_are_not_asked():
+    assert len(found(seen([(2.0, 0.5, 0.15)], wall_m=3.0))) == 0
+
+
+def on_each_second_beam(points: Points) -> Points:
+    """As a LUX has it, which reduces its layers to a grid twice as fine as it measures."""
+    scan = points.scan
+    range_m = np.full(2 * len(scan.range_m) - 1, np.nan, np.float32)
+    range_m[::2] = scan.range_m
+    scan = replace(scan, angle_step_rad=scan.angle_step_rad / 2.0, range_m=range_m)
+    return replace(points, beam=2 * points.beam, scan=scan)
+
+
+def test_a_wall_seen_on_each_second_beam_is_no_row_of_posts():
+    assert posts_of(on_each_second_beam(seen([], wall_m=3.0))) is None
+
+
+def with_lost(points: Points, share: float, seed: int = 5) -> Points:
+    """Without a share of its returns, here and there, as dark walls and the sun have it."""
+    kept = np.random.default_rng(seed).random(len(points.beam)) >= share
+    range_m = points.scan.range_m.copy()
+    range_m[points.beam[~kept]] = np.nan
+    fewer = replace(points.scan, range_m=range_m)
+    arrays = (points.xy_raw, points.xy_base, points.beam_time_s, points.beam)
+    return Points(*(array[kept] for array in arrays), SE2(), fewer, SIGMA_M)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("wall_m", [1.0, 3.0, 8.0])
+def test_a_wall_of_which_returns_are_lost_is_no_row_of_posts(share: float, wall_m: float):
+    assert posts_of(with_lost(seen([], wall_m=wall_m), share)) is None
+
+
+def test_the_middles_of_posts_are_found_where_returns_are_lost():
+    middles = 3.0 * np.array(
+        [(math.cos(bearing), math.sin(bearing)) for bearing in np.arange(-1.5, 1.6, 0.5)]
+    )
+    xy = found(with_lost(seen([(x, y, 0.2) for x, y in middles.tolist()]), 0.3))
+    assert len(xy) >= 6
+    off_m = np.hypot(*(xy[:, None] - middles).transpose(2, 0, 1)).min(axis=1)
+    assert off_m.max() < 0.08
+
+
+def test_posts_seen_on_each_second_beam_are_those_of_a_laser_that_has_no_others():
+    points = seen([(3.0, 0.5, 0.2), (4.0, -2.0, 0.12)])
+    every, second = posts_of(points), posts_of(on_each_second_beam(points))
+    assert every is not None
+    assert second is not None
+    np.testing.assert_allclose(second.xy_raw, every.xy_raw, atol=1e-9)
+    np.testing.assert_allclose(second.variance_m2, every.variance_m2, rtol=1e-9)
+
+
+def test_the_quick_look_at_a_scan_refuses_none_that_sees_posts_mostly(monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(1)
+    scans = []
+    for _ in range(300):
+        stand = [
+            (float(rng.uniform(0.5, 9.0)), float(rng.uniform(-6.0, 6.0)), float(rng.uniform(0.03, 0.4)))
+            for _ in range(int(rng.integers(1, 25)))
+        ]
+        points = seen(stand, wall_m=float(rng.choice([math.inf, 5.0, 12.0])))
+        points = with_lost(points, float(rng.choice([0.0, 0.3])))
+        if len(points.xy_raw) >= 3:
+            scans.append(points)
+    quick = [posts_of(points) is not None for points in scans]
+    quick_look = posts.look_for_posts
+    monkeypatch.setattr(posts, "look_for_posts", lambda *given: (True, quick_look(*given)[1]))
+    assert quick == [posts_of(points) is not None for points in scans]
+    assert 20 < sum(quick) < len(scans) - 20
+
+
+def test_a_post_is_asked_twice_along_the_axes_of_the_map():
+    points = seen([(4.0, 0.0, 0.2)])
+    posts = posts_of(points)
+    assert posts is not None
+    heading = 0.7
+    normals = posts.normals(heading, np.ones(1))
+    c, s = math.cos(heading), math.sin(heading)
+    in_map = normals[:, :2] @ np.array([[c, s], [-s, c]])
+    np.testing.assert_allclose(in_map, np.eye(2), atol=1e-12)
+    assert posts.is_on_post.all()
+    assert posts.variance_m2[0] > SIGMA_M**2
+
+
+def wood() -> World:
+    """Trunks on 70 x 30 m, and a drive of 40 m between them."""
+    rng = np.random.default_rng(4)
+    plan, standing = Plan(), 0
+    while standing < 150:
+        x, y = rng.uniform((-15.0, -15.0), (55.0, 15.0))
+        if abs(y) > 1.2:
+            plan.post((float(x), float(y)), float(rng.uniform(0.06, 0.25)))
+            standing += 1
+    return make_world("wood", plan, [], plan_drive(SE2(), [Follow([(40.0, 0.0)])]))
+
+
+def test_a_wood_is_mapped_by_its_trunks():
+    laser = Laser(LMS100, 541, 5.0, -135.0, 0.5)
+    poor = Wheels(scale=1.05, turn_scale=0.95, sigma_m_per_sqrt_m=0.03, sigma_rad_per_sqrt_m=0.02)
+    made = drive(wood(), laser, 41.0, 12, poor)
+    done = run(mapping_config(), made)
+    assert done.position_rmse_m < 0.05  # 0.016; without posts 0.26, and 0.59 of the scans ok
+    assert np.mean([output.state == "ok" for output in done.outputs]) > 0.9
+    curve_m = done.mapper._components.matcher.bias_m(laser.name)
+    assert np.abs(curve_m).max() < 0.002  # the ranges are right; by the chords of trunks 6 mm are learnt

@@ -1,0 +1,418 @@
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.fusion.motion import Measurement, Prediction
+from service.geometry.se2 import SE2
+from service.mapper.components import Match, Points
+from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
+from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
+from tests.service.mapper.maps.points import match_at, points_of, square
+
+
+def new_matcher() -> SurfelGaussNewton:
+    return SurfelGaussNewton(SurfelMatcherConfig())
+
+
+def mapped(points: Points) -> SurfelSubmaps:
+    chain = SurfelSubmaps(SubmapsConfig())
+    for _ in range(5):
+        chain.insert(points, match_at(SE2(), points, submap=0))
+    return chain
+
+
+def predicted(pose: SE2, sigma: float = 0.05, is_measured: bool = True) -> Prediction:
+    covariance = np.diag([sigma**2] * 3)
+    return Prediction(
+        pose,
+        (0.1, 0.0, 0.0),
+        covariance,
+        local_covariance=covariance,
+        twist_gain=10.0 * np.eye(3),
+        elapsed_s=0.1,
+        travel_m=0.01,
+        is_measured=is_measured,
+    )
+
+
+def match(points: Points, pose: SE2, chain: SurfelSubmaps, is_measured: bool = True) -> Match:
+    return new_matcher().match(points, predicted(pose, is_measured=is_measured), chain)
+
+
+def test_a_scan_of_the_same_room_is_put_where_it_belongs() -> None:
+    result = match(square(), SE2(0.04, -0.03, 0.02), mapped(square()))
+    pose = result.motion.pose_odom_base
+    np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=5e-4)
+    assert (result.state, result.reason, result.submap) == ("ok", "", 0)
+    assert result.inlier_ratio > 0.9
+
+
+def test_a_noisy_laser_does_not_spoil_the_walls_of_a_good_one() -> None:
+    """Walls that a laser of 4 cm puts 4 cm aside move by the 17th part of that, not by half."""
+    chain = mapped(replace(square(), range_sigma_m=0.01))
+    aside = replace(square(), xy_base=square().xy_base + np.array([0.04, 0.0]), range_sigma_m=0.04)
+    for _ in range(5):
+        chain.insert(aside, match_at(SE2(), aside, submap=0))
+    pose = match(replace(square(), range_sigma_m=0.01), SE2(), chain).motion.pose_odom_base
+    assert 0.0005 < pose.x_m < 0.005
+
+
+def test_the_first_scan_defines_the_map() -> None:
+    empty = SurfelSubmaps(SubmapsConfig())
+    result = match(square(), SE2(), empty)
+    assert (result.motion.pose_odom_base, result.state, result.inlier_ratio) == (SE2(), "ok", 1.0)
+
+
+def test_a_room_that_is_not_on_the_map_is_lost_and_keeps_the_prediction() -> None:
+    pose = SE2(30.0, 0.0, 0.2)
+    result = match(square(), pose, mapped(square()), is_measured=False)
+    assert result.state == "lost"
+    assert result.motion.pose_odom_base == pose
+    assert result.motion.twist_base == (0.1, 0.0, 0.0)
+    assert "0% of 360 returns lie on the map (at least 30%)" in result.reason
+
+
+def test_measured_motion_carries_the_pose_onto_ground_that_nobody_knows() -> None:
+    pose = SE2(30.0, 0.0, 0.2)
+    result = match(square(), pose, mapped(square()))
+    assert result.state == "degraded"
+    assert "unmapped ground" in result.reason
+    found = result.motion.pose_odom_base
+    np.testing.assert_allclose([found.x_m, found.y_m, found.theta_rad], [30.0, 0.0, 0.2], atol=1e-12)
+
+
+def test_a_vehicle_that_was_lost_is_not_carried_back_onto_ground_that_nobody_knows() -> None:
+    """Set down in another room, it drives off the ground that the map knows: nothing contradicts there."""
+    chain, matcher = mapped(square()), new_matcher()
+    assert lost_at(chain, matcher, square(8.0), predicted(SE2(), sigma=0.005)).state == "lost"
+    for k in range(5):
+        far = predicted(SE2(30.0 + 0.1 * k, 0.0, 0.0), sigma=0.005)
+        assert lost_at(chain, matcher, square(8.0), far).state == "lost"
+
+
+def test_another_room_where_the_walls_of_this_one_should_be_seen_is_lost() -> None:
+    """Carried there with the wheels off the floor: beams end behind the walls that stand around."""
+    result = match(square(8.0), SE2(), mapped(square()))
+    assert result.state == "lost"
+    assert "behind its walls" in result.reason
+
+
+def test_after_a_pause_in_which_nobody_saw_the_way_a_scan_has_to_lie_on_the_map() -> None:
+    """Half of the room is another: new ground where the way is known, not after 5 s without odometry."""
+    xy = square().xy_base
+    opened = points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy))
+    seen = replace(predicted(SE2(0.02, 0.0, 0.0)), elapsed_s=5.0)
+    assert new_matcher().match(opened, seen, mapped(square())).state == "degraded"
+    unseen = replace(seen, pause_s=5.0)
+    assert new_matcher().match(opened, unseen, mapped(square())).state == "lost"
+    assert new_matcher().match(square(), unseen, mapped(square())).state == "ok"
+
+
+def test_where_nobody_measured_the_way_the_map_is_asked_again_when_the_graph_has_found_the_piece() -> None:
+    """The same walls prove nothing, for others may look alike."""
+    chain, matcher, points = mapped(square()), new_matcher(), square()
+    pieces = []
+    chain.detach(5.0)
+    for _ in range(3):
+        found = matcher.match(points, predicted(SE2(0.02, 0.0, 0.0)), chain)
+        assert found.state == "lost"
+        assert found.reason.startswith(
+            "neither laser nor odometry measured the motion for 5.0 s (at most 4 s;"
+        )
+        pieces.append(chain.insert(points, found).piece)
+    assert pieces == [1, 1, 1]
+    chain.detach(4.0)  # carried once more: another piece
+    assert chain.insert(points, matcher.match(points, predicted(SE2()), chain)).piece == 2
+    chain.join(1)
+    assert matcher.match(points, predicted(SE2()), chain).state == "lost"
+    chain.join(2)
+    assert matcher.match(points, predicted(SE2()), chain).state == "ok"
+
+
+def test_without_a_graph_that_looks_for_pieces_the_map_is_asked_at_once() -> None:
+    chain, points = mapped(square()), square()
+    chain.detach(5.0)
+    chain.attach()
+    assert new_matcher().match(points, predicted(SE2()), chain).state == "ok"
+    empty = SurfelSubmaps(SubmapsConfig())
+    empty.detach(5.0)  # before the first scan there is nothing that could have been left
+    assert new_matcher().match(points, predicted(SE2()), empty).state == "ok"
+
+
+def test_new_ground_is_degraded() -> None:
+    """Most of the room opened up, so that the returns lie where the map knows nothing."""
+    xy = square().xy_base
+    opened = np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy)
+    result = match(points_of(opened), SE2(0.02, 0.0, 0.0), mapped(square()))
+    assert result.state == "degraded"
+    assert "expected 45%" in result.reason
+    assert abs(result.motion.pose_odom_base.x_m) < 0.01
+
+
+def test_walls_in_what_was_free_are_another_place() -> None:
+    """The same share of the returns lies on the map as on new ground, the rest contradicts."""
+    xy = square().xy_base
+    nearer = np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 0.5 * xy, xy)
+    result = match(points_of(nearer), SE2(0.02, 0.0, 0.0), mapped(square()))
+    assert result.state == "lost"
+    assert "in its free space" in result.reason
+    assert result.motion.pose_odom_base == SE2(0.02, 0.0, 0.0)
+
+
+def test_what_the_scan_says_alone_does_not_depend_on_the_prediction() -> None:
+    chain = mapped(square())
+    loose, tight = (
+        new_matcher().match(square(), predicted(SE2(), sigma), chain).measured for sigma in (0.3, 0.001)
+    )
+    assert loose is not None
+    assert tight is not None
+    np.testing.assert_allclose(loose.information, tight.information, rtol=0.01, atol=5e3)
+    assert tight.covariance[0, 0] < 0.5 * loose.covariance[0, 0]
+    prior = np.eye(3) / 0.3**2
+    np.testing.assert_allclose(
+        loose.covariance,
+        np.linalg.inv(loose.information + loose.prior_weight * prior),
+        rtol=1e-6,
+        atol=1e-12,
+    )
+
+
+def test_a_prediction_that_is_many_sigmas_off_is_believed_less() -> None:
+    chain = mapped(square())
+    near, far = (
+        new_matcher().match(square(), predicted(SE2(x_m, 0.0, 0.0), 0.02), chain).measured
+        for x_m in (0.01, 0.12)
+    )
+    assert near is not None
+    assert far is not None
+    assert near.prior_weight == 1.0
+    assert far.prior_weight == pytest.approx(8.0 / (5.0 + 36.0), rel=0.05)
+    assert abs(far.pose_odom_base.x_m) < 0.01
+
+
+def test_scans_that_follow_each_other_closely_meet_the_same_noise_of_the_map() -> None:
+    """So what they say of it together must not be more than one of them would."""
+    chain, start = mapped(square()), predicted(SE2())
+    apart, close = (
+        new_matcher().match(square(), replace(start, travel_m=travel_m), chain).measured
+        for travel_m in (0.1, 0.0005)
+    )
+    assert apart is not None
+    assert close is not None
+    assert close.information[0, 0] < 0.5 * apart.information[0, 0]
+
+
+def test_too_few_returns_name_the_sensor_and_what_to_look_at() -> None:
+    result = match(points_of(square().xy_base[:4]), SE2(), mapped(square()))
+    assert result.state == "lost"
+    assert result.reason.startswith("front: 4 of 4 beams returned (at least 5)")
+
+
+def lost_at(chain: SurfelSubmaps, matcher: SurfelGaussNewton, points: Points, start: Prediction) -> Match:
+    """One scan, matched and put into the map."""
+    result = matcher.match(points, start, chain)
+    chain.insert(result.points, result)
+    return result
+
+
+def test_what_is_lost_is_matched_to_the_detached_piece_and_stays_lost() -> None:
+    chain, matcher, far = mapped(square()), new_matcher(), square(3.0)
+    assert lost_at(chain, matcher, far, predicted(SE2(50.0, 0.0, 0.0), is_measured=False)).measured is None
+    result = lost_at(chain, matcher, far, predicted(SE2(50.03, 0.0, 0.01), is_measured=False))
+    assert (result.state, result.submap) == ("lost", 1)
+    assert "a detached map begins here" in result.reason
+    assert isinstance(result.measured, Measurement)
+    assert abs(result.measured.pose_odom_base.x_m - 50.0) < 1e-3
+    chain.join(1)
+    result = matcher.match(far, predicted(SE2(50.03, 0.0, 0.01)), chain)
+    assert (result.state, result.submap) == ("ok", 1)
+
+
+def test_back_on_the_map_the_gap_of_the_piece_is_said() -> None:
+    """Through the piece the pose was known to 0.2 m only, which the estimator did not know."""
+    chain, matcher = mapped(square()), new_matcher()
+    lost_at(chain, matcher, square(8.0), predicted(SE2(0.2, 0.0, 0.0), sigma=0.2))
+    assert chain.detached is not None
+    result = lost_at(chain, matcher, square(), predicted(SE2(0.2, 0.0, 0.0), sigma=0.01))
+    assert result.state == "ok"
+    assert abs(result.motion.pose_odom_base.x_m) < 0.01
+    assert result.measured is not None
+    assert result.measured.gap is not None
+    np.testing.assert_allclose(result.measured.gap, 0.2**2 * np.eye(3), atol=1e-3)
+    assert chain.detached is None
+
+
+def test_too_far_for_the_way_since_it_was_lost_a_fit_is_not_believed() -> None:
+    chain, matcher = mapped(square()), new_matcher()
+    lost_at(chain, matcher, square(8.0), predicted(SE2(0.6, 0.0, 0.0), sigma=0.02))
+    result = lost_at(chain, matcher, square(), predicted(SE2(0.6, 0.0, 0.0), sigma=0.02))
+    assert result.state == "lost"
+
+
+def test_the_points_come_back_deskewed_with_the_matched_twist() -> None:
+    """Seen while driving at 1 m/s, predicted as standing: the match must notice and straighten the walls."""
+    still = square()
+    time_s = np.linspace(0.0, 0.1, len(still.xy_base))
+    raw = still.xy_base - np.outer(time_s, [1.0, 0.0])
+    skewed = replace(still, xy_base=raw.copy(), xy_raw=raw, beam_time_s=time_s)
+    standing = replace(predicted(SE2(-0.1, 0.0, 0.0), sigma=0.2), twist_base=(0.0, 0.0, 0.0))
+    result = new_matcher().match(skewed, standing, mapped(still))
+    assert abs(result.motion.pose_odom_base.x_m) < 0.002
+    np.testing.assert_allclose(result.motion.twist_base, [1.0, 0.0, 0.0], atol=0.03)
+    np.testing.assert_allclose(result.points.xy_base, still.xy_base, atol=0.004)
+
+
+def corridor_of(
+    first_m: float, last_m: float, beams: int, sigma_m: float, rng: np.random.Generator
+) -> Points:
+    """Both walls of a corridor along x."""
+    x_m = np.linspace(first_m, last_m, beams)
+    walls = [np.column_stack((x_m, np.full(beams, 1.0))), np.column_stack((x_m[::-1], np.full(beams, -1.0)))]
+    return replace(
+        points_of(np.vstack(walls) + rng.normal(0.0, sigma_m, (2 * beams, 2))), range_sigma_m=sigma_m
+    )
+
+
+@pytest.mark.parametrize("seed", [12, 14])
+def test_walls_that_look_alike_draw_no_scan_into_the_map(seed: int) -> None:
+    """Most of the scan is of new ground, and more of it would lie on the map's walls farther ahead."""
+    rng = np.random.default_rng(seed)
+    chain, ahead = SurfelSubmaps(SubmapsConfig()), corridor_of(0.8, 12.0, 110, 0.04, rng)
+    chain.insert(ahead, match_at(SE2(), ahead, submap=0))
+    near = new_matcher().match(corridor_of(-4.0, 1.5, 260, 0.012, rng), predicted(SE2(), sigma=0.1), chain)
+    assert near.state != "lost"
+    assert abs(near.motion.pose_odom_base.x_m) < 0.05
+
+
+def mostly_new() -> Points:
+    """A fifth of the square, the rest far behind where its walls were."""
+    xy = square().xy_base
+    return points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 2.5)[:, None], 3.5 * xy, xy))
+
+
+@pytest.mark.parametrize(("is_measured", "state"), [(True, "degraded"), (False, "lost")])
+def test_few_points_are_believed_where_odometry_measured_the_motion(is_measured: bool, state: str) -> None:
+    start = replace(predicted(SE2(0.03, 0.0, 0.0), sigma=0.02), is_measured=is_measured)
+    result = new_matcher().match(mostly_new(), start, mapped(square()))
+    assert 0.15 < result.inlier_ratio < 0.3
+    assert result.state == state
+    if is_measured:
+        assert abs(result.motion.pose_odom_base.x_m) < 0.01
+
+
+def nook() -> Points:
+    """A room that looks like itself from nowhere else: one corner of the square is cut off, one is deep."""
+    xy = square().xy_base
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    scale = np.where(np.abs(bearing - 0.9) < 0.5, 0.6, np.where(np.abs(bearing + 2.0) < 0.4, 1.5, 1.0))
+    return points_of(scale[:, None] * xy)
+
+
+def test_a_vehicle_that_turned_while_its_wheels_were_silent_is_found_again() -> None:
+    frozen = predicted(SE2(0.6, -0.4, 1.2), sigma=0.02)
+    result = new_matcher().match(nook(), frozen, mapped(nook()))
+    pose = result.motion.pose_odom_base
+    assert result.state == "ok"
+    np.testing.assert_allclose([pose.x_m, pose.y_m, pose.theta_rad], 0.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("turn_rad", [-0.15, -0.05, 0.05, 0.15])
+def test_a_prediction_that_is_wrong_and_sure_of_it_does_not_keep_a_scan(turn_rad: float) -> None:
+    """As by odometry that stands still while the vehicle begins to turn; sigma 0.2 mm and 0.01 deg."""
+    result = new_matcher().match(nook(), predicted(SE2(0.0, 0.0, turn_rad), sigma=2e-4), mapped(nook()))
+    assert result.motion.pose_odom_base.theta_rad == pytest.approx(0.0, abs=2e-3)
+    assert result.measured is not None
+    assert result.measured.prior_weight < 0.01
+
+
+def test_a_compared_scan_of_new_ground_is_not_drawn_onto_walls_that_look_alike() -> None:
+    """A corridor of which the map knows one end, and the scan sees the other: moved along it, all of it lies
+    on the map.
+    """
+    known_m, seen_m = np.linspace(-4.0, 0.2, 150), np.linspace(0.2, 2.0, 150)
+    known, seen = (
+        points_of(np.vstack([np.column_stack((x_m, np.full(150, y_m))) for y_m in (1.0, -1.0)]))
+        for x_m in (known_m, seen_m)
+    )
+    result = new_matcher().compare(seen, predicted(SE2(), sigma=0.1), mapped(known))
+    assert abs(result.motion.pose_odom_base.x_m) < 0.05
+
+
+def test_the_matcher_keeps_nothing_of_a_scan_that_is_compared() -> None:
+    chain, matcher = mapped(nook()), new_matcher()
+    for k in range(3):
+        matcher.match(nook(), predicted(SE2(0.01 * k, 0.0, 0.0), sigma=0.02), chain)
+    before = pickle.dumps(matcher)
+    for seen, state in ((nook(), "ok"), (square(6.0), "lost")):
+        assert matcher.compare(seen, predicted(SE2(0.05, 0.03, 0.04), sigma=0.1), chain).state == state
+        assert pickle.dumps(matcher) == before
+
+
+def aisle() -> Points:
+    """Between two bookcases, 2 m apart, with a wall behind them that goes on past both."""
+    wall_x_m, book_y_m = np.linspace(-4.0, 4.0, 240), np.linspace(0.5, 3.0, 60)
+    sides = [np.column_stack((np.full(60, x_m), book_y_m)) for x_m in (1.0, -1.0)]
+    wall = np.column_stack((wall_x_m, np.full(240, -2.0)))
+    return points_of(np.vstack((wall, sides[0], sides[1][::-1])))
+
+
+@pytest.mark.parametrize(("sigma_m", "expected_x_m"), [(1.5, 4.0), (3.0, 0.0)])
+def test_what_the_map_does_not_contradict_is_left_only_for_what_is_about_as_likely(
+    sigma_m: float, expected_x_m: float
+) -> None:
+    """The next aisle, 4 m on, is mapped by half its wall; all of a scan lies on the aisle before."""
+    prediction = predicted(SE2(4.0, 0.0, 0.0), is_measured=False)
+    covariance = np.diag([sigma_m**2, sigma_m**2, 0.2**2])
+    unmeasured = replace(
+        prediction, covariance=covariance, local_covariance=covariance, elapsed_s=2.0, pause_s=2.0
+    )
+    result = new_matcher().match(aisle(), unmeasured, mapped(aisle()))
+    assert result.motion.pose_odom_base.x_m == pytest.approx(expected_x_m, abs=0.3)
+    assert (result.state == "ok") == (expected_x_m == 0.0)
+
+
+def test_the_whole_window_is_searched_twice_a_second_at_most() -> None:
+    matcher, chain, frozen = new_matcher(), mapped(nook()), predicted(SE2(0.6, -0.4, 1.2), sigma=0.02)
+    elsewhere = square(8.0)
+
+    def state_at(stamp_ns: int, points: Points) -> str:
+        scan = replace(points.scan, stamp_ns=stamp_ns)
+        return matcher.match(replace(points, scan=scan), frozen, chain).state
+
+    assert state_at(10**9, elsewhere) == "lost"  # searched in vain
+    assert state_at(10**9 + 499_999_999, nook()) == "lost"
+    assert state_at(10**9 + 500_000_000, nook()) == "ok"
+
+
+def half_a_nook() -> Points:
+    """The nook with two thirds of it behind newly made room."""
+    xy = nook().xy_base
+    return points_of(np.where((np.arctan2(xy[:, 1], xy[:, 0]) > -0.75)[:, None], 2.6 * xy, xy))
+
+
+def test_a_far_jump_needs_more_than_a_near_one() -> None:
+    chain = mapped(nook())
+    near = replace(predicted(SE2(0.02, 0.0, 0.0), sigma=0.02), is_measured=False)
+    there = new_matcher().match(half_a_nook(), near, chain)
+    assert 0.3 < there.inlier_ratio < 0.45
+    assert there.state == "degraded"
+    far = replace(near, pose_odom_base=SE2(0.6, -0.4, 1.2))
+    assert new_matcher().match(half_a_nook(), far, chain).state == "lost"
+    bold = SurfelGaussNewton(SurfelMatcherConfig(degraded_ratio=0.3))
+    assert bold.match(half_a_nook(), far, chain).state != "lost"
+
+
+def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_were_measured() -> None:
+    room, noise = square(), np.random.default_rng(6)
+    beams = room.xy_base / np.hypot(*room.xy_base.T)[:, None]
+    noisy = replace(
+        points_of(room.xy_base + 0.04 * noise.standard_normal((len(beams), 1)) * beams), range_sigma_m=0.04
+    )
+    chain = mapped(room)
+    assert np.abs(chain.on_walls(noisy)[0].xy_base - noisy.xy_base).max() > 0.02
+    found = match(noisy, SE2(), chain)
+    assert found.state == "ok"
+    np.testing.assert_allclose(found.points.xy_base, noisy.xy_base, atol=1e-9)
+    np.testing.assert_array_equal(found.points.xy_raw, noisy.xy_raw)
