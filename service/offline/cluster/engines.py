@@ -127,7 +127,7 @@ class Cluster:
             )
         self._dask: Any = optional("dask", "cluster", f"--cluster {wanted}")
         self._distributed: Any = optional("dask.distributed", "cluster", f"--cluster {wanted}")
-        logging.getLogger("distributed").setLevel(logging.ERROR)
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # of a lost scheduler: pages of traces
         self._stack = ExitStack()
         self._address: Any = wanted  # of the scheduler, or the cluster that has one
         self._is_shown = False
