@@ -202,6 +202,7 @@ class MovingScene:
         self._degraded_sigma_m = degraded_sigma_m
         self._reckoning = Reckoning()
         self._moves_until_ns = NOTHING_MOVES  # at least
+        self._has_moved = False  # part of the scene, in the newest scan that was judged
         # Since part of the scene was seen to move last: the steps from each match of what stands still to
         # that of the whole scan, one after the other, and the way.
         self._drag, self._way_m = SE2(), 0.0
@@ -232,8 +233,11 @@ class MovingScene:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
             return aligned
         if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
+            self._has_moved = False
             return aligned
-        is_moving = _moved_share(aligned) >= MIN_MOVING_SHARE
+        is_seen_moving = _moved_share(aligned) >= MIN_MOVING_SHARE
+        # What moves is seen in the scan before, too; in one alone some returns lie off the map by chance.
+        is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
         if is_moving if conflict is None else not conflict.is_turned:
             prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
             static, share = self._align_static(attempt, prior, aligned.submap)
