@@ -8,12 +8,12 @@ import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
-METHODS = Path(__file__).parents[1] / "mapper" / "methods"  # a module for each profile, and what they share
+METHODS = Path(__file__).parents[1] / "mapper" / "methods"  # a folder for each profile
 WORLDS = (
     *("corridor100", "crowd", "featureless", "floor", "glass_corridor", "glass_hall", "hall100", "hall200"),
     *("hall300", "library", "mall", "office", "ring", "room", "spins", "stop_and_go", "t_room"),
 )
-PROFILES = tuple(sorted({path.stem for path in METHODS.glob("*.py")} - {"__init__", "shared"}))
+PROFILES = tuple(sorted(path.parent.name for path in METHODS.glob("*/method.py")))
 
 
 class OneOf:

@@ -1,8 +1,8 @@
 """Profile name -> its components and their settings. The only module that knows methods by name.
 
-Another profile is another module in methods/, named like it, and a name in METHODS. It is imported, with all
-that it stands on, when the profile is chosen. A config may put a component of one method into a slot of
-another's: `components: {matcher: surfel_gauss_newton}`; what that component cannot read is refused.
+Another profile is another folder in methods/, named like it, with method.py, and a name in METHODS. It is
+imported, with all that it stands on, when the profile is chosen. A config may put a component of one method
+into a slot of another's: `components: {matcher: surfel_gauss_newton}`; what it cannot read is refused.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -45,7 +45,7 @@ from service.suggestion import suggest
 
 
 def _imported(name: str) -> Method:
-    method: Method = import_module(f"service.mapper.methods.{name}").METHOD
+    method: Method = import_module(f"service.mapper.methods.{name}.method").METHOD
     return method
 
 

@@ -44,7 +44,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sink = re.search(r"^ +(SinkKind\(.*\),)$", PAGE, re.MULTILINE)
     assert sink is not None
     insert(tree / "service/sinks/registry.py", "SinkKind(\n", sink[1] + "\n    ")
-    method = "service/mapper/methods/corridor.py"
+    method = "service/mapper/methods/corridor/method.py"
     imported, offered = re.findall(rf"^{method} +(.*)$", PAGE, re.MULTILINE)
     insert(tree / method, "from service", imported + "\n")
     text = (tree / method).read_text(encoding="utf-8")
