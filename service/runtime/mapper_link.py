@@ -70,11 +70,9 @@ class MapperListener(Protocol):
 
     def taken_over(self, words: str) -> None:
         """The mapper was lost and a stand-by went on; tiles that come now count anew."""
-        ...
 
     def refused(self, item: FrameItem) -> None:
         """This frame is left out from now on: a mapper died of it."""
-        ...
 
 
 class MapperLostError(Exception):
@@ -497,9 +495,6 @@ class MapperLink:
 
 
 def _kill(pid: int) -> None:
-    if pid <= 0:
-        return
-    try:
-        os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        return
+    if pid > 0:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)

@@ -157,8 +157,7 @@ def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "au
 
 
 def _read(path: Path, report: ImportReport) -> _Log:
-    log, first_line = _Log(), ""
-    last_ns = 0
+    log, first_line, last_ns = _Log(), "", 0
     try:
         with open_file(path) as file:
             zipped = file.peek(2)[:2] == GZIP_MAGIC
@@ -189,16 +188,13 @@ def _read(path: Path, report: ImportReport) -> _Log:
             f"{path}: {len(log.scans)} scans carry {distinct} different times, so when they were taken is "
             "lost (some logs were written with six digits); look for another copy, such as its .gfs"
         )
-    if not any(_has_return(scan.frame) for scan in log.scans):
+    frames = (scan.frame for scan in log.scans)
+    if not any(((frame.range_m > 0.0) & (frame.range_m < frame.range_max_m)).any() for frame in frames):
         raise InputError(
             f"{path}: not one beam of {counted(len(log.scans), 'scan')} came back between 0 and "
             f"{log.scans[0].frame.range_max_m:g} m; nothing can be mapped of it"
         )
     return log
-
-
-def _has_return(scan: LaserScan) -> bool:
-    return bool(((scan.range_m > 0.0) & (scan.range_m < scan.range_max_m)).any())
 
 
 def _lines(path: Path, stream: IO[str], unpacking: Unpacking) -> Iterator[str]:
@@ -219,8 +215,7 @@ def _take(log: _Log, fields: list[str], report: ImportReport) -> int:
 
     Raises ValueError, IndexError, ArithmeticError for a line that is not as it should be.
     """
-    kind, above = fields[0], log.scan_above
-    log.scan_above = None
+    kind, above, log.scan_above = fields[0], log.scan_above, None
     match kind:
         case "FLASER" | "RLASER":
             scan = _flaser(fields)

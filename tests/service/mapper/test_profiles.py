@@ -421,10 +421,9 @@ def test_only_what_the_chosen_profile_stands_on_is_imported(chosen: str) -> None
         [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=True
     )
     imported = {name.removeprefix("service.") for name in done.stdout.split()}
-    methods = {name.split(".")[2] for name in imported if name.startswith("mapper.methods.")}
-    assert methods == {chosen, "shared"}
-    papers = {name.split(".")[2] for name in imported if name.startswith("mapper.papers.")}
-    assert papers <= {chosen}
+    for folder, expected in (("methods", {chosen, "shared"}), ("papers", {chosen} - {"corridor"})):
+        names = {name.split(".")[2] for name in imported if name.startswith(f"mapper.{folder}.")}
+        assert names == expected
     kernels = {name.removeprefix("kernels.") for name in imported if name.startswith("kernels.")}
     assert OWN_KERNELS[chosen] <= kernels
     assert not kernels & set().union(*(OWN_KERNELS[name] for name in METHODS if name != chosen))

@@ -8,7 +8,6 @@ import struct
 import subprocess
 import threading
 import time
-from contextlib import AsyncExitStack
 
 import aiohttp
 import pytest
@@ -16,6 +15,7 @@ import pytest
 from service.encoding import encode_pose
 from service.web import browser
 from service.web.live_view import MAX_EVENTS
+from service.web.protocol import PATH, TILES
 from service.web.send_queue import MAX_NOTES
 from service.web.server import WebServer
 from service.web.tokens import add_grant, revoke_grant
@@ -23,8 +23,6 @@ from tests.browser.scene import Scene, event, stamp
 from tests.service.mapstore.tile_makers import tile
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
 from tests.waiting import wait_until
-
-TILES, PATH = 1, 3
 
 HANDSHAKE = (
     "GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: {origin}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -50,7 +48,7 @@ def test_the_page_and_all_it_needs_come_with_strict_headers(serve):
     async def look(client):
         async with client.session.get(client.address) as response:
             page = await response.text()
-        assert response.status == 200
+            assert response.status == 200
         assert response.headers["Content-Security-Policy"].startswith("default-src 'none'")
         assert "Server" not in response.headers or "corridor" not in response.headers["Server"]
         assert "<canvas" in page
@@ -89,11 +87,8 @@ def test_a_new_browser_is_told_all_of_it(serve, store):
         async with client.socket() as socket:
             hello = await client.next(socket, "hello")
             assert hello["profiles"] == ["corridor", "contour_lm", "imle"]
-            assert (hello["vehicle"], hello["profile"], hello["verbs"]) == (
-                "veh1",
-                "corridor",
-                ["mark", "wait"],
-            )
+            about = {name: hello[name] for name in ("vehicle", "profile", "verbs")}
+            assert about == {"vehicle": "veh1", "profile": "corridor", "verbs": ["mark", "wait"]}
             pose = await client.next(socket, "pose")
             assert pose["stamp_ns"] == str(stamp(1.0))
             tiles = await client.next(socket, TILES)
@@ -435,7 +430,7 @@ def test_sockets_without_a_token_do_not_keep_out_one_that_has_it(serve, dispatch
     """32 of them, then one that shows a token, which stays while more come."""
 
     async def look(client):
-        async with AsyncExitStack() as crowd:
+        async with contextlib.AsyncExitStack() as crowd:
             for _ in range(32):
                 await client.next(await crowd.enter_async_context(client.socket()), "hello")
             async with client.socket() as operator:
@@ -456,7 +451,7 @@ def test_who_shows_no_token_where_the_places_without_one_are_taken_has_to_go(ser
     monkeypatch.setattr(browser, "SHOW_TOKEN_S", 0.05)
 
     async def look(client):
-        async with AsyncExitStack() as crowd:
+        async with contextlib.AsyncExitStack() as crowd:
             for _ in range(3):
                 await client.next(await crowd.enter_async_context(client.socket()), "hello")
             async with client.socket() as late:
