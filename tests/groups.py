@@ -36,7 +36,7 @@ PAGES = (  # against clocks, and mostly waiting, as those of the browser
 )
 PARTS = (  # each on its own: drivers, fake devices, kernels
     *("tests/chaos", "tests/drivers", "tests/fuzz", "tests/simulators"),
-    *(f"tests/service/{folder}" for folder in ("fusion", "geometry", "kernels")),
+    *(f"tests/service/{folder}" for folder in ("estimator", "geometry", "kernels")),
 )
 MAPPING = (
     *("tests/accuracy", "tests/service/mapper"),

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from drivers.frames import GnssFix, LaserScan
 from drivers.section import Section
-from service.fusion.motion import Measurement, Motion, MotionModel, Prediction
+from service.estimator.motion import Measurement, Motion, MotionModel, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.kernels.usual_gap import usual_gap

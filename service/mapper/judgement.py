@@ -8,7 +8,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.section import Section
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.outputs import NO_REASON, Reason, State

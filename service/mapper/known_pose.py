@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.fusion.motion import Matrix, Motion
+from service.estimator.motion import Matrix, Motion
 from service.geometry import poses as se2
 from service.geometry.poses import Floats, Poses
 from service.geometry.se2 import SE2

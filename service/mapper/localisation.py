@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.fusion.motion import Matrix, Motion
+from service.estimator.motion import Matrix, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews, PossiblePlace
 from service.mapper.judgement import judge_blank, sigmas_of, too_few

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
-from service.fusion.motion import Motion, Prediction
+from service.estimator.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.mapper.checks.sensor_checks import SensorChecks, Verdict
 from service.mapper.components import (

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.fusion.motion import Motion, Prediction
+from service.estimator.motion import Motion, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist

@@ -53,12 +53,12 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "motion within a sweep ([23])",
-        "service.fusion.estimator",
+        "service.estimator.estimator",
         {"sweep_deviation": lambda *_: False},
     ),
     (
         "acceleration that lasts",
-        "service.fusion.estimator",
+        "service.estimator.estimator",
         {"ACCELERATION_S": 1e-4},  # of the same density: white
     ),
     (
@@ -68,7 +68,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "odometry with a fault does not count",
-        "service.fusion.estimator",
+        "service.estimator.estimator",
         {"FAULT_NOISE": math.inf},
     ),
     (
@@ -113,7 +113,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "odometry that stands counts only where a vehicle can stand ([30])",
-        "service.fusion.standstill.Standstill",
+        "service.estimator.standstill.Standstill",
         {"says_nothing": lambda *_: False},
     ),
     (

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import SearchWindow, search_exhaustive
 from service.mapper.components import Match, Points

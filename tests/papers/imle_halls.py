@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.compile.warm_up import warm_up
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.mapper.papers.imle.patch_map import PatchMap, PatchMapConfig

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import ImuSample, LaserScan
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
 from service.kernels.contours import ALONE, extract_contours

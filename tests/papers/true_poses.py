@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from drivers.frames import LaserScan
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from tests.simulated import FORWARD, Drive

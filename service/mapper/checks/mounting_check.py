@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.fusion.motion import Matrix, Measurement, Prediction
+from service.estimator.motion import Matrix, Measurement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, Reason

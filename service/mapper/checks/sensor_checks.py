@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from drivers.frames import LaserScan, OdometrySample
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.mapper.checks.mounting_check import MountingCheck
 from service.mapper.checks.odometry_mounting import OdometryMounting
 from service.mapper.checks.scan_check import OdometryWait, ScanCheck

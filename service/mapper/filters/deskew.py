@@ -9,7 +9,7 @@ from pydantic import Field
 from drivers.frames import LaserScan
 from drivers.section import Section
 from service.errors import InputError
-from service.fusion.motion import Motion, Prediction
+from service.estimator.motion import Motion, Prediction
 from service.geometry.polygons import is_inside
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns

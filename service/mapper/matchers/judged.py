@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.estimator.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import STUDENT
 from service.mapper.components import KnownMap, Match, Points

@@ -1,6 +1,6 @@
 """Components of more than one profile."""
 
-from service.fusion.estimator import Estimator, EstimatorConfig
+from service.estimator.estimator import Estimator, EstimatorConfig
 from service.mapper.components import ComponentKind, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
 from service.mapper.graph.model.no_graph import NoGraph

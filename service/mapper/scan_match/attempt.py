@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.kernels.match import MatchResult, Prior
 from service.mapper.components import Points

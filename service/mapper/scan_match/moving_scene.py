@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from service.fusion.estimator import EstimatorConfig
-from service.fusion.motion import Prediction, Reckoned
+from service.estimator.estimator import EstimatorConfig
+from service.estimator.motion import Prediction, Reckoned
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.estimator.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.filter_state import STUDENT

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.geometry.se2 import SE2
 from service.mapper.judgement import MAX_DRIFT_M, drift_of
 from service.mapper.known_pose import KnownPose, carried, covariance_added

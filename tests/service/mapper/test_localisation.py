@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.fusion.motion import Measurement, Motion
+from service.estimator.motion import Measurement, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import (
     FoundOnce,

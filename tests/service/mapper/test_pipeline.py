@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan
-from service.fusion import estimator
+from service.estimator import estimator
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.errors import InputError
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import ComponentKind, Method, NoSettings
 from service.mapper.judgement import MAX_BLANK_S, TIGHT_SIGMA_M, judge_blank

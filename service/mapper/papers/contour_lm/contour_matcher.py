@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.section import Section
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points
 from service.kernels.likelihood import LikelihoodField

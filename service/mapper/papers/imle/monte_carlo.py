@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.line_likelihood import monte_carlo_search

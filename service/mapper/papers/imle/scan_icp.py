@@ -8,7 +8,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.section import Section
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.deskew import deskew_points
 from service.kernels.icp import icp_point_to_point

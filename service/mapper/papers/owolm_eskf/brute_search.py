@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_lm import thin_evenly

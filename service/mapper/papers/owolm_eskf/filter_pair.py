@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from service.fusion.motion import Matrix, Measurement
+from service.estimator.motion import Matrix, Measurement
 from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2
 from service.mapper.judgement import chi2_between, sigmas_of

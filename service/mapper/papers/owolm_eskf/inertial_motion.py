@@ -8,7 +8,7 @@ from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
-from service.fusion.motion import Measurement, Motion, Prediction
+from service.estimator.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY
 from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.counted_occupancy import weigh_scan

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.checks.mounting_check import BATCH_SCANS, MountingCheck
 

@@ -5,7 +5,7 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.errors import InputError
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.geometry.se2 import SE2
 from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.outputs import State

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.fusion.motion import Prediction, Reckoned
+from service.estimator.motion import Prediction, Reckoned
 from service.geometry.se2 import SE2
 from service.mapper.scan_match.moving_scene import Reckoning, evidence_nats, inertia_nats
 from service.offline.replay.replay import ReplayOptions, replay

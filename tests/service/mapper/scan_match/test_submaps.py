@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.fusion.motion import Measurement
+from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.surfels import COLUMNS, COUNT, MEAN_X, MEAN_Y, SurfelGrid
 from service.mapper.components import MapChange

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.fusion.motion import Measurement, Motion
+from service.estimator.motion import Measurement, Motion
 from service.geometry.se2 import SE2
 from service.mapper.background import Done
 from service.mapper.components import MapChange, MappedScan, Match

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.fusion.motion import Prediction
+from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.papers.contour_lm.contour_map import ContourMap, ContourMapConfig
 from service.mapper.papers.contour_lm.contour_matcher import ContourLm, ContourLmConfig

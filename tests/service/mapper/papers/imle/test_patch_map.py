@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.geometry.se2 import SE2
 from service.kernels import line_likelihood
 from service.mapper.components import Match, Points

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from service.fusion.motion import Measurement, Motion
+from service.estimator.motion import Measurement, Motion
 from service.geometry.se2 import SE2
 from service.mapper.papers.owolm_eskf.inertial_motion import InertialMotion, InertialMotionConfig
-from tests.service.fusion.samples import MS, odometry
+from tests.service.estimator.samples import MS, odometry
 
 STEP_MS, STEP_M = 100, 0.05
 DOTS = np.diag([1e-4, 1e-4, 1e-6])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from drivers.frames import ImuSample
-from service.fusion.motion import Measurement
+from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.mapper.papers.owolm_eskf.inertial_motion import InertialMotion, InertialMotionConfig
 from service.mapper.papers.owolm_eskf.inertial_track import InertialTrack
-from tests.service.fusion.samples import MS, matched, odometry
+from tests.service.estimator.samples import MS, matched, odometry
 
 SURE = np.diag([1e-5, 1e-5, 1e-6])
 NOTHING = (0.0, 0.0, 0.0)

@@ -4,7 +4,7 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.papers.owolm_eskf.odometry_track import OdometryTrack
-from tests.service.fusion.samples import MS, odometry
+from tests.service.estimator.samples import MS, odometry
 
 TWIST = (1.0, 0.0, 0.5)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.frames import LaserScan, OdometrySample
-from service.fusion.estimator import Estimator, EstimatorConfig
-from service.fusion.motion import Prediction
+from service.estimator.estimator import Estimator, EstimatorConfig
+from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.kernels.counted_occupancy import weigh_scan
 from service.kernels.likelihood_lm import thin_evenly

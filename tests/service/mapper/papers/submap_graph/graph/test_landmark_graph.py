@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.fusion.motion import Motion
+from service.estimator.motion import Motion
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import ImuSample, OdometrySample
-from service.fusion.motion import Measurement
+from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 
 MS = 1_000_000

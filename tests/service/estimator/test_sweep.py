@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.fusion.estimator import Estimator, EstimatorConfig
-from service.fusion.motion import Motion, Prediction
+from service.estimator.estimator import Estimator, EstimatorConfig
+from service.estimator.motion import Motion, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
-from tests.service.fusion.samples import MS, gyro, matched, odometry
+from tests.service.estimator.samples import MS, gyro, matched, odometry
 
 SWEEP_MS, BEAMS = 150, 301
 AT_MS = 1000  # of the scan; until then the vehicle stands

@@ -6,8 +6,8 @@ import pytest
 from scipy.linalg import expm
 
 from drivers.frames import ImuSample, OdometrySample
-from service.fusion import estimator
-from service.fusion.estimator import (
+from service.estimator import estimator
+from service.estimator.estimator import (
     ACCELERATION_S,
     CAPACITY,
     FADE_S,
@@ -19,11 +19,11 @@ from service.fusion.estimator import (
     EstimatorConfig,
     _Samples,
 )
-from service.fusion.motion import Measurement, Prediction
+from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import ACCELERATION, LOCAL, MAP_BLOCK, TWIST
 from service.mapper.known_pose import carried
-from tests.service.fusion.samples import MS, gyro, matched, odometry
+from tests.service.estimator.samples import MS, gyro, matched, odometry
 
 TIGHT = np.diag([1e-6, 1e-6, 1e-8])  # 1 mm, 0.1 mrad
 RESOLUTION_M = 2e-4  # of odometry, in the estimator

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from service.fusion.estimator import Estimator, EstimatorConfig
+from service.estimator.estimator import Estimator, EstimatorConfig
 from service.geometry.se2 import SE2
 from service.mapper.judgement import is_loose, sigmas_of
-from tests.service.fusion.samples import MS, SURE, matched, odometry
+from tests.service.estimator.samples import MS, SURE, matched, odometry
 
 VAGUE = np.diag([0.015**2, 1e-6, 1e-8])  # along a corridor, m^2
 DEAD_MS = 4000

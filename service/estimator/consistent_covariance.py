@@ -9,7 +9,7 @@ the graph weighs steps by, and what the state is judged by.
 import numpy as np
 import numpy.typing as npt
 
-from service.fusion.motion import Measurement
+from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.estimator import predict_motion, take_match, transfer_into_map
 from service.kernels.filter_state import (

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.fusion.consistent_covariance import ConsistentCovariance, widen_pose
-from service.fusion.estimator import Estimator, EstimatorConfig
-from service.fusion.motion import Measurement
+from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
+from service.estimator.estimator import Estimator, EstimatorConfig
+from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import MAP_BLOCK, NUMBERS, STAMPS, PackedFilter, views_of
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.world import Plan, World, make_world
 from tests.accuracy.driving import mapping_config, ok_and_wrong
-from tests.service.fusion.samples import MS, odometry
+from tests.service.estimator.samples import MS, odometry
 from tests.simulated import LMS100_50HZ, drive, run
 from tests.soaked import in_soak
 

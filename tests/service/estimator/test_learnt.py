@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from service.fusion.estimator import ACCELERATION_S, Estimator, EstimatorConfig
-from service.fusion.motion import Measurement
+from service.estimator.estimator import ACCELERATION_S, Estimator, EstimatorConfig
+from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import LAG, SCALE, TURN_SCALE
-from tests.service.fusion.samples import gyro, matched, odometry
+from tests.service.estimator.samples import gyro, matched, odometry
 from tests.simulated import Wheels
 from tests.soaked import every_other, in_soak
 

@@ -14,9 +14,9 @@ from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
-from service.fusion.consistent_covariance import ConsistentCovariance, widen_pose
-from service.fusion.motion import Matrix, Measurement, Motion, Prediction, Reckoned, scan_alone
-from service.fusion.standstill import Standstill
+from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
+from service.estimator.motion import Matrix, Measurement, Motion, Prediction, Reckoned, scan_alone
+from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import predict_motion, take_match, tie_to_scale, transfer_into_map
