@@ -200,6 +200,7 @@ def _losses(told: dict[str, dict[str, Any]]) -> dict[str, int]:
     for part, values in told.items():
         for name, value in values.items():
             aside = part == "zenoh" or name == "dropped" or (part, name) == ("mapping", "scans_dropped")
+            aside |= name == "count.messages_missed"  # of the IMU, which counts the samples in them as well
             if not aside and value != "0" and any(word in name for word in COUNTED_AS_LOST):
                 who = part.removeprefix("sensor/")
                 losses[who] = losses.get(who, 0) + int(value)

@@ -23,6 +23,7 @@ from service.offline.replay.replay import Replay, ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.back_end import BackEndProcess
+from service.runtime.channel import wait_for
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
 from service.runtime.mapping_outputs import MappingOutputs
@@ -101,8 +102,7 @@ class Live:
     def _let_the_back_end_finish(self) -> None:
         deadline_s = time.monotonic() + 60.0
         while self.process.is_at_work and time.monotonic() < deadline_s:
-            if (channel := self.process.channel) is not None:
-                channel.wait(1.0)
+            wait_for(self.process.ends, 1.0)
 
     def _put(self, message: Message, arrived_ns: int | None) -> None:
         self._recorder.put(message)

@@ -209,7 +209,8 @@ def test_40_attempts_of_strangers_are_refused_and_nothing_is_lost(
         assert seen[name].level == 0, seen[name]
     assert seen["commands"].values.get("mark") == "1"
     assert seen["commands"].values.get("refused", "0") == "0"
-    assert seen["mapping"].values["state"] in ("ok", "degraded", "overloaded")  # neither paused nor lost
+    # Scans may be late (`stale`, `overloaded`) where other tests have the processor.
+    assert seen["mapping"].values["state"] not in ("paused", "lost")
     assert sorted(service.sessions.iterdir()) == recorded
     assert watching.count("pose") > 0
     for subscriber in (honest, watching):

@@ -11,10 +11,10 @@ from service.mapper.components import SavedGraph
 from service.mapper.graph.edit.editing import solved
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.profiles import mapping_config
-from service.mapstore import files
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
 from service.mapstore.in_use import InUse
+from service.mapstore.manifest import digest_of
 from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.maps.log import map_log
 from service.outputs import TileUpdate
@@ -224,7 +224,7 @@ def test_an_older_map_is_edited_and_the_older_version_kept(ring, graph):
     path = ring / "v000001" / "manifest.json"
     manifest = json.loads(path.read_text()) | {"format": 2}
     del manifest["sha256"], manifest["edit"]
-    path.write_text(json.dumps(manifest | {"sha256": files._digest(manifest)}))
+    path.write_text(json.dumps(manifest | {"sha256": digest_of(manifest)}))
     edit(ring, "--wall", 0, 0, 1, 0)
     assert load_map(ring).number == 2
     assert load_map(ring, 1).edit is None
