@@ -110,9 +110,8 @@ def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp
         return streams[-1]
 
     session = recorder(open_stream=open_stream, monotonic_s=clock)
-    session.put(scan_message(0))
+    session.put(scan_message(0))  # a new file is synced with its first message
     wait_until(lambda: session.health.messages == 1)
-    clock.now_s += 1.0
     wait_until(lambda: streams[0].tell() > 1_000)
     session.put(scan_message(1))
     session.put(scan_message(2))
