@@ -27,6 +27,7 @@ BATCH_SCANS = 25  # after which an offset is judged
 MIN_STEP_M, MIN_STEP_RAD = 0.02, math.radians(2.0)
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position
 MIN_AGREEING = 5.0  # scans by which a direction is known: one may be found in a wrong place
+OPEN = 1e-9  # a direction of so small a part of the information, by rounding alone
 MAP_ERROR = MIN_AGREEING * np.diag([KNOWN_M, KNOWN_M, KNOWN_RAD]) ** 2  # (3, 3) of one scan's place on it
 
 
@@ -64,7 +65,8 @@ class MountingCheck:
         """
         off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
         with_map_error = np.linalg.inv(np.eye(3) + measured.information @ MAP_ERROR)  # (I^-1 + M)^-1 = this I
-        self._information.append(with_map_error @ measured.information)
+        information = with_map_error @ measured.information
+        self._information.append(0.5 * (information + information.T))
         self._weighed.append(with_map_error @ np.linalg.inv(measured.covariance) @ off)
         self._is_apart.append(self._has_moved_to(looked_for.pose_odom_base))
         if len(self._weighed) == BATCH_SCANS:
@@ -134,7 +136,7 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
     information   (K, 3, 3)   of each scan, singular where it leaves a direction open
     weighed       (K, 3)      its offset, times that
     """
-    inverse = np.linalg.pinv(information, hermitian=True)
+    inverse = np.linalg.pinv(information, rcond=OPEN, hermitian=True)
     prior = 1e-3 * np.linalg.inv(TOLERANCE)
     counts = np.ones(len(weighed))
     offset, covariance = np.zeros(3), prior

@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +180,10 @@ def _open_study(optuna: Any, out: Path, about: str, parameters: Sequence[Paramet
     try:
         out.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
-            storage=f"sqlite:///{(out / STUDY_FILE).absolute()}",
+            storage=optuna.storages.RDBStorage(
+                f"sqlite:///{(out / STUDY_FILE).absolute()}",
+                engine_kwargs={"poolclass": import_module("sqlalchemy.pool").NullPool},  # keeps no file open
+            ),
             study_name="corridor",
             pruner=optuna.pruners.MedianPruner(n_startup_trials=PRUNE_AFTER),
             load_if_exists=True,
