@@ -10,6 +10,8 @@ from queue import SimpleQueue
 
 import pytest
 from aiohttp import web
+from moto.server import ThreadedMotoServer
+from pyarrow import parquet
 
 from service import archive
 from service.archive import fingerprint, open_binary, path_or_url
@@ -20,14 +22,11 @@ from tests.service.offline.replay.test_replay import RecordDrive, record_drive
 
 __all__ = ["record_drive"]  # a fixture
 
-pytest.importorskip("upath")
-
 
 @pytest.fixture(scope="module")
 def bucket() -> Iterator[Path]:
     """An empty one of an S3 server that runs here."""
-    server_module = pytest.importorskip("moto.server")
-    server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
@@ -47,7 +46,6 @@ def test_s3_is_source_and_sink_of_the_same_bytes(
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ):
-    parquet = pytest.importorskip("pyarrow.parquet")
     sessions = [record_drive("a", scans=10), record_drive("b", scans=12)]
     local = [str(sessions[0].parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
     assert main(["replay", *local]) == 0

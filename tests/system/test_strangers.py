@@ -17,15 +17,12 @@ import zenoh
 
 from drivers.zenoh_callback import daemon_callback
 from service.encoding import decode_diagnostics
+from service.offline.security.authority import Holder, init_site
 from service.web.tokens import add_grant, granted_beside, revoke_grant
 from tests.service.publishing.conftest import HOSTS, tls
 from tests.service.web.conftest import Client
 from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscriber, free_port
 from tests.waiting import wait_until
-
-pytest.importorskip("cryptography", reason="certificates are made with it: make venv")
-
-from service.offline.security.authority import Holder, init_site
 
 ROOT = "corridor/v1/veh1"
 FAKE = b"FAKE"

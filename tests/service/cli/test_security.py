@@ -7,8 +7,6 @@ from service.errors import InputError, UsageError
 from service.web.tokens import Tokens
 from tests.service.cli.test_commands import code_of
 
-pytest.importorskip("cryptography", reason="certificates are made with it: make venv")
-
 
 def test_init_makes_the_files_of_a_site_and_says_what_goes_into_the_config(tmp_path, capsys):
     arguments = ["security", "init", str(tmp_path), "--vehicle", "veh1=10.0.0.7,site.example"]

@@ -10,6 +10,7 @@ import zenoh
 
 from drivers.zenoh_config import zenoh_config
 from service.mapstore.tiles import TileStore
+from service.offline.security.authority import Holder, init_site
 from service.publishing.config import PublishingConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
 
@@ -105,9 +106,6 @@ def client(publisher, open_client) -> zenoh.Session:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
     """Certificates by name, those of another site in `other`, and a file of users."""
-    pytest.importorskip("cryptography", reason="certificates are made with it: make venv")
-    from service.offline.security.authority import Holder, init_site
-
     folder = tmp_path_factory.mktemp("site")
     names = {"veh1": "vehicle", "veh2": "vehicle", "operator": "operator", "viewer": "viewer"}
     init_site(folder, [Holder(name, role, HOSTS) for name, role in names.items()], days=30)

@@ -1,18 +1,23 @@
 """Whether part of the scene moves: what stands still, and odometry, against all that the laser sees."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drivers.frames import LaserScan
 from service.estimator.motion import Prediction, Reckoned
 from service.geometry.se2 import SE2
+from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.scan_match.moving_scene import Reckoning, evidence_nats, inertia_nats
+from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton
 from service.offline.replay.replay import ReplayOptions, replay
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import judge
 from tests.accuracy.scenes import mapped
+from tests.service.mapper.drives import MOUNTING, ROOM, down_the_corridor, drive
 from tests.soaked import in_soak
 
 STEP_M, STEP_NS = 0.04, 40_000_000
@@ -75,6 +80,28 @@ def test_evidence_is_for_the_pose_at_which_static_walls_lie() -> None:
     assert nats == pytest.approx(-evidence_nats(off, on_walls, beam))
     assert nats == pytest.approx(10 * 2.2, rel=0.1)  # a measurement for each ten neighbours
     assert evidence_nats(off, off, beam) == 0.0
+
+
+@pytest.mark.parametrize(("hidden", "is_seen"), [((120,), False), ((120, 121), True)])
+def test_what_moves_is_seen_in_two_scans_in_a_row(
+    monkeypatch: pytest.MonkeyPatch, hidden: tuple[int, ...], is_seen: bool
+) -> None:
+    """In these a fifth of the beams ends half-way to the wall, where nothing stood."""
+    frames = drive(ROOM, down_the_corridor, 3.0).frames
+    scans = [number for number, frame in enumerate(frames) if isinstance(frame, LaserScan)]
+    for number in (scans[k] for k in hidden):
+        scan = frames[number]
+        assert isinstance(scan, LaserScan)
+        range_m = scan.range_m.copy()
+        range_m[200:310] *= 0.5
+        frames[number] = replace(scan, range_m=range_m)
+    found, match = [], SurfelGaussNewton.match
+    monkeypatch.setattr(SurfelGaussNewton, "match", lambda *args: found.append(match(*args)) or found[-1])
+    mapper = build_mapper(mapping_config(), {"front": MOUNTING})
+    for frame in frames:
+        mapper.process(frame)
+    assert len(found) == len(scans)
+    assert any(one.is_moving is not None for one in found) == is_seen
 
 
 @pytest.mark.parametrize(("elapsed_s", "least", "most"), [(0.04, 5.0, 20.0), (1.5, 0.0, 0.1)])

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PosixPath
 
+import dask
 import pytest
+from pyarrow import parquet
 
 from service.cli import main
 from service.errors import CorridorError, InputError, UsageError
@@ -79,7 +81,6 @@ def test_a_process_that_dies_costs_its_own_task_alone(judge: Judge):
 def test_dask_tries_the_task_of_a_dead_worker_again_and_gives_the_same_bytes(
     log_line: str | None, judge: Judge, caplog: pytest.LogCaptureFixture
 ):
-    pytest.importorskip("distributed")
     caplog.set_level("INFO")
     with Cluster("local:1" if log_line is None else "local:2") as cluster:
         judge(cluster, log_line)
@@ -142,7 +143,6 @@ def test_the_command_tells_how_far_it_is_and_writes_one_table(
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
 ):
-    parquet = pytest.importorskip("pyarrow.parquet")
     bad = tmp_path / "in" / "bad.mcap"
     asked = ["replay", str(record_drive(scans=10).parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
     bad.write_text("no recording")
@@ -175,7 +175,6 @@ def test_slurm_starts_workers_by_dask_jobqueue(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """An sbatch that runs the job here and at once."""
-    pytest.importorskip("dask_jobqueue")
     sbatch, scancel = tmp_path / "bin" / "sbatch", tmp_path / "bin" / "scancel"
     sbatch.parent.mkdir()
     sbatch.write_text(
@@ -186,7 +185,6 @@ def test_slurm_starts_workers_by_dask_jobqueue(
     sbatch.chmod(0o755)
     scancel.chmod(0o755)
     monkeypatch.setenv("PATH", f"{sbatch.parent}:{os.environ['PATH']}")
-    dask = pytest.importorskip("dask")
     settings = {"cores": 1, "memory": "2GB", "interface": "lo"}
     dask.config.set({f"jobqueue.slurm.{name}": value for name, value in settings.items()})
     tasks = new_tasks([[record_drive(scans=10)]], ReplayOptions(), [tmp_path / "out"])

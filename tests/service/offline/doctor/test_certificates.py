@@ -8,11 +8,8 @@ import pytest
 from service.config import ServiceConfig, parse_config
 from service.offline.doctor.certificates import look_at_certificates
 from service.offline.doctor.findings import Finding
-from tests.service.offline.doctor.conftest import FakeTree
-
-pytest.importorskip("cryptography", reason="certificates are made with it: make venv")
-
 from service.offline.security.authority import Holder, init_site
+from tests.service.offline.doctor.conftest import FakeTree
 
 NOW = datetime.fromtimestamp(1.8e9, UTC)  # of the machine
 PLACE = "/etc/corridor/security"

@@ -7,19 +7,17 @@ from pathlib import Path
 import pytest
 import yaml
 import zenoh
+from cryptography import x509
 
 from service.config import parse_config
 from service.errors import InputError
-from tests.docs.test_yaml import WHOLE
-
-x509 = pytest.importorskip("cryptography.x509", reason="certificates are made with it: make venv")
-
-from service.offline.security.authority import (  # noqa: E402
+from service.offline.security.authority import (
     Holder,
     common_name,
     init_site,
     read_certificate,
 )
+from tests.docs.test_yaml import WHOLE
 
 VEH1 = Holder("veh1", "vehicle", ("veh1.local", "10.0.0.7"))
 OPERATOR = Holder("operator", "operator")

@@ -104,7 +104,6 @@ def quadratic(tasks: Sequence[Task]) -> Ended:
 
 @pytest.fixture
 def drives_given(monkeypatch: pytest.MonkeyPatch) -> list[Drive]:
-    pytest.importorskip("optuna")
     told: Any = lambda folder, summary, truth: Measured(summary["cost"], {"cost": summary["cost"]})  # noqa: E731
     monkeypatch.setattr(search, "measure", told)
     return [Drive((Path(f"d{k}.mcap"),), None, is_held_out=k == 1) for k in range(3)]
@@ -187,7 +186,6 @@ def test_the_command_searches_real_drives_without_a_truth(
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
 ):
-    pytest.importorskip("optuna")
     sessions = [str(record_drive(name, scans=12)) for name in "ab"]
     out = tmp_path / "out"
     asked = ["tune", *sessions, "--self", "--trials", "1", "--out", str(out), "--parameter", "wall_sigma_m"]
@@ -209,7 +207,6 @@ def test_the_command_searches_real_drives_without_a_truth(
 @pytest.mark.timeout(1800)
 def test_wrong_settings_are_found_again_within_30_trials(tmp_path: Path):
     """Along a corridor without features the odometry decides, in an office the walls."""
-    pytest.importorskip("optuna")
     given = []
     for world, seeds in (("featureless", (1, 2, 3, 4)), ("office", (1, 2))):
         laser, wheels = replace(LMS100_50HZ, rate_hz=25.0), Wheels(sigma_m_per_sqrt_m=0.02)
