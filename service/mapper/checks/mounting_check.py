@@ -24,7 +24,7 @@ MEDIAN_CHI2 = 2.37  # of three degrees of freedom
 ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
 BATCH_SCANS = 25  # after which an offset is judged
 # Between scans by which a mounting is found right: at rest a corridor looks the same ahead and behind.
-MIN_STEP_M, MIN_STEP_RAD = 0.02, math.radians(2.0)
+MIN_STEP_M, MIN_STEP_RAD = 0.1, math.radians(5.0)
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position
 MIN_AGREEING = 5.0  # scans by which a direction is known: one may be found in a wrong place
 OPEN = 1e-9  # a direction of so small a part of the information, by rounding alone
@@ -104,13 +104,17 @@ class MountingCheck:
         return True
 
     def _judge(self) -> None:
-        # A direction that no scan has fixed says nothing: there the offset stays what it was.
         further, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
+        is_turn_known = math.sqrt(covariance[2, 2]) <= KNOWN_RAD
+        variances, axes = np.linalg.eigh(covariance[:2, :2])
+        known = axes[:, variances <= KNOWN_M**2]
+        # A direction that no scan has fixed says nothing: there the offset stays what it was.
+        further[:2] = known @ (known.T @ further[:2])
+        further[2] *= is_turn_known
         offset = self._offset + further
-        best_m, worst_m = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])).tolist()
         chi2 = float(offset @ np.linalg.solve(covariance + TOLERANCE, offset))
         is_off = chi2 > CHI2_999_OF_3
-        is_known = math.sqrt(covariance[2, 2]) <= KNOWN_RAD and (best_m if is_off else worst_m) <= KNOWN_M
+        is_known = is_turn_known and known.shape[1] >= (1 if is_off else 2)
         if not all(self._is_apart) and not (is_off and is_known):
             self._keep_those_apart()
             return

@@ -218,6 +218,14 @@ class ReplayRun:
             log.warning("%s has messages of several frame_ids: %s", topic, _in_words(devices))
         for loss in self._session.losses:
             log.warning("%s", loss)
+        for laser, scans in sorted(Counter(self._output_lasers).items()):
+            compared = self._mapper.counters[f"scans_compared_{laser}"]
+            if 2 * compared > scans:
+                log.warning(
+                    "%s: %d of %d scans are not in the map: they were compared with that of other lasers, "
+                    "until scans of 25 places that fix all directions agree with its mounting in the config",
+                    *(laser, compared, scans),
+                )
         # In localisation the map stays the one it was.
         is_localized = self._setup.mapping.mode == "localization"
         return Replay(
