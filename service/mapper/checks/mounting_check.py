@@ -16,6 +16,7 @@ import numpy as np
 from service.estimator.motion import Matrix, Measurement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2
+from service.mapper.checks.stamp_check import SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
@@ -23,12 +24,7 @@ SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search
 MEDIAN_CHI2 = 2.37  # of three degrees of freedom
 ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
 BATCH_SCANS = 25  # after which an offset is judged
-# Between scans by which a mounting is found right: at rest a corridor looks the same ahead and behind.
-MIN_STEP_M, MIN_STEP_RAD = 0.1, math.radians(5.0)
-KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position
-MIN_AGREEING = 5.0  # scans by which a direction is known: one may be found in a wrong place
-OPEN = 1e-9  # a direction of so small a part of the information, by rounding alone
-MAP_ERROR = MIN_AGREEING * np.diag([KNOWN_M, KNOWN_M, KNOWN_RAD]) ** 2  # (3, 3) of one scan's place on it
+KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
 
 
 class MountingCheck:
@@ -64,13 +60,11 @@ class MountingCheck:
         information and e where the scan alone lies; so I e is found without inverting I.
         """
         off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
-        with_map_error = np.linalg.inv(np.eye(3) + measured.information @ MAP_ERROR)  # (I^-1 + M)^-1 = this I
-        information = with_map_error @ measured.information
-        self._information.append(0.5 * (information + information.T))
-        self._weighed.append(with_map_error @ np.linalg.inv(measured.covariance) @ off)
-        self._is_apart.append(self._has_moved_to(looked_for.pose_odom_base))
+        self._information.append(measured.information / SAME_ERRORS)
+        self._weighed.append(np.linalg.inv(measured.covariance) @ off / SAME_ERRORS)
         if len(self._weighed) == BATCH_SCANS:
             self._judge()
+            self._begin_batch()
 
     def miss(self) -> None:
         """A scan that fitted nowhere around."""
@@ -86,46 +80,20 @@ class MountingCheck:
     def _begin_batch(self) -> None:
         self._information: list[Matrix] = []  # (3, 3) of each scan
         self._weighed: list[Matrix] = []  # (3,) its offset, times that
-        self._is_apart: list[bool] = []  # from the place of the one before
-        self._seen_at: SE2 | None = None
         self._missed = 0
 
-    def _keep_those_apart(self) -> None:
-        kept = [number for number, is_apart in enumerate(self._is_apart) if is_apart]
-        self._information = [self._information[number] for number in kept]
-        self._weighed = [self._weighed[number] for number in kept]
-        self._is_apart = [True] * len(kept)
-
-    def _has_moved_to(self, pose_odom_base: SE2) -> bool:
-        step = SE2(math.inf) if self._seen_at is None else self._seen_at.inverse() @ pose_odom_base
-        if math.hypot(step.x_m, step.y_m) < MIN_STEP_M and abs(step.theta_rad) < MIN_STEP_RAD:
-            return False
-        self._seen_at = pose_odom_base
-        return True
-
     def _judge(self) -> None:
-        further, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
-        is_turn_known = math.sqrt(covariance[2, 2]) <= KNOWN_RAD
-        variances, axes = np.linalg.eigh(covariance[:2, :2])
-        known = axes[:, variances <= KNOWN_M**2]
         # A direction that no scan has fixed says nothing: there the offset stays what it was.
-        further[:2] = known @ (known.T @ further[:2])
-        further[2] *= is_turn_known
-        offset = self._offset + further
-        chi2 = float(offset @ np.linalg.solve(covariance + TOLERANCE, offset))
-        is_off = chi2 > CHI2_999_OF_3
-        is_known = is_turn_known and known.shape[1] >= (1 if is_off else 2)
-        if not all(self._is_apart) and not (is_off and is_known):
-            self._keep_those_apart()
+        further, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
+        self._offset = self._offset + further
+        sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
+        if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
             return
-        self._begin_batch()
-        self._offset = offset
-        if not is_known:
-            return
-        self.is_right = not is_off
+        chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
+        self.is_right = chi2 <= CHI2_999_OF_3
         x_m, y_m, turn_rad = self._offset.tolist()
         self.fault = NO_REASON
-        if is_off:
+        if not self.is_right:
             self.fault = Reason(
                 "laser_mounting",
                 f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead "
@@ -140,7 +108,7 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
     information   (K, 3, 3)   of each scan, singular where it leaves a direction open
     weighed       (K, 3)      its offset, times that
     """
-    inverse = np.linalg.pinv(information, rcond=OPEN, hermitian=True)
+    inverse = np.linalg.pinv(information, hermitian=True)
     prior = 1e-3 * np.linalg.inv(TOLERANCE)
     counts = np.ones(len(weighed))
     offset, covariance = np.zeros(3), prior
@@ -148,7 +116,7 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
         covariance = np.linalg.inv(np.einsum("k,kij->ij", counts, information) + prior)
         offset = covariance @ (counts @ weighed)
         off = information @ offset - weighed
-        chi2 = np.einsum("ki,kij,kj->k", off, inverse, off)
+        chi2 = SAME_ERRORS * np.einsum("ki,kij,kj->k", off, inverse, off)
         excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     return offset, covariance

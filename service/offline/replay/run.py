@@ -223,7 +223,7 @@ class ReplayRun:
             if 2 * compared > scans:
                 log.warning(
                     "%s: %d of %d scans are not in the map: they were compared with that of other lasers, "
-                    "until scans of 25 places that fix all directions agree with its mounting in the config",
+                    "until 25 of them agree with its mounting in the config",
                     *(laser, compared, scans),
                 )
         # In localisation the map stays the one it was.

@@ -289,11 +289,11 @@ def test_a_laser_that_hangs_is_named_while_another_sees_on():
 def test_a_laser_without_returns_contradicts_nothing_and_is_asked_for_its_window():
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
     said = set()
-    for frame in two_lasers(7.4):
-        if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > 8_000_000_000:
+    for frame in two_lasers():
+        if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > 1_700_000_000:
             frame = replace(frame, range_m=np.full_like(frame.range_m, np.nan))
         output = mapper.process(frame)
-        if output is not None and frame.stamp_ns > 8_100_000_000:
+        if output is not None and frame.stamp_ns > 1_800_000_000:
             said.add((frame.sensor, output.state, output.reason))
     assert said == {
         ("front", "ok", ""),
@@ -304,7 +304,7 @@ def test_a_laser_without_returns_contradicts_nothing_and_is_asked_for_its_window
             " It is not mapped; front confirms the map",
         ),
     }
-    assert mapper.counters["scans_blind_rear"] > 10
+    assert mapper.counters["scans_blind_rear"] > 20
     assert "scans_contradicting_rear" not in mapper.counters
 
 
