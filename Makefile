@@ -14,10 +14,19 @@ export CORRIDOR_SHARED ?= $(abspath ../shared)
 # One thread a process: the mapper is single-threaded, and BLAS pools only steal its core.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test check ci axe bench papers chaos interop soak wheel deb clean
+.PHONY: help venv demo test check ci axe bench papers chaos interop soak lock wheel deb release clean
 
 help: ## this list
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+# With LOCKED=1 exactly the versions of .ci/lock.txt, checked by their hashes, uv's own too; else the newest allowed.
+ifdef LOCKED
+INSTALL := sed -n '/^uv==/,/[^\\]$$/p' .ci/lock.txt | \
+	$(BIN)/python -m pip install --progress-bar off --disable-pip-version-check --require-hashes -r /dev/stdin && \
+	$(BIN)/uv pip install --python $(BIN)/python --constraints .ci/lock.txt --editable '.[dev]'
+else
+INSTALL := $(BIN)/python -m pip install --progress-bar off --disable-pip-version-check --editable '.[dev]'
+endif
 
 venv: $(STAMP) ## set up .venv; nothing to do when nothing changed
 
@@ -28,8 +37,7 @@ $(STAMP): pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 		echo "$(PYTHON) has no venv module. On Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@echo "2/3 packages: some $(VENV_MB) MB on disk, a quarter of it to download; one to five minutes"
-	@$(BIN)/python -m pip install --progress-bar off --disable-pip-version-check --editable '.[dev]' \
-		> $(VENV)/pip.log 2>&1 & pip=$$!; \
+	@{ $(INSTALL); } > $(VENV)/pip.log 2>&1 & pip=$$!; \
 	trap 'kill $$pip' INT TERM; seconds=0; \
 	while kill -0 $$pip 2>/dev/null; do sleep 1; seconds=$$((seconds + 1)); \
 		test $$((seconds % 5)) -ne 0 || echo "    $$seconds s, $$(du -sm $(VENV) | cut -f1) MB:" \
@@ -83,6 +91,13 @@ wheel: venv ## the wheel, in build/
 
 deb: wheel ## a Debian package for this Debian or Ubuntu, in build/
 	$(BIN)/python systemd/package/build_deb.py build/corridor-*.whl --out build
+
+lock: venv ## .ci/lock.txt: the newest allowed versions of all packages, with their hashes
+	$(BIN)/uv pip compile pyproject.toml --quiet --upgrade --all-extras --universal --generate-hashes \
+		--no-annotate --no-header --output-file .ci/lock.txt
+
+release: venv ## wheel and sdist of the commit, the same bytes each time, SBOM, licences, sums, in build/release
+	.ci/release $(BIN)
 
 soak: venv ## the long checks
 	$(BIN)/python -m pytest -q -m soak $(TEST_ARGS)

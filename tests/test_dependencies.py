@@ -7,6 +7,8 @@ import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+from packaging.requirements import Requirement
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("service", "drivers", "simulators")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -68,3 +70,18 @@ def test_every_dependency_has_its_reason():
     reasons = (ROOT / "docs" / "decisions" / "0001-dependencies.md").read_text().lower()
     for requirement in PROJECT["dependencies"]:
         assert f"| {plain(requirement)} |" in reasons, f"{requirement}: say in 0001-dependencies.md why"
+
+
+def test_the_lock_file_has_an_allowed_version_of_every_dependency_with_hashes():
+    locked: dict[str, list[str]] = {}
+    for entry in re.split(r"\n(?=\S)", (ROOT / ".ci" / "lock.txt").read_text()):
+        pinned = Requirement(entry.partition("\\")[0])
+        assert "--hash=sha256:" in entry, pinned
+        (version,) = pinned.specifier
+        locked.setdefault(plain(pinned.name), []).append(version.version)
+    for declared in (PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()):
+        for requirement in map(Requirement, declared):
+            versions = locked.get(plain(requirement.name), [])
+            assert versions, f"{requirement}: not in .ci/lock.txt; run make lock"
+            refused = [one for one in versions if one not in requirement.specifier]
+            assert not refused, f"{requirement}: .ci/lock.txt has {refused}; run make lock"
