@@ -64,6 +64,17 @@ class Ros2Config(Section):
     router: Literal["own", "connect"] = "own"
 
 
+class FleetConfig(Section):
+    """What goes to the routers of a site, over a session of its own. Without `connect`: nothing."""
+
+    connect: tuple[Endpoint, ...] = ()  # one of them is connected to, the others stand by
+    pose_hz: float = Field(default=5.0, gt=0.0, le=100.0)  # at most
+    health_hz: float = Field(default=1.0, gt=0.0, le=1.0)  # at most
+    tiles: bool = True  # those of the map that change
+    tile_period_s: float = Field(default=2.0, ge=0.2, le=3600.0)  # at least, from one sending to the next
+    commands: bool = True  # of those whom the router lets command
+
+
 class PublishingConfig(Section):
     """The Zenoh session: it is a router, so subscribers connect to it and need no other."""
 
@@ -73,6 +84,7 @@ class PublishingConfig(Section):
     shared_memory: bool = False
     ros2: Ros2Config = Ros2Config()
     security: Security = SecurityConfig()
+    fleet: FleetConfig = FleetConfig()
 
     @property
     def secured(self) -> SecurityConfig | None:
@@ -82,7 +94,7 @@ class PublishingConfig(Section):
     @model_validator(mode="after")
     def _refuse_strangers(self) -> "PublishingConfig":
         has_tls = self.secured is not None and self.secured.tls is not None
-        for endpoint in (*self.listen, *self.connect):
+        for endpoint in (*self.listen, *self.connect, *self.fleet.connect):
             if endpoint.startswith("tls/"):
                 if not has_tls:
                     raise ValueError(
@@ -96,7 +108,7 @@ class PublishingConfig(Section):
                     "or security: none where each machine on the network may command the vehicle"
                 )
         users = self.secured.users if self.secured is not None else None
-        if users is not None and users.name is None and self.connect:
+        if users is not None and users.name is None and (self.connect or self.fleet.connect):
             raise ValueError(
                 "connect names a router, and security.users no name; write the user by which this service "
                 "connects there, name: veh1, say"

@@ -43,6 +43,7 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         "timestamping/enabled": True,
         "transport/shared_memory/enabled": config.shared_memory,
         "adminspace/enabled": _has_free_choice(config),  # read by listened_at only
+        "transport/unicast/compression/enabled": True,  # of links whose other end has it on: vehicles
         "transport/unicast/max_sessions": MAX_SESSIONS,
         "transport/unicast/accept_pending": MAX_UNKNOWN,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,

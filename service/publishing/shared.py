@@ -2,6 +2,7 @@
 
 import atexit
 import threading
+from collections.abc import Callable
 from typing import Protocol
 
 import zenoh
@@ -47,17 +48,18 @@ class MapPicture:
 class SharedZenoh:
     """One Zenoh session a service: opened by the first sink that asks, closed by the last. Thread-safe."""
 
-    def __init__(self) -> None:
+    def __init__(self, opener: Callable[[PublishingConfig], zenoh.Session] = open_session) -> None:
+        self._opener = opener
         self._lock = threading.Lock()  # of all below
         self._session: zenoh.Session | None = None
         self._users = 0
         self._picture: MapPicture | None = None
 
     def open(self, config: PublishingConfig) -> zenoh.Session:
-        """Raises StorageError where it cannot listen."""
+        """Raises StorageError where it cannot listen, or what the opener raises."""
         with self._lock:
             if self._session is None:
-                self._session = open_session(config)
+                self._session = self._opener(config)
                 # Who fails to close it: as the interpreter ends, a call from Zenoh's threads would abort it.
                 atexit.register(self._session.close)
             self._users += 1

@@ -8,7 +8,7 @@ tf_static and health are answered by get.
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Protocol
 
@@ -60,7 +60,9 @@ class MapSource(GridSource, Protocol):
 class ZenohPublisher:
     """All that is published on the Zenoh session; open when constructed, gone after close().
 
-    on_latency takes nanoseconds from a message's origin_ns to the moment after its put.
+    on_latency takes nanoseconds from a message's origin_ns to the moment after its put; pictures are the
+    wholes that are made, name begins the names of the threads. With tiles_wait a busy link delays tiles, the
+    newest of each place, instead of dropping them.
     Raises StorageError where it cannot listen.
     """
 
@@ -72,12 +74,18 @@ class ZenohPublisher:
         on_latency: Callable[[int], None] | None = None,
         picture_period_s: float = PICTURE_PERIOD_S,
         shared: SharedZenoh | None = None,
+        tile_period_s: float = TILE_PERIOD_S,
+        pictures: Sequence[str] = PICTURES,
+        name: str = "zenoh",
+        tiles_wait: bool = False,
     ) -> None:
         self._vehicle = vehicle
+        self._pictures = pictures
+        self._tiles_wait = tiles_wait
         self._map = map_source
         self._on_latency = on_latency
         self._map_stamp_ns = self._map_log_ns = 0
-        self._senders = Senders("zenoh", TILE_PERIOD_S, picture_period_s)
+        self._senders = Senders(name, tile_period_s, picture_period_s)
         self._token_lock = threading.Lock()
         self._sequences: Counter[str] = Counter()  # of the newest message, by channel
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
@@ -98,7 +106,7 @@ class ZenohPublisher:
                 channel: Listeners(
                     self._session, vehicle_key(vehicle, channel), partial(self._senders.bulk.ask_for, channel)
                 )
-                for channel in PICTURES
+                for channel in pictures
             }
         except BaseException:
             self._senders.close()
@@ -131,7 +139,7 @@ class ZenohPublisher:
         self._map_stamp_ns, self._map_log_ns = stamp_ns, log_ns
         self._map_picture.changed(stamp_ns, log_ns)
         self._senders.bulk.put_tiles(tiles)
-        self._senders.bulk.ask_for(*PICTURES)
+        self._senders.bulk.ask_for(*self._pictures)
 
     def set_alive(self, component: str, alive: bool = True) -> None:
         """Put up or take down the token alive/<component>; all fall by themselves when the process dies."""
@@ -204,11 +212,12 @@ class ZenohPublisher:
 
     def _send_tile(self, tile: TileUpdate) -> None:
         message = encode_tile(tile, self._map_stamp_ns, self._map_log_ns)
+        congestion = zenoh.CongestionControl
         self._session.put(
             vehicle_key(self._vehicle, message.channel),
             message.payload,
             encoding=_encoding(message.type),
-            congestion_control=zenoh.CongestionControl.DROP,
+            congestion_control=congestion.BLOCK if self._tiles_wait else congestion.DROP,
             priority=zenoh.Priority.DATA_LOW,
             attachment=self._attachment(TILES, tile.version, message.log_ns),
         )
@@ -262,7 +271,7 @@ class ZenohPublisher:
 
     def _declare_queryables(self) -> None:
         answers: dict[str, Callable[[zenoh.Query], None]] = {f"{TILES}/**": self._answer_tiles}
-        answers |= {channel: partial(self._answer_picture, channel) for channel in PICTURES}
+        answers |= {channel: partial(self._answer_picture, channel) for channel in self._pictures}
         answers |= {channel: partial(self._answer_last, channel) for channel in ANSWERED}
         for channel, answer in answers.items():
             taken = daemon_callback(partial(self._answer, channel, answer), f"zenoh-answer-{channel}")

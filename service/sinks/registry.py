@@ -44,6 +44,9 @@ SINKS = (
         "publishing", "service.publishing.config:PublishingConfig", "service.sinks.zenoh_sink:open_sink"
     ),
     SinkKind("publishing", "service.publishing.config:PublishingConfig", "service.sinks.ros2_sink:open_sink"),
+    SinkKind(
+        "publishing", "service.publishing.config:PublishingConfig", "service.sinks.fleet_sink:open_sink"
+    ),
     SinkKind("map", "service.mapstore.config:MapConfig", "service.sinks.map_saver:open_sink"),
     SinkKind("recording", "service.recording.config:RecordingConfig", "service.sinks.mcap_sink:open_sink"),
     SinkKind("web", "service.web.config:WebConfig", "service.sinks.web_sink:open_sink"),

@@ -1,8 +1,9 @@
 """Messages, the map and commands on Zenoh, as a sink."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from drivers.link import LinkHealth
 from service.encoding import Message, Status, decode_diagnostics
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig
@@ -42,13 +43,7 @@ class ZenohSink(Sink):
             return
         if channel in KEYS:
             message = replace(message, channel=KEYS[channel])
-            self._publisher.show_alive(
-                {
-                    SERVICE: True,
-                    MAPPING: _is_mapping(message),
-                    **{name: link.state == "streaming" for name, link in self._context.links.items()},
-                }
-            )
+            self._publisher.show_alive(alive_components(message, self._context.links))
         self._publisher.put(message, arrived_ns)
 
     def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
@@ -64,6 +59,12 @@ class ZenohSink(Sink):
 
     def close(self) -> None:
         self._publisher.close()
+
+
+def alive_components(diagnostics: Message, links: Mapping[str, LinkHealth]) -> dict[str, bool]:
+    """What has a token alive/<component>, and whether it does its work."""
+    streaming = {name: link.state == "streaming" for name, link in links.items()}
+    return {SERVICE: True, MAPPING: _is_mapping(diagnostics), **streaming}
 
 
 def _is_mapping(diagnostics: Message) -> bool:

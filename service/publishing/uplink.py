@@ -1,0 +1,136 @@
+"""The session of a vehicle at a router of its site: what may go over the link, and what went."""
+
+import os
+import socket
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from drivers.zenoh_config import zenoh_config
+from service.errors import StorageError
+from service.publishing.config import PublishingConfig
+from service.publishing.keys import ROOT, alive_key
+from service.publishing.security import link_settings
+
+CONNECT_MS = 3000  # for one try
+RETRY_MS = (500, 30_000)  # first and longest pause between two tries: a site's router begins with all at once
+_BYTES_ACKED_AT = 120  # of struct tcp_info in linux/tcp.h: bytes_acked, bytes_received
+
+
+def connection_settings(config: PublishingConfig) -> dict[str, object]:
+    """Of a client of the routers in `config.connect`. Raises StorageError as link_settings."""
+    return {
+        "mode": "client",
+        "connect/endpoints": config.connect,
+        "connect/timeout_ms": CONNECT_MS,
+        "connect/retry": {
+            "period_init_ms": RETRY_MS[0],
+            "period_max_ms": RETRY_MS[1],
+            "period_increase_factor": 2,
+        },
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,
+        "timestamping/enabled": True,
+        "transport/shared_memory/enabled": False,
+        "transport/unicast/compression/enabled": True,  # tiles to a tenth, where the router does so, too
+        **(link_settings(config.secured) if config.secured is not None else {}),
+    }
+
+
+def open_uplink(config: PublishingConfig) -> zenoh.Session:
+    """Connected to one of the routers; a lost link comes back by itself.
+
+    Zenoh lets through what `config.fleet` allows a second. Raises StorageError where none answers in time.
+    """
+    limits_hz = {"pose": config.fleet.pose_hz, "health": config.fleet.health_hz}
+    rules = [{"key_expr": f"{ROOT}/*/{channel}", "freq": hz} for channel, hz in limits_hz.items()]
+    settings = {
+        **connection_settings(config),
+        "downsampling": [{"id": "fleet", "flows": ["egress"], "messages": ["put"], "rules": rules}],
+        # A pose that finds the link busy is dropped at once: the mapper puts it.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    }
+    try:
+        return zenoh.open(zenoh_config(settings))
+    except zenoh.ZError as error:
+        reason = str(error).partition(" at /")[0]
+        raise StorageError(f"no router at {', '.join(config.connect)}: {reason}") from error
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Presence:
+    """A session by the name of a vehicle: what its liveliness token says. The first is the earliest."""
+
+    began_ns: int  # Unix time by its own clock
+    session: str  # Zenoh's identifier
+    host: str
+    address: str  # by which it reaches the router
+
+    def key(self, vehicle: str) -> str:
+        parts = str(self.began_ns), self.session, self.host, self.address
+        return alive_key(vehicle, "/".join(("fleet", *parts)))
+
+    def __str__(self) -> str:
+        return f"{self.host} at {self.address} (session {self.session[:8]})"
+
+
+PRESENCES = alive_key("*", "fleet/*/*/*/*")
+
+
+def read_presence(key: str) -> tuple[str, Presence] | None:
+    """Vehicle, and who it is; None of another key."""
+    parts = key.removeprefix(f"{ROOT}/").split("/")
+    if len(parts) != 7 or parts[1:3] != ["alive", "fleet"] or not (parts[3].isascii() and parts[3].isdigit()):
+        return None
+    return parts[0], Presence(int(parts[3]), *parts[4:])
+
+
+def presences(keys: Iterable[str]) -> dict[str, list[Presence]]:
+    """By vehicle, the earliest first. Two of one name: two vehicles have the same."""
+    found: dict[str, list[Presence]] = {}
+    for vehicle, presence in filter(None, map(read_presence, keys)):
+        found.setdefault(vehicle, []).append(presence)
+    return {vehicle: sorted(found[vehicle]) for vehicle in sorted(found)}
+
+
+class LinkBytes:
+    """Bytes to and from the router since the first look, over all links of a session, as the kernel counts
+    them: with TLS, framing and what Zenoh itself says. Not of udp.
+    """
+
+    def __init__(self) -> None:
+        self.sent = self.received = 0
+        self.links = 0  # that there were
+        self._source, self._last = "", (0, 0)
+
+    def look(self, source: str) -> None:
+        """source: the present link's end here, "tcp/10.0.0.7:40212"; "" without a link."""
+        if source and source != self._source:
+            self.links += 1
+            self._source, self._last = source, (0, 0)
+        if source and (counts := _acked_and_received(source.rpartition(":")[2])) is not None:
+            self.sent += counts[0] - self._last[0]
+            self.received += counts[1] - self._last[1]
+            self._last = counts
+
+
+def _acked_and_received(port: str) -> tuple[int, int] | None:
+    """Of this process's connection from that port; None where the kernel does not say."""
+    for descriptor in Path("/proc/self/fd").glob("*"):
+        try:
+            if not str(descriptor.readlink()).startswith("socket:"):
+                continue
+            with socket.socket(fileno=os.dup(int(descriptor.name))) as link:
+                if link.family not in (socket.AF_INET, socket.AF_INET6) or link.type != socket.SOCK_STREAM:
+                    continue
+                if str(link.getsockname()[1]) != port or link.getpeername()[1] == int(port):
+                    continue
+                info = link.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
+                acked, received = struct.unpack_from("QQ", info, _BYTES_ACKED_AT)
+                return int(acked), int(received)
+        except (OSError, struct.error):
+            continue  # closed meanwhile, or not connected
+    return None

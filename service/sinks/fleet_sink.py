@@ -1,0 +1,193 @@
+"""A vehicle in its fleet, as a sink: poses, health and changed tiles to a router of the site."""
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import zenoh
+
+from drivers.zenoh_callback import daemon_callback
+from service.encoding import ERROR, OK, WARNING, Message, Status
+from service.errors import StorageError
+from service.outputs import TileUpdate
+from service.publishing.config import PublishingConfig, host_of
+from service.publishing.keys import alive_key
+from service.publishing.shared import SharedZenoh
+from service.publishing.uplink import LinkBytes, Presence, open_uplink, presences
+from service.publishing.zenoh_publisher import ZenohPublisher
+from service.sinks.sink import Sink, SinkContext
+from service.sinks.zenoh_sink import alive_components
+from service.version import VERSION
+
+log = logging.getLogger(__name__)
+
+LOOK_S = 1.0
+RETRY_S = (0.5, 30.0)  # until the first link; a lost one Zenoh itself brings back
+CHANNELS = {"pose": "pose", "diagnostics": "health"}  # and nothing else but tiles
+JOIN_S = 8.0  # a try to connect takes 3 s
+
+
+def open_sink(config: PublishingConfig, context: SinkContext) -> "FleetSink | None":
+    return FleetSink(config, context) if config.fleet.connect else None
+
+
+class FleetSink(Sink):
+    """Connects from `start` on, in a thread that nothing waits for.
+
+    Of two vehicles by one name the one that began first is in the fleet; the other is refused while it is.
+    """
+
+    name = "fleet"
+
+    def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
+        self._config = config.model_copy(update={"listen": (), "connect": config.fleet.connect})
+        self._context = context
+        self._began_ns = time.time_ns()
+        self._shared = SharedZenoh(open_uplink)
+        self._publisher: ZenohPublisher | None = None
+        self._wake = threading.Event()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
+        self._fault = "not connected yet"
+        self._rival: Presence | None = None
+        self._bytes = LinkBytes()
+        self._rate_from = (time.monotonic(), 0)
+        self._values: dict[str, str] = {}
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def put(self, message: Message, arrived_ns: int | None = None) -> None:
+        publisher, channel = self._publisher, CHANNELS.get(message.channel)
+        if publisher is None or channel is None:
+            return
+        if channel == "health":
+            publisher.show_alive(alive_components(message, self._context.links))
+        publisher.put(replace(message, channel=channel))
+
+    def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
+        if (publisher := self._publisher) is not None and self._config.fleet.tiles:
+            publisher.map_changed(tiles, stamp_ns, log_ns)
+
+    def health(self) -> Status:
+        values = {"corridor": VERSION, "map_version": str(self._context.tiles.version), **self._values}
+        if publisher := self._publisher:
+            for what, counter in publisher.counts().items():
+                values |= {f"{what}.{channel}": str(count) for channel, count in sorted(counter.items())}
+        if (rival := self._rival) is not None:
+            return Status(self.name, ERROR, self._refusal(rival), values)
+        return Status(self.name, WARNING if self._fault else OK, self._fault or "ok", values)
+
+    def place(self) -> str:
+        return ", ".join(self._config.connect)
+
+    def close(self) -> None:
+        self._closing = True
+        self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join(JOIN_S)
+            if self._thread.is_alive():
+                log.error("fleet: Zenoh does not close after %.0f s; left behind", JOIN_S)
+
+    def _run(self) -> None:
+        session = self._connected()
+        if session is None:
+            return
+        try:
+            self._stay(session)
+        finally:
+            self._withdraw()
+            self._shared.close()
+
+    def _connected(self) -> zenoh.Session | None:
+        """None where the service ends before."""
+        pause_s = RETRY_S[0]
+        while not self._closing:
+            try:
+                return self._shared.open(self._config)
+            except StorageError as error:
+                if str(error) != self._fault:
+                    log.warning("fleet: %s; tried again and again", error)
+                self._fault = str(error)
+            self._wake.wait(pause_s)
+            pause_s = min(2 * pause_s, RETRY_S[1])
+        return None
+
+    def _stay(self, session: zenoh.Session) -> None:
+        token: zenoh.LivelinessToken | None = None
+        own = Presence(0, "", "", "")
+        watched = alive_key(self._context.vehicle, "fleet/**")
+        changed: zenoh.handlers.Callback[zenoh.Sample] = daemon_callback(
+            lambda sample: self._wake.set(), "fleet-presence"
+        )
+        session.liveliness().declare_subscriber(watched, changed)
+        host, decided_for = socket.gethostname() or "unnamed", ""
+        while not self._closing:
+            links = session.info.links()
+            source = links[0].src if links else ""
+            self._look(links[0].dst if links else "", source)
+            if source and (token is None or host_of(source) != own.address):
+                before, own = token, Presence(self._began_ns, str(session.zid()), host, host_of(source))
+                token = session.liveliness().declare_token(own.key(self._context.vehicle))
+                if before is not None:
+                    before.undeclare()  # type: ignore[no-untyped-call]
+            if source and (self._wake.is_set() or source != decided_for):
+                self._wake.clear()
+                self._decide(session, own, watched)
+                decided_for = source
+            self._wake.wait(LOOK_S)
+
+    def _look(self, router: str, source: str) -> None:
+        self._fault = "" if router else f"no link to {self.place()}; poses and tiles stay on this machine"
+        self._bytes.look(source)
+        now_s = time.monotonic()
+        before_s, sent = self._rate_from
+        values = {"router": router, "address": source, "links": str(self._bytes.links)}
+        values |= {"bytes_sent": str(self._bytes.sent), "bytes_received": str(self._bytes.received)}
+        if now_s - before_s >= LOOK_S / 2:
+            self._rate_from = now_s, self._bytes.sent
+            values["kilobytes_per_s"] = f"{(self._bytes.sent - sent) / (now_s - before_s) / 1e3:.1f}"
+        self._values = {**self._values, **values}
+
+    def _decide(self, session: zenoh.Session, own: Presence, watched: str) -> None:
+        """Be in the fleet, unless another one of this name was first."""
+        replies = session.liveliness().get(watched, timeout=2.0)
+        keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+        others = [who for who in presences(keys).get(self._context.vehicle, ()) if who.session != own.session]
+        rival = min(others, default=None)
+        if rival is None or own < rival:
+            self._rival = None
+            if self._publisher is None:
+                self._appear()
+            return
+        if self._rival != rival:
+            self._rival, self._values["own"] = rival, str(own)
+            log.error("fleet: %s", self._refusal(rival))
+        self._withdraw()
+
+    def _refusal(self, rival: Presence) -> str:
+        name, own = self._context.vehicle, self._values.get("own", "this one")
+        return f"two vehicles are called {name}: {rival} was first, {own} is refused; give one another name"
+
+    def _appear(self) -> None:
+        publisher = ZenohPublisher(
+            self._config,
+            self._context.vehicle,
+            self._context.tiles,
+            shared=self._shared,
+            tile_period_s=self._config.fleet.tile_period_s,
+            pictures=("map/meta",) if self._config.fleet.tiles else (),
+            name=self.name,
+            tiles_wait=True,
+        )
+        if self._config.fleet.commands:
+            publisher.answer_commands(self._context.command)
+        self._publisher = publisher
+
+    def _withdraw(self) -> None:
+        publisher, self._publisher = self._publisher, None
+        if publisher is not None:
+            publisher.close()

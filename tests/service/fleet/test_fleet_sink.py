@@ -1,0 +1,159 @@
+"""A vehicle's link to its site over loopback: what goes over it, and when it is refused."""
+
+import time
+
+import pytest
+from pydantic import ValidationError
+
+from service.encoding import ERROR, OK, WARNING, encode_frame, encode_pose
+from service.mapstore.tiles import TileStore
+from service.publishing.commands import Answer
+from service.publishing.config import PublishingConfig
+from service.publishing.uplink import PRESENCES, presences
+from tests.service.fleet.conftest import diagnostics, is_in_fleet
+from tests.service.mapstore.tile_makers import tile
+from tests.service.publishing.conftest import Inbox
+from tests.service.publishing.test_ros2_topics import SCAN
+from tests.service.test_encoding_outputs import OUTPUT
+from tests.waiting import wait_until
+
+VEH1 = "corridor/v1/veh1"
+
+
+def subscribed(client, key: str) -> Inbox:
+    """The router knows of it, and so do vehicles: an answer comes after the declaration."""
+    inbox = Inbox()
+    client.declare_subscriber(key, inbox)
+    assert list(client.get(f"{VEH1}/cmd/any", timeout=20.0))
+    return inbox
+
+
+def test_poses_go_out_at_the_rate_of_the_policy_and_scans_never(endpoint, router, start_vehicle, open_client):
+    sink = start_vehicle(endpoint, fleet={"pose_hz": 20.0, "health_hz": 1.0})
+    inbox = subscribed(open_client(endpoint), "corridor/v1/**")
+    began_s = time.monotonic()
+    for number in range(100):
+        sink.put(encode_pose(OUTPUT, number))
+        sink.put(encode_frame(SCAN))
+        sink.put(diagnostics(stamp_ns=number + 1))
+        time.sleep(0.005)  # the rate of the input is what is tested
+    duration_s = time.monotonic() - began_s
+    sink.put_tiles([tile(0, 0, 1)], 1, 1)  # goes out after them
+    inbox.wait_for_one(lambda sample: "/map/tile/" in str(sample.key_expr))
+    channels = [str(sample.key_expr).removeprefix(f"{VEH1}/") for sample in inbox.samples]
+    assert 0.5 * 20 * duration_s <= channels.count("pose") <= 20 * duration_s + 2
+    assert 1 <= channels.count("health") <= duration_s + 2
+    assert set(channels) <= {"pose", "health", "map/meta", "map/tile/0/0/0"}
+
+
+def test_tiles_go_out_newest_first_changed_and_not_more_often_than_allowed(
+    endpoint, router, start_vehicle, open_client
+):
+    store = TileStore()
+    sink = start_vehicle(endpoint, fleet={"tile_period_s": 0.5}, tiles=store)
+    inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
+    for version in range(1, 21):
+        changed = tile(0, 0, version)
+        store.update([changed])
+        sink.put_tiles([changed], version, version)
+    last = tile(1, 0, 21)
+    store.update([last])
+    sink.put_tiles([last], 21, 21)
+    inbox.wait_for_one(lambda sample: str(sample.key_expr).endswith("0/1/0"))
+    assert len(inbox.samples) <= 4  # at once, and after 0.5 s the newest of each place
+
+
+def test_the_bytes_that_the_kernel_counts_are_in_health(endpoint, router, start_vehicle, open_client):
+    sink = start_vehicle(endpoint)
+    inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
+    before = int(sink.health().values["bytes_sent"])
+    sink.put_tiles([tile(0, 0, 1, edge=64)], 1, 1)
+    inbox.wait_for(1)
+    wait_until(lambda: int(sink.health().values["bytes_sent"]) >= before + 4096)  # random cells: not packed
+    assert sink.health().level == OK
+    assert sink.health().values["links"] == "1"
+
+
+def test_commands_come_through_the_router_unless_they_are_switched_off(
+    endpoint, router, start_vehicle, open_client
+):
+    for vehicle, commands in (("veh1", True), ("veh2", False)):
+        start_vehicle(
+            endpoint,
+            vehicle,
+            fleet={"commands": commands},
+            command=lambda verb, payload: Answer(True, verb.encode()),
+        )
+    client = open_client(endpoint)
+    replies = [list(client.get(f"corridor/v1/{name}/cmd/pause", timeout=20.0)) for name in ("veh1", "veh2")]
+    assert [reply.ok.payload.to_string() for reply in replies[0]] == ["pause"]
+    assert replies[1] == []
+
+
+def test_a_vehicle_without_a_router_waits_for_it_and_ends_at_once(endpoint, start_router, start_vehicle):
+    sink = start_vehicle(endpoint, waits=False)
+    wait_until(lambda: endpoint in sink.health().message)
+    assert sink.health().level == WARNING
+    start_router(endpoint)
+    wait_until(lambda: is_in_fleet(sink))
+
+
+def test_a_lost_link_comes_back_with_what_was_declared(endpoint, start_router, start_vehicle, open_client):
+    router = start_router(endpoint)
+    sink = start_vehicle(endpoint, command=lambda verb, payload: Answer(True, b"{}"))
+    router.close()
+    wait_until(lambda: "no link" in sink.health().message)
+    start_router(endpoint)
+    wait_until(lambda: sink.health().level == OK)
+    assert sink.health().values["links"] == "2"
+    assert [reply.ok.payload.to_string() for reply in open_client(endpoint).get(f"{VEH1}/cmd/any")] == ["{}"]
+
+
+def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
+    endpoint, router, start_vehicle, open_client
+):
+    first = start_vehicle(endpoint, command=lambda verb, payload: Answer(True, b"first"))
+    second = start_vehicle(endpoint, waits=False, command=lambda verb, payload: Answer(True, b"second"))
+    wait_until(lambda: second.health().level == ERROR)
+    client = open_client(endpoint)
+    keys = [str(reply.ok.key_expr) for reply in client.liveliness().get(PRESENCES, timeout=20.0)]
+    both = presences(keys)["veh1"]
+    assert len(both) == 2
+    assert all(str(presence) in second.health().message for presence in both)
+    assert [r.ok.payload.to_string() for r in client.get(f"{VEH1}/cmd/any", timeout=20.0)] == ["first"]
+    first.close()
+    wait_until(lambda: is_in_fleet(second))
+    assert [r.ok.payload.to_string() for r in client.get(f"{VEH1}/cmd/any", timeout=20.0)] == ["second"]
+
+
+def test_over_tls_a_vehicle_shows_its_certificate(start_router, start_vehicle, endpoint, client_of):
+    secured = endpoint.replace("tcp", "tls")
+    start_router(secured)
+    sink = start_vehicle(secured)
+    sink.put(diagnostics())
+    wait_until(lambda: list(client_of(secured, "viewer").get(f"{VEH1}/health", timeout=20.0)))
+    stranger = start_vehicle(secured, "veh2", waits=False, certificate="other/operator")
+    wait_until(lambda: "no router" in stranger.health().message)
+
+
+def test_a_vehicle_may_not_speak_by_the_name_of_another(start_router, start_vehicle, endpoint, client_of):
+    secured = endpoint.replace("tcp", "tls")
+    start_router(secured)
+    start_vehicle(secured, "veh2", certificate="veh1")  # it cannot know: its declarations go nowhere
+    start_vehicle(secured, "veh1", command=lambda verb, payload: Answer(True, b"{}"))
+    operator = client_of(secured, "operator")
+    assert list(operator.get(f"{VEH1}/cmd/any", timeout=20.0))
+    assert not list(operator.get("corridor/v1/veh2/cmd/any", timeout=20.0))
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"connect": ["tcp/10.0.0.1:7447"]}, "without security"),
+        ({"connect": ["tls/site:7447"]}, "security init"),
+        ({"connect": ["tcp/127.0.0.1:7447"], "pose_hz": 0}, "greater than 0"),
+    ],
+)
+def test_a_link_that_cannot_be_is_refused_in_the_config(settings, expected):
+    with pytest.raises(ValidationError, match=expected):
+        PublishingConfig.model_validate({"fleet": settings})
