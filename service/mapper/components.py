@@ -26,8 +26,7 @@ class Points:
     """End points of one scan, those without a return left out, in beam order."""
 
     xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: the sweep's motion is taken out
-    # (N, 2) m, base frame at each beam's own moment, had the twist been constant: a matcher may deskew anew
-    xy_raw: npt.NDArray[np.float64]
+    xy_raw: npt.NDArray[np.float64]  # (N, 2) m, base frame at each beam's own moment, by a constant twist
     beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; below 0 before it
     beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
@@ -60,6 +59,8 @@ class Match:
     is_contradicted  of a lost one: whether the map speaks against it; False: it may only see what the map
                    does not know
     is_moving      (N,) points that are not to be shown or kept: part of the scene moves; None: none
+    advantage      of one that is only compared: agreement with known ground less that if the laser looked the
+                   other way; None: not asked
     """
 
     motion: Motion
@@ -71,6 +72,7 @@ class Match:
     measured: Measurement | None = None
     is_contradicted: bool = True
     is_moving: npt.NDArray[np.bool_] | None = None
+    advantage: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,7 @@ def lasers(seeds: Sequence[int]) -> Section:
         half_ns = round(HALF * seconds * 1e9)
         mountings = {laser.name: laser.mounting for laser in ALL}
         wrong = mountings | {"rear": SE2(-0.2, 0.0, math.pi + WRONG_YAW_RAD)}
+        reversed_rear = mountings | {"rear": mountings["rear"] @ SE2(0.0, 0.0, math.pi)}
         cases: list[tuple[str, Sequence[Laser], dict[str, SE2], Tamper | None]] = [
             ("front", (FRONT,), mountings, None),
             ("rear", (REAR,), mountings, None),
@@ -109,6 +110,7 @@ def lasers(seeds: Sequence[int]) -> Section:
                 _after(half_ns, lambda scan, held: replace(scan, range_m=held[0].range_m)),
             ),
             ("the same, rear turned by 5 deg against its mounting", ALL, wrong, None),
+            ("the same, rear turned by 180 deg against its mounting", ALL, reversed_rear, None),
         ]
         for what, ridden, mounted, tamper in cases:
             done = []

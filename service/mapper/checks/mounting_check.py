@@ -5,7 +5,8 @@ for right it tears the map of the others. So a laser that joins others is aligne
 no say in pose and map, until its offset from the configured mounting is known. The offset is estimated by
 least squares over scans; the mounting is expected to be right within TOLERANCE. In a map that has just begun
 a search may put a scan somewhere else, turned by 90 degrees in a room: a scan that contradicts the others has
-less weight, as in odometry_mounting.
+less weight, as in odometry_mounting. A corridor looks the same ahead and behind: whether the laser looks the
+other way is decided by what contradicts either of the two on known ground.
 """
 
 import math
@@ -24,6 +25,7 @@ SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search
 MEDIAN_CHI2 = 2.37  # of three degrees of freedom
 ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
 BATCH_SCANS = 25  # after which an offset is judged
+MIN_ADVANTAGE = 0.1  # of looking one way over the other: agreement with known ground
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
 
 
@@ -36,6 +38,7 @@ class MountingCheck:
     def __init__(self) -> None:
         self.is_right = True
         self.fault = NO_REASON  # by how much it is off, once that is known
+        self._advantage = 0.0  # sum over batches
         self._offset = np.zeros(3)  # of the sensor from where it should sit, base axes: m, m, rad
         self._begin_batch()
 
@@ -53,8 +56,8 @@ class MountingCheck:
             pose_odom_base=measured_at @ SE2.exp(*self._offset.tolist()),
         )
 
-    def add(self, looked_for: Prediction, measured: Measurement) -> None:
-        """A scan, aligned with the map from `where_to_look`.
+    def add(self, looked_for: Prediction, measured: Measurement, advantage: float | None = None) -> None:
+        """A scan, aligned with the map from `where_to_look`. advantage: as in Match.
 
         Prediction and scan together lie C I e from the prediction, with C their covariance, I the scan's
         information and e where the scan alone lies; so I e is found without inverting I.
@@ -62,6 +65,7 @@ class MountingCheck:
         off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
         self._information.append(measured.information / SAME_ERRORS)
         self._weighed.append(np.linalg.inv(measured.covariance) @ off / SAME_ERRORS)
+        self._advantages.append(MIN_ADVANTAGE if advantage is None else advantage)
         if len(self._weighed) == BATCH_SCANS:
             self._judge()
             self._begin_batch()
@@ -80,6 +84,7 @@ class MountingCheck:
     def _begin_batch(self) -> None:
         self._information: list[Matrix] = []  # (3, 3) of each scan
         self._weighed: list[Matrix] = []  # (3,) its offset, times that
+        self._advantages: list[float] = []
         self._missed = 0
 
     def _judge(self) -> None:
@@ -89,17 +94,23 @@ class MountingCheck:
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
         if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
             return
+        self._advantage += float(np.mean(self._advantages))
+        if abs(self._advantage) < MIN_ADVANTAGE:  # ahead and behind look alike so far
+            return
         chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
-        self.is_right = chi2 <= CHI2_999_OF_3
+        self.is_right = self._advantage > 0.0 and chi2 <= CHI2_999_OF_3
+        self.fault = NO_REASON if self.is_right else self._fault_of()
+
+    def _fault_of(self) -> Reason:
         x_m, y_m, turn_rad = self._offset.tolist()
-        self.fault = NO_REASON
-        if not self.is_right:
-            self.fault = Reason(
-                "laser_mounting",
-                f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead "
-                f"and {y_m:+.2f} m left, measured on the map of the other lasers; it is not mapped. Measure "
-                "its mounting and theirs, and correct the config",
-            )
+        off = (
+            f"is off its configured mounting by {math.degrees(turn_rad):+.1f} deg, {x_m:+.2f} m ahead and "
+            f"{y_m:+.2f} m left"
+        )
+        if self._advantage < 0.0:
+            off = "fits better if it is turned by 180 deg against its configured mounting"
+        words = f"{off}, measured on the map of the other lasers; it is not mapped. "
+        return Reason("laser_mounting", words + "Measure its mounting and theirs, and correct the config")
 
 
 def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:

@@ -96,7 +96,7 @@ class SensorChecks:
         mounting = self._lasers[sensor].mounting
         if match.measured is not None and match.state != "lost":
             self._stamps.add(sensor, at_ns, match.measured.pose_odom_base.theta_rad)
-            mounting.add(looked_for, match.measured)
+            mounting.add(looked_for, match.measured, match.advantage)
         elif match.is_contradicted:
             mounting.miss()
         fault = self._stamps.fault_of(sensor) or mounting.fault

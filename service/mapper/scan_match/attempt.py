@@ -1,6 +1,7 @@
 """What passes between the parts of the default profile's matcher."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,10 +47,28 @@ class Aligned:
     is_contradicted: bool  # by free space and walls of the map; False where too much lies on it to ask
     is_moving: npt.NDArray[np.bool_] | None = None  # as in Match
 
+    def agreement(self, attempt: Attempt) -> float:
+        """Share on walls of what ends on known ground; 1 where nothing is known, for nothing contradicts."""
+        wrong = sum(
+            self.submap.contradicting(attempt.points, self.xy_base, attempt.normals, self.result.pose)
+        )
+        on_map = self.result.share * self.result.used
+        return on_map / (on_map + wrong) if wrong else 1.0
+
     @property
     def pose(self) -> SE2:
         x_m, y_m, theta_rad = self.result.pose.tolist()
         return SE2(x_m, y_m, theta_rad)
+
+
+def turned_about(sensor_base: SE2, predicted: Prediction) -> Prediction:
+    """Where the base would be if a laser that sits there looked the other way."""
+    forward_mps, left_mps, turn_radps = predicted.twist_base
+    return replace(
+        predicted,
+        pose_odom_base=predicted.pose_odom_base @ SE2(2.0 * sensor_base.x_m, 2.0 * sensor_base.y_m, math.pi),
+        twist_base=(-forward_mps, -left_mps, turn_radps),
+    )
 
 
 def chi2_of(pose: SE2, prior: Prior) -> float:

@@ -38,7 +38,7 @@ from service.mapper.judgement import (
 )
 from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, Confirmation, reach_of, search_around
 from service.mapper.matchers.window_search import layer_of
-from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of
+from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
 from service.mapper.scan_match.moving_scene import MovingScene
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.scan_match.range_bias import RangeBias
@@ -155,14 +155,24 @@ class SurfelGaussNewton:
             return held(points, predicted, reason)
         if local_map.matched_to is None:
             return begun(points, predicted)
-        attempt = self._attempt(points, predicted, local_map)
-        aligned = self._align(attempt, attempt.prior.pose, local_map.matched_to)
-        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
-            attempt = replace(attempt, usual_ratio=0.0)  # no other start is tried
-            aligned = self._align(attempt, attempt.prior.pose, local_map.matched_to)
+        attempt, aligned = self._aligned_near(points, predicted, local_map, local_map.matched_to)
         if aligned.state == "lost":
             return held(points, predicted, aligned.reason, aligned.result.share, aligned.is_contradicted)
-        return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+        turned_attempt, turned = self._aligned_near(
+            points, turned_about(points.sensor_base, predicted), local_map, local_map.matched_to
+        )
+        match = self._as_match(aligned, attempt, aligned.state, aligned.reason)
+        return replace(match, advantage=aligned.agreement(attempt) - turned.agreement(turned_attempt))
+
+    def _aligned_near(
+        self, points: Points, predicted: Prediction, local_map: SurfelSubmaps, submap: Submap
+    ) -> tuple[Attempt, Aligned]:
+        attempt = self._attempt(points, predicted, local_map)
+        aligned = self._align(attempt, attempt.prior.pose, submap)
+        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
+            attempt = replace(attempt, usual_ratio=0.0)  # no other start is tried
+            aligned = self._align(attempt, attempt.prior.pose, submap)
+        return attempt, aligned
 
     def _attempt(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Attempt:
         on_walls, normals = local_map.on_walls(points)

@@ -1,6 +1,7 @@
 """Offsets of a laser from its configured mounting, by scans of which some were found in a wrong place."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -14,20 +15,26 @@ TURNED = SE2(0.0, 0.0, math.pi / 2.0)
 OPEN = np.diag([0.0, 1.0, 1.0])  # a corridor: nothing is known along it
 
 
-def compare(offsets: list[SE2], seen: np.ndarray | None = None) -> MountingCheck:
-    """What the scans at these offsets make of a mounting, each with noise of SIGMA in the directions seen."""
+def compare(
+    offsets: list[SE2], seen: np.ndarray | None = None, advantages: Sequence[float | None] = (None,)
+) -> MountingCheck:
+    """What the scans at these offsets make of a mounting, each with noise of SIGMA in the directions seen.
+
+    advantages   of the batches in turn, the last of all that follow
+    """
     seen, rng = np.eye(3) if seen is None else seen, np.random.default_rng(3)
     check = MountingCheck()
     check.begin()
     here = Prediction(SE2(1.0, 2.0, 0.3), (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
-    for offset in offsets:
+    for number, offset in enumerate(offsets):
         looked_for = check.where_to_look(here, 0.0)
         off = (looked_for.pose_odom_base.inverse() @ here.pose_odom_base @ offset).log()
         information = seen @ np.linalg.inv(SIGMA @ SIGMA)
         covariance = np.linalg.inv(information + np.linalg.inv(looked_for.local_covariance))
         found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
         pose = looked_for.pose_odom_base @ SE2.exp(*found.tolist())
-        check.add(looked_for, Measurement(pose, covariance, information))
+        advantage = advantages[min(number // BATCH_SCANS, len(advantages) - 1)]
+        check.add(looked_for, Measurement(pose, covariance, information), advantage)
     return check
 
 
@@ -51,6 +58,19 @@ def test_a_mounting_that_is_off_is_measured_beside_such_scans():
 
 def test_a_laser_that_is_mounted_turned_by_90_degrees_is_said_to_be():
     assert compare([TURNED] * BATCH_SCANS).fault.startswith("is off its configured mounting by +90.0 deg")
+
+
+def test_a_mounting_is_not_judged_while_ahead_and_behind_look_alike():
+    check = compare([SE2()] * BATCH_SCANS * 3, OPEN, [0.02])
+    assert (check.is_right, check.fault) == (False, "")
+    assert compare([SE2()] * BATCH_SCANS * 3, OPEN, [0.02, 0.12]).is_right
+
+
+def test_a_laser_that_looks_the_other_way_is_a_fault_that_one_batch_does_not_clear():
+    for advantages in ([-0.3], [-0.3, 0.11]):
+        check = compare([SE2()] * BATCH_SCANS * 2, OPEN, advantages)
+        assert not check.is_right
+        assert check.fault.startswith("fits better if it is turned by 180 deg")
 
 
 def test_scans_that_fit_nowhere_around_are_a_fault_too():

@@ -340,6 +340,13 @@ def test_a_compared_scan_of_new_ground_is_not_drawn_onto_walls_that_look_alike()
     assert abs(result.motion.pose_odom_base.x_m) < 0.05
 
 
+def test_a_compared_scan_contradicts_the_map_where_its_laser_looks_the_other_way() -> None:
+    matcher, here, x_m = new_matcher(), predicted(SE2(), sigma=0.1), np.linspace(-4.0, 4.0, 300)
+    corridor = points_of(np.vstack([np.column_stack((x_m, np.full(300, y_m))) for y_m in (1.0, -1.0)]))
+    for seen, advantage in ((nook(), pytest.approx(0.4, abs=0.3)), (corridor, pytest.approx(0.0, abs=0.02))):
+        assert matcher.compare(seen, here, mapped(seen)).advantage == advantage
+
+
 def test_the_matcher_keeps_nothing_of_a_scan_that_is_compared() -> None:
     chain, matcher = mapped(nook()), new_matcher()
     for k in range(3):
