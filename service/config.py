@@ -145,6 +145,15 @@ def load_replay_config(path: Path) -> ReplayConfig:
     return parse_replay_config(_read(path), str(path))
 
 
+def load_publishing(path: Path) -> PublishingConfig:
+    """Read of a config file the section `publishing` alone. Raises ConfigError as load_config does."""
+    document = load(_read(path))
+    read = _Reader(document).read_publishing()
+    _raise_faults(document, str(path))
+    assert isinstance(read, PublishingConfig)
+    return read
+
+
 def _read(path: Path) -> str:
     try:
         with path.open("rb") as file:
@@ -223,6 +232,12 @@ class _Reader:
         begin_in = Path(load) if isinstance(load, str) else None
         mapping, choice = self._mapping(root), self._choice(root)
         return {"sensors": read, "mapping": mapping, "replay": choice, "begin_in": begin_in}
+
+    def read_publishing(self) -> BaseModel | None:
+        """That section; the others are not looked at."""
+        if (root := self._root()) is None:
+            return None
+        return self._model(PublishingConfig, _section(root, "publishing"), ("publishing",))
 
     def _root(self) -> dict[str, Any] | None:
         """None where there is nothing to look at; why is said then."""

@@ -34,6 +34,7 @@ _COMMANDS = {
     "init": ("service.cli.upkeep", "init"),
     "install-unit": ("service.cli.upkeep", "install_unit"),
     "security": ("service.cli.security", "security"),
+    "fleet": ("service.cli.fleet", "fleet"),
     "warmup": ("service.cli.upkeep", "warmup"),
     "completion": ("service.cli.completion", "completion"),
     "man": ("service.cli.manual", "man"),

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from service.cli.choices import PROFILES, WORLDS, OneOf
+from service.cli.fleet import add_fleet
 from service.cli.map_arguments import add_maps
 from service.cli.map_names import map_and_version
 from service.cli.recordings import add_choice
@@ -60,6 +61,7 @@ def new_parser() -> Parser:
     _add_init(commands)
     _add_install_unit(commands)
     add_security(commands, _add)
+    add_fleet(commands, _add)
     _add(commands, "warmup", "compile the kernels and keep them in the cache")
     completion = _add(commands, "completion", "print the script by which a shell completes this command line")
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))

@@ -5,6 +5,7 @@ import os
 import re
 import socket
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -25,13 +26,26 @@ _SILENT_S = 600  # the kernel keeps a connection so long to itself until somethi
 _LISTENING = "0A"  # state in /proc/net/tcp
 
 
-def open_session(config: PublishingConfig) -> zenoh.Session:
-    """A router that speaks only where the config says: no multicast, and no gossip but for ROS 2.
-
-    Nodes of ROS 2 are peers; a router without gossip would let none of them find another.
-    Routers to connect to are tried in the background for ever. Raises StorageError where it cannot listen.
+def open_session(config: PublishingConfig, max_sessions: int = MAX_SESSIONS) -> zenoh.Session:
+    """A router that speaks only where the config says. Routers to connect to are tried in the background for
+    ever. Raises StorageError where it cannot listen.
     """
-    settings = {
+    try:
+        session = zenoh.open(zenoh_config(router_settings(config, max_sessions)))
+    except zenoh.ZError as error:
+        text = re.sub(r" at /\S+?:\d+\.?", "", str(error))  # where in Zenoh's own source
+        raise StorageError(_explain(text, config)) from error
+    _keep_silent_connections_out(session, config)
+    return session
+
+
+def router_settings(config: PublishingConfig, max_sessions: int = MAX_SESSIONS) -> dict[str, Any]:
+    """Of Zenoh, by path: no multicast, and no gossip but for ROS 2.
+
+    Nodes of ROS 2 are peers; a router without gossip would let none of them find another. Raises StorageError
+    where a file of the security cannot be read.
+    """
+    settings: dict[str, Any] = {
         "mode": "router",
         "listen/endpoints": config.listen,
         "connect/endpoints": config.connect,
@@ -44,7 +58,7 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         "transport/shared_memory/enabled": config.shared_memory,
         "adminspace/enabled": _has_free_choice(config),  # read by listened_at only
         "transport/unicast/compression/enabled": True,  # of links whose other end has it on: vehicles
-        "transport/unicast/max_sessions": MAX_SESSIONS,
+        "transport/unicast/max_sessions": max_sessions,
         "transport/unicast/accept_pending": MAX_UNKNOWN,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "low_pass_filter": [
@@ -63,13 +77,7 @@ def open_session(config: PublishingConfig) -> zenoh.Session:
         domain = config.ros2.domain if config.ros2.enabled else None
         settings |= link_settings(config.secured)
         settings["access_control"] = access_control(config.secured, domain)
-    try:
-        session = zenoh.open(zenoh_config(settings))
-    except zenoh.ZError as error:
-        text = re.sub(r" at /\S+?:\d+\.?", "", str(error))  # where in Zenoh's own source
-        raise StorageError(_explain(text, config)) from error
-    _keep_silent_connections_out(session, config)
-    return session
+    return settings
 
 
 def _keep_silent_connections_out(session: zenoh.Session, config: PublishingConfig) -> None:

@@ -17,6 +17,7 @@ from service.publishing.security import link_settings
 
 CONNECT_MS = 3000  # for one try
 RETRY_MS = (500, 30_000)  # first and longest pause between two tries: a site's router begins with all at once
+HEALTH_JITTER_S = 0.3  # it comes each second, a little early or late: that is no message too many
 _BYTES_ACKED_AT = 120  # of struct tcp_info in linux/tcp.h: bytes_acked, bytes_received
 
 
@@ -45,7 +46,8 @@ def open_uplink(config: PublishingConfig) -> zenoh.Session:
 
     Zenoh lets through what `config.fleet` allows a second. Raises StorageError where none answers in time.
     """
-    limits_hz = {"pose": config.fleet.pose_hz, "health": config.fleet.health_hz}
+    health_s = 1.0 / config.fleet.health_hz - HEALTH_JITTER_S
+    limits_hz = {"pose": config.fleet.pose_hz, "health": 1.0 / health_s}
     rules = [{"key_expr": f"{ROOT}/*/{channel}", "freq": hz} for channel, hz in limits_hz.items()]
     settings = {
         **connection_settings(config),

@@ -73,13 +73,14 @@ class FleetSink(Sink):
             publisher.map_changed(tiles, stamp_ns, log_ns)
 
     def health(self) -> Status:
+        fault = self._fault  # before the values, which are written before it
         values = {"corridor": VERSION, "map_version": str(self._context.tiles.version), **self._values}
         if publisher := self._publisher:
             for what, counter in publisher.counts().items():
                 values |= {f"{what}.{channel}": str(count) for channel, count in sorted(counter.items())}
         if (rival := self._rival) is not None:
             return Status(self.name, ERROR, self._refusal(rival), values)
-        return Status(self.name, WARNING if self._fault else OK, self._fault or "ok", values)
+        return Status(self.name, WARNING if fault else OK, fault or "ok", values)
 
     def place(self) -> str:
         return ", ".join(self._config.connect)
@@ -141,7 +142,6 @@ class FleetSink(Sink):
             self._wake.wait(LOOK_S)
 
     def _look(self, router: str, source: str) -> None:
-        self._fault = "" if router else f"no link to {self.place()}; poses and tiles stay on this machine"
         self._bytes.look(source)
         now_s = time.monotonic()
         before_s, sent = self._rate_from
@@ -151,6 +151,7 @@ class FleetSink(Sink):
             self._rate_from = now_s, self._bytes.sent
             values["kilobytes_per_s"] = f"{(self._bytes.sent - sent) / (now_s - before_s) / 1e3:.1f}"
         self._values = {**self._values, **values}
+        self._fault = "" if router else f"no link to {self.place()}; poses and tiles stay on this machine"
 
     def _decide(self, session: zenoh.Session, own: Presence, watched: str) -> None:
         """Be in the fleet, unless another one of this name was first."""

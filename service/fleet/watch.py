@@ -1,0 +1,81 @@
+"""The vehicles of a site as they change, until somebody stops it."""
+
+import queue
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from drivers.zenoh_callback import daemon_callback
+from service.fleet.vehicles import Vehicle, last_of, present, vehicle_in, vehicle_of
+from service.publishing.keys import vehicle_key
+from service.publishing.uplink import PRESENCES, read_presence
+
+Show = Callable[[Vehicle], None]
+
+
+class Watch:
+    """What is known of each vehicle, by one subscription for all of them."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._news: queue.SimpleQueue[str] = queue.SimpleQueue()  # vehicles
+        self._health: dict[str, zenoh.Sample] = {}
+        self._poses: dict[str, zenoh.Sample] = {}
+        self._present = present(session)
+        liveliness = session.liveliness()
+        liveliness.declare_subscriber(PRESENCES, daemon_callback(self._came_or_went, "fleet-presence"))
+        for channel, last in (("pose", self._poses), ("health", self._health)):
+            kept = self._keeper(last, channel == "health")
+            session.declare_subscriber(vehicle_key("*", channel), daemon_callback(kept, f"fleet-{channel}"))
+            for name, sample in last_of(session, channel).items():
+                last.setdefault(name, sample)
+        for name in sorted({*self._present, *self._health}):
+            self._news.put(name)
+
+    def run(self, show: Show, seconds: float | None, changes_only: bool) -> None:
+        """Show a vehicle with each health message; with changes_only where its state, faults or sessions are
+        others than before. seconds: None for ever.
+        """
+        until_s = time.monotonic() + seconds if seconds is not None else None
+        shown: dict[str, tuple[object, ...]] = {}
+        while until_s is None or time.monotonic() < until_s:
+            try:
+                name = self._news.get(
+                    timeout=1.0 if until_s is None else max(until_s - time.monotonic(), 0.0)
+                )
+            except queue.Empty:
+                continue
+            vehicle = self.vehicle(name)
+            if not changes_only or shown.get(name) != _what_counts(vehicle):
+                shown[name] = _what_counts(vehicle)
+                show(vehicle)
+
+    def vehicle(self, name: str) -> Vehicle:
+        """As it is known now; silent once its last session has gone."""
+        sessions = self._present.get(name, ())
+        health = self._health.get(name) if sessions else None
+        return vehicle_of(name, health, self._poses.get(name), sessions)
+
+    def _keeper(self, last: dict[str, zenoh.Sample], tells: bool) -> Callable[[zenoh.Sample], None]:
+        def keep(sample: zenoh.Sample) -> None:
+            name = vehicle_in(str(sample.key_expr))
+            last[name] = sample
+            if tells:
+                self._news.put(name)
+
+        return keep
+
+    def _came_or_went(self, sample: zenoh.Sample) -> None:
+        read = read_presence(str(sample.key_expr))
+        if read is None:
+            return
+        name, presence = read
+        others = [one for one in self._present.get(name, []) if one != presence]
+        is_here = sample.kind == zenoh.SampleKind.PUT
+        self._present[name] = sorted([*others, presence]) if is_here else others
+        if not is_here or others or name in self._health:  # else its first health message comes soon
+            self._news.put(name)
+
+
+def _what_counts(vehicle: Vehicle) -> tuple[object, ...]:
+    return vehicle.state, vehicle.faults, vehicle.sessions, vehicle.map, vehicle.corridor

@@ -1,0 +1,158 @@
+"""`corridor fleet router|status|watch` as one calls them, with sinks of vehicles on loopback."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+import zenoh
+
+from service.encoding import encode_pose
+from service.errors import ConfigError, StorageError
+from service.fleet.router import zenohd_config
+from service.fleet.vehicles import Vehicle, read_vehicles
+from service.fleet.watch import Watch
+from service.publishing.uplink import PRESENCES
+from tests.service.cli.test_commands import code_of
+from tests.service.fleet.conftest import diagnostics, router_config
+from tests.service.publishing.conftest import tls
+from tests.service.test_encoding_outputs import OUTPUT
+from tests.waiting import wait_until
+
+
+@pytest.fixture
+def client_file(tmp_path, endpoint) -> str:
+    path = tmp_path / "site.yaml"
+    path.write_text(f"publishing: {{connect: [{endpoint}]}}\n")
+    return str(path)
+
+
+def vehicles_at(capsys, client_file, *names: str) -> tuple[int, dict[str, dict]]:
+    code = code_of(["fleet", "status", "--site", client_file, "--json", *names])
+    return code, {one["name"]: one for one in json.loads(capsys.readouterr().out)["vehicles"]}
+
+
+def put_health(sink, client, state: str = "ok") -> None:
+    """And wait until it is the answer to a get."""
+    sink.put(diagnostics(state))
+    key = f"corridor/v1/{sink._context.vehicle}/health"
+    wait_until(lambda: list(client.get(key, timeout=20.0)))
+
+
+def test_status_lists_each_vehicle_with_what_it_says_of_itself(
+    endpoint, router, start_vehicle, open_client, client_file, capsys
+):
+    client = open_client(endpoint)
+    for name in ("veh2", "veh1"):
+        sink = start_vehicle(endpoint, name)
+        sink.put(encode_pose(OUTPUT, 1))
+        put_health(sink, client)
+    code, vehicles = vehicles_at(capsys, client_file)
+    assert (code, list(vehicles)) == (0, ["veh1", "veh2"])
+    veh1 = vehicles["veh1"]
+    assert (veh1["state"], veh1["map"], veh1["map_version"]) == ("ok", "site", 3)
+    assert (veh1["free_gb"], veh1["corridor"]) == (12.5, "0.1.0")
+    pose = OUTPUT.pose_map_base
+    assert veh1["x_m"] == pytest.approx(pose.x_m, abs=1e-3)
+    assert len(veh1["sessions"]) == 1
+    assert code_of(["fleet", "status", "--site", client_file]) == 0
+    assert "veh1: ok | x " in capsys.readouterr().out
+
+
+def test_a_vehicle_that_is_lost_or_not_there_makes_the_exit_code_1(
+    endpoint, router, start_vehicle, open_client, client_file, capsys
+):
+    put_health(start_vehicle(endpoint), open_client(endpoint), "lost")
+    assert vehicles_at(capsys, client_file)[0] == 1
+    code, vehicles = vehicles_at(capsys, client_file, "veh9")
+    assert (code, list(vehicles), vehicles["veh9"]["state"]) == (1, ["veh9"], "silent")
+
+
+def test_two_vehicles_by_one_name_make_the_exit_code_1_and_both_are_named(
+    endpoint, router, start_vehicle, open_client, client_file, capsys
+):
+    client = open_client(endpoint)
+    put_health(start_vehicle(endpoint), client)
+    start_vehicle(endpoint, waits=False)
+    wait_until(lambda: len(list(client.liveliness().get(PRESENCES, timeout=20.0))) == 2)
+    code, vehicles = vehicles_at(capsys, client_file)
+    assert (code, len(vehicles["veh1"]["sessions"])) == (1, 2)
+
+
+def test_status_without_a_router_is_an_error_of_the_network(client_file, capsys):
+    assert code_of(["fleet", "status", "--site", client_file]) == StorageError.exit_code
+    assert "no router at" in capsys.readouterr().err
+
+
+def test_a_site_file_with_a_fault_is_a_bad_config(tmp_path, capsys):
+    path = tmp_path / "site.yaml"
+    path.write_text('publishing:\n  conect: ["tcp/127.0.0.1:7447"]\n')
+    assert code_of(["fleet", "status", "--site", str(path)]) == ConfigError.exit_code
+    assert f"{path}:2:3" in capsys.readouterr().err
+
+
+def test_what_is_no_health_message_is_a_fault_of_its_vehicle(endpoint, router, open_client):
+    client = open_client(endpoint)
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply("corridor/v1/veh5/health", b"\0\1\0\0nonsense")
+
+    client.declare_queryable("corridor/v1/veh5/health", answer)
+    (vehicle,) = read_vehicles(open_client(endpoint), ["veh5"])
+    assert vehicle.state == "silent"
+    assert "cannot be read" in vehicle.faults[0]
+
+
+def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_vehicle, open_client):
+    sink = start_vehicle(endpoint)
+    put_health(sink, open_client(endpoint))
+    seen: list[Vehicle] = []
+    watch = Watch(open_client(endpoint))
+    thread = threading.Thread(target=watch.run, args=(seen.append, 60.0, True), daemon=True)
+    thread.start()
+    wait_until(lambda: seen)
+    wait_until(lambda: sink.put(diagnostics("lost")) or seen[-1].state == "lost")
+    sink.close()
+    wait_until(lambda: seen[-1].state == "silent")
+    assert [one.state for one in seen if one.sessions] == ["ok", "lost"]
+
+
+def test_the_router_runs_until_it_is_told_to_end(tmp_path, endpoint, start_vehicle):
+    path = tmp_path / "router.yaml"
+    path.write_text(f"publishing: {{listen: [{endpoint}]}}\n")
+    command = [sys.executable, "-m", "service", "fleet", "router", str(path), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert json.loads(process.stdout.readline())["listen"] == [endpoint]
+        start_vehicle(endpoint)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20.0) == 0
+
+
+def test_the_config_for_zenohd_keeps_strangers_and_viewers_out_as_our_router_does(
+    site, endpoint, client_of, open_session, start_vehicle, tmp_path
+):
+    secured = endpoint.replace("tcp", "tls")
+    path = tmp_path / "zenohd.json5"
+    path.write_text(zenohd_config(router_config(site, secured)))
+    open_session(zenoh.Config.from_file(str(path)))  # zenohd reads the file by the same code
+    start_vehicle(secured)
+    with pytest.raises(zenoh.ZError):
+        client_of(secured, timeout_ms=500)
+    key = "corridor/v1/veh1/cmd/any"
+    assert list(client_of(secured, "operator").get(key, timeout=20.0))
+    assert not list(client_of(secured, "viewer").get(key, timeout=20.0))
+
+
+def test_status_shows_its_certificate(site, endpoint, start_router, start_vehicle, tmp_path, capsys):
+    secured = endpoint.replace("tcp", "tls")
+    start_router(secured)
+    start_vehicle(secured)
+    path = tmp_path / "anna.yaml"
+    path.write_text(
+        json.dumps({"publishing": {"connect": [secured], "security": {"tls": tls(site, "viewer")}}})
+    )
+    _, vehicles = vehicles_at(capsys, str(path))
+    assert list(vehicles) == ["veh1"]
