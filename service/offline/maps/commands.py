@@ -17,6 +17,7 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, load_map
 from service.offline.maps import asked as asked_for
 from service.offline.maps import edit as map_edit
+from service.offline.maps.disagreeing_passes import disagreeing_passes
 from service.offline.maps.log import map_log
 from service.publishing.commands import Answer, refusal
 
@@ -97,11 +98,12 @@ class MapCommands:
 
 
 def look(stored: StoredMap) -> dict[str, Any]:
-    """What a page is told of a version: its number, its pairs, and when and where its key frames were."""
+    """What a page is told of a version: its number, pairs, passes that could be joined, and key frames."""
     graph = stored.graph
     return {
         "version": stored.number,
         "pairs": [] if graph is None else pairs_of(graph.by_hand, graph.map),
+        "passes": [] if graph is None else disagreeing_passes(graph),
         "keyframes": None if graph is None else _keyframes(graph),
     }
 

@@ -19,6 +19,12 @@ export const setText = (node, text) => {
   if (node.textContent !== text) node.textContent = text;
 };
 
+/** Disable a control, and say why where the pointer rests and to who hears the page; "": it works. */
+export const setRefused = (control, reason, hint = "") => {
+  control.disabled = reason !== "";
+  control.title = reason || hint;
+};
+
 /** A name of a file, which may go on in the next line after each _ only. */
 export const fileName = (name) => name.split(/(?<=_)/).flatMap((part, i) => (i ? [element("wbr"), part] : [part]));
 

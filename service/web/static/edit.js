@@ -111,7 +111,7 @@ export class Edit {
     this.keyframes = new Keyframes();
     this.live.clear();
     this.pairs.clear();
-    this.pairs.put([]);
+    this.pairs.put([], []);
   }
 
   async #fetch() {
@@ -134,7 +134,7 @@ export class Edit {
       return;
     }
     [this.version, this.keyframes, this.fetchedAt_s] = [told.version, new Keyframes(told.keyframes), Date.now() / 1000];
-    this.pairs.put(told.pairs);
+    this.pairs.put(told.pairs, told.passes);
     this.view.invalidate();
   }
 
@@ -148,7 +148,7 @@ export class Edit {
     [this.version, this.versions, this.keyframes] = [told.version, told.versions, new Keyframes(told.keyframes)];
     if (!this.who.value) this.who.value = told.user;
     this.update();
-    this.pairs.put(told.pairs);
+    this.pairs.put(told.pairs, told.passes);
     this.view.invalidate();
     return true;
   }

@@ -1,6 +1,6 @@
 // Manual optimisation: points of two places that are one, what is left between them, and the solution.
 
-import { byId, card, confirmed, element, setText } from "./dom.js";
+import { byId, card, confirmed, element, setRefused, setText } from "./dom.js";
 import { PairTool } from "./edit_tools.js";
 import { fixed } from "./format.js";
 import { PlacePane } from "./place_pane.js";
@@ -15,6 +15,7 @@ export class EditPairs {
     this.edit = edit;
     this.pairs = []; // not yet in the map: {points: [of A, of B], places: of each {keyframe, stamp_ns, pose}}
     this.stored = []; // of the map, as map_look tells them
+    this.passes = []; // that could be joined, as map_look tells them
     this.places = {
       a: new PlacePicker("a", edit, () => this.#placeChanged()),
       b: new PlacePicker("b", edit, () => this.#placeChanged()),
@@ -26,10 +27,11 @@ export class EditPairs {
       (...drawing) => this.#drawPane(...drawing));
     this.shownInPane = null; // pose of place B
     this.forget = element("button", { type: "button", id: "forget-places", onclick: () => this.clear() }, "Clear");
+    this.passList = element("ul", { className: "stored", id: "passes", "aria-label": "Passes that overlap and do not agree" });
     this.list = element("ul", { className: "stored", id: "pairs", "aria-label": "Pairs of points" });
     this.optimise = element("button", { type: "button", className: "primary", id: "optimise", onclick: () => this.#optimise() }, "Optimise");
     this.card = card("Join places by points");
-    this.card.node.append(
+    this.card.node.append(this.passList,
       element("p", { className: "note" },
         "Where a wall shows twice, choose a place of each pass; then click a point of A and the same one of B. Two pairs some metres apart fix a turn, too."),
       this.places.a.node, this.places.b.node,
@@ -37,9 +39,10 @@ export class EditPairs {
       this.list, element("div", { className: "row" }, this.optimise, this.forget));
   }
 
-  /** Pairs and key frames of the map as it is now. */
-  put(pairs) {
+  /** Pairs, passes that could be joined, and key frames of the map as it is now. */
+  put(pairs, passes) {
     this.stored = pairs;
+    this.passes = passes;
     for (const place of Object.values(this.places)) {
       if (place.isChosen && place.keyframe < this.edit.keyframes.count) place.choose(place.keyframe);
       else place.clear();
@@ -72,6 +75,8 @@ export class EditPairs {
     setText(this.optimise, this.pairs.length ? `Optimise with ${this.pairs.length} new` : "Optimise");
     const total = this.stored.length + this.pairs.length;
     setText(this.card.aside, total ? `${total} ${total === 1 ? "pair" : "pairs"}` : "");
+    this.passList.hidden = this.passes.length === 0;
+    this.passList.replaceChildren(...this.passes.map((pass) => this.#proposal(pass)));
     this.list.replaceChildren(
       ...this.stored.map((pair) => this.#entry(`Pair ${pair.pair}`, pair.apart_mm / 1000, () => this.edit.change({ what: "remove-pair", pair: pair.pair }, "Remove pair"))),
       ...this.pairs.map((pair, i) => this.#entry(`New ${i + 1}`, apart_m(pair), () => this.#remove(i))));
@@ -81,6 +86,27 @@ export class EditPairs {
     return element("li", { className: "pair" }, element("span", { className: "stored-name" }, name),
       element("span", { className: "note" }, `${fixed(residual_m, 3, " m")} apart`),
       element("button", { type: "button", "aria-label": `Remove ${name}`, onclick: remove }, "Remove"));
+  }
+
+  /** What was aligned and not accepted, with the points that would join it. */
+  #proposal(pass) {
+    const { keyframes: [a, b], apart_m, apart_deg, on_map, x_m, y_m, why } = pass, { keyframes } = this.edit;
+    const where = `x ${fixed(x_m, 1)}, y ${fixed(y_m, 1, " m")}`, isChosen = this.pairs.some((pair) => pair.pass === pass);
+    const button = element("button", { type: "button", "aria-label": `Propose points at ${where}`, onclick: () => this.#propose(pass) }, "Propose points");
+    setRefused(button, isChosen ? "Its points are in the list below" : "");
+    return element("li", { className: "pass" }, element("p", { className: "stored-name" }, `Two passes ${fixed(apart_m, 2, " m")} and ${fixed(apart_deg, 1)}\u00b0 apart at ${where}`),
+      element("p", { className: "note" }, `Of ${fixed(keyframes.seconds(a), 0)} and ${fixed(keyframes.seconds(b), 0, " s")}; aligned, ${fixed(100 * on_map, 0, " %")} of the later points fit. Not joined by itself: ${why}.`),
+      button);
+  }
+
+  /** Choose both places and points of them, for the person to look at before Optimise. */
+  async #propose(pass) {
+    const { a, b } = this.places, [of, to] = pass.keyframes;
+    await Promise.all([a.choose(of), b.choose(to)]);
+    if (a.keyframe !== of || b.keyframe !== to || !this.passes.includes(pass)) return;
+    for (const points of pass.points.slice(0, MAX_PAIRS - this.pairs.length)) this.pairs.push({ pass, points, places: [a.as(), b.as()] });
+    b.show();
+    this.update();
   }
 
   #remove(i) {

@@ -1,0 +1,57 @@
+"""Two rounds of one ring that lie beside each other in the map are proposed to be joined."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.mapper.graph.edit.editing import solved, with_pair
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.refused_loops import BY_HAND, CONTRADICTED, IN_FREE_SPACE
+from service.mapper.saved_graph import SavedGraph
+from service.offline.maps.disagreeing_passes import POINTS, disagreeing_passes
+from tests.service.offline.maps.bent_maps import ROUND, BentMap
+
+
+def with_reason(graph: SavedGraph, reason: int) -> SavedGraph:
+    return replace(graph, refused=replace(graph.refused, reason=np.full_like(graph.refused.reason, reason)))
+
+
+def test_the_points_proposed_straighten_the_map_and_then_nothing_is_proposed(bent: BentMap):
+    (proposed,) = disagreeing_passes(bent.graph)
+    earlier, later = proposed["keyframes"]
+    assert later - earlier == pytest.approx(ROUND, abs=10)
+    assert proposed["apart_m"] > 0.5
+    assert proposed["apart_deg"] == pytest.approx(6.0, abs=0.1)
+    assert len(proposed["points"]) == POINTS
+    graph = bent.graph
+    for points in proposed["points"]:
+        graph = with_pair(graph, np.array(points), (earlier, later))
+    graph = solved(graph, OccupancyTiles(OccupancyConfig(), 0.05).renderer).graph
+    assert bent.error_m(bent.graph) > 0.5
+    assert bent.error_m(graph) < 0.10
+    assert disagreeing_passes(graph) == []
+
+
+def test_a_stretch_of_30_m_is_proposed_once_with_the_best_fit(bent: BentMap):
+    graph = replace(bent.graph, way_m=10.0 * bent.graph.way_m)  # more stretches of the same drive
+    proposed = disagreeing_passes(graph)
+    assert len(proposed) > 2
+    assert [one["on_map"] for one in proposed] == sorted((one["on_map"] for one in proposed), reverse=True)
+    assert proposed[0] == disagreeing_passes(bent.graph)[0]
+
+
+@pytest.mark.parametrize(("reason", "count"), [(CONTRADICTED, 1), (IN_FREE_SPACE, 0), (BY_HAND, 0)])
+def test_what_did_not_fit_or_was_taken_back_by_hand_is_not_proposed(bent: BentMap, reason: int, count: int):
+    assert len(disagreeing_passes(with_reason(bent.graph, reason))) == count
+
+
+def test_passes_whose_points_are_gone_are_not_proposed(bent: BentMap):
+    graph = bent.graph
+    empty = replace(
+        graph,
+        point_count=np.zeros_like(graph.point_count),
+        xy_base=graph.xy_base[:0],
+        normals=graph.normals[:0],
+    )
+    assert disagreeing_passes(empty) == []
