@@ -131,8 +131,6 @@ def test_the_pose_is_set_by_dragging(control, still_dispatcher):
     page.element("do-set_pose").click()
     canvas = page.element("map")
     page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
     page.wait_for_text("notices", "done.")
     ((verb, request),) = asked(still_dispatcher)
     assert verb == "set_pose"

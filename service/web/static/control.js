@@ -147,16 +147,17 @@ export class Control {
   }
 
   #setPose() {
-    this.startPoseTool(async ({ x_m, y_m, theta_rad }) => {
-      const words = `x ${fixed(x_m, 2, " m")}, y ${fixed(y_m, 2, " m")}, heading ${degrees(theta_rad)}.`;
-      if (await confirmed("Set the pose?", words, "Set pose")) this.ask("set_pose", { x_m, y_m, theta_rad });
-    });
+    this.startPoseTool(({ x_m, y_m, theta_rad }) => this.ask("set_pose", { x_m, y_m, theta_rad }));
   }
 }
 
 const words = (answer) => {
   if (answer.folder_before) return `, the map before is in ${answer.folder_before}`;
   if (answer.folder) return `, in ${answer.folder}`;
+  if (answer.looked_for_at) {
+    const [x_m, y_m, theta_rad] = answer.looked_for_at;
+    return `, the vehicle is looked for at x ${fixed(x_m, 2, " m")}, y ${fixed(y_m, 2, " m")}, heading ${degrees(theta_rad)}`;
+  }
   if (answer.changed === false) return ", it was so already";
   return "";
 };

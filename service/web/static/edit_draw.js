@@ -6,6 +6,7 @@ import { counted, fixed } from "./format.js";
 
 const MAX_CORNERS = 500; // of one change; the service refuses more
 const SPAN_STEP_S = 0.01;
+const MAX_UNASKED_M2 = 10; // of a rectangle that is erased without a question: Undo brings it back
 const BECOMES = { as_seen: "free where scans see through", unknown: "unknown", free: "free" };
 
 export class EditDraw {
@@ -46,7 +47,7 @@ export class EditDraw {
       return;
     }
     const changed = () => this.update();
-    const done = () => (kind === "wall" ? this.#wall() : this.#erase());
+    const done = () => (kind === "wall" ? this.#wall() : this.#erase(kind === "rectangle"));
     const tool = kind === "rectangle" ? new RectangleTool(this.edit.view, { changed, done })
       : new CornersTool(this.edit.view, { isClosed: kind === "area", most: MAX_CORNERS, changed, done });
     this.edit.beginTool(tool, () => {
@@ -57,9 +58,10 @@ export class EditDraw {
     this.update();
   }
 
-  async #erase() {
+  /** isDragged: by one stroke, so that a small one is undone as quickly as it was drawn. */
+  async #erase(isDragged = false) {
     const { corners } = this, becomes = this.becomes.value;
-    const isSure = await confirmed("Erase the area?",
+    const isSure = (isDragged && area(corners) <= MAX_UNASKED_M2) || await confirmed("Erase the area?",
       `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. Undo brings it back.`, "Erase");
     if (isSure) this.#change({ what: "erase", corners, becomes }, "Erase");
   }
