@@ -2,14 +2,20 @@
 
 import argparse
 import json
+import logging
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.cli.console import print_result
+from service.cli.console import print_result, progress
+from service.cli.map_names import map_and_version
+from service.errors import CorridorError
 
 if TYPE_CHECKING:  # it imports pydantic and Zenoh
     from service.publishing.config import PublishingConfig
+
+log = logging.getLogger(__name__)
 
 Add = Callable[[Any, str, str], argparse.ArgumentParser]
 
@@ -31,7 +37,19 @@ def add_fleet(commands: Any, add: Add) -> None:
     status.add_argument("vehicles", nargs="*", metavar="VEHICLE", help="that must be there (default: all)")
     watch = add(works, "watch", "a line with each change, until Ctrl-C; with --json with each health message")
     watch.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    for one in (status, watch):
+    pull = add(
+        works, "pull", "fetch the finished recordings of vehicles, oldest first; goes on where it ended"
+    )
+    pull.add_argument("vehicles", nargs="*", metavar="VEHICLE", help="default: all")
+    pull.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="a folder for each vehicle in it"
+    )
+    pull.add_argument("--limit-mb-s", type=float, metavar="MB", help="of each vehicle's link, at most")
+    push = add(works, "push", "bring a stored map to vehicles; all begin in it, or none stays in it")
+    push.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]", help="its folder")
+    push.add_argument("vehicles", nargs="+", metavar="VEHICLE")
+    push.add_argument("--name", metavar="NAME", help="of the map there (default: FOLDER_vVERSION)")
+    for one in (status, watch, pull, push):
         _add_site(one)
 
 
@@ -46,7 +64,7 @@ def _add_site(parser: argparse.ArgumentParser) -> None:
 
 
 def fleet(parsed: argparse.Namespace) -> int:
-    works = {"router": _router, "status": _status, "watch": _watch}
+    works = {"router": _router, "status": _status, "watch": _watch, "pull": _pull, "push": _push}
     return works[parsed.work](parsed)
 
 
@@ -97,3 +115,47 @@ def _watch(parsed: argparse.Namespace) -> int:
     with connected(_site(parsed)) as session:
         Watch(session).run(show, parsed.seconds, changes_only=not parsed.json)
     return 0
+
+
+def _pull(parsed: argparse.Namespace) -> int:
+    from service.fleet.asking import for_each
+    from service.fleet.pull import Pulled, pull
+    from service.fleet.vehicles import connected, present
+
+    limit = None if parsed.limit_mb_s is None else parsed.limit_mb_s * 1e6
+    sizes: dict[str, tuple[int, int]] = {}
+    with connected(_site(parsed)) as session, progress("recordings") as shown:
+
+        def fetch(vehicle: str) -> Pulled:
+            def come(done: int, total: int) -> None:
+                sizes[vehicle] = done, total
+                all_done, all_bytes = (sum(column) for column in zip(*list(sizes.values()), strict=True))
+                shown(all_done / all_bytes, "recordings", f"{all_done / 1e6:.0f} MB")
+
+            return pull(session, vehicle, parsed.out, limit, come)
+
+        results = for_each(parsed.vehicles or list(present(session)), fetch)
+    print_result({"vehicles": {one: _result(result) for one, result in results.items()}}, parsed.json)
+    return next((one.exit_code for one in results.values() if isinstance(one, CorridorError)), 0)
+
+
+def _push(parsed: argparse.Namespace) -> int:
+    from service.fleet.push import push
+    from service.fleet.vehicles import connected
+
+    folder, number = parsed.map
+    with connected(_site(parsed)) as session:
+        pushed = push(
+            session, folder, number, parsed.vehicles, parsed.name, lambda words: log.info("%s", words)
+        )
+    if parsed.json:
+        print_result(
+            {"vehicles": {one.vehicle: {"state": one.state, "error": one.error} for one in pushed}}, True
+        )
+    else:
+        print("\n".join(map(str, pushed)))
+    return 0 if all(one.state == "active" for one in pushed) else 1
+
+
+def _result(result: Any) -> dict[str, Any]:
+    return {"error": str(result)} if isinstance(result, CorridorError) else asdict(result)

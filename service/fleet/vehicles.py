@@ -55,7 +55,7 @@ class Vehicle:
     y_m: float | None
     heading_deg: float | None
     map: str  # folder of the map, without its path
-    map_version: int | None
+    map_version: int | None  # of its newest tile
     age_s: float | None  # of the health message, by the clocks of both machines
     free_gb: float | None  # on the disk of the recordings
     corridor: str  # version
@@ -132,7 +132,7 @@ def vehicle_of(
         y_m=at and round(at[1], 3),
         heading_deg=at and round(math.degrees(at[2]), 1),
         map=PurePath(values["map"].get("folder", "")).name,
-        map_version=_number(values["map"].get("saved_version"), int),
+        map_version=_number(values["fleet"].get("map_version"), int),
         age_s=age_s,
         free_gb=_number(values["recording"].get("free_gb"), float),
         corridor=values["fleet"].get("corridor", ""),

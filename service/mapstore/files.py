@@ -117,6 +117,23 @@ def restore_version(folder: Path, number: int, saved_ns: int, edit: Edit) -> int
     return _publish(folder, write, saved_ns, stored.about, edit)
 
 
+def adopt_version(folder: Path, source: Path) -> int:
+    """Make the files that lie in `source` beside their manifest the next version of the map in `folder`; its
+    number. They are linked: the same disk.
+
+    Raises InputError where one is missing or damaged, StorageError as save_map.
+    """
+    manifest = read_manifest(source)
+    check_files(source, manifest)
+
+    def write(new: Path) -> list[str]:
+        for name in manifest.files:
+            os.link(source / name, new / name)
+        return list(manifest.files)
+
+    return _publish(folder, write, manifest.saved_ns, manifest.about, manifest.edit)
+
+
 def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
     """The versions by rising number, the number of the current one, and what is damaged of the others.
 

@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 
 import zenoh
@@ -18,6 +19,7 @@ from service.publishing.keys import alive_key
 from service.publishing.shared import SharedZenoh
 from service.publishing.uplink import LinkBytes, Presence, open_uplink, presences
 from service.publishing.zenoh_publisher import ZenohPublisher
+from service.sinks.fleet_files import FleetFiles
 from service.sinks.sink import Sink, SinkContext
 from service.sinks.zenoh_sink import alive_components
 from service.version import VERSION
@@ -48,6 +50,7 @@ class FleetSink(Sink):
         self._began_ns = time.time_ns()
         self._shared = SharedZenoh(open_uplink)
         self._publisher: ZenohPublisher | None = None
+        self._opened = ExitStack()  # beside it
         self._wake = threading.Event()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
@@ -162,7 +165,7 @@ class FleetSink(Sink):
         if rival is None or own < rival:
             self._rival = None
             if self._publisher is None:
-                self._appear()
+                self._appear(session)
             return
         if self._rival != rival:
             self._rival, self._values["own"] = rival, str(own)
@@ -173,7 +176,7 @@ class FleetSink(Sink):
         name, own = self._context.vehicle, self._values.get("own", "this one")
         return f"two vehicles are called {name}: {rival} was first, {own} is refused; give one another name"
 
-    def _appear(self) -> None:
+    def _appear(self, session: zenoh.Session) -> None:
         publisher = ZenohPublisher(
             self._config,
             self._context.vehicle,
@@ -186,9 +189,13 @@ class FleetSink(Sink):
         )
         if self._config.fleet.commands:
             publisher.answer_commands(self._context.command)
+            folders = self._context.folders
+            files = FleetFiles(session, self._context.vehicle, folders.get("recording"), folders.get("map"))
+            self._opened.callback(files.close)
         self._publisher = publisher
 
     def _withdraw(self) -> None:
         publisher, self._publisher = self._publisher, None
+        self._opened.close()
         if publisher is not None:
             publisher.close()

@@ -52,7 +52,7 @@ def test_status_lists_each_vehicle_with_what_it_says_of_itself(
     code, vehicles = vehicles_at(capsys, client_file)
     assert (code, list(vehicles)) == (0, ["veh1", "veh2"])
     veh1 = vehicles["veh1"]
-    assert (veh1["state"], veh1["map"], veh1["map_version"]) == ("ok", "site", 3)
+    assert (veh1["state"], veh1["map"], veh1["map_version"]) == ("ok", "site", 7)
     assert (veh1["free_gb"], veh1["corridor"]) == (12.5, "0.1.0")
     pose = OUTPUT.pose_map_base
     assert veh1["x_m"] == pytest.approx(pose.x_m, abs=1e-3)

@@ -1,0 +1,104 @@
+"""Fetches the finished recordings of a vehicle, oldest first; what is there already is not fetched again."""
+
+import hashlib
+import logging
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from service.errors import InputError, StorageError
+from service.fleet.asking import ask, ask_json
+from service.sinks.fleet_files import RECORDINGS
+from service.writable import sync
+
+log = logging.getLogger(__name__)
+
+PART = ".part"  # ends the name of what is not whole yet
+TRIES = 6
+PAUSE_S = 1.0  # before the second try of a part; doubled for each further one
+Progress = Callable[[int, int], None]  # bytes that are here, bytes in all
+
+
+@dataclass(frozen=True, slots=True)
+class Pulled:
+    """Names of recordings."""
+
+    fetched: tuple[str, ...]
+    there: tuple[str, ...]  # before
+    bytes: int  # that were fetched
+
+
+def pull(
+    session: zenoh.Session,
+    vehicle: str,
+    out: Path,
+    limit_bytes_per_s: float | None = None,
+    progress: Progress = lambda done, total: None,
+    pause_s: float = PAUSE_S,
+) -> Pulled:
+    """Into out/<vehicle>/. One part is under way at a time, behind all else on the vehicle's link.
+
+    Raises RefusedError; StorageError where the vehicle does not answer any more, OSError where the disk
+    refuses: what has come stays, and the next call goes on there; InputError where a file is not what the
+    vehicle has.
+    """
+    folder = out / vehicle
+    folder.mkdir(parents=True, exist_ok=True)
+    listed = {str(one["name"]): int(one["bytes"]) for one in ask_json(session, vehicle, RECORDINGS)}
+    if unsafe := [name for name in listed if Path(name).name != name or not name.endswith(".mcap")]:
+        raise InputError(f"{vehicle}: {unsafe[0]!r} is no name of a recording")
+    there = [name for name, size in listed.items() if _size(folder / name) == size]
+    missing = {name: size for name, size in listed.items() if name not in there}
+    total, done, fetched_bytes = sum(missing.values()), 0, 0
+    began_s = time.monotonic()
+    for name, size in missing.items():
+        part = folder / f"{name}{PART}"
+        had = min(_size(part) or 0, size)
+        with part.open("r+b" if part.exists() else "w+b") as file:
+            file.truncate(had)
+            file.seek(had)
+            while (at := file.tell()) < size:
+                content = _asked_again(session, vehicle, f"{RECORDINGS}/{name}?offset={at}", pause_s)
+                if not content:
+                    raise InputError(f"{vehicle}: {name} ends at {at} bytes, of {size}; was it replaced?")
+                file.write(content)
+                fetched_bytes += len(content)
+                progress(done + file.tell(), total)
+                if limit_bytes_per_s is not None:
+                    time.sleep(max(fetched_bytes / limit_bytes_per_s - (time.monotonic() - began_s), 0.0))
+        _check(part, _asked_again(session, vehicle, f"{RECORDINGS}/{name}?sha256=1", pause_s).decode())
+        os.replace(part, folder / name)
+        sync(folder)
+        done += size
+        log.info("%s: %s, %.1f MB", vehicle, name, size / 1e6)
+    return Pulled(tuple(missing), tuple(there), fetched_bytes)
+
+
+def _asked_again(session: zenoh.Session, vehicle: str, channel: str, pause_s: float) -> bytes:
+    """The link may be lost meanwhile: Zenoh brings it back."""
+    for number in range(TRIES - 1):
+        try:
+            return ask(session, vehicle, channel)
+        except StorageError:
+            time.sleep(pause_s * 2**number)
+    return ask(session, vehicle, channel)
+
+
+def _check(part: Path, expected: str) -> None:
+    """On the disk, and what the vehicle has; else it is removed."""
+    sync(part)
+    with part.open("rb") as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if found != expected:
+        part.unlink()
+        raise InputError(
+            f"{part}: SHA-256 {found}, the vehicle's file has {expected}; removed, fetch it again"
+        )
+
+
+def _size(path: Path) -> int | None:
+    return path.stat().st_size if path.is_file() else None

@@ -1,0 +1,131 @@
+"""Recordings of a vehicle over loopback: whole, in order, and on from where an earlier try ended."""
+
+import hashlib
+import json
+import os
+import threading
+
+import pytest
+
+from service.errors import InputError, StorageError
+from service.fleet import pull as pull_module
+from service.fleet.asking import RefusedError, ask
+from service.fleet.pull import pull
+from service.sinks.fleet_files import PART_BYTES, RECORDINGS
+from tests.service.cli.test_commands import code_of
+
+SIZES = {"veh1_20261121T101500Z_0002.mcap": 10, "veh1_20261121T101500Z_0001.mcap": 2 * PART_BYTES + 7}
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    for name, size in SIZES.items():
+        (folder / name).write_bytes(os.urandom(size))
+    (folder / "veh1_20261121T101500Z_0003.mcap.active").write_bytes(b"not finished")
+    return folder
+
+
+@pytest.fixture
+def vehicle(endpoint, router, start_vehicle, recordings):
+    return start_vehicle(endpoint, folders={"recording": recordings})
+
+
+def test_finished_recordings_come_whole_and_oldest_first_and_once(
+    vehicle, endpoint, open_client, recordings, tmp_path
+):
+    client = open_client(endpoint)
+    steps: list[tuple[int, int]] = []
+    first = pull(client, "veh1", tmp_path / "out", progress=lambda *step: steps.append(step))
+    assert first.fetched == tuple(sorted(SIZES))
+    assert {path.name for path in (tmp_path / "out/veh1").iterdir()} == set(SIZES)
+    for name in SIZES:
+        assert (tmp_path / "out/veh1" / name).read_bytes() == (recordings / name).read_bytes()
+    assert steps[-1] == (sum(SIZES.values()), sum(SIZES.values()))
+    again = pull(client, "veh1", tmp_path / "out")
+    assert (again.fetched, again.there, again.bytes) == ((), tuple(sorted(SIZES)), 0)
+
+
+def test_a_transfer_that_was_cut_off_goes_on_where_it_ended(
+    vehicle, endpoint, open_client, recordings, tmp_path
+):
+    name = min(SIZES)
+    part = tmp_path / "out/veh1" / f"{name}.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes((recordings / name).read_bytes()[: PART_BYTES + 3])
+    pulled = pull(open_client(endpoint), "veh1", tmp_path / "out")
+    assert pulled.bytes == sum(SIZES.values()) - PART_BYTES - 3
+    assert (part.parent / name).read_bytes() == (recordings / name).read_bytes()
+
+
+def test_a_file_with_another_checksum_is_removed_and_said_so(
+    vehicle, endpoint, open_client, recordings, tmp_path
+):
+    name = min(SIZES)
+    part = tmp_path / "out/veh1" / f"{name}.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(b"of another file")
+    with pytest.raises(InputError, match="SHA-256"):
+        pull(open_client(endpoint), "veh1", tmp_path / "out")
+    assert not part.exists()
+    assert not (part.parent / name).exists()
+
+
+def test_a_lost_link_delays_a_transfer_and_does_not_end_it(
+    endpoint, start_router, start_vehicle, recordings, open_client, tmp_path
+):
+    router = start_router(endpoint)
+    start_vehicle(endpoint, folders={"recording": recordings})
+    lost = threading.Event()
+
+    def cut_once(done: int, total: int) -> None:
+        if not lost.is_set():
+            lost.set()
+            router.close()
+            start_router(endpoint)
+
+    pulled = pull(open_client(endpoint), "veh1", tmp_path / "out", progress=cut_once, pause_s=0.3)
+    assert lost.is_set()
+    assert set(pulled.fetched) == set(SIZES)
+
+
+def test_a_limit_spreads_the_transfer_over_time(vehicle, endpoint, open_client, tmp_path, monkeypatch):
+    pauses: list[float] = []
+    monkeypatch.setattr(pull_module.time, "sleep", pauses.append)
+    pull(open_client(endpoint), "veh1", tmp_path / "out", limit_bytes_per_s=PART_BYTES)
+    assert pauses[0] == pytest.approx(1.0, abs=0.5)
+    assert pauses[1] == pytest.approx(2.0, abs=0.5)  # since the begin, for no time passes in this test
+
+
+@pytest.mark.parametrize("name", ["../secret.mcap", "veh1_20261121T101500Z_0003.mcap.active", "none.mcap"])
+def test_nothing_but_finished_recordings_is_read(vehicle, endpoint, open_client, recordings, name):
+    (recordings.parent / "secret.mcap").write_bytes(b"secret")
+    with pytest.raises(RefusedError, match="no finished recording"):
+        ask(open_client(endpoint), "veh1", f"{RECORDINGS}/{name}?offset=0")
+
+
+def test_a_vehicle_that_is_not_there_is_named(endpoint, router, open_client, tmp_path):
+    with pytest.raises(StorageError, match="veh7 does not answer"):
+        pull(open_client(endpoint), "veh7", tmp_path / "out")
+
+
+def test_viewers_fetch_nothing(endpoint, start_router, start_vehicle, recordings, client_of, tmp_path):
+    secured = endpoint.replace("tcp", "tls")
+    start_router(secured)
+    start_vehicle(secured, folders={"recording": recordings})
+    with pytest.raises(StorageError, match="does not answer"):
+        pull(client_of(secured, "viewer"), "veh1", tmp_path / "out")
+    assert pull(client_of(secured, "operator"), "veh1", tmp_path / "out").fetched
+
+
+def test_the_command_says_what_it_fetched(vehicle, endpoint, tmp_path, capsys):
+    site = tmp_path / "site.yaml"
+    site.write_text(f"publishing: {{connect: [{endpoint}]}}\n")
+    out = str(tmp_path / "out")
+    assert code_of(["fleet", "pull", "--site", str(site), "--out", out, "--json"]) == 0
+    fetched = json.loads(capsys.readouterr().out)["vehicles"]["veh1"]["fetched"]
+    assert fetched == sorted(SIZES)
+    sums = [hashlib.sha256((tmp_path / "out/veh1" / name).read_bytes()).hexdigest() for name in fetched]
+    assert len(set(sums)) == 2
+    assert code_of(["fleet", "pull", "veh7", "--site", str(site), "--out", out]) == 74
