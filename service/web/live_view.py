@@ -43,14 +43,15 @@ from service.web.protocol import (
     health_json,
     mountings_json,
     pose_json,
+    series_json,
     to_json,
 )
 from service.web.send_queue import Payload
+from service.web.series import FigureRows, Row
 
 SCAN_PERIOD_NS = 200_000_000  # of one laser; five pictures a second look alive and take 20 kB
 GRAPH_PERIOD_NS = 2_000_000_000  # at most 25 kB
-LATENCY_PERIOD_NS = 1_000_000_000
-KEPT_LATENCIES = 300  # five minutes
+KEPT_ROWS = 600  # ten minutes
 MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
 UNTOLD = (
@@ -118,7 +119,7 @@ class _Streams:
 
 
 class LiveView:
-    """The newest pose, scans, health, mountings and events, the path and the latencies.
+    """The newest pose, scans, health, mountings and events, the path and figures over time.
 
     monotonic_ns    of the host, to give each laser's scans a period
     """
@@ -131,8 +132,8 @@ class LiveView:
         self._upside_down: frozenset[str] = frozenset()
         self._since: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
         self._due_ns: dict[str, int] = {}  # by channel that is shown seldom
-        self._latency_due_ns = 0
-        self._latencies: deque[tuple[float, float, float, int]] = deque(maxlen=KEPT_LATENCIES)
+        self._figures = FigureRows()
+        self._rows: deque[Row] = deque(maxlen=KEPT_ROWS)
         self._events: deque[str] = deque(maxlen=MAX_EVENTS)
         self._kept: dict[str, Payload] = {}  # by key, for a browser that comes late
         self._path = DrivenPath()
@@ -171,16 +172,13 @@ class LiveView:
             text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=words)
             self._events.append(text)
             shown.append(Shown("", text))
-        if came.latencies_ns:
-            shown.append(Shown("", self._latency(came)))
-        return shown
+        return shown + self._show_row(came)
 
     def snapshot(self) -> list[Shown]:
         """All that a browser needs that comes now; tiles come apart."""
-        history = to_json("latency_history", points=[list(point) for point in self._latencies])
         return [
             Shown("path", self._path.payload()),
-            Shown("latency_history", history),
+            Shown("series", series_json(self._rows)),
             *(Shown("", text) for text in self._events),
             *(Shown(key, payload) for key, payload in self._kept.items()),
         ]
@@ -212,15 +210,11 @@ class LiveView:
         ]
 
     def _take(self, now_ns: int) -> _Streams:
-        """What came. Scans whose laser was shown just now, a graph likewise, and latencies too new stay."""
+        """What came. Scans whose laser was shown just now stay, and a graph likewise."""
         with self._lock:
             came, self._came = self._came, _Streams()
             for channel in [c for c in came.newest if self._due_ns.get(c, 0) > now_ns]:
                 self._came.newest[channel] = came.newest.pop(channel)
-            if now_ns < self._latency_due_ns:
-                self._came.latencies_ns, came.latencies_ns = came.latencies_ns, self._came.latencies_ns
-            elif came.latencies_ns:
-                self._latency_due_ns = now_ns + LATENCY_PERIOD_NS
             for channel in came.newest:
                 if channel.endswith("/scan"):
                     self._due_ns[channel] = now_ns + SCAN_PERIOD_NS
@@ -269,6 +263,7 @@ class LiveView:
         if before is not None and _jumps(before, pose):
             self._path.leave_off()
         self._pose_before = pose
+        self._figures.put_pose(pose)
         self._path.add(pose.pose.x_m, pose.pose.y_m)
         return [self._keep("pose", pose_json(pose))]
 
@@ -280,6 +275,7 @@ class LiveView:
 
     def _health(self, message: Message) -> list[Shown]:
         statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
+        self._figures.put_health(statuses)
         self.map_folders = [
             Path(s.values["folder"]) for s in statuses if s.name == "map" and "folder" in s.values
         ]
@@ -303,13 +299,20 @@ class LiveView:
         edges = [edge for edge in decode_transforms(message.payload) if edge.frame == BASE_FRAME]
         return [self._keep("mountings", mountings_json({edge.child: edge.pose for edge in edges}))]
 
-    def _latency(self, came: _Streams) -> str:
-        """Of the scans since the last: median and longest, ms from the last byte read to the pose."""
-        ns = sorted(came.latencies_ns)
-        stamp_s = max((m.log_ns for m in came.newest.values()), default=0) / 1e9
-        point = (stamp_s, ns[len(ns) // 2] / 1e6, ns[-1] / 1e6, len(ns))
-        self._latencies.append(point)
-        return to_json("latency", point=list(point))
+    def _show_row(self, came: _Streams) -> list[Shown]:
+        """Another row of figures, once it is due."""
+        self._figures.put_latencies(ns / 1e6 for ns in came.latencies_ns)
+        if not came.newest:
+            return []
+        row = self._figures.row(max(m.log_ns for m in came.newest.values()) / 1e9)
+        if row is None:
+            return []
+        goes_on = not self._rows or row.stamp_s > self._rows[-1].stamp_s
+        if not goes_on:
+            self._rows.clear()  # a replay that has begun anew
+        self._rows.append(row)
+        self._kept.pop("series", None)  # that somebody else had made ready
+        return [Shown("", series_json([row], goes_on))]
 
     def _keep(self, key: str, payload: Payload) -> Shown:
         self._kept[key] = payload

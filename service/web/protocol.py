@@ -36,6 +36,7 @@ from drivers.section import Section
 from service.encoding import Pose, Status
 from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, Grid, TileUpdate
+from service.web.series import Row
 
 TILES, SCAN, PATH, GRAPH, STANDING, CHANGED = 1, 2, 3, 4, 5, 6
 RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
@@ -161,6 +162,31 @@ def health_json(
             for status in statuses
         ],
     )
+
+
+def series_json(
+    rows: Sequence[Row], goes_on: bool = False, events: Sequence[tuple[float, str]] | None = None
+) -> str:
+    """Figures by name, of each row; null where one is not known.
+
+    goes_on    the rows lie behind those so far
+    events     Unix time, s, and text: all that happened; None: they come one by one
+    """
+    names = sorted({name for row in rows for name in row.figures})
+    return to_json(
+        "series",
+        goes_on=goes_on,
+        stamp_s=[round(row.stamp_s, 3) for row in rows],
+        state=[row.state for row in rows],
+        level=[row.level for row in rows],
+        figures={name: [_rounded(row.figures.get(name)) for row in rows] for name in names},
+        events=None if events is None else [{"stamp_s": s, "text": text} for s, text in events],
+    )
+
+
+def _rounded(value: float | None) -> float | None:
+    """To five digits, which no line on a screen needs."""
+    return None if value is None else float(f"{value:.5g}")
 
 
 def encode_tiles(tiles: Sequence[TileUpdate]) -> bytes:

@@ -405,7 +405,7 @@ def main() -> None:
             page.wait_for(
                 "const r = corridor.report(); return r.mayControl && r.health && r.sensors.length === 2"
             )
-            page.wait_for("return corridor.report().plotPoints > 5")
+            page.wait_for("return corridor.report().rows > 3")
             take(page, "desktop-light", "information", DESKTOP, False)
             page.element("fit").click()
             take(page, "desktop-dark", "control", DESKTOP, True)

@@ -62,7 +62,7 @@ def test_names_of_areas_stand_apart(phone):
         " range.selectNodeContents(tab); return range.getBoundingClientRect(); });"
         "return boxes.slice(1).map((box, i) => box.left - boxes[i].right)"
     )
-    assert len(gaps) == 4
+    assert len(gaps) == 5
     assert min(gaps) >= 10.0
 
 

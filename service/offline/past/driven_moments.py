@@ -1,6 +1,7 @@
 """The moments of a trajectory: where the vehicle was on its way through a map that is finished."""
 
 from bisect import bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ from service.geometry.poses import Floats, between
 from service.geometry.se2 import SE2, wrap_angle
 from service.offline.past.moments import Moment, thinned
 from service.web.live_view import MAX_PATH_POINTS, PATH_STEP_M
+from service.web.series import MAX_ROWS, Row
 
 MAP_WORDS = "map as it is in the end"
 NOT_KNOWN = float("nan")
@@ -23,6 +25,14 @@ class DrivenMoments:
         self._poses = poses
         self._rows = thinned(poses[:, :2], PATH_STEP_M, MAX_PATH_POINTS)
         self.path_map: Floats = poses[self._rows, :2]
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """The speed, of each second or of a longer part of a long drive."""
+        every_ns = max(1_000_000_000, (self.last_ns - self.first_ns) // MAX_ROWS)
+        wanted = np.arange(self.first_ns, self.last_ns + 1, every_ns)
+        chosen = np.unique(np.searchsorted(self._stamp_ns, wanted, side="right") - 1).tolist()
+        return [Row(self._stamp_ns[k] / 1e9, "", 0, {"speed_mps": self._twist(k)[0]}) for k in chosen]
 
     @property
     def first_ns(self) -> int:

@@ -47,6 +47,7 @@ from service.offline.past.moments import STALE_NS, Moment, thinned
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
 from service.recording.opening import name_of, open_recording
 from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNTOLD
+from service.web.series import MAX_ROWS, PERIOD_S, FigureRows, Row
 
 TOPICS = {
     "/pose": ODOMETRY,
@@ -96,6 +97,7 @@ class RecordedMoments:
         self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
         self._static: list[tuple[int, Mapping[str, SE2], frozenset[str]]] = []
         self._how: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
+        self.rows: list[Row] = []  # of figures, over all of it
         xy_map: list[tuple[float, float]] = []
         self._read(held, xy_map, progress)
         way = np.array(xy_map, np.float64).reshape(-1, 2)
@@ -117,6 +119,11 @@ class RecordedMoments:
     def name(self) -> str:
         """Of the first file."""
         return name_of(self._recording.paths[0])
+
+    @property
+    def events(self) -> Sequence[tuple[float, str]]:
+        """All of them, oldest first: Unix time, s, and text."""
+        return [(seconds, text) for _, seconds, text in self._events]
 
     def at(self, at_ns: int) -> Moment:
         """Raises InputError at a damaged place."""
@@ -149,13 +156,16 @@ class RecordedMoments:
         self, held: set[str], xy_map: list[tuple[float, float]], progress: Callable[[float], None]
     ) -> None:
         span_ns = max(self.last_ns - self.first_ns, 1)
+        figures = FigureRows(max(PERIOD_S, span_ns / 1e9 / MAX_ROWS))
         for message in self._recording.messages(held):
             log_ns = message.log_ns
             match message.channel:
                 case "pose":
-                    pose = decode_pose(message.payload).pose
+                    pose = decode_pose(message.payload)
                     self._pose_log_ns.append(log_ns)
-                    xy_map.append((pose.x_m, pose.y_m))
+                    xy_map.append((pose.pose.x_m, pose.pose.y_m))
+                    figures.put_pose(pose)
+                    figures.put_latencies([(log_ns - pose.stamp_ns) / 1e6])
                     progress((log_ns - self.first_ns) / span_ns)
                 case "map":
                     self._map_log_ns.append(log_ns)
@@ -167,11 +177,14 @@ class RecordedMoments:
                     self._changes_log_ns.append(log_ns)
                 case "diagnostics":
                     self._health.append((log_ns, self._with_since(message)))
+                    figures.put_health([status for status, _ in self._health[-1][1]])
                 case "events":
                     self._take_event(message)
                 case "tf_static":
                     mountings = decode_mountings(message.payload)
                     self._static.append((log_ns, mountings, decode_upside_down(message.payload)))
+            if (row := figures.row(log_ns / 1e9)) is not None:
+                self.rows.append(row)
         progress(1.0)
 
     def _with_since(self, message: Message) -> Sequence[tuple[Status, float]]:

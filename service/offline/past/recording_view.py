@@ -12,7 +12,7 @@ from service.offline.past.shown_tiles import ShownTiles
 from service.offline.past.view import start_serving
 from service.web.access import new_token
 from service.web.config import WebConfig
-from service.web.protocol import encode_path
+from service.web.protocol import encode_path, series_json
 from service.web.send_queue import Payload
 from service.web.server import About, WebServer
 
@@ -40,7 +40,9 @@ class RecordingView:
         self._server = WebServer(
             WebConfig(listen=listen), about, store, commands.answer, self.token, retry_s=None
         )
-        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        path = encode_path(moments.path_map.astype(np.float32))
+        series = series_json(moments.rows, events=moments.events)
+        self._server.put_ready({"path": path, "series": series})
         commands.go_to(moments.last_ns)
         start_serving(self._server)
 

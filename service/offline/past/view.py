@@ -26,7 +26,7 @@ from service.publishing.commands import Answer, refusal
 from service.readable import read_text
 from service.web.access import new_token
 from service.web.config import WebConfig
-from service.web.protocol import encode_changes, encode_path
+from service.web.protocol import encode_changes, encode_path, series_json
 from service.web.send_queue import Payload
 from service.web.server import About, WebServer
 
@@ -112,10 +112,12 @@ class View:
         """The whole of it, and of its moments the one that was shown before; at first the last."""
         if not len(stamp_ns):
             self._moments = None
-            self._server.put_ready({"path": encode_path(np.empty((0, 2), np.float32))})
+            path = encode_path(np.empty((0, 2), np.float32))
+            self._server.put_ready({"path": path, "series": series_json((), events=())})
             return
         moments = DrivenMoments(stamp_ns, poses)
-        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        path = encode_path(moments.path_map.astype(np.float32))
+        self._server.put_ready({"path": path, "series": series_json(moments.rows, events=())})
         self._moments = MomentCommands(moments, self._show_moment)
         self._moments.go_to(moments.last_ns if self._at_ns is None else self._at_ns)
 

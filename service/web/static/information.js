@@ -3,7 +3,6 @@
 import { card, element, Facts, setText } from "./dom.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
 import { clockTime, degrees, deviceClock, duration, figure, fixed } from "./format.js";
-import { LatencyPlot } from "./plot.js";
 
 export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/DiagnosticStatus
 const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the newest frame"],
@@ -15,6 +14,16 @@ const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "ma
 const MAX_EVENTS = 60;
 const GROUPED_S = 10; // the same event so soon again is one line
 const MAX_SIGMA_MS = 5; // of a clock that is known
+
+/** An event's text for people. */
+export const eventWords = (text) => {
+  try {
+    const { event, ...rest } = JSON.parse(text);
+    return [EVENT_WORDS[event] ?? event, ...Object.values(rest)].join(", ");
+  } catch {
+    return text; // no JSON: then it is words already
+  }
+};
 
 export class Information {
   constructor(root, colourOf) {
@@ -36,16 +45,13 @@ export class Information {
     this.recording = card("Recording and disk");
     this.recordingFacts = new Facts("wrapped");
     this.recording.node.append(this.recordingFacts.node);
-    this.latency = card("From a scan to its pose");
-    this.plot = new LatencyPlot();
-    this.latency.node.append(this.plot.node, element("p", { className: "note" }, "Blue: median of a second. Amber: its longest."));
     this.parts = new Map(); // rows by their names
     this.partRows = element("tbody");
     const partsCard = card("Parts of the service", element("table", {}, this.partRows));
     this.events = card("Events");
     this.eventList = element("ul", { className: "events", tabIndex: 0, "aria-label": "Events, the newest first" }); // it scrolls
     this.events.node.append(this.eventList);
-    root.append(this.old, ...[this.mapping, this.sensors, this.recording, this.latency, partsCard, this.events].map((c) => c.node));
+    root.append(this.old, ...[this.mapping, this.sensors, this.recording, partsCard, this.events].map((c) => c.node));
   }
 
   /** The connection is lost: figures that stand still look like those of now. */
@@ -59,11 +65,10 @@ export class Information {
     this.stamp_s = null;
     this.old.hidden = true;
     for (const facts of [this.pose, this.recordingFacts]) facts.clear();
-    for (const node of [this.words, this.mapping.aside, this.sensors.aside, this.recording.aside, this.latency.aside]) setText(node, "");
+    for (const node of [this.words, this.mapping.aside, this.sensors.aside, this.recording.aside]) setText(node, "");
     for (const list of [this.rows, this.partRows, this.eventList]) list.replaceChildren();
     this.sensorRows.clear();
     this.parts.clear();
-    this.plot.set([]);
   }
 
   /** null: none is known. */
@@ -91,8 +96,7 @@ export class Information {
     this.#parts(health.statuses);
     // A replay and a stored map have no devices.
     const hasDevices = !byName.has("replay") && byName.get("mapping")?.values.state !== "stored";
-    for (const { node } of [this.sensors, this.recording, this.latency, this.events]) node.hidden = !hasDevices;
-    if (this.isPast) this.latency.node.hidden = true; // which no recording holds
+    for (const { node } of [this.sensors, this.recording, this.events]) node.hidden = !hasDevices;
   }
 
   /** A moment of the past: what had happened by then. */
@@ -105,19 +109,8 @@ export class Information {
     for (const event of events) this.putEvent(event);
   }
 
-  putLatency({ point }) {
-    this.plot.add(point);
-    setText(this.latency.aside, `${point[1].toFixed(1)} ms`);
-  }
-
   putEvent({ stamp_s, text }) {
-    let words = text;
-    try {
-      const { event, ...rest } = JSON.parse(text);
-      words = [EVENT_WORDS[event] ?? event, ...Object.values(rest)].join(", ");
-    } catch {
-      // no JSON: then it is words already
-    }
+    const words = eventWords(text);
     const same = [...this.eventList.children].find((line) => line.words === words && Math.abs(stamp_s - line.stamp_s) < GROUPED_S);
     const count = (same?.count ?? 0) + 1;
     same?.remove();

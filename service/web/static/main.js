@@ -7,6 +7,7 @@ import { clockTime, counted, fixed } from "./format.js";
 import { Edit } from "./edit.js";
 import { drawCrossHair } from "./edit_tools.js";
 import { Gestures } from "./gestures.js";
+import { History } from "./history.js";
 import { Information, LEVELS } from "./information.js";
 import { MapView, scaleBar } from "./map_view.js";
 import { setUpPast } from "./past.js";
@@ -31,6 +32,7 @@ const connection = new Connection({
       edit.compare.clear();
       past.clear();
       information.clear();
+      history.clear();
       explainLayers();
       health = null;
       showState();
@@ -40,6 +42,7 @@ const connection = new Connection({
     byId("vehicle").title = hello.vehicle; // it may be cut off
     document.title = `${hello.vehicle} \u00b7 corridor`;
     information.eventList.replaceChildren(); // all of them come again
+    history.events = [];
     control.putHello(hello);
     resources.verbs = hello.verbs;
     byId("tab-resources").hidden = !hello.stores;
@@ -66,6 +69,7 @@ const connection = new Connection({
     past.put(moment);
     replay.root.hidden = true; // finished: its pace matters no more
     information.putMoment(moment);
+    history.putMoment(moment);
     information.putPose(view.track.last);
   },
   moment_over: () => { view.endMoment(); past.clear(); },
@@ -87,9 +91,8 @@ const connection = new Connection({
     view.isHeld = replay.state === "paused";
     showState();
   },
-  latency: (message) => information.putLatency(message),
-  latency_history: ({ points }) => information.plot.set(points),
-  event: (message) => information.putEvent(message),
+  series: (message) => history.put(message),
+  event: (message) => { information.putEvent(message); history.putEvent(message); },
 });
 
 const control = new Control(byId("control"), connection, (done) => setTool(new PoseTool(view, (pose) => {
@@ -98,6 +101,7 @@ const control = new Control(byId("control"), connection, (done) => setTool(new P
 })));
 const replay = setUpReplay(connection, (verb, request) => control.ask(verb, request, { quietly: "Replay" }));
 const past = setUpPast(connection, (position_s) => control.ask("moment_go_to", { position_s }, { quietly: "Moment" }));
+const history = new History(byId("history"), (stamp_s) => past.goTo(stamp_s));
 const lastPose = () => (view.track.last && view.isLive ? view.track.last : null);
 const edit = new Edit(byId("edit"), connection, view, setTool);
 const resources = new Resources(byId("resources"), connection, lastPose);
@@ -268,7 +272,7 @@ setUpTheme(() => {
   view.readColours();
   explainLayers();
   edit.update();
-  information.plot.draw();
+  history.update();
   if (health) information.putHealth(health); // colours of the lasers
 });
 showState();
@@ -277,11 +281,11 @@ setInterval(() => view.invalidate(), 1000); // what is stale shall look so
 
 /** For tests and for people who look into a fault: what the page shows. */
 window.corridor = {
-  view, connection, edit, past,
+  view, connection, edit, past, history,
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, shownSensors: view.shownSensors, health, follows: view.follows,
-    moment: past.moment, graph: view.graph.counts, change: view.change.counts, stored: view.stored.counts, plotPoints: information.plot.points.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
+    moment: past.moment, graph: view.graph.counts, change: view.change.counts, stored: view.stored.counts, rows: history.series.rows.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
     scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
   }),
 };

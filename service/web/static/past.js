@@ -55,6 +55,14 @@ export class Past {
     this.root.hidden = true;
   }
 
+  /** Go to a Unix time, s; false where there is no moment to go to. */
+  goTo(at_s) {
+    if (!this.moment) return false;
+    this.#pause();
+    if (this.connection.mayControl) this.go(at_s - this.moment.at_s + this.moment.position_s);
+    return true;
+  }
+
   get position_s() {
     return this.wanted_s ?? this.shown_s ?? 0;
   }

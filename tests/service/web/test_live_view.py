@@ -19,7 +19,7 @@ from service.encoding import (
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import NOTHING_CHANGED
 from service.outputs import GraphPicture, Grid
-from service.web.live_view import LATENCY_PERIOD_NS, SCAN_PERIOD_NS, DrivenPath, LiveView
+from service.web.live_view import SCAN_PERIOD_NS, DrivenPath, LiveView
 from tests.browser.scene import MOUNTINGS, Scene, event, stamp, statuses
 
 
@@ -128,21 +128,37 @@ def test_health_says_how_long_a_frame_is_on_its_way(view):
     assert health["latency_ms"] == {"front": pytest.approx(5.0), "rear": pytest.approx(5.0)}
 
 
-def test_latencies_are_told_once_a_second_with_their_longest(view, clock):
-    clock.ns = 10 * LATENCY_PERIOD_NS
-    pose = encode_pose(Scene().output(0.0), 1_000_000_000)
-    for ms in (2, 9, 4):
-        view.put(pose, clock.ns - ms * 1_000_000)
-    ((_, median_ms, longest_ms, count),) = [m["point"] for m in texts(view.due(), "latency")]
-    assert (median_ms, longest_ms, count) == (4.0, 9.0, 3)
-    view.put(pose, clock.ns)
-    assert texts(view.due(), "latency") == []
-    clock.ns += LATENCY_PERIOD_NS
-    view.put(pose, clock.ns)
-    ((_, _, _, count),) = [m["point"] for m in texts(view.due(), "latency")]
-    assert count == 2  # the one that waited, too
-    (history,) = texts(view.snapshot(), "latency_history")
-    assert [point[3] for point in history["points"]] == [3, 2]
+def test_figures_are_told_once_a_second_and_in_full_to_who_comes_late(view, clock):
+    scene = Scene()
+    told = []
+    for k in range(10):
+        for message in scene.messages(0.2 * k):
+            is_pose = message.channel == "pose"
+            view.put(message, clock.ns - (k + 1) * 1_000_000 if is_pose else None)
+        told += texts(view.due(), "series")
+    assert [(m["goes_on"], len(m["stamp_s"])) for m in told] == [(True, 1), (True, 1)]
+    second = told[1]["figures"]
+    assert second["latency_p50_ms"] == [7.5]  # of the scans since the row before
+    assert second["latency_max_ms"] == [9.0]
+    assert second["speed_mps"] == [1.0]
+    assert second["inlier_ratio"] == [0.93]
+    assert second["rate_hz/front"] == [50.0]
+    (whole,) = texts(view.snapshot(), "series")
+    assert whole["goes_on"] is False
+    assert whole["stamp_s"] == [m["stamp_s"][0] for m in told]
+    assert whole["state"] == ["ok", "ok"]
+
+
+def test_figures_of_a_run_that_begins_anew_take_the_place_of_those_before(view):
+    scene = Scene()
+    told = []
+    for seconds in (100.0, 101.0, 102.0, 0.0, 1.0, 2.0):
+        for message in scene.messages(seconds):
+            view.put(message)
+        told += texts(view.due(), "series")
+    assert [m["goes_on"] for m in told] == [True, True, False, True]
+    (whole,) = texts(view.snapshot(), "series")
+    assert len(whole["stamp_s"]) == 2
 
 
 def test_who_comes_late_gets_all_of_it(view):

@@ -1,0 +1,110 @@
+"""The area History: figures, states and events over time, of a running service and of a recording."""
+
+import itertools
+
+import pytest
+
+from service.offline.past.recording_view import RecordingView
+from tests.browser.conftest import DESKTOP, PHONE
+from tests.browser.scene import event
+from tests.browser.test_page import serious_faults
+from tests.service.offline.past.past_recordings import DEGRADED_S, MARK_S, RESET_S, write_past
+
+LINES = "return [...document.querySelectorAll('.timeline .line')].map((line) => line.lastChild.textContent)"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    view = RecordingView(write_past(tmp_path_factory.mktemp("past")), "127.0.0.1:0")
+    yield view
+    view.close()
+
+
+@pytest.fixture
+def history(share, recording):
+    def open_it(page):
+        page.open(recording.address)
+        page.wait_for("const r = corridor.report(); return r.moment && r.mayControl && r.rows > 5")
+
+    page = share(recording.address, open_it)
+    page.choose("history")
+    return page
+
+
+def headings(page):
+    return page.run(
+        "return Object.fromEntries([...document.querySelectorAll('#history .card')].filter((c) => !c.hidden)"
+        ".map((card) => card.querySelector('h2')).map((h) => [h.firstChild.data, h.lastChild.textContent]))"
+    )
+
+
+def test_a_recording_shows_the_figures_of_all_of_it(history):
+    rows = history.run("return corridor.history.series.rows")
+    assert len(rows) >= 19
+    assert {row["figures"].get("inlier_ratio") for row in rows[1:]} == {0.93}
+    assert {row["figures"]["speed_mps"] for row in rows[1:17]} == {1.0}
+    assert rows[-1]["figures"].get("speed_mps") is None  # no pose came any more
+    assert set(headings(history)) == {
+        *("States and events", "Speed", "Sigma of the position", "Inlier ratio"),
+        *("From a scan to its pose", "Rates", "Scans not mapped"),
+    }
+
+
+def test_states_and_events_are_listed_and_a_click_goes_there(history):
+    history.wait_for("return document.querySelectorAll('.timeline .line').length >= 5")
+    assert history.run(LINES) == ["map reset", "ok", "degraded, 0:02 min", "mark, a door", "ok, 0:06 min"]
+    for words, seconds in (("degraded", DEGRADED_S[0]), ("mark", MARK_S), ("map reset", RESET_S)):
+        history.run(
+            "[...document.querySelectorAll('.timeline .line')]"
+            ".find((line) => line.textContent.includes(arguments[0])).click()",
+            words,
+        )
+        history.wait_for(
+            "return Math.abs(corridor.report().moment.position_s - arguments[0]) < 0.02", seconds
+        )
+        assert history.element("history").is_displayed()
+
+
+def test_a_click_on_a_plot_goes_to_that_moment_and_marks_it(history):
+    plot = history.driver.find_elements("css selector", "#history .plot:not(.band)")[0]
+    history.run("arguments[0].scrollIntoView({block: 'center'})", plot)
+    history.pointer().move_to_element(plot).click().perform()
+    history.wait_for("return Math.abs(corridor.report().moment.position_s - 10) < 2")
+    marked = history.run("return corridor.history.marked_s - corridor.past.moment.at_s")
+    assert abs(marked) < 0.02
+
+
+def test_a_running_service_adds_a_row_a_second_and_a_click_pins_the_figures_of_then(page, live, scene):
+    page.choose("history")
+    for seconds in (2.0, 3.0):
+        for message in scene.messages(seconds):
+            live.put(message)
+        page.wait_for("return corridor.report().rows === arguments[0]", seconds - 1)
+    for message in scene.messages(4.0, "lost", "no wall in sight"):
+        live.put(message)
+    live.put(event('{"event": "mark", "text": "<i>door</i>"}', 4.0))
+    page.wait_for("return corridor.report().rows === 3")
+    page.wait_for_text("history", "mark, <i>door</i>")
+    assert page.run(LINES) == ["lost", "mark, <i>door</i>", "ok, 0:02 min"]
+    assert headings(page)["Rates"] == "front 50.0 Hz, rear 0.0 Hz"
+    assert headings(page)["Sigma of the position"] == "0.021 m"
+    page.run("[...document.querySelectorAll('.timeline .line')].at(-1).click()")
+    pinned = page.run("return corridor.history.marked_s")
+    for message in scene.messages(5.0):
+        live.put(message)
+    page.wait_for("return corridor.report().rows === 4")
+    assert page.run("return corridor.history.marked_s") == pinned
+    assert page.faults() == []
+
+
+def test_axe_finds_nothing_serious_in_the_area_history(axe, history):
+    history.run(axe)
+    try:
+        for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):
+            history.resize(size, is_dark)
+            history.choose("history")
+            assert history.run("return document.documentElement.scrollWidth") <= size[0]
+            assert serious_faults(history) == [], f"{size}, dark: {is_dark}"
+    finally:
+        history.resize(DESKTOP)
+    assert history.faults() == []
