@@ -1,6 +1,7 @@
 """Fetches the finished recordings of a vehicle, oldest first; what is there already is not fetched again."""
 
 import hashlib
+import json
 import logging
 import os
 import time
@@ -12,11 +13,12 @@ import zenoh
 
 from service.errors import InputError, StorageError
 from service.fleet.asking import ask, ask_json
-from service.sinks.fleet_files import RECORDINGS
+from service.sinks.fleet_files import JOURNAL, RECORDINGS
 from service.writable import sync
 
 log = logging.getLogger(__name__)
 
+JOURNAL_FILE = "journal.jsonl"
 PART = ".part"  # ends the name of what is not whole yet
 TRIES = 6
 PAUSE_S = 1.0  # before the second try of a part; doubled for each further one
@@ -30,6 +32,7 @@ class Pulled:
     fetched: tuple[str, ...]
     there: tuple[str, ...]  # before
     bytes: int  # that were fetched
+    journal_lines: int  # that were
 
 
 def pull(
@@ -53,6 +56,7 @@ def pull(
         raise InputError(f"{vehicle}: {unsafe[0]!r} is no name of a recording")
     there = [name for name, size in listed.items() if _size(folder / name) == size]
     missing = {name: size for name, size in listed.items() if name not in there}
+    lines = _pull_journal(session, vehicle, folder / JOURNAL_FILE, pause_s)
     total, done, fetched_bytes = sum(missing.values()), 0, 0
     began_s = time.monotonic()
     for name, size in missing.items():
@@ -75,7 +79,44 @@ def pull(
         sync(folder)
         done += size
         log.info("%s: %s, %.1f MB", vehicle, name, size / 1e6)
-    return Pulled(tuple(missing), tuple(there), fetched_bytes)
+    return Pulled(tuple(missing), tuple(there), fetched_bytes, lines)
+
+
+def _pull_journal(session: zenoh.Session, vehicle: str, path: Path, pause_s: float) -> int:
+    """Append what the vehicle noted since the last line, page by page; how many lines."""
+    count = 0
+    with path.open("a+b") as file:
+        file.truncate(_whole_lines(path))
+        after_ns = _last_unix_ns(path)
+        while page := _asked_again(session, vehicle, f"{JOURNAL}?after={after_ns}", pause_s):
+            file.write(page)
+            file.flush()
+            os.fsync(file.fileno())
+            after_ns = _last_unix_ns(path)
+            count += page.count(b"\n")
+    return count
+
+
+def _tail(path: Path) -> bytes:
+    """Its end; a line is shorter."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - (1 << 16), 0))
+        return file.read()
+
+
+def _whole_lines(path: Path) -> int:
+    """Size without a last line that was cut off."""
+    tail = _tail(path)
+    return path.stat().st_size - len(tail) + tail.rfind(b"\n") + 1
+
+
+def _last_unix_ns(path: Path) -> int:
+    """Raises InputError."""
+    lines = _tail(path).splitlines()
+    try:
+        return int(json.loads(lines[-1])["unix_ns"]) if lines else 0
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: its last line is none of a journal; move it away") from error
 
 
 def _asked_again(session: zenoh.Session, vehicle: str, channel: str, pause_s: float) -> bytes:

@@ -5,6 +5,7 @@ Below cmd/fleet/, so who may command may ask:
     recordings                          JSON: name, bytes and modified_ns of each, oldest name first
     recordings/<name>?offset=<n>        at most PART_BYTES from there
     recordings/<name>?sha256=1          of the whole file, in hexadecimal
+    journal?after=<Unix ns>             JSON lines: what the vehicle did then, see FleetJournal.page
     map/<name>                          JSON: sha256 of each file of the stored map; {} where there is none
     map/<name>/<file>                   JSON: bytes that have come of it
     map/<name>/<file>?offset=<n>        takes the payload as what follows; the same part twice changes nothing
@@ -29,10 +30,11 @@ from service.errors import CorridorError, InputError, words_of
 from service.mapstore.files import adopt_version, is_map_folder, version_folder, versions_of
 from service.mapstore.manifest import MANIFEST, read_manifest
 from service.publishing.keys import vehicle_key
+from service.sinks.fleet_journal import FleetJournal
 
 log = logging.getLogger(__name__)
 
-RECORDINGS, MAPS = "cmd/fleet/recordings", "cmd/fleet/map"
+RECORDINGS, MAPS, JOURNAL = "cmd/fleet/recordings", "cmd/fleet/map", "cmd/fleet/journal"
 PART_BYTES = 1 << 20  # of a recording, at most
 MAP_PART_BYTES = 512 << 10  # below MAX_COMMAND_BYTES of the routers on its way
 MAP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
@@ -48,12 +50,18 @@ class FleetFiles:
     """Open when constructed. recordings, maps: folders; None where there are none."""
 
     def __init__(
-        self, session: zenoh.Session, vehicle: str, recordings: Path | None, maps: Path | None
+        self,
+        session: zenoh.Session,
+        vehicle: str,
+        recordings: Path | None,
+        maps: Path | None,
+        journal: FleetJournal | None,
     ) -> None:
-        self._recordings, self._maps = recordings, maps
+        self._recordings, self._maps, self._journal = recordings, maps, journal
         self._sums: dict[tuple[str, int, int], str] = {}
         self._queryables = []
-        for channel, answer in ((RECORDINGS, self._recording), (MAPS, self._map)):
+        answers = {RECORDINGS: self._recording, MAPS: self._map, JOURNAL: self._line}
+        for channel, answer in answers.items():
             root = vehicle_key(vehicle, channel)
             taken = daemon_callback(partial(self._take, root, answer), f"fleet-{channel.rpartition('/')[2]}")
             self._queryables.append(session.declare_queryable(f"{root}/**", taken))
@@ -93,8 +101,11 @@ class FleetFiles:
         if parameters.get("sha256"):
             return self._sha256(path).encode()
         with path.open("rb") as file:
-            file.seek(_offset(parameters))
+            file.seek(_number(parameters, "offset"))
             return file.read(PART_BYTES)
+
+    def _line(self, asked: Asked) -> bytes:
+        return b"" if self._journal is None else self._journal.page(_number(asked[1], "after"))
 
     def _sha256(self, path: Path) -> str:
         stat = path.stat()
@@ -147,7 +158,7 @@ def _received(incoming: Path, name: str, parameters: zenoh.Parameters, payload: 
     there = path.stat().st_size if path.exists() else 0
     if parameters.get("offset") is None:
         return there
-    offset = _offset(parameters)
+    offset = _number(parameters, "offset")
     if offset > there:
         raise InputError(f"{name}: {there} bytes have come; a part at {offset} leaves a gap")
     incoming.mkdir(parents=True, exist_ok=True)
@@ -169,10 +180,11 @@ def _received(incoming: Path, name: str, parameters: zenoh.Parameters, payload: 
         return file.tell()
 
 
-def _offset(parameters: zenoh.Parameters) -> int:
-    text = parameters.get("offset") or "0"
-    if not (text.isascii() and text.isdigit() and len(text) < 16):
-        raise InputError(f"offset={text[:20]}: expected a number of bytes")
+def _number(parameters: zenoh.Parameters, name: str) -> int:
+    """0 where it is left out."""
+    text = parameters.get(name) or "0"
+    if not (text.isascii() and text.isdigit() and len(text) < 20):
+        raise InputError(f"{name}={text[:20]}: expected a number")
     return int(text)
 
 

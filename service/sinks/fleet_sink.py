@@ -20,6 +20,7 @@ from service.publishing.shared import SharedZenoh
 from service.publishing.uplink import LinkBytes, Presence, open_uplink, presences
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.sinks.fleet_files import FleetFiles
+from service.sinks.fleet_journal import FleetJournal
 from service.sinks.sink import Sink, SinkContext
 from service.sinks.zenoh_sink import alive_components
 from service.version import VERSION
@@ -29,6 +30,7 @@ log = logging.getLogger(__name__)
 LOOK_S = 1.0
 RETRY_S = (0.5, 30.0)  # until the first link; a lost one Zenoh itself brings back
 CHANNELS = {"pose": "pose", "diagnostics": "health"}  # and nothing else but tiles
+JOURNAL_FILE = "fleet.sqlite"  # beside the recordings
 JOIN_S = 8.0  # a try to connect takes 3 s
 
 
@@ -51,6 +53,8 @@ class FleetSink(Sink):
         self._shared = SharedZenoh(open_uplink)
         self._publisher: ZenohPublisher | None = None
         self._opened = ExitStack()  # beside it
+        recordings = context.folders.get("recording")
+        self._journal = FleetJournal(recordings / JOURNAL_FILE) if recordings is not None else None
         self._wake = threading.Event()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
@@ -65,6 +69,8 @@ class FleetSink(Sink):
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
         publisher, channel = self._publisher, CHANNELS.get(message.channel)
+        if channel is not None and self._journal is not None:
+            (self._journal.health if channel == "health" else self._journal.pose)(message)
         if publisher is None or channel is None:
             return
         if channel == "health":
@@ -77,6 +83,7 @@ class FleetSink(Sink):
 
     def health(self) -> Status:
         fault = self._fault  # before the values, which are written before it
+        fault = fault or (self._journal.fault if self._journal is not None else "")
         values = {"corridor": VERSION, "map_version": str(self._context.tiles.version), **self._values}
         if publisher := self._publisher:
             for what, counter in publisher.counts().items():
@@ -98,13 +105,13 @@ class FleetSink(Sink):
 
     def _run(self) -> None:
         session = self._connected()
-        if session is None:
-            return
-        try:
-            self._stay(session)
-        finally:
-            self._withdraw()
-            self._shared.close()
+        if session is not None:
+            try:
+                self._stay(session)
+            finally:
+                self._withdraw()
+                self._shared.close()
+        self._write_journal()
 
     def _connected(self) -> zenoh.Session | None:
         """None where the service ends before."""
@@ -116,6 +123,7 @@ class FleetSink(Sink):
                 if str(error) != self._fault:
                     log.warning("fleet: %s; tried again and again", error)
                 self._fault = str(error)
+            self._write_journal()
             self._wake.wait(pause_s)
             pause_s = min(2 * pause_s, RETRY_S[1])
         return None
@@ -142,7 +150,12 @@ class FleetSink(Sink):
                 self._wake.clear()
                 self._decide(session, own, watched)
                 decided_for = source
+            self._write_journal()
             self._wake.wait(LOOK_S)
+
+    def _write_journal(self) -> None:
+        if self._journal is not None:
+            self._journal.write()
 
     def _look(self, router: str, source: str) -> None:
         self._bytes.look(source)
@@ -190,7 +203,8 @@ class FleetSink(Sink):
         if self._config.fleet.commands:
             publisher.answer_commands(self._context.command)
             folders = self._context.folders
-            files = FleetFiles(session, self._context.vehicle, folders.get("recording"), folders.get("map"))
+            places = folders.get("recording"), folders.get("map"), self._journal
+            files = FleetFiles(session, self._context.vehicle, *places)
             self._opened.callback(files.close)
         self._publisher = publisher
 

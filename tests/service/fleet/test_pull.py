@@ -10,7 +10,7 @@ import pytest
 from service.errors import InputError, StorageError
 from service.fleet import pull as pull_module
 from service.fleet.asking import RefusedError, ask
-from service.fleet.pull import pull
+from service.fleet.pull import JOURNAL_FILE, pull
 from service.sinks.fleet_files import PART_BYTES, RECORDINGS
 from tests.service.cli.test_commands import code_of
 
@@ -39,7 +39,7 @@ def test_finished_recordings_come_whole_and_oldest_first_and_once(
     steps: list[tuple[int, int]] = []
     first = pull(client, "veh1", tmp_path / "out", progress=lambda *step: steps.append(step))
     assert first.fetched == tuple(sorted(SIZES))
-    assert {path.name for path in (tmp_path / "out/veh1").iterdir()} == set(SIZES)
+    assert {path.name for path in (tmp_path / "out/veh1").iterdir()} == {*SIZES, JOURNAL_FILE}
     for name in SIZES:
         assert (tmp_path / "out/veh1" / name).read_bytes() == (recordings / name).read_bytes()
     assert steps[-1] == (sum(SIZES.values()), sum(SIZES.values()))

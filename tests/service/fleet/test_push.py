@@ -124,7 +124,7 @@ def test_what_is_damaged_on_the_way_does_not_become_a_map(
         ("site/passwd?offset=0", "manifest"),  # before its manifest
         ("..x/a?offset=0", "is no map"),
         (f"site/{MANIFEST}?offset=9", "leaves a gap"),
-        ("site/a?offset=x", "expected a number"),
+        ("site/a?offset=x", "offset=x: expected a number"),
         ("site/.hidden?offset=0", "no file of a map"),
         ("site/a/b?offset=0", "is no map"),
     ],
