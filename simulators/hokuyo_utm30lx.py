@@ -73,7 +73,7 @@ class FakeUtm30lx:
         self._reboot_asked_ns: int | None = None
         self._stream: ScanRequest | None = None
         self._stream_echo = ""
-        self._stopped_with = ""
+        self.stopped_with = ""
         self._next_turn = self._measured_turn = 0
         self._single: deque[tuple[ScanRequest, str, int]] = deque()  # request, echo, turn
 
@@ -132,9 +132,9 @@ class FakeUtm30lx:
             return None
         times = [self._leaves_ns(turn, request) for request, _, turn in self._single]
         if self._stream is not None:
-            if bool(self.fault_status) != bool(self._stopped_with):
+            if bool(self.fault_status) != bool(self.stopped_with):
                 return now_ns
-            if not self._stopped_with:
+            if not self.stopped_with:
                 times.append(self._leaves_ns(self._next_turn, self._stream))
         return min(times, default=None)
 
@@ -154,10 +154,10 @@ class FakeUtm30lx:
     def _stream_on(self, now_ns: int) -> bytes:
         request = self._stream
         assert request is not None
-        if self.fault_status and not self._stopped_with:
+        if self.fault_status and not self.stopped_with:
             return self._stop_for_fault()
-        if self._stopped_with and not self.fault_status:
-            self._stopped_with = ""
+        if self.stopped_with and not self.fault_status:
+            self.stopped_with = ""
             self._next_turn = self._turn_after(now_ns)
             return encode_reply(self._stream_echo, RESUMED)
         turns = 1 + request.skip
@@ -180,7 +180,7 @@ class FakeUtm30lx:
         return message
 
     def _stop_for_fault(self) -> bytes:
-        self._stopped_with = self.fault_status
+        self.stopped_with = self.fault_status
         message = encode_reply(self._stream_echo, self.fault_status)
         if self.fault_status >= "50":
             self._stop()
@@ -189,7 +189,7 @@ class FakeUtm30lx:
 
     def _stop(self) -> None:
         self._stream = None
-        self._stopped_with = ""
+        self.stopped_with = ""
         self._laser_on = False
         self._single.clear()
 
@@ -207,7 +207,7 @@ class FakeUtm30lx:
     def _set_clock(self, now_ns: int, ms: int) -> None:
         self._clock_zero_ns, self._clock_zero_ms = now_ns, ms
 
-    def _clock_ms(self, host_ns: int) -> int:
+    def clock_ms(self, host_ns: int) -> int:
         since_ms = (host_ns - self._clock_zero_ns) * (1.0 + self.setup.clock_drift_ppm * 1e-6) / 1e6
         return (self._clock_zero_ms + int(since_ms // 1)) % CLOCK_MODULUS
 
@@ -217,7 +217,7 @@ class FakeUtm30lx:
         stamped_ns = self.first_ray_ns(turn)
         if self.setup.stamps_rear:
             stamped_ns += round((replies.front_step - replies.steps_per_turn / 2) * step_ns)
-        scan = self._optics.measure(request, self.first_ray_ns(turn), step_ns, self._clock_ms(stamped_ns))
+        scan = self._optics.measure(request, self.first_ray_ns(turn), step_ns, self.clock_ms(stamped_ns))
         return write_scan(scan, echo, status)
 
     def _answer(self, command: str, now_ns: int) -> bytes:
@@ -313,7 +313,7 @@ class FakeUtm30lx:
             ("SCSP", replies.speed),
             ("MESM", "CLASSIC" if usb else modes.get(self._state_code(now_ns), "000 Idle")),
             ("SBPS", "USB Full Speed" if usb else "Ethernet 100 [Mbps]"),
-            ("TIME", f"{self._clock_ms(now_ns):06X}"),
+            ("TIME", f"{self.clock_ms(now_ns):06X}"),
             ("STAT", replies.abnormal if self.abnormal else replies.normal),
         )
 
@@ -361,7 +361,7 @@ class FakeUtm30lx:
             case "1":
                 if not self._adjusting and self.setup.wire == "usb":
                     return self._refuse(echo, NOT_ADJUSTING)
-                return encode_reply(echo, OK, [encode_number(self._clock_ms(now_ns), 4)])
+                return encode_reply(echo, OK, [encode_number(self.clock_ms(now_ns), 4)])
             case "2":
                 status, self._adjusting = (OK if self._adjusting else "03"), False
                 return encode_reply(echo, status)
@@ -456,6 +456,6 @@ class FakeUtm30lx:
         if self._stream is not None and self._stream.command != request.command:
             return self._refuse(echo, DENIED)
         self._laser_on, self._asleep = True, False
-        self._stream, self._stream_echo, self._stopped_with = request, echo, ""
+        self._stream, self._stream_echo, self.stopped_with = request, echo, ""
         self._next_turn = self._turn_after(now_ns)
         return encode_reply(echo, OK)

@@ -111,9 +111,9 @@ class FakeIbeoLux:
         self._boots_until_ns = 0
         self._clock_set_ns = 0  # the clock was at _clock_set_ntp then
         self._clock_set_ntp = 0
-        self._turning_since_ns: int | None = None  # begin of sweep 0; None: standing still
+        self.turning_since_ns: int | None = None  # begin of sweep 0; None: standing still
         self._next_scan = 0
-        self._number_base = 0
+        self.number_base = 0
         self._pending: deque[bytes] = deque()
         self._next_fault_ns = 0
         self._is_connected = False
@@ -124,7 +124,7 @@ class FakeIbeoLux:
         self._is_connected = True
         if self._powered_on_ns is None:
             self.power_on(now_ns)
-        elif self._turning_since_ns is not None:
+        elif self.turning_since_ns is not None:
             self._next_scan = max(self._next_scan, self._scans_complete(now_ns))
         return b""
 
@@ -155,7 +155,7 @@ class FakeIbeoLux:
             return now_ns
         if self.motor_failed:
             return max(now_ns, self._next_fault_ns)
-        return None if self._turning_since_ns is None else self._leaves_ns(self._next_scan)
+        return None if self.turning_since_ns is None else self._leaves_ns(self._next_scan)
 
     def due(self, now_ns: int) -> bytes:
         due_ns = self.next_due_ns(now_ns)
@@ -175,11 +175,11 @@ class FakeIbeoLux:
         self._clock_set_ntp = self.setup.clock_start_ntp
         self._boots_until_ns = now_ns + self.setup.boot_ns
         self._parameters = dict(self._stored)
-        self._number_base, self._next_scan = self.setup.first_scan_number, 0
-        self._turning_since_ns = None
+        self.number_base, self._next_scan = self.setup.first_scan_number, 0
+        self.turning_since_ns = None
         self._pending.clear()
         if self.setup.measuring:
-            self._turning_since_ns = self._boots_until_ns
+            self.turning_since_ns = self._boots_until_ns
 
     def restart(self, now_ns: int) -> None:
         self._decoder = Decoder()
@@ -207,10 +207,10 @@ class FakeIbeoLux:
         return (self._clock_set_ntp + (round(since_ns) << 32) // 1_000_000_000) % NTP_MODULUS
 
     def scanner_status(self, now_ns: int) -> int:
-        if self.motor_failed or self._turning_since_ns is None:
+        if self.motor_failed or self.turning_since_ns is None:
             return COMPENSATIONS
         motor = COMPENSATIONS | ScannerStatus.MOTOR_ON
-        if now_ns < self._turning_since_ns:
+        if now_ns < self.turning_since_ns:
             return motor
         return motor | ScannerStatus.LASER_ON | ScannerStatus.FREQUENCY_REACHED
 
@@ -227,8 +227,8 @@ class FakeIbeoLux:
         )
 
     def _begins_ns(self, index: int) -> int:
-        assert self._turning_since_ns is not None
-        return self._turning_since_ns + round(index * self._period_ns())
+        assert self.turning_since_ns is not None
+        return self.turning_since_ns + round(index * self._period_ns())
 
     def _sweep_ns(self) -> int:
         start, end = self._angles_ticks()
@@ -244,8 +244,8 @@ class FakeIbeoLux:
         return int((now_ns - self._leaves_ns(0)) / self._period_ns()) + 1
 
     def _turn_from(self, since_ns: int) -> None:
-        self._number_base += self._next_scan
-        self._turning_since_ns, self._next_scan = since_ns, 0
+        self.number_base += self._next_scan
+        self.turning_since_ns, self._next_scan = since_ns, 0
 
     def _next_message(self, now_ns: int) -> bytes:
         skipped = turns_to_skip(now_ns - self._leaves_ns(self._next_scan), self._period_ns())
@@ -301,7 +301,7 @@ class FakeIbeoLux:
         )
 
     def _number(self, index: int) -> int:
-        return (self._number_base + index) % 65_536
+        return (self.number_base + index) % 65_536
 
     def _objects(self, index: int) -> bytes:
         """An object list with one object that has no contour."""
@@ -374,8 +374,8 @@ class FakeIbeoLux:
         self._check(self._known(index), value)
         if index in self.setup.kept:
             return b""
-        if index == Parameter.SCAN_FREQUENCY and self._turning_since_ns is not None:
-            self._turn_from(max(now_ns, self._turning_since_ns))
+        if index == Parameter.SCAN_FREQUENCY and self.turning_since_ns is not None:
+            self._turn_from(max(now_ns, self.turning_since_ns))
         self._parameters[index] = value
         self.counters["parameters_set"] += 1
         return b""
@@ -398,7 +398,7 @@ class FakeIbeoLux:
             legal = value in FREQUENCIES
         elif index == Parameter.RESOLUTION:
             fault = 0
-            if self._turning_since_ns is not None:
+            if self.turning_since_ns is not None:
                 fault = FLEXRES_NOT_IDLE
             elif value == FLEXRES and self._parameters[Parameter.SCAN_FREQUENCY] != FREQUENCIES[0]:
                 fault = FLEXRES_AT_WRONG_FREQUENCY
@@ -409,14 +409,14 @@ class FakeIbeoLux:
 
     def _start(self, body: bytes, now_ns: int) -> bytes:
         self.counters["starts"] += 1
-        if self._turning_since_ns is None:
+        if self.turning_since_ns is None:
             self._turn_from(now_ns + self.setup.start_delay_ns)
         return b""
 
     def _stop(self, body: bytes, now_ns: int) -> bytes:
         self.counters["stops"] += 1
-        self._number_base += self._next_scan
-        self._turning_since_ns, self._next_scan = None, 0
+        self.number_base += self._next_scan
+        self.turning_since_ns, self._next_scan = None, 0
         return b""
 
     def _set_seconds(self, body: bytes, now_ns: int) -> bytes:

@@ -97,8 +97,8 @@ class FakeLms100:
         self._scan = self.setup.scan or self._scan_config(
             model.rates_hz[0] * 100, round(model.steps_deg[0] * 1e4)
         )
-        self._range = self.setup.output_range or OutputRange(model.first_e4deg, model.last_e4deg)
-        self._echo_filter = self.setup.echo_filter
+        self.range = self.setup.output_range or OutputRange(model.first_e4deg, model.last_e4deg)
+        self.echo_filter = self.setup.echo_filter
         self._scan_data = self.setup.scan_data
         self._dialect = self._next_dialect = self.setup.dialect
         self._writes_to_refuse = self.setup.first_writes_refused
@@ -246,8 +246,8 @@ class FakeLms100:
     def _measure(self, index: int) -> ScanTelegram:
         """Cast the rays of one scan and write them into a telegram."""
         begins_ns, leaves_ns = self._first_beam_ns(index), self._leaves_ns(index)
-        step_e4deg, first_e4deg = self._scan.step_e4deg, self._range.first_e4deg
-        beam_count = (self._range.last_e4deg - first_e4deg + step_e4deg // 2) // step_e4deg + 1
+        step_e4deg, first_e4deg = self._scan.step_e4deg, self.range.first_e4deg
+        beam_count = (self.range.last_e4deg - first_e4deg + step_e4deg // 2) // step_e4deg + 1
         beam_interval_ns = self._period_ns() * step_e4deg / FULL_TURN_E4DEG
         first_ray_ns = begins_ns + round(
             self._period_ns() * (first_e4deg - self._model.first_e4deg) / FULL_TURN_E4DEG
@@ -348,11 +348,11 @@ class FakeLms100:
             w.u16(0)
 
         output_step_e4deg = self._model.output_step_e4deg or self._scan.step_e4deg
-        return {name: lambda w: w.u8(self._echo_filter) for name in self._own_settings} | {
+        return {name: lambda w: w.u8(self.echo_filter) for name in self._own_settings} | {
             "SCdevicestate": lambda w: w.u8(2 if self.failed else int(state == STATE_MEASURING)),
             "STlms": lambda w: status.write(w, self._dialect),
             "LMPscancfg": self._scan.write,
-            "LMPoutputRange": replace(self._range, step_e4deg=output_step_e4deg).write,
+            "LMPoutputRange": replace(self.range, step_e4deg=output_step_e4deg).write,
             "LMDscandatacfg": self._scan_data.write,
             "DeviceIdent": ident,
             "0": ident,
@@ -394,14 +394,14 @@ class FakeLms100:
             first_e4deg, last_e4deg = self._model.first_e4deg - 100, self._model.last_e4deg + 100
             if not first_e4deg <= wanted.first_e4deg < wanted.last_e4deg <= last_e4deg:
                 return self._refuse(NOT_NOW)
-            self._range = self._range if name in self.setup.kept else wanted
+            self.range = self.range if name in self.setup.kept else wanted
         elif name == "LMDscandatacfg":
             layout = ScanDataConfig.read(r)
             if not 1 <= layout.echoes <= 3 or layout.interval < 1:
                 return self._refuse(NOT_NOW)
             self._scan_data = self._scan_data if name in self.setup.kept else layout
         elif name == "FREchoFilter":
-            self._echo_filter = self._echo_filter if name in self.setup.kept else r.u8()
+            self.echo_filter = self.echo_filter if name in self.setup.kept else r.u8()
         elif name == "EIHstCola":
             self._next_dialect = Dialect.BINARY if r.u8() else Dialect.ASCII
         return self._reply("sWA", name)

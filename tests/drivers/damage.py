@@ -1,6 +1,7 @@
 """For tests: messages damaged as lines damage them."""
 
 import random
+from typing import Any
 
 
 def mutate(wire: bytes, chance: random.Random) -> bytes:
@@ -20,3 +21,17 @@ def mutate(wire: bytes, chance: random.Random) -> bytes:
             case _:
                 damaged[at:at] = chance.randbytes(chance.randrange(1, 9))
     return bytes(damaged)
+
+
+def buffered(decoder: Any) -> int:
+    """Bytes that a decoder keeps until the rest of a message comes."""
+    return len(decoder._buffer)
+
+
+def waiting(session: Any) -> int:
+    """Bytes that a session keeps until the rest of a message comes."""
+    decoder = session._decoder
+    for name in ("buffered_bytes", "waiting_bytes"):
+        if hasattr(decoder, name):
+            return int(getattr(decoder, name))
+    return buffered(decoder)

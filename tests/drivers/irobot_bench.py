@@ -59,7 +59,7 @@ class Bench:
         self.sent = bytearray()  # by the session
         self.now_ns = 0
         self._read_every_ms = read_every_ms
-        self._spoil = spoil
+        self.spoil = spoil
         self._waiting = bytearray()
         robot.connected(0)
 
@@ -73,7 +73,7 @@ class Bench:
                 self._waiting += self.robot.receive_data(bytes(self.session.outbox), self.now_ns)
                 self.session.outbox.clear()
             if (due_ns := self.robot.next_due_ns(self.now_ns)) is not None and due_ns <= self.now_ns:
-                self._waiting += self._spoil(self.robot.due(self.now_ns), self.now_ns)
+                self._waiting += self.spoil(self.robot.due(self.now_ns), self.now_ns)
             if self._waiting and self.now_ns // MS % self._read_every_ms == 0:
                 self.samples += self.session.receive_data(bytes(self._waiting), self.now_ns)
                 self._waiting.clear()

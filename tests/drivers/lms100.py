@@ -32,7 +32,9 @@ def config(**changes):
 
 def talk(setup=None, **changes):
     """A session configured with `changes`, talking to a fake device in virtual time."""
-    return Talk(Lms100Session(config(**changes)), FakeLms100(Room(), setup or Lms100Setup())).connect()
+    room = Room()
+    device = FakeLms100(room, setup or Lms100Setup())
+    return Talk(Lms100Session(config(**changes)), device, room=room).connect()
 
 
 def telegram(counter=4, start_us=1_000_000, sent_after_us=15_300, values=(1500,) * 541, **changes):

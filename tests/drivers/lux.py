@@ -35,8 +35,8 @@ def config(**changes):
 
 def talk(setup=None, **changes):
     """A session configured with `changes`, talking to a fake device in virtual time."""
-    device = FakeIbeoLux(Room(), setup or LuxSetup())
-    t = Talk(None, device)
+    room = Room()
+    t = Talk(None, FakeIbeoLux(room, setup or LuxSetup()), room=room)
     t.session = IbeoLuxSession(config(**changes), lambda: UNIX_NS + t.now_ns)
     return t.connect()
 

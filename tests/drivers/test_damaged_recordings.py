@@ -30,7 +30,7 @@ from drivers.irobot_create.protocol import FRAME_PERIOD_NS, PacketId, encode_fra
 from drivers.sick_lms100.protocol import HEADER, MAX_TELEGRAM_BYTES, Decoder, Dialect, encode
 from drivers.sick_lms100.telegrams import read_scan as read_sick_scan
 from drivers.sick_lms100.telegrams import write_scan as write_sick_scan
-from tests.drivers.damage import mutate
+from tests.drivers.damage import mutate, waiting
 from tests.drivers.faulty_devices import BENCHES
 from tests.drivers.virtual_time import Talk
 
@@ -104,7 +104,7 @@ def _sick(shared: Path, dialect: Dialect) -> Recorded:
         scans[0],
         [wire[framing:-1] for wire in wires],
         _whole_ascii if dialect is Dialect.ASCII else _whole_binary,
-        lambda session: len(session._decoder._buffer),
+        waiting,
         MAX_TELEGRAM_BYTES + 9,
         ("scans_received",),
     )
@@ -142,7 +142,7 @@ def _utm30lx(shared: Path) -> Recorded:
         good,
         [_without_sums(wire) for wire in wires],
         _with_sums,
-        lambda session: len(session._decoder._buffer),
+        waiting,
         MAX_REPLY_BYTES,
         ("scans_received", "scans_of_old_stream"),
         raises=(ProtocolError, DeviceError, TransportError),  # a status tells a fault, or the stream's end
@@ -175,7 +175,7 @@ def _lux(shared: Path) -> Recorded:
         wires[0],
         wires,
         _whole_lux,
-        lambda session: session._decoder.buffered_bytes,
+        waiting,
         lux_protocol.MAX_MESSAGE_BYTES + 2 * len(wires[0]),
         ("scans_received",),
         raises=(ProtocolError, DeviceError, TransportError),  # scans of a device that was reset
@@ -213,7 +213,7 @@ def _create(shared: Path, model: str) -> Recorded:
         good,
         [good] if asked else [good[2:-1]],
         (lambda content: content) if asked else _whole_frame,
-        lambda session: len(session._answer if asked else session._decoder._buffer),
+        lambda session: len(session._answer) if asked else waiting(session),
         len(good),
         () if asked else ("frames_received", "frames_of_old_stream"),
         between_ns=100_000_000 if asked else FRAME_PERIOD_NS,  # else one hears no answer, the other no stream

@@ -54,7 +54,7 @@ def test_codes_of_a_recorded_urg_scan_are_counted_by_its_own_table():
     [reply] = ReplyDecoder().receive_data(RECORDED)
     request, before = t.session._dialogue.request, t.session.counters.copy()
     scan = read_scan(reply)
-    later_ms = t.device._clock_ms(t.now_ns) + 100
+    later_ms = t.device.clock_ms(t.now_ns) + 100
     message = write_scan(type(scan)(request, later_ms, scan.distance_mm, scan.intensity))
     [frame] = t.session.receive_data(message, t.now_ns + 200_000_000)
     counted = t.session.counters - before
@@ -86,7 +86,7 @@ def test_driver_streams_from_the_fake_of_each_model(
     assert np.isnan(frame.range_m[::10]).all()
     assert t.session.counters[no_return] == len(range(0, beams, 10)) * len(t.frames)
     assert frame.range_max_m == MODELS[changes["model"]].range_max_m
-    late_ns = min(abs(frame.stamp_ns - first_ns) for first_ns in t.device._optics._source.first_rays_ns)
+    late_ns = min(abs(frame.stamp_ns - first_ns) for first_ns in t.room.first_rays_ns)
     assert late_ns < 1_000_000
     assert ADVICE.rate_hz(config(**changes)) == rate_hz
 

@@ -23,6 +23,7 @@ from drivers.hokuyo_utm30lx.protocol import (
     read_time,
 )
 from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
+from tests.drivers.damage import buffered
 from tests.drivers.utm30lx import random_scan
 
 # A UTM-30LX, firmware P.1.05; gbiggs/hokuyoaist, commit 51d99db, examples.
@@ -74,7 +75,7 @@ def test_endless_noise_is_bounded_and_what_follows_is_read():
     decoder = ReplyDecoder()
     for _ in range(40):
         assert decoder.receive_data(b"x" * 10_000) == []
-        assert len(decoder._buffer) <= MAX_REPLY_BYTES
+        assert buffered(decoder) <= MAX_REPLY_BYTES
     assert decoder.receive_data(b"\n\n" + SCAN)
     assert decoder.skipped_bytes == 400_001
 
@@ -170,7 +171,7 @@ def test_device_end_takes_commands_ended_by_either_character_and_forgets_endless
     assert decoder.receive_data(b"\nQT\rPP\n\nV") == ["QT", "PP"]
     assert decoder.receive_data(b"V\n") == ["VV"]
     decoder.receive_data(b"x" * 100_000)
-    assert len(decoder._buffer) == MAX_COMMAND_BYTES
+    assert buffered(decoder) == MAX_COMMAND_BYTES
     assert decoder.receive_data(b"\xff\nQT\n")[-1] == "QT"
 
 
@@ -231,4 +232,4 @@ def test_mutated_replies_raise_nothing_but_protocol_errors_and_the_next_good_one
             with contextlib.suppress(ProtocolError):
                 read(reply)
     assert read_scan(replies[-1]).stamp_ms == random_scan(0).stamp_ms
-    assert len(decoder._buffer) == 0
+    assert buffered(decoder) == 0

@@ -190,7 +190,7 @@ def test_device_that_stands_still_is_started_and_waited_for():
 
 def test_device_that_says_it_runs_but_sends_nothing_is_started():
     t = talk(LuxSetup(parameters=AS_WANTED))
-    t.device._turning_since_ns = t.now_ns + 3_600 * SECOND_NS
+    t.device.turning_since_ns = t.now_ns + 3_600 * SECOND_NS
     t.device.scanner_status = lambda now_ns: 0x030B
     t.run(2.5)
     assert t.device.counters["starts"] == 1
@@ -251,7 +251,7 @@ def test_motor_that_does_not_start_is_a_device_error_in_words():
 def test_late_reply_about_another_parameter_is_not_taken():
     t = talk(LuxSetup(parameters=AS_WANTED))
     t.session.tick(t.now_ns)
-    t._say()
+    t.exchange()
     reply = encode(Message(DataType.REPLY, bytes.fromhex("1100") + bytes.fromhex("0033") + bytes(4)))
     asked_before = t.session.counters["replies_not_asked_for"]
     t.session.receive_data(reply, t.now_ns)

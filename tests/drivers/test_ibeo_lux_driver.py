@@ -23,9 +23,11 @@ PERIOD_NS = 40_000_000
 
 def ready_session(**changes):
     """A session that takes scans: one whose device sends but does not answer."""
-    session = IbeoLuxSession(config(**changes), lambda: 0)
-    session._dialogue.ready = True
-    session._runner.ended = True
+    return made_ready(IbeoLuxSession(config(**changes), lambda: 0))
+
+
+def made_ready(session):
+    session._dialogue.ready = session._runner.ended = True
     return session
 
 
@@ -145,15 +147,6 @@ def test_device_whose_number_and_clock_stand_still_is_told_of():
         session.tick(100 * SECOND_NS + tick * 200_000_000)
     with pytest.raises(TransportError, match="no new scan for 2 s: it repeats the same one"):
         session.tick(102_200_000_000)
-
-
-def test_device_whose_scans_all_come_out_of_order_is_a_silent_one():
-    t = talk().run(6.0)
-    before, t.session._gate.last_ns = len(t.frames), t.now_ns + 1_000 * SECOND_NS
-    with pytest.raises(TransportError, match="all stamped no later than the one before; its clock"):
-        t.run(2.5)
-    assert before > 25
-    assert len(t.frames) == before
 
 
 def test_first_scan_of_the_side_not_wanted_is_a_sign_of_life_all_the_same():
@@ -329,7 +322,7 @@ def test_frames_come_at_the_rate_asked_for_and_see_the_room_all_around(rate_hz, 
 
 def errors_ms(t, begin=0):
     """Stamp minus truth of each frame from `begin` on."""
-    truth_ns = np.array(t.device._source.first_rays_ns)
+    truth_ns = np.array(t.room.first_rays_ns)
     stamps_ns = np.array([frame.stamp_ns for frame in t.frames[begin:]])
     nearest = np.abs(stamps_ns[:, None] - truth_ns[None, :]).argmin(axis=1)
     return (stamps_ns - truth_ns[nearest]) / 1e6
@@ -414,7 +407,7 @@ def test_clock_that_others_set_while_it_runs_is_followed(kept):
     """At once where the scan numbers go on, else as soon as lateness is told from a held-back network."""
     t = talk(set_clock=False).run(10.0)
     if not kept:
-        t.device._number_base += 20_000
+        t.device.number_base += 20_000
     t.device._set_clock(ntp(4_000_000_000 * SECOND_NS), t.now_ns)
     before = len(t.frames)
     t.run(5.0)
@@ -433,7 +426,8 @@ STATUS = encode(Message(DataType.REPLY, bytes.fromhex("0100") + bytes(30)))
 @settings(suppress_health_check=[HealthCheck.too_slow])
 def test_mutated_messages_do_no_harm_and_the_next_good_scan_is_a_frame(data):
     session = IbeoLuxSession(config(), lambda: 0)
-    session._dialogue.ready = data.draw(st.booleans())
+    if data.draw(st.booleans()):
+        made_ready(session)
     spoilt = bytearray(data.draw(st.sampled_from([GOOD[0], ERRORS, STATUS])))
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, len(spoilt) - 1))
@@ -444,7 +438,7 @@ def test_mutated_messages_do_no_harm_and_the_next_good_scan_is_a_frame(data):
         for frame in session.receive_data(message, now_ns):
             assert len(frame.range_m) <= 1 + 11_520 // 4
             assert frame.beam_interval_ns > 0
-    session._dialogue.ready = True
+    made_ready(session)
     [frame] = session.receive_data(GOOD[2], 10**12 + 3 * PERIOD_NS)
     assert np.count_nonzero(~np.isnan(frame.range_m)) == 1
 

@@ -56,7 +56,7 @@ def test_beams_that_the_driver_cuts_off_do_not_move_the_stamp_of_the_others():
         for fixed in (frozenset({START, END}), frozenset())
     )
     for t in (cut, taken):
-        truth_ns = np.array(t.device._source.first_rays_ns)
+        truth_ns = np.array(t.room.first_rays_ns)
         tick_ns = 40e6 / 11_520
         ahead_ticks = 20 * 32 if t is cut else 0
         late_ns = t.frames[-1].stamp_ns - (truth_ns + ahead_ticks * tick_ns)

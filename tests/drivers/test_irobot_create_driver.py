@@ -224,7 +224,7 @@ def test_way_through_lost_frames_is_kept_even_of_a_vehicle_that_rolls_faster(los
         return data
 
     table = bench(wheels)
-    table._spoil = spoil
+    table.spoil = spoil
     samples = table.run(2.0 + lost * 0.015 + 3.0)
     assert len(gone) == lost
     assert table.session.counters["encoder_faults"] == 0

@@ -26,6 +26,7 @@ from drivers.irobot_create.protocol import (
     frame_bytes,
     is_banner,
 )
+from tests.drivers.damage import buffered
 
 # Open Interface manual, opcode 148: cliff front left signal and virtual wall. The manual's prose reads the
 # signal's bytes as decimal (549); what stands on the wire is 0x0219.
@@ -220,7 +221,7 @@ def test_decoder_takes_anything_and_finds_the_next_good_frame(chunks: list[bytes
     after = encoders(decoder, frame(1, 2) * 2 + frame(5, 6))
     # what is pending of the noise may take the first two for its own; nothing more
     assert after[-1] == (5, 6)
-    assert len(decoder._buffer) < 37
+    assert buffered(decoder) < 37
     assert decoder.bytes_skipped == sum(map(len, chunks)) + 3 * 37 - 37 * (before + len(after))
 
 
@@ -279,7 +280,7 @@ def test_robot_hears_anything_without_harm(data: bytes):
     ear = CommandDecoder()
     commands = ear.receive_data(data)
     used = sum(1 + len(command.data) for command in commands)
-    assert used + ear.bytes_ignored + len(ear._buffer) == len(data)
+    assert used + ear.bytes_ignored + buffered(ear) == len(data)
 
 
 def test_next_header_cannot_stand_in_for_a_lost_checksum():

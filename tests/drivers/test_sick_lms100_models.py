@@ -111,7 +111,7 @@ def test_driver_streams_from_the_fake_of_each_model(model, dialect):
     assert frame.range_max_m == limits.range_max_m
     assert np.nanmax(frame.range_m) == np.float32(3.0)
     assert t.session.counters["scans_not_as_configured"] == 0
-    begins_ns = {first_ns for first_ns in t.device._source.first_rays_ns}
+    begins_ns = {first_ns for first_ns in t.room.first_rays_ns}
     late_ns = min(abs(frame.stamp_ns - first_ns) for first_ns in begins_ns)
     assert late_ns < 700_000  # what is not known of the time from the last beam to the sending
 
@@ -156,7 +156,7 @@ def test_lms5xx_chooses_its_echo_by_the_filter(stored, echo, wanted):
     assert t.session.status == "streaming"
     assert "FREchoFilter" in written(t)
     assert "LMDscandatacfg" not in written(t)
-    assert t.device._echo_filter == wanted
+    assert t.device.echo_filter == wanted
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_echo_filter_that_cannot_be_changed_is_named(how, words):
 def test_field_of_view_is_written_with_the_step_that_the_model_takes(model, step_deg, written_e4deg):
     changes = {"scan_rate_hz": 25, "angle_step_deg": step_deg, "first_angle_deg": -90.0}
     t = talk(Lms100Setup(model), model=model, **changes).run(3.0)
-    assert t.device._range.step_e4deg == written_e4deg
+    assert t.device.range.step_e4deg == written_e4deg
 
 
 @pytest.mark.parametrize("model", ["tim5xx", "tim7xx"])

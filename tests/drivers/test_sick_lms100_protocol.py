@@ -39,6 +39,7 @@ from drivers.sick_lms100.telegrams import (
     read_scan,
     write_scan,
 )
+from tests.drivers.damage import buffered
 
 ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
 
@@ -149,7 +150,7 @@ def test_endless_garbage_is_refused_and_the_buffer_stays_bounded(dialect):
     def feed(chunk, times):
         for _ in range(times):
             decoder.receive_data(chunk)
-            assert len(decoder._buffer) <= MAX_TELEGRAM_BYTES + len(chunk)
+            assert buffered(decoder) <= MAX_TELEGRAM_BYTES + len(chunk)
 
     with pytest.raises(ProtocolError, match="2111"):
         feed(b"\x02s" + b"0" * 998, 2 * MAX_GARBAGE_BYTES // 1000)

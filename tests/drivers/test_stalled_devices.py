@@ -8,15 +8,32 @@ import pytest
 from drivers.errors import TransportError
 from drivers.xsens_mtig import protocol
 from drivers.xsens_mtig.mtdata2 import Kind, join, split, write_item
-from tests.drivers import lms100, mtig
+from tests.drivers import lms100, lux, mtig, utm30lx
 
 
 def test_lms100_that_repeats_its_scan_is_said_to_stall():
     t = lms100.talk().run(4.0)
-    scan, before = t.device._last_scan, len(t.frames)
-    t.device._measure = lambda index: scan
+    receive, before = t.session.receive_data, len(t.frames)
+    first: list[bytes] = []
+
+    def repeat(data: bytes, arrived_ns: int) -> Any:
+        """The device's scans are all the same to the last bit."""
+        first.append(data)
+        return receive(first[0], arrived_ns)
+
+    t.session.receive_data = repeat
     with pytest.raises(TransportError, match=r"\d\d+ scans came in 2 s, all with the same stamp; the sensor"):
         t.run(3.0)
+    assert len(t.frames) == before + 1  # the first of them
+
+
+@pytest.mark.parametrize("bench", [lms100, utm30lx, lux], ids=["lms100", "utm30lx", "lux"])
+def test_laser_whose_scans_all_come_out_of_order_counts_as_silent(bench: Any):
+    t = bench.talk().run(6.0)
+    before, t.session._gate.last_ns = len(t.frames), t.now_ns + 1_000_000_000_000
+    with pytest.raises(TransportError, match="all stamped no later than the one before; its clock"):
+        t.run(2.5)
+    assert before > 25
     assert len(t.frames) == before
 
 

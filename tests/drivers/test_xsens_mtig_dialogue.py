@@ -231,7 +231,7 @@ def test_new_baud_rate_is_stored_and_the_unit_reset():
     t = talk(device, store_baud=460_800)
     with pytest.raises(TransportError, match="goes from 115200 to 460800 baud"):
         t.run(2.0)
-    t._say()
+    t.exchange()
     assert device.settings.baud == 460_800
     t = talk(device, store_baud=460_800)
     t.now_ns += 3_000_000_000

@@ -39,7 +39,9 @@ def config(**changes):
 def talk(setup=None, **changes):
     """A session configured with `changes`, talking to a fake device in virtual time."""
     setup = setup or Utm30lxSetup(wire="ethernet" if "host" in changes else "usb")
-    return Talk(HokuyoUtm30lxSession(config(**changes)), FakeUtm30lx(Room(), setup)).connect()
+    room = Room()
+    session = HokuyoUtm30lxSession(config(**changes))
+    return Talk(session, FakeUtm30lx(room, setup), room=room).connect()
 
 
 def random_scan(seed, request=None):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from drivers.frames import Frame
 from drivers.link import Session
@@ -22,6 +23,7 @@ class Talk:
     frames: list[Frame] = field(default_factory=list)
     statuses: list[str] = field(default_factory=list)
     sent: bytearray = field(default_factory=bytearray)
+    room: Any = None  # what the device measures
 
     def connect(self) -> "Talk":
         self._deliver(self.device.connected(self.now_ns))
@@ -33,7 +35,7 @@ class Talk:
         tick_ns = self.now_ns
         while self.now_ns < end_ns and not until():
             self.session.tick(self.now_ns)
-            self._say()
+            self.exchange()
             tick_ns += TICK_NS
             while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= tick_ns:
                 self.now_ns = max(self.now_ns, due_ns)
@@ -41,7 +43,8 @@ class Talk:
             self.now_ns = max(self.now_ns, tick_ns)
         return self
 
-    def _say(self) -> None:
+    def exchange(self) -> None:
+        """Carry what the session has to send, and what the device answers."""
         while self.session.outbox:
             said = bytes(self.session.outbox)
             self.session.outbox.clear()
@@ -55,4 +58,4 @@ class Talk:
             self.session.tick(arrived_ns)  # as drivers.link does after each read
             if self.session.status not in self.statuses[-1:]:
                 self.statuses.append(self.session.status)
-            self._say()
+            self.exchange()
