@@ -60,7 +60,7 @@ class Mapper(Generic[ReadableMap]):
         self._changes = changes
         self._changes_told_ns = 0
         self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
-        self._components = components
+        self.components = components
         self._localisation = Localisation(placed)
         self.is_localizing = is_localizing
         self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
@@ -84,7 +84,7 @@ class Mapper(Generic[ReadableMap]):
         that began before the newest pose is brought to the moment right after that.
         """
         if isinstance(frame, GnssFix):
-            self.counters[self._components.graph.add_fix(frame)] += 1
+            self.counters[self.components.graph.add_fix(frame)] += 1
             return None
         if not isinstance(frame, LaserScan):
             self._take_sample(frame)
@@ -102,7 +102,7 @@ class Mapper(Generic[ReadableMap]):
 
     def _take_sample(self, sample: ImuSample | OdometrySample) -> None:
         kind = type(sample)
-        if not self._components.motion_model.add(sample):
+        if not self.components.motion_model.add(sample):
             is_same = sample.stamp_ns == self._sample_ns.get(kind)
             self.counters["samples_dropped_same_stamp" if is_same else "samples_dropped_late"] += 1
             return
@@ -115,35 +115,35 @@ class Mapper(Generic[ReadableMap]):
 
         Dead reckoning goes from scan to scan, for the motion model forgets samples after a while.
         """
-        at_ns = self._components.deskew.moment_of(scan)
+        at_ns = self.components.deskew.moment_of(scan)
         if self._last_ns is None or at_ns <= self._last_ns:
             return
         self._last_ns = at_ns
         self._predict(at_ns)
-        self._components.motion_model.correct(None)
+        self.components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan) -> int | None:
         """To which moment its points are brought, ns; None: it is too old."""
         if scan.stamp_ns <= self._scan_ns.get(scan.sensor, scan.stamp_ns - 1):
             return None
-        at_ns = self._components.deskew.moment_of(scan)
+        at_ns = self.components.deskew.moment_of(scan)
         if self._last_ns is None or at_ns > self._last_ns:
             return at_ns
         return self._last_ns + 1 if self._last_ns - at_ns <= MAX_BEHIND_NS else None
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
         """Tiles of the shown map that changed since the last call; at most so many."""
-        return self._components.free_space.changed_tiles(most)
+        return self.components.free_space.changed_tiles(most)
 
     def tiles(self) -> list[TileUpdate]:
         """All tiles of the shown map as they are now, for who only looks on."""
-        return self._components.free_space.tiles()
+        return self.components.free_space.tiles()
 
     def standing(self) -> Grid | None:
         """How long things stand around the vehicle, as draw_standing has it, for who only looks on; None
         where that is not counted or nothing is mapped yet.
         """
-        local_map = self._components.local_map
+        local_map = self.components.local_map
         if self._newest is None or not isinstance(local_map, KnowsStanding):
             return None
         standing = local_map.standing()
@@ -157,11 +157,11 @@ class Mapper(Generic[ReadableMap]):
     @property
     def graph(self) -> Graph:
         """To be asked and told; what comes back goes through apply_result and finish of the mapper."""
-        return self._components.graph
+        return self.components.graph
 
     def apply_result(self) -> None:
         """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
-        update = self._components.graph.apply_result()
+        update = self.components.graph.apply_result()
         if update is not None:
             self._bring_in(update)
 
@@ -172,7 +172,7 @@ class Mapper(Generic[ReadableMap]):
 
     def finish(self) -> FinishedGraph:
         """The graph's last word, after the last frame; the shown map is corrected, too."""
-        finished = self._components.graph.finish()
+        finished = self.components.graph.finish()
         self._bring_in(finished.update)
         return finished
 
@@ -190,22 +190,22 @@ class Mapper(Generic[ReadableMap]):
         if update.is_localizing is not None:
             self.is_localizing = update.is_localizing
         if update.joined is not None:
-            self._components.local_map.join(update.joined)
-        if self._components.graph.fault:
+            self.components.local_map.join(update.joined)
+        if self.components.graph.fault:
             self._localisation.graph_ended()
-            if isinstance(self._components.local_map, HasPieces):
-                self._components.local_map.attach()
+            if isinstance(self.components.local_map, HasPieces):
+                self.components.local_map.attach()
         if update.rendered_map is not None:
-            self._components.free_space.replace_by(update.rendered_map, update.since)
+            self.components.free_space.replace_by(update.rendered_map, update.since)
 
     def _predict(self, stamp_ns: int) -> Prediction:
-        predicted = self._components.motion_model.predict(stamp_ns)
+        predicted = self.components.motion_model.predict(stamp_ns)
         if predicted.samples_dropped:
             self.counters["samples_dropped_waiting"] += predicted.samples_dropped
         return predicted
 
     def _process_scan(self, scan: LaserScan, at_ns: int) -> MapperOutput:
-        s, watch = self._components, self._stopwatch
+        s, watch = self.components, self._stopwatch
         watch.start()
         if self._newest is None and scan.stamp_ns < at_ns:
             s.motion_model.begin_at(scan.stamp_ns)
@@ -232,7 +232,7 @@ class Mapper(Generic[ReadableMap]):
 
     def _insert(self, match: Match, at_ns: int, predicted: Prediction) -> Match:
         """Put a match into local map, graph and shown map; its state is that of its place in the map."""
-        s = self._components
+        s = self.components
         change = s.local_map.insert(match.points, match)
         still = _still(match)
         self.counters["keyframes"] += change.is_keyframe
@@ -265,8 +265,8 @@ class Mapper(Generic[ReadableMap]):
 
     def _compared(self, points: Points, at_ns: int, looked_for: Prediction) -> MapperOutput:
         """A scan of a laser in doubt: aligned with the map, with no say in it."""
-        match = self._components.matcher.compare(points, looked_for, self._components.local_map)
-        motion = self._components.motion_model.correct(None)
+        match = self.components.matcher.compare(points, looked_for, self.components.local_map)
+        motion = self.components.motion_model.correct(None)
         state = self._checks.compare(match, at_ns, looked_for, self._state)
         return self._output(points.scan, at_ns, motion, state, match.inlier_ratio)
 
@@ -281,7 +281,7 @@ class Mapper(Generic[ReadableMap]):
         if self._newest is not None:
             stamp_ns = max(stamp_ns, self._newest.stamp_ns + 1)
         if stamp_ns != at_ns:
-            motion = self._components.motion_model.moved((stamp_ns - at_ns) * 1e-9)
+            motion = self.components.motion_model.moved((stamp_ns - at_ns) * 1e-9)
         covariance = self._localisation.covariance_of(motion)
         if state.state == "ok" and (drift := drift_of(covariance)):
             state = Verdict("degraded", drift)

@@ -73,7 +73,7 @@ def main(size: int, seed: int) -> None:
     mapper: Mapper = build_mapper(
         mapping_config({"profile": "imle"}), {"front": SE2()}, new_patch_store=new_store
     )
-    patches: PatchMap = mapper._components.local_map
+    patches: PatchMap = mapper.components.local_map
     before_mb = resident_mb()
     map_all(world, patches, size / 2)
     took_ms, fetched, largest_mb = [], [], resident_mb()

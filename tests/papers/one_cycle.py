@@ -90,10 +90,10 @@ class Cycle:
 
     @property
     def local_map(self) -> Any:
-        return self.mapper._components.local_map
+        return self.mapper.components.local_map
 
     def match(self) -> Match:
-        return self.mapper._components.matcher.match(self.points, self.predicted, self.local_map)
+        return self.mapper.components.matcher.match(self.points, self.predicted, self.local_map)
 
     def off(self, pose: SE2 | Array) -> str:
         """How far a pose is from the true one."""
@@ -111,7 +111,7 @@ def cycles_from_a_corner(profile: str, what: Drive) -> Iterator[Cycle]:
     heading = np.unwrap([what.truth[scan.stamp_ns].theta_rad for scan in scans])
     chosen = scans[int(np.argmax(np.abs(np.gradient(heading))[:-1]))]
     mapper = build_mapper(mapping_config({"profile": profile}), {"front": FORWARD})
-    components = mapper._components
+    components = mapper.components
     imu: list[ImuSample] = []
     for frame in what.frames:
         if not isinstance(frame, LaserScan) or frame.stamp_ns < chosen.stamp_ns:
@@ -200,7 +200,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
                 cycle.off(pose),
             )
         )
-    motion = cycle.mapper._components.motion_model.correct(match.measured)
+    motion = cycle.mapper.components.motion_model.correct(match.measured)
     moved = farthest(match.points.xy_base, points.xy_base)
     change = local_map.insert(match.points, replace(match, motion=motion))
     after = read(local_map, beside)[:, 0]
@@ -307,7 +307,7 @@ def owolm_boxes(cycle: Cycle, seed: int) -> tuple[Boxes, tuple[str, str]] | None
         )
     assert match.measured is not None
     measured = match.measured
-    motion = cycle.mapper._components.motion_model.correct(measured)
+    motion = cycle.mapper.components.motion_model.correct(measured)
     innovation = predicted.pose_odom_base.inverse() @ measured.pose_odom_base
     taken = predicted.pose_odom_base.inverse() @ motion.pose_odom_base
     gap_m = local_map.gaps(points)

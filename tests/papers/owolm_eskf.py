@@ -326,7 +326,7 @@ def _ratios(a: list[float], b: list[float]) -> list[float]:
 
 
 def _map_of(what: Run) -> OrthogonalMap:
-    local_map: OrthogonalMap = what.mapper._components.local_map  # type: ignore[attr-defined]
+    local_map: OrthogonalMap = what.mapper.components.local_map  # type: ignore[attr-defined]
     return local_map
 
 

@@ -188,7 +188,7 @@ def memory(seeds: Sequence[int]) -> Section:
         if mapper.process(frame) is None:
             continue
         lap = min(int(frame.stamp_ns * 1e-9 / lap_s), LAP_COUNT - 1)
-        tiles[lap] = max(tiles[lap], mapper._components.local_map.tile_count)
+        tiles[lap] = max(tiles[lap], mapper.components.local_map.tile_count)
         while mapper.graph.waiting:
             mapper.apply_result()
             kept, walls = (len(pickle.dumps(one)) for one in (held[0], held[0].walls))

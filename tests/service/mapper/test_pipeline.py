@@ -57,7 +57,7 @@ class TalkingGraph(NoGraph):
 
 def test_where_the_map_lies_on_the_earth_stays_with_the_mapper_and_goes_out_with_each_pose():
     mapper: Mapper = build_mapper(mapping_config({"profile": "contour_lm"}), {"front": MOUNTING})
-    mapper._components = replace(mapper._components, graph=TalkingGraph())
+    mapper.components = replace(mapper.components, graph=TalkingGraph())
     frames = iter(drive(ROOM, standing, 0.6).frames)
     before = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     assert before.geo_reference is None
@@ -79,7 +79,7 @@ class KnowingGraph(NoGraph):
 
 def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_not_ok():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    mapper._components = replace(mapper._components, graph=KnowingGraph())
+    mapper.components = replace(mapper.components, graph=KnowingGraph())
     frames = iter(drive(ROOM, standing, 0.6).frames)
     before = next(output for frame in frames if (output := mapper.process(frame)) is not None)
     assert before.state == "ok"
@@ -125,7 +125,7 @@ def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
     assert mapper._checks._odometry_mounting._last is None  # no step from there to here tells a mounting
-    local_map = mapper._components.local_map
+    local_map = mapper.components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5
     assert np.isfinite(first.covariance).all()
@@ -150,7 +150,7 @@ class FindingGraph(NoGraph):
 def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     graph = FindingGraph(piece=1)
-    mapper._components = replace(mapper._components, graph=graph)
+    mapper.components = replace(mapper.components, graph=graph)
     outputs = carried_into_another_room(mapper, noise_at=40)
     assert [next(outputs).state for _ in range(3)] == ["lost"] * 3
     mapper.apply_result()
@@ -171,7 +171,7 @@ def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_
 
 def test_where_another_piece_was_found_says_nothing_of_this_one():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    mapper._components = replace(mapper._components, graph=FindingGraph(piece=2))
+    mapper.components = replace(mapper.components, graph=FindingGraph(piece=2))
     outputs = carried_into_another_room(mapper)
     next(outputs)
     mapper.apply_result()
@@ -270,7 +270,7 @@ def test_a_laser_that_sits_wrong_is_not_mapped_when_the_others_fall_silent():
         elif output is not None and alone_ns < frame.stamp_ns < alone_ns + 450_000_000:
             states["silent"].add(output.state)
     assert states == {"silent": {"degraded"}, "alone": {"lost"}}
-    assert "rear" not in mapper._components.local_map._last_of  # nothing of it stands in the map
+    assert "rear" not in mapper.components.local_map._last_of  # nothing of it stands in the map
 
 
 def test_a_laser_that_hangs_is_named_while_another_sees_on():
@@ -335,12 +335,11 @@ def test_a_laser_whose_stamps_are_late_is_named_and_no_longer_mapped_beside_the_
 
 
 def test_a_sweep_that_began_too_long_before_the_newest_pose_is_late():
-    mapper: Mapper = build_mapper(mapping_config(), BOTH)
+    mapper: Mapper = build_mapper(mapping_config(), {**BOTH, "rear2": REAR})
     *frames, last = [frame for frame in two_lasers() if isinstance(frame, LaserScan)]
     for frame in frames[:20]:
         mapper.process(frame)
     newest_ns = max(frame.stamp_ns for frame in frames[:20])
     lux = replace(last, sensor="rear2", stamp_ns=newest_ns - MAX_BEHIND_NS - 1, arrived_ns=newest_ns)
-    mapper._components.deskew._mountings["rear2"] = REAR
     assert mapper.process(lux) is None
     assert mapper.counters["scans_dropped_late"] == 1

@@ -118,7 +118,7 @@ def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
     mapper = new_mapper()
     scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:30]
     outputs = run(scans, mapper)
-    components = mapper._components
+    components = mapper.components
     truth = outputs[-1].pose_odom_base
     for off in (SE2(0.5, -0.3, 0.55), SE2(-0.4, 0.4, -0.6)):
         spread = np.diag([0.2**2, 0.2**2, 0.25**2])

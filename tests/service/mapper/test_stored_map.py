@@ -13,6 +13,7 @@ from service.geometry.se2 import SE2
 from service.mapper.by_hand import ERASED, WALL
 from service.mapper.components import FinishedGraph, GraphRequestError, WallToRender
 from service.mapper.graph.edit.editing import with_area_erased, with_wall
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.relocalise import known_map
 from service.mapper.localisation import UNPROVEN
 from service.mapper.maps.occupancy import cells_of_wall
@@ -41,6 +42,12 @@ def second() -> Drive:
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """For who is lost all along: what becomes of it does not depend on how many places are looked at."""
     monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)
+
+
+def back_end_of(mapper: Mapper) -> LoopBackEnd:
+    back_end = mapper.graph._jobs._worker._back_end
+    assert isinstance(back_end, LoopBackEnd)
+    return back_end
 
 
 def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
@@ -192,7 +199,7 @@ def test_who_stands_where_no_map_is_keeps_no_more_the_longer_it_stands(first):
     elsewhere = through("library", 30.0, 1, stand_s=50.0, laser=COARSE)
     mapper = new_mapper(begin)
     assert {output.state for output in outputs_of(mapper, elsewhere.frames)} == {"lost"}
-    keyframes = mapper.graph._jobs._worker._back_end._keyframes
+    keyframes = back_end_of(mapper).keyframes
     has_points = keyframes.has_points[keyframes.stored :]
     assert 6 < len(has_points) < 12  # two a second at first, one each 8 s in the end
     assert has_points.sum() == 1 + 3  # the first, and the newest ones
@@ -316,7 +323,7 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, se
     """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     drove, begin = first
     mapper = new_mapper(begin)
-    pieces = mapper.graph._jobs._worker._back_end.pieces
+    pieces = back_end_of(mapper).pieces
     best_of, wrongly = pieces.best_of, []
 
     def find_wrongly(found, prior):

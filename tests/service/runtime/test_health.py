@@ -28,7 +28,15 @@ def streaming(frames: int = 100, last_frame_ns: int = 10 * S, delay_ns: int = 20
     )
 
 
-def report(link: LinkHealth, **parts: Any) -> HealthReport:
+class Report(HealthReport):
+    """A report whose parts the test can change."""
+
+    def __init__(self, links: dict[str, LinkHealth], **parts: Any) -> None:
+        super().__init__(links, **parts)
+        self.parts = SimpleNamespace(**parts)
+
+
+def report(*links: LinkHealth) -> Report:
     """A report on parts that only have what it looks at."""
     outputs = SimpleNamespace(
         graph_fault="",
@@ -52,16 +60,16 @@ def report(link: LinkHealth, **parts: Any) -> HealthReport:
         health=lambda: [Status("zenoh", OK, "ok", {}), Status("recording", WARNING, "stopped", {})],
         status_words=lambda: ["recording: stopped"],
     )
-    defaults = {
-        "intake": SimpleNamespace(paused=False),
-        "link": SimpleNamespace(waiting=3, pid=123, silent_s=0.1),
-        "outputs": outputs,
-        "sinks": sinks,
-        "latency": LatencyHistogram(),
-        "dispatcher": SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
-        "profile": lambda: "corridor",
-    }
-    return HealthReport({"front": link}, **(defaults | parts))
+    return Report(
+        {link.name: link for link in links},
+        intake=SimpleNamespace(paused=False),
+        link=SimpleNamespace(waiting=3, pid=123, silent_s=0.1),
+        outputs=outputs,
+        sinks=sinks,
+        latency=LatencyHistogram(),
+        dispatcher=SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
+        profile=lambda: "corridor",
+    )
 
 
 def status(made: HealthReport, name: str, now_ns: int = 11 * S) -> Any:
@@ -110,8 +118,8 @@ def test_a_sensor_that_never_came_has_no_rate():
 def test_scans_are_passed_over_or_late_or_unusable():
     made = report(streaming())
     assert made.scans_dropped == 2
-    made._outputs.passed_over["front"] = 5
-    made._outputs.unusable_scans = 1
+    made.parts.outputs.passed_over["front"] = 5
+    made.parts.outputs.unusable_scans = 1
     assert made.scans_dropped == 8
 
 
@@ -120,33 +128,33 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made = report(streaming())
     assert status(made, "mapping").message == "no scan of front mapped yet"
     assert status(made, "mapping").values["lasers"] == "front"
-    made._outputs.lasers = ()
+    made.parts.outputs.lasers = ()
     made.update(0, 0)
     assert status(made, "mapping").message == "no laser is mapped"
     reason = NO_REASON if state == "ok" else FEW
-    made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
+    made.parts.outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
     told = status(made, "mapping")
     assert (told.level, told.message) == (level, reason or "ok")
     assert told.values["reason_id"] == reason.id
     assert (told.values["inlier_ratio"], told.values["mode"]) == ("0.800", "mapping")
-    made._outputs.is_localizing = True
+    made.parts.outputs.is_localizing = True
     assert status(made, "mapping").values["mode"] == "localization"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
 
 
 def test_without_a_first_pose_devices_may_log_in_for_some_seconds_then_it_is_an_error():
     made = report(LinkHealth("front", state="starting"))
-    made._outputs.last_ns = 0
+    made.parts.outputs.last_ns = 0
     assert [status(made, "mapping", s * S).level for s in (1, 6, 7, 60)] == [WARNING, WARNING, ERROR, ERROR]
     assert made.mapping_state == ("waiting", "no scan of front mapped yet")
-    made._outputs.last_ns = 60 * S  # then the map was reset
+    made.parts.outputs.last_ns = 60 * S  # then the map was reset
     assert [status(made, "mapping", s * S).level for s in (61, 66)] == [WARNING, ERROR]
 
 
 def test_latency_and_processor_time_of_scans_are_told():
     made = report(streaming())
-    made._latency.add(4_000_000)
-    made._outputs.scan_cpu.add(1_500_000)
+    made.parts.latency.add(4_000_000)
+    made.parts.outputs.scan_cpu.add(1_500_000)
     values = status(made, "mapping").values
     for name in ("p50", "p95", "p99", "max"):
         assert float(values[f"latency_ms_{name}"]) == pytest.approx(4.0, rel=0.02)
@@ -156,9 +164,9 @@ def test_latency_and_processor_time_of_scans_are_told():
 def test_rows_and_words_of_the_sinks_come_from_the_sinks():
     made = report(streaming())
     assert status(made, "zenoh") == Status("zenoh", OK, "ok", {})
-    made._sinks.health = lambda: [Status("printer", ERROR, "no paper", {"sheets": "0"})]
+    made.parts.sinks.health = lambda: [Status("printer", ERROR, "no paper", {"sheets": "0"})]
     assert status(made, "printer") == Status("printer", ERROR, "no paper", {"sheets": "0"})
-    made._sinks.status_words = lambda: ["paper: none"]
+    made.parts.sinks.status_words = lambda: ["paper: none"]
     assert made.line.endswith(" scans/s, paper: none")
 
 
@@ -185,7 +193,7 @@ def test_a_change_of_the_mapping_is_told_once_with_its_reason():
     assert made.mapping_state == ("waiting", "no scan of front mapped yet")
     assert made.take_mapping_change() is None
     for state, reason, told in (("ok", NO_REASON, "ok"), ("lost", FEW, FEW)):
-        made._outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
+        made.parts.outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
         made.update(11 * S, 0)
         assert made.take_mapping_change() == (state, told)
         assert made.take_mapping_change() is None
@@ -195,11 +203,13 @@ def test_a_change_of_the_mapping_is_told_once_with_its_reason():
 
 def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
+    made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     told = []
     for second in range(11, 61):
-        made._outputs.last_ns = second * S
-        made._outputs.overload = lambda is_so=second % 2: "12 scans in 3.0 s were not mapped" if is_so else ""
+        made.parts.outputs.last_ns = second * S
+        made.parts.outputs.overload = lambda is_so=second % 2: (
+            "12 scans in 3.0 s were not mapped" if is_so else ""
+        )
         made.update(second * S, 0)
         told.append(made.take_mapping_change())
     seconds = [k for k, change in enumerate(told) if change is not None]
@@ -212,7 +222,10 @@ def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
 def test_a_lost_pose_is_told_at_once():
     made = report(streaming())
     for second, state in ((11, "ok"), (12, "lost"), (13, "ok"), (14, "lost")):
-        made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, state, NO_REASON, 0.9, 1, ()), second * S
+        made.parts.outputs.last, made.parts.outputs.last_ns = (
+            Mapped(1, 1, 1, state, NO_REASON, 0.9, 1, ()),
+            second * S,
+        )
         made.update(second * S, 0)
         assert made.take_mapping_change() == (state, state)
 
@@ -235,7 +248,7 @@ def test_the_message_holds_all_of_it():
 
 def test_a_pause_is_a_warning_until_it_ends():
     made = report(streaming())
-    made._intake.paused = True
+    made.parts.intake.paused = True
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "paused")
     assert made.line.startswith("mapping paused, 1/1 sensors, ")
@@ -244,7 +257,7 @@ def test_a_pause_is_a_warning_until_it_ends():
 def test_times_that_cannot_be_are_a_warning_of_their_own():
     made = report(streaming())
     assert status(made, "timing").level == OK
-    made._outputs.time_warnings = (
+    made.parts.outputs.time_warnings = (
         "/base/odom: its clock was set",
         "/front/scan: 9 of 89 messages are dropped",
     )
@@ -259,16 +272,16 @@ def test_commands_are_counted():
 
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
-    made._outputs.graph_fault = "the process died"
+    made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
+    made.parts.outputs.graph_fault = "the process died"
     told = status(made, "mapping")
     assert (told.level, told.message) == (WARNING, "no loops are closed: the process died")
 
 
 def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
-    made._outputs.overload = lambda: "12 scans in 3.0 s were not mapped"
+    made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
+    made.parts.outputs.overload = lambda: "12 scans in 3.0 s were not mapped"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (WARNING, "overloaded")
     assert told.message.startswith("12 scans in 3.0 s")
@@ -281,8 +294,8 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
 )
 def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, told_state: str, level: int):
     made = report(streaming())
-    made._outputs.last = Mapped(1, 1, 1, state, FEW, 0.2, 1, ())
-    made._outputs.overload = lambda: "12 scans in 3.0 s"
+    made.parts.outputs.last = Mapped(1, 1, 1, state, FEW, 0.2, 1, ())
+    made.parts.outputs.overload = lambda: "12 scans in 3.0 s"
     told = status(made, "mapping")
     assert (told.level, told.values["state"]) == (level, told_state)
     assert told.message == "few beams agree; 12 scans in 3.0 s"
@@ -291,7 +304,7 @@ def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, 
 
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     made = report(streaming())
-    outputs = made._outputs
+    outputs = made.parts.outputs
     outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     outputs.restart_reason = "said nothing for 10 s while 7 items waited"
 
@@ -314,7 +327,7 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
 
 def test_a_pose_that_is_not_fresh_is_an_error():
     made = report(streaming())
-    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
+    made.parts.outputs.last, made.parts.outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
     told = status(made, "mapping")
     assert (told.level, told.message) == (ERROR, "no pose for 4.0 s: no scan of front")
     assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
@@ -335,13 +348,13 @@ def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
 ):
     link = streaming()
     made = report(link)
-    made._link.pid, made._link.silent_s = pid, silent_s
-    made._outputs.overload = lambda: overload
+    made.parts.link.pid, made.parts.link.silent_s = pid, silent_s
+    made.parts.outputs.overload = lambda: overload
     status(made, "mapping", 10 * S)
     link.frames, link.last_frame_ns = 150, 11 * S
     told = status(made, "mapping")
     assert told.message == f"no scan of front mapped yet: front sends 50 scans/s, but {words}"
-    made._outputs.last, made._outputs.last_ns = (
+    made.parts.outputs.last, made.parts.outputs.last_ns = (
         Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()),
         11 * S - 800_000_000,
     )
@@ -352,12 +365,9 @@ def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
 
 
 def test_the_lasers_without_scans_are_named():
-    rear = LinkHealth("rear", state="down")
-    made = report(streaming(last_frame_ns=7 * S))
-    made._links = {"front": made._links["front"], "rear": rear}
-    made._sensors["rear"] = SensorHealth(rear)
-    made._outputs.lasers = ("front", "rear")
-    made._outputs.last, made._outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
+    made = report(streaming(last_frame_ns=7 * S), LinkHealth("rear", state="down"))
+    made.parts.outputs.lasers = ("front", "rear")
+    made.parts.outputs.last, made.parts.outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
     assert status(made, "mapping").message == "no pose for 4.0 s: no scan of front or rear"
 
 
@@ -365,6 +375,6 @@ def test_gnss_is_spoken_of_where_there_are_fixes():
     made = report(streaming())
     made.update(11 * S, 0)
     assert "gnss" not in {status.name for status in made.statuses}
-    made._outputs.counters["fixes_frozen"] = 3
+    made.parts.outputs.counters["fixes_frozen"] = 3
     assert status(made, "gnss").level == WARNING
     assert "repeats one position" in status(made, "gnss").message

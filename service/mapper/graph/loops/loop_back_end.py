@@ -77,8 +77,8 @@ class LoopBackEnd:
         self._keep_graph = keep_graph
         self._config = config
         self._renderer = renderer
-        self._keyframes = KeyframeList(stored)
-        self._held = self._keyframes.stored if is_localizing else 0
+        self.keyframes = KeyframeList(stored)
+        self._held = self.keyframes.stored if is_localizing else 0
         self._is_switched = False  # to localisation, in a session that maps: the map is stored without it
         self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
         self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
@@ -86,22 +86,22 @@ class LoopBackEnd:
         self._disabled: list[Loop] = []
         self._refusals = Refusals(None if stored is None else stored.refused)
         self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
-        self._drift = PathDrift(self._keyframes, config.keyframe_distance_m)
-        self._searched_m = float(self._keyframes.way_m[-1]) if stored is not None else 0.0
+        self._drift = PathDrift(self.keyframes, config.keyframe_distance_m)
+        self._searched_m = float(self.keyframes.way_m[-1]) if stored is not None else 0.0
         self._due = SolutionDue(config, self._searched_m)
         # Numbers of the pieces whose place in the map is known.
-        self._joined = {0} if stored is None else set(self._keyframes.piece.tolist())
-        self.pieces = DetachedSearch(config, self._keyframes)
+        self._joined = {0} if stored is None else set(self.keyframes.piece.tolist())
+        self.pieces = DetachedSearch(config, self.keyframes)
         self._is_merging = False  # what is stored was put together, and no loop holds it yet
         self._placement = Placement(stored is not None)
-        self._old_passes = OldPasses(config, self._keyframes)
-        self._edits = LiveEdits(self._keyframes)
+        self._old_passes = OldPasses(config, self.keyframes)
+        self._edits = LiveEdits(self.keyframes)
         self._anchoring = Anchoring()
         self._drawing = Drawing()
 
     def make_ready(self) -> None:
         """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
-        if self._keyframes.stored:
+        if self.keyframes.stored:
             self.pieces.make_ready(np.flatnonzero(self._usable()))
 
     def work(self, batch: Batch) -> Result:
@@ -113,12 +113,12 @@ class LoopBackEnd:
             fixes=dict(anchoring.counts),
             place=self._place(),
             picture=self._drawing.picture(
-                self._keyframes, self._joined, self._loops, self._refusals, is_asked
+                self.keyframes, self._joined, self._loops, self._refusals, is_asked
             ),
         )
         if batch.is_last or batch.request == "checkpoint":
             held = self._held if self._is_switched else None
-            saved = saved_graph(self._keyframes, self._loops, self._joined, self._refusals, held)
+            saved = saved_graph(self.keyframes, self._loops, self._joined, self._refusals, held)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
@@ -144,7 +144,7 @@ class LoopBackEnd:
             self._loops = [loop for loop in self._loops if loop not in gone]
             self._refusals.add(gone, BY_HAND)
             moved = True
-        has_pairs = len(self._keyframes.by_hand.pair_ends) > 0
+        has_pairs = len(self.keyframes.by_hand.pair_ends) > 0
         made, edited = self._edit(batch.change)
         moved |= made is not None and made.is_bent
         if batch.request == "optimize" and (self._loops or self._anchoring.reference or has_pairs):
@@ -158,17 +158,17 @@ class LoopBackEnd:
         if not moved:
             drawn = None if made is None else self.render(made.about)
             return Result(len(self._loops), len(self._disabled), rendered_map=drawn, edited=edited)
-        before = self._keyframes.map.copy()
+        before = self.keyframes.map.copy()
         disabled = len(self._disabled)
         self._solve()
         if made is not None:
             edited = self._edits.answer(made, self._known(), before, len(self._disabled) - disabled)
         graph = self._to_solve(is_in_hindsight=True)
-        known = known_pose(self._keyframes, self._joined, graph, self._held)
+        known = known_pose(self.keyframes, self._joined, graph, self._held)
         if joined is not None or batch.request:
             self._due.must_draw()
         drawn = self.render() if self._due.take_drawing() else None
-        newest = self._keyframes.correction(-1)
+        newest = self.keyframes.correction(-1)
         return Result(len(self._loops), len(self._disabled), joined, newest, known, drawn, edited=edited)
 
     def _set_mode(self, is_localizing: bool) -> Result:
@@ -181,7 +181,7 @@ class LoopBackEnd:
         self._held = (self._held or held) if is_localizing else 0
         self._candidates, self._is_switched = [], is_localizing
         self._accepted = [] if is_localizing else self._accepted  # an undo would change the stored map
-        told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self._keyframes.count}
+        told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self.keyframes.count}
         return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing)
 
     def _edit(self, change: LiveChange | None) -> tuple[Made | None, EditAnswer | None]:
@@ -197,7 +197,7 @@ class LoopBackEnd:
         self._candidates = []
         self._submaps.clear()
         self.pieces.forget_map()
-        return made, self._edits.answer(made, self._known(), self._keyframes.map)
+        return made, self._edits.answer(made, self._known(), self.keyframes.map)
 
     @property
     def loops(self) -> Sequence[Loop]:
@@ -206,39 +206,39 @@ class LoopBackEnd:
 
     def begin_session_at(self, k: int) -> None:
         """Take the key frames from k on for those of this session, though they are stored, too."""
-        self._keyframes.stored, self._is_merging = k, True
+        self.keyframes.stored, self._is_merging = k, True
 
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
-        return bool(self._keyframes.count) and int(self._keyframes.piece[-1]) not in self._joined
+        return bool(self.keyframes.count) and int(self.keyframes.piece[-1]) not in self._joined
 
     def _find_anchors(self) -> bool:
         """Whether fixes are worth a solution now."""
-        is_known = ~self._keyframes.is_lost & self._known()
-        return self._anchoring.find(self._keyframes, self._steps().covariance, is_known)
+        is_known = ~self.keyframes.is_lost & self._known()
+        return self._anchoring.find(self.keyframes, self._steps().covariance, is_known)
 
     def _known(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames whose place in the map is known."""
-        return np.isin(self._keyframes.piece, list(self._joined))
+        return np.isin(self.keyframes.piece, list(self._joined))
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be aligned with: matched, with points, in a place that is known."""
-        return self._keyframes.is_usable & self._known()
+        return self.keyframes.is_usable & self._known()
 
     def _look_for_piece(self) -> int | None:
         """Number of the newest piece, if its place was found now; else None."""
         loops = self.pieces.find(np.flatnonzero(self._usable()))
         if loops is None:
             return None
-        piece = int(self._keyframes.piece[-1])
+        piece = int(self.keyframes.piece[-1])
         self._joined.add(piece)
-        self._placement.found(float(self._keyframes.way_m[-1]))
+        self._placement.found(float(self.keyframes.way_m[-1]))
         self._loops += loops
         self._accepted.append([*loops])
         return piece
 
     def _append(self, frame: KeyFrame) -> None:
-        keyframes, pose = self._keyframes, frame.pose_odom_base
+        keyframes, pose = self.keyframes, frame.pose_odom_base
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if keyframes.count > keyframes.stored:
             odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
@@ -256,7 +256,7 @@ class LoopBackEnd:
 
     def _look_for_loops(self, every_m: float) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""
-        keyframes = self._keyframes
+        keyframes = self.keyframes
         if not keyframes.count or keyframes.way_m[-1] - self._searched_m < every_m:
             return False
         self._searched_m = float(keyframes.way_m[-1])
@@ -271,7 +271,7 @@ class LoopBackEnd:
 
     def _prove(self) -> None:
         """Look again whether the session lies where it was found in the stored map."""
-        keyframes, last = self._keyframes, self._keyframes.count - 1
+        keyframes, last = self.keyframes, self.keyframes.count - 1
         if self._placement.state != "unproven":
             return
         stored = np.flatnonzero(self._usable()[: keyframes.stored])
@@ -291,13 +291,13 @@ class LoopBackEnd:
         """A piece does not lie where it was found."""
         self._due.must_draw()
         self._joined.discard(piece)
-        of_piece = self._keyframes.piece == piece
+        of_piece = self.keyframes.piece == piece
         self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
         self._candidates, self._accepted = [], []
 
     def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
         """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
-        config, keyframes = self._config, self._keyframes
+        config, keyframes = self._config, self.keyframes
         way = keyframes.way_m
         first = int(np.searchsorted(way, way[last] - config.place_m))
         usable = self._usable()
@@ -305,7 +305,7 @@ class LoopBackEnd:
         if len(members) < 3:
             return []
         reference = members[len(members) // 2]
-        length_m = lengths_from(self._keyframes, self._loops, reference)
+        length_m = lengths_from(self.keyframes, self._loops, reference)
         if window is None:
             reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MAX_WINDOW_M)
             reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MAX_WINDOW_RAD)
@@ -344,11 +344,11 @@ class LoopBackEnd:
         return found
 
     def _is_good(self, fit: Fit) -> bool:
-        return fit.share >= MIN_SHARE * float(np.median(self._keyframes.score))
+        return fit.share >= MIN_SHARE * float(np.median(self.keyframes.score))
 
     def _submap_about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""
-        way, config = self._keyframes.way_m, self._config
+        way, config = self.keyframes.way_m, self._config
         for reference in self._submaps:
             if abs(way[reference] - way[k]) <= self._config.search_every_m:
                 self._submaps.move_to_end(reference)
@@ -357,21 +357,21 @@ class LoopBackEnd:
         last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
         usable = self._usable()
         members = [m for m in range(first, last) if usable[m]]
-        self._submaps[k] = CandidateSubmap(self._keyframes, members, k)
+        self._submaps[k] = CandidateSubmap(self.keyframes, members, k)
         if len(self._submaps) > SUBMAPS_KEPT:
             self._submaps.popitem(last=False)
         return self._submaps[k]
 
     def _accept(self, found: Loop) -> None:
         """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
-        config, way = self._config, self._keyframes.way_m
+        config, way = self._config, self.keyframes.way_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
         group = [
             loop
             for loop in self._candidates
             if abs(way[loop.to] - way[found.to]) <= WITHIN_M
             and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
-            and agree(self._keyframes, found, loop, base, growth)
+            and agree(self.keyframes, found, loop, base, growth)
         ]
         is_one_spot = np.ptp([way[loop.to] for loop in group]) < config.consensus_span_m
         if is_one_spot and not self._drift.confirms(found):
@@ -384,40 +384,40 @@ class LoopBackEnd:
     def graph(self, is_in_hindsight: bool = False) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
         edges = self._steps(is_in_hindsight).and_also(as_edges(self._loops))
-        pairs = landmarks_of_pairs(self._keyframes)
+        pairs = landmarks_of_pairs(self.keyframes)
         if self._anchoring.reference is None:
-            return PoseGraph(self._keyframes.map.copy(), edges, *pairs)
-        poses = np.vstack((self._keyframes.map, self._anchoring.pose_map_enu))
-        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self._keyframes)), *pairs)
+            return PoseGraph(self.keyframes.map.copy(), edges, *pairs)
+        poses = np.vstack((self.keyframes.map, self._anchoring.pose_map_enu))
+        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self.keyframes)), *pairs)
 
     def _to_solve(self, is_in_hindsight: bool = False) -> PoseGraph:
         """The graph, or what of it is not held, behind one pose for all that is."""
         if not self._held:
             return self.graph(is_in_hindsight)
-        return graph_on_held(self._keyframes, self._steps(is_in_hindsight), self._loops, self._held)
+        return graph_on_held(self.keyframes, self._steps(is_in_hindsight), self._loops, self._held)
 
     def _steps(self, is_in_hindsight: bool = False) -> Edges:
         edges_of = edges_in_hindsight if is_in_hindsight else odometry_edges
-        return edges_of(self._keyframes, self._config.keyframe_distance_m)
+        return edges_of(self.keyframes, self._config.keyframe_distance_m)
 
     def _solve(self) -> None:
         """Poses that agree best; loops that the rest contradicts are disabled."""
-        if self._keyframes.count < 2:
+        if self.keyframes.count < 2:
             return
-        before = self._keyframes.map.copy()
+        before = self.keyframes.map.copy()
         for _ in range(3):
             poses = solve(self._to_solve()).poses
-            moving = self._keyframes.map[self._held :]
+            moving = self.keyframes.map[self._held :]
             moving[:] = poses[self._held > 0 :][: len(moving)]
             if self._anchoring.reference is not None and not self._held:
                 self._anchoring.solved(poses[-1])
             if not self._disable_refuted():
                 break
-        self._due.solved(float(self._keyframes.way_m[-1]), before, self._keyframes.map)
+        self._due.solved(float(self.keyframes.way_m[-1]), before, self.keyframes.map)
 
     def _disable_refuted(self) -> bool:
         """Whether a loop had to go."""
-        chi2 = edge_chi2(as_edges(self._loops), self._keyframes.map)
+        chi2 = edge_chi2(as_edges(self._loops), self.keyframes.map)
         go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
         self._loops = [loop for loop in self._loops if loop not in go]
         self._disabled += go
@@ -425,7 +425,7 @@ class LoopBackEnd:
         return bool(go)
 
     def _finish(self) -> Result:
-        keyframes = self._keyframes
+        keyframes = self.keyframes
         if keyframes.count == keyframes.stored:
             return Result(len(self._loops), len(self._disabled))
         if self._anchoring.has_news:
@@ -437,7 +437,7 @@ class LoopBackEnd:
         if self._loops:
             self._solve()
         self._submaps.clear()
-        corrections = [self._keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
+        corrections = [self.keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
             len(self._loops),
             len(self._disabled),
@@ -450,11 +450,11 @@ class LoopBackEnd:
 
     def _search_again(self) -> None:
         """Stretches against the passes that lie near them now: revisits that were missed on the way."""
-        config, way = self._config, self._keyframes.way_m
+        config, way = self._config, self.keyframes.way_m
         done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
-        first_m = config.place_m + float(way[self._keyframes.stored])
+        first_m = config.place_m + float(way[self.keyframes.stored])
         stretches_m = np.arange(first_m, way[-1], config.search_every_m)
         if len(stretches_m) > MAX_STRETCHES:
             tied_m = way[[loop.to for loop in self._loops]] + 0.5 * config.place_m  # ends of the queries
@@ -473,7 +473,7 @@ class LoopBackEnd:
 
     def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
         """The shown map, or only a polygon (C, 2) m of it; None where none is drawn."""
-        keyframes, renderer, known = self._keyframes, self._renderer, self._known()
+        keyframes, renderer, known = self.keyframes, self._renderer, self._known()
         if renderer is None or self._held:
             return None
         if corners_map is None:
@@ -483,7 +483,7 @@ class LoopBackEnd:
 
     def _forget_session(self) -> None:
         """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
-        keyframes, held = self._keyframes, self._held
+        keyframes, held = self.keyframes, self._held
         if self._is_detached():
             keyframes.forget_all(held, keyframes.count - MAX_SESSION)
             return

@@ -168,5 +168,5 @@ def test_a_wood_is_mapped_by_its_trunks():
     done = run(mapping_config(), made)
     assert done.position_rmse_m < 0.05  # 0.016; without posts 0.26, and 0.59 of the scans ok
     assert np.mean([output.state == "ok" for output in done.outputs]) > 0.9
-    curve_m = done.mapper._components.matcher.bias_m(laser.name)
+    curve_m = done.mapper.components.matcher.bias_m(laser.name)
     assert np.abs(curve_m).max() < 0.002  # the ranges are right; by the chords of trunks 6 mm are learnt

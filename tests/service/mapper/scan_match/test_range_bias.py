@@ -37,7 +37,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
     ]
     done = run(mapping_config(), replace(honest, frames=biased))
     assert done.position_rmse_m < 0.05  # four phases and lengths of the wave: 21 to 45 mm
-    curve_m = done.mapper._components.matcher.bias_m("front")
+    curve_m = done.mapper.components.matcher.bias_m("front")
     known = (RANGE_M >= 1.0) & (RANGE_M <= 4.0)
     off_m = (curve_m - wave_m(RANGE_M))[known]
     assert np.std(off_m) < 0.004
@@ -50,7 +50,7 @@ def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_th
     laser = replace(LMS100_50HZ, rate_hz=12.5, model=replace(LMS100_50HZ.model, bias_m=0.03))
     (made,) = drives(WORLDS["office"](), laser, 28.0, [1], Wheels(), Imu())
     done = run(mapping_config(), made)
-    curve_m = done.mapper._components.matcher.bias_m("front")
+    curve_m = done.mapper.components.matcher.bias_m("front")
     np.testing.assert_allclose(curve_m[(RANGE_M >= 1.0) & (RANGE_M <= 4.0)], 0.03, atol=0.005)
     assert done.position_rmse_m < 0.025
 
@@ -59,7 +59,7 @@ def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
     few = [frame for frame in honest.frames if frame.arrived_ns < 25 * 10**9]
     done = run(mapping_config(), replace(honest, frames=few))
     assert done.position_rmse_m < 0.02
-    curve_m = done.mapper._components.matcher.bias_m("front")
+    curve_m = done.mapper.components.matcher.bias_m("front")
     assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008
 
 
@@ -68,7 +68,7 @@ def test_people_who_walk_along_teach_nothing_of_ranges() -> None:
     world = mall(Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2))
     (made,) = drives(world, replace(LMS100_50HZ, rate_hz=12.5), 25.0, [1], Wheels(), Imu())
     done = run(mapping_config(), made)
-    curve_m = done.mapper._components.matcher.bias_m("front")
+    curve_m = done.mapper.components.matcher.bias_m("front")
     assert np.abs(curve_m[RANGE_M <= 8.0]).max() < 0.003
 
 

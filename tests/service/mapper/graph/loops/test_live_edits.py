@@ -180,9 +180,9 @@ def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_
     for piece, after_ns in ((1, 10**12), (0, 2 * 10**12)):
         frames = [replace(f, piece=piece, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]
         back_end.work(Batch(frames))
-    corners = back_end._keyframes.map[[len(FRAMES) + 1, -1], :2]
+    corners = back_end.keyframes.map[[len(FRAMES) + 1, -1], :2]
     asked(back_end, what="wall", corners=[*map(tuple, corners.tolist())])
-    assert len(FRAMES) + 1 not in back_end._keyframes.by_hand.corner_keyframe
+    assert len(FRAMES) + 1 not in back_end.keyframes.by_hand.corner_keyframe
     graph = saved(back_end)
     assert len(graph) == len(FRAMES) + 3
     assert graph.by_hand.corner_keyframe[1] == len(graph) - 1
@@ -209,6 +209,6 @@ def test_what_was_seen_in_an_area_is_searched_no_more_once_it_is_erased(open_rin
     asked(back_end, what="erase", corners=[*map(tuple, corners.tolist())])
     assert back_end._submap_about(SPOTS[0]) is not submap
     assert back_end.pieces._known_map is None
-    keyframes = back_end._keyframes
+    keyframes = back_end.keyframes
     for pose, points in zip(keyframes.map, keyframes.thinned, strict=True):
         assert not is_inside(se2.points_from(pose, points.xy_base.astype(np.float64)), corners).any()

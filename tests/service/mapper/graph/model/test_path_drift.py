@@ -56,7 +56,7 @@ def straight(
         for k in range(STEPS + 1)
     ]
     back_end.work(Batch(frames))
-    return PathDrift(back_end._keyframes, STEP_M)
+    return PathDrift(back_end.keyframes, STEP_M)
 
 
 def loop(x_m: float, y_m: float, theta_rad: float, of: int = 0) -> Loop:
@@ -136,5 +136,6 @@ def test_an_aisle_that_looks_like_another_beside_it_is_not_taken_for_it(is_known
         back_end.work(Batch(frames[k : k + BATCH]))
     result = back_end.work(Batch([], is_last=True))
     assert (result.loops == 0) == is_known
-    refused = back_end._refusals.arrays(back_end._loops).reason
-    assert (TOO_FAR in refused) == is_known
+    assert result.saved is not None
+    assert result.saved.refused is not None
+    assert (TOO_FAR in result.saved.refused.reason) == is_known

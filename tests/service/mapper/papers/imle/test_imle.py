@@ -79,7 +79,7 @@ def test_the_window_is_three_times_the_error_of_icp_between_its_bounds(room_driv
     windows = []
     for frames in (scans, rough):
         mapper = new_mapper()
-        matcher = mapper._components.matcher
+        matcher = mapper.components.matcher
         assert isinstance(matcher, IcpThenSearch)
         run(mapper, frames[:8])
         windows.append(matcher.window_m)
@@ -93,7 +93,7 @@ def test_narrowing_asks_a_fraction_of_the_candidates_of_the_literal_search() -> 
     for search in ("narrowing", "exhaustive"):
         mapper = new_mapper(search=search, least_window_m=0.2, refine=False)
         run(mapper, still.frames[:1])
-        components = mapper._components
+        components = mapper.components
         predicted = components.motion_model.predict(still.frames[1].stamp_ns)
         points = components.deskew(still.frames[1], predicted)
         measured = components.matcher.match(points, predicted, components.local_map).measured

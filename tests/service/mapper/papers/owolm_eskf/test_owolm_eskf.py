@@ -83,7 +83,7 @@ def test_the_map_lies_along_the_walls_and_odom_at_the_start(room_drive):  # B3 B
         mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"front": mounting})
         first = run(room_drive.frames[:30], mapper)[0]
         assert first.pose_odom_base == SE2()
-        local_map = mapper._components.local_map
+        local_map = mapper.components.local_map
         assert local_map.pose_axes_odom.theta_rad == pytest.approx(-turn_rad, abs=0.006)
 
 
@@ -91,7 +91,7 @@ def test_levels_differ_by_the_ratio_and_all_take_every_scan(room_drive):  # B16 
     for ratio in (2, 4, 5):
         mapper = new_mapper(local_map={"ratio": ratio})
         run(room_drive.frames[:10], mapper)
-        layers = mapper._components.local_map.search_layers()
+        layers = mapper.components.local_map.search_layers()
         assert [round(layer.cell_m / 0.025) for layer in layers] == [1, ratio, ratio**2]
         assert all(layer.cells.max() > 0 for layer in layers)
 
@@ -101,7 +101,7 @@ def test_the_pyramid_finds_a_start_that_is_far_off(room_drive):  # B16
     wide = {"least_window_m": 0.6, "least_window_rad": 0.3}
     mapper = new_mapper(matcher=wide)
     run(scans[:2], mapper)
-    components = mapper._components
+    components = mapper.components
     predicted = components.motion_model.predict(scans[2].stamp_ns)
     off = replace(predicted, pose_odom_base=predicted.pose_odom_base @ SE2(0.45, -0.4, 0.2))
     match = components.matcher.match(components.deskew(scans[2], predicted), off, components.local_map)
@@ -114,7 +114,7 @@ def test_segments_weigh_more_than_the_rest(room_drive):  # B22 B26 B27
     def mass(**local_map) -> float:
         mapper = new_mapper(local_map=local_map)
         run(room_drive.frames[:30], mapper)
-        return float(mapper._components.local_map.occupied()[1].sum())
+        return float(mapper.components.local_map.occupied()[1].sum())
 
     assert mass() > 1.5 * mass(weigh_segments=False)
 
