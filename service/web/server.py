@@ -33,6 +33,7 @@ from service.web.browser import Browser, Gate
 from service.web.config import WebConfig, split_listen
 from service.web.connections import Listener
 from service.web.downloads import Downloads
+from service.web.help import Manual
 from service.web.live_view import LiveView, Shown
 from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
 from service.web.resources import Kind, Resources
@@ -113,6 +114,7 @@ class WebServer:
         self._view = LiveView(time.monotonic_ns)
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._files = _static_files()
+        self._manual = Manual()
         self._downloads = Downloads(self._resources(folders) if folders else None)
         self._browsers: dict[Browser, None] = {}  # the oldest first
         self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
@@ -266,6 +268,7 @@ class WebServer:
         app.router.add_get("/", partial(self._file, "index.html"))
         for name in self._files:
             app.router.add_get(f"/{name}", partial(self._file, name))
+        self._manual.add_to(app)
         app.router.add_get("/ws", self._websocket)
         app.router.add_get("/download/{ticket}/{name}", self._downloads.hand_out)
         return app

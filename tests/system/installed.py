@@ -34,7 +34,7 @@ def build_wheel(folder: Path) -> Path:
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     leave_out = shutil.ignore_patterns("__pycache__")
-    for name in (*PACKAGES, "config", "systemd"):
+    for name in (*PACKAGES, "config", "docs", "systemd"):
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=leave_out)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet"]
     run([*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source)], folder)

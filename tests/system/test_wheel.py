@@ -21,12 +21,12 @@ PROGRAM = Path(__file__).with_name("typed_program.py")  # of a user
 def test_the_wheel_holds_every_file_of_the_packages(wheel: Path):
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("which files belong to the packages git knows: apt install git, and test in a clone")
-    command = ["git", "ls-files", *PACKAGES, "config", "systemd", ":!systemd/package"]
+    command = ["git", "ls-files", *PACKAGES, "config", "docs", "systemd", ":!systemd/package"]
     tracked = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, timeout=60, check=True)
-    links = {f"service/resources/{name}" for name in ("config", "systemd")}
+    links = {f"service/resources/{name}" for name in ("config", "docs", "systemd")}
     expected = {
         f"service/resources/{name}"
-        if name.startswith(("config/", "systemd/"))
+        if name.startswith(("config/", "docs/", "systemd/"))
         else name.removeprefix("service/python/")
         for name in tracked.stdout.splitlines()
         if name not in links and (ROOT / name).exists()

@@ -2,6 +2,7 @@
 
 import { card, element, Facts, setText } from "./dom.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
+import { helpLink } from "./help_links.js";
 import { clockTime, degrees, deviceClock, duration, figure, fixed } from "./format.js";
 
 export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/DiagnosticStatus
@@ -36,7 +37,9 @@ export class Information {
     this.pose = new Facts();
     const inOrder = ["x", "y", "Heading", "Speed", "Agreement with the map", "Scans mapped a second"];
     this.pose.set(Object.fromEntries(inOrder.map((name) => [name, "\u2013"])));
-    this.mapping.node.append(this.pose.node, this.words);
+    this.manual = helpLink("mapping");
+    this.manual.hidden = true; // while all is well
+    this.mapping.node.append(this.pose.node, this.words, this.manual);
     this.sensors = card("Sensors");
     this.rows = element("tbody");
     const heads = COLUMNS.map(([text, title]) => element("th", { scope: "col", title }, text));
@@ -123,6 +126,7 @@ export class Information {
     if (!mapping) return;
     const { values } = mapping, isLive = "scan_rate_hz" in values;
     setText(this.mapping.aside, `for ${duration(now_s - mapping.since_s)}`);
+    this.manual.hidden = mapping.level === 0;
     setText(this.words, mapping.message === "ok" ? "Everything is well." : mapping.message);
     this.pose.set({
       "Agreement with the map": figure(values.inlier_ratio && 100 * values.inlier_ratio, 0, " %"),
@@ -158,7 +162,7 @@ export class Information {
     let row = this.sensorRows.get(name);
     if (!row) {
       const dot = element("span", { className: "dot" }), swatch = element("span", { className: "swatch" });
-      const details = new Details(COLUMNS.length, dot, name, swatch);
+      const details = new Details(COLUMNS.length, `sensor/${name}`, dot, name, swatch);
       const cells = COLUMNS.slice(1).map(() => element("td"));
       const words = element("tr", { className: "words", hidden: true }, element("td", { colSpan: COLUMNS.length }));
       this.rows.append(element("tr", {}, element("td", {}, details.button), ...cells), words, details.row);
@@ -193,7 +197,7 @@ export class Information {
   }
 
   #partRow(name) {
-    const dot = element("span", { className: "dot" }), words = element("td"), details = new Details(2, dot, name);
+    const dot = element("span", { className: "dot" }), words = element("td"), details = new Details(2, name, dot, name);
     this.partRows.append(element("tr", { className: "words" }, element("td", {}, details.button), words), details.row);
     this.parts.set(name, { dot, words, details });
     return this.parts.get(name);
@@ -209,20 +213,21 @@ const clockWords = ({ device_clock_s, clock_sigma_ms }) => {
 
 /** All that is told of a sensor or a part, in a row of its own below it, while its name is pressed. */
 class Details {
-  constructor(columns, ...name) {
+  constructor(columns, status, ...name) {
     this.text = "";
     this.button = element("button", { type: "button", className: "name", "aria-expanded": "false", onclick: () => this.#toggle() }, ...name);
-    this.row = element("tr", { className: "words details", hidden: true }, element("td", { colSpan: columns }));
+    this.words = element("p");
+    this.row = element("tr", { className: "words details", hidden: true }, element("td", { colSpan: columns }, this.words, helpLink(status)));
   }
 
   put(message, values) {
     this.text = [message, ...Object.entries(values).filter(([, text]) => text !== "").map(([key, text]) => `${key}: ${text}`)].filter(Boolean).join("\n");
-    if (!this.row.hidden) setText(this.row.firstChild, this.text);
+    if (!this.row.hidden) setText(this.words, this.text);
   }
 
   #toggle() {
     this.row.hidden = !this.row.hidden;
     this.button.setAttribute("aria-expanded", String(!this.row.hidden));
-    setText(this.row.firstChild, this.text || "Nothing more is told.");
+    setText(this.words, this.text || "Nothing more is known.");
   }
 }

@@ -1,0 +1,128 @@
+"""The manual, served with the page: docs/*.md as HTML, offline. No request reads a file that is not of it."""
+
+import asyncio
+import html
+import posixpath
+import re
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+
+from aiohttp import web
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+from service.resources import DOCS
+
+INDEX = "README.md"
+KEPT_PAGES = 16  # as HTML
+_IMAGES = {"png": "image/png"}
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+  <meta charset="utf-8">
+  <meta name="viewport" content="width=device-width, initial-scale=1">
+  <meta name="color-scheme" content="light dark">
+  <title>{title}</title>
+  <link rel="icon" href="/icon.svg" type="image/svg+xml">
+  <link rel="stylesheet" href="/page.css">
+  <link rel="stylesheet" href="/help.css">
+  <script type="module" src="/help.js"></script>
+</head>
+<body class="manual">
+  <header class="bar">
+    <nav aria-label="Manual"><a href="/">Map</a> <a href="/help/">Contents</a></nav>
+    <button id="theme" type="button" class="quiet" aria-label="Colours: as the device says"></button>
+  </header>
+  <main>
+{body}
+  </main>
+</body>
+</html>
+"""
+
+
+class Manual:
+    """Answers GET /help/ and what is below it."""
+
+    def __init__(self, folder: Path = DOCS) -> None:
+        self._files = {
+            path.relative_to(folder).as_posix(): path
+            for path in sorted(folder.rglob("*"))
+            if path.suffix[1:] in ("md", *_IMAGES)
+        }
+        self._markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
+        self._rendered = lru_cache(KEPT_PAGES)(self._render)
+
+    @property
+    def pages(self) -> tuple[str, ...]:
+        return tuple(name for name in self._files if name.endswith(".md"))
+
+    def add_to(self, app: web.Application) -> None:
+        app.router.add_get("/help", _to_contents)
+        app.router.add_get("/help/{name:.*}", self._answer)
+
+    async def _answer(self, request: web.Request) -> web.Response:
+        name = request.match_info["name"] or INDEX
+        if name not in self._files:
+            name = posixpath.join(name, INDEX)  # of a folder
+        path = self._files.get(posixpath.normpath(name))
+        if path is None:
+            return web.Response(status=404, text="the manual has no such page; its contents: /help/\n")
+        kind = path.suffix[1:]
+        if kind in _IMAGES:
+            content = await asyncio.to_thread(path.read_bytes)
+            return web.Response(body=content, headers={"Content-Type": _IMAGES[kind]})
+        text = await asyncio.to_thread(self._rendered, posixpath.normpath(name))
+        return web.Response(text=text, content_type="text/html")
+
+    def _render(self, name: str) -> str:
+        tokens = self._markdown.parse(self._files[name].read_text(encoding="utf-8"))
+        title = ""
+        for heading, inline in pairwise(tokens):
+            if heading.type == "heading_open":
+                title = title or _plain(inline)
+                heading.attrSet("id", anchor_of(inline.content))
+        for token in tokens:
+            token.children = self._with_links(name, token.children or [])
+        body = self._markdown.renderer.render(tokens, self._markdown.options, {})
+        body = body.replace("<table>", '<div class="wide" tabindex="0"><table>').replace(
+            "</table>", "</table></div>"
+        )
+        body = body.replace("<pre>", '<pre tabindex="0">')  # both scroll
+        return _PAGE.format(title=html.escape(title), body=body)
+
+    def _with_links(self, name: str, children: list[Token]) -> list[Token]:
+        """A link to a file that is not of the manual becomes plain text; one elsewhere opens apart."""
+        kept, is_dropped = [], False
+        for token in children:
+            if token.type == "link_open":
+                target = str(token.attrGet("href") or "")
+                is_dropped = not (self._has(name, target) or re.match("https?://", target))
+                if re.match("https?://", target):
+                    token.attrSet("rel", "noreferrer")
+                if is_dropped:
+                    continue
+            if token.type == "link_close" and is_dropped:
+                is_dropped = False
+                continue
+            kept.append(token)
+        return kept
+
+    def _has(self, name: str, target: str) -> bool:
+        path = target.partition("#")[0]
+        place = posixpath.normpath(posixpath.join(posixpath.dirname(name), path)) if path else name
+        return place in self._files or posixpath.join(place, INDEX) in self._files
+
+
+async def _to_contents(request: web.Request) -> web.Response:
+    raise web.HTTPFound("/help/")
+
+
+def anchor_of(heading: str) -> str:
+    """As GitHub makes them: lower case, punctuation dropped, blanks to hyphens."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def _plain(inline: Token) -> str:
+    return "".join(child.content for child in inline.children or [])
