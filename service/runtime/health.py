@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 
 from drivers.link import LinkHealth
 from service.encoding import ERROR, LEVEL_OF_STATE, OK, STALE, WARNING, Message, Status, encode_diagnostics
+from service.mapper.profiles import MappingConfig
 from service.publishing.commands import CommandDispatcher
 from service.runtime.gnss_health import GnssHealth
 from service.runtime.intake import Intake
@@ -101,8 +102,9 @@ class HealthReport:
         sinks: Sinks,
         latency: LatencyHistogram,
         dispatcher: CommandDispatcher,
-        profile: Callable[[], str],
+        mapping: Callable[[], MappingConfig],
     ) -> None:
+        """mapping: the section of the config as it is now."""
         self._links = links
         self._sensors = {name: SensorHealth(link) for name, link in links.items()}
         self._intake = intake
@@ -111,7 +113,7 @@ class HealthReport:
         self._sinks = sinks
         self._latency = latency
         self._dispatcher = dispatcher
-        self._profile = profile
+        self._mapping_config = mapping
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
         self._mapping_state_told, self._mapping_told_ns = "waiting", 0
@@ -205,10 +207,11 @@ class HealthReport:
         return state, reason
 
     def _mapping(self) -> Status:
-        outputs, last = self._outputs, self._outputs.last
+        outputs, last, config = self._outputs, self._outputs.last, self._mapping_config()
         values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
-            "profile": self._profile(),
+            "profile": config.profile,
+            "configured_mode": config.mode,
             "mode": "localization" if outputs.is_localizing else "mapping",
             "lasers": " ".join(outputs.lasers),
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",

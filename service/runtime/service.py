@@ -147,7 +147,7 @@ class Service:
             self._sinks,
             self._latency,
             self._dispatcher,
-            lambda: self._present.profile,
+            lambda: self._present.config,
         )
         self._readers = Readers(
             config.sensors,

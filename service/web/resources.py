@@ -25,6 +25,7 @@ FORMATS: Mapping[Kind, tuple[str, ...]] = {  # the first is what is stored; the 
 }
 SUFFIXES = {"geotiff": "tif"}  # of formats that are called otherwise than their files
 MAX_LISTED = 500  # of a kind, newest first
+GRAPH_FILE = Path("current", "graph.npz")  # of a map that a session can begin in
 DELETED = ".deleted"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
@@ -62,7 +63,9 @@ class Resources:
         self._map_process = SessionMapProcess()
 
     def listing(self) -> dict[str, Any]:
-        """By kind, newest first: name, bytes, time of the last change (Unix, s), whether it is in use."""
+        """By kind, newest first: name, bytes, time of the last change (Unix, s), whether it is in use, and
+        whether a session can begin in it.
+        """
         in_use = {path.resolve() for path in self._in_use()}
         found: dict[str, Any] = {"formats": {kind: list(formats) for kind, formats in FORMATS.items()}}
         for kind in self._folders:
@@ -196,6 +199,7 @@ class Resources:
             "bytes": size,
             "changed_s": changed_s,
             "in_use": path.suffix == ".active" or path.resolve() in in_use,
+            "has_graph": (path / GRAPH_FILE).is_file(),
         }
 
     def _own(self, kind: Kind, name: str, is_changed: bool = True) -> Path:

@@ -14,8 +14,12 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
+from service.mapstore.files import save_map
+from service.mapstore.graph_files import GRAPH_FILE
+from service.mapstore.links import CURRENT
 from tests.browser.scene import Scene
 from tests.service.offline.conftest import bent, folder  # noqa: F401 - fixtures
+from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import (
     TIMEOUT_S,
     TOKEN,
@@ -227,3 +231,9 @@ def axe() -> str:
     if not AXE.is_file():
         pytest.skip("no axe-core; with it: make axe (npm fetches it)")
     return AXE.read_text(encoding="utf-8")
+
+
+def store_map(in_folder: Path) -> None:
+    """One that a session can begin in, as far as the page looks into it."""
+    save_map(in_folder, [tile(1)], 1)
+    (in_folder / CURRENT / GRAPH_FILE).touch()

@@ -2,8 +2,7 @@
 
 import pytest
 
-from service.mapstore.files import save_map
-from tests.browser.conftest import asked
+from tests.browser.conftest import asked, store_map
 from tests.browser.test_control import put_state
 from tests.browser.test_edit import drag_map, residuals_m
 from tests.browser.test_edit_live import (
@@ -14,7 +13,6 @@ from tests.browser.test_edit_live import (
     session,  # noqa: F401 - a fixture
     wait_for_change,
 )
-from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import TOKEN
 
 VERBS = ["save_map", "load_map", "set_mode", "set_pose"]
@@ -35,7 +33,7 @@ def presses(page):
 @pytest.fixture
 def stocked(page, serve, scene, dispatcher, tmp_path):
     """A page with the token; a map is stored."""
-    save_map(tmp_path / "office", [tile(1)], 1)
+    store_map(tmp_path / "office")
     server = serve(folders={"session": tmp_path / "none", "map": tmp_path})
     for message in scene.messages(1.0):
         server.put(message)

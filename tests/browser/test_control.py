@@ -104,7 +104,8 @@ def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control,
     for mode, wanted in (("mapping", "localization"), ("localization", "mapping")):
         control.run(
             "corridor.connection.on.health({stamp_s: 1, latency_ms: {}, statuses: ["
-            " {name: 'mapping', level: 0, message: 'ok', since_s: 0, values: {mode: arguments[0]}}]})",
+            " {name: 'mapping', level: 0, message: 'ok', since_s: 0,"
+            "  values: {state: 'ok', mode: arguments[0]}}]})",
             mode,
         )
         control.choose("control")

@@ -6,12 +6,10 @@ import pytest
 from selenium.webdriver.common.keys import Keys
 
 from service.encoding import Status, encode_diagnostics
-from service.mapstore.files import save_map
 from service.publishing.commands import Answer
-from tests.browser.conftest import PHONE, asked
+from tests.browser.conftest import PHONE, asked, store_map
 from tests.browser.scene import stamp
 from tests.browser.test_page import serious_faults
-from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import TOKEN
 
 VERBS = "['switch_profile', 'load_map']"
@@ -94,7 +92,7 @@ def test_without_the_token_and_without_the_verb_nothing_is_switched(page, serve,
 
 
 def test_a_stored_map_is_loaded(page, serve, dispatcher, tmp_path):
-    save_map(tmp_path / "office", [tile(1)], 1)
+    store_map(tmp_path / "office")
     page.open(serve(folders={"session": tmp_path / "none", "map": tmp_path}).address, TOKEN)
     page.wait_for("return corridor.report().mayControl")
     page.run(f"corridor.connection.on.verbs({{verbs: {VERBS}}})")
@@ -112,7 +110,7 @@ def test_a_stored_map_is_loaded_to_be_localised_in_with_three_clicks(
     page, serve, dispatcher, tmp_path, fault
 ):
     dispatcher.faults["set_mode"] = fault
-    save_map(tmp_path / "office", [tile(1)], 1)
+    store_map(tmp_path / "office")
     page.open(serve(folders={"session": tmp_path / "none", "map": tmp_path}).address, TOKEN)
     page.wait_for("return corridor.report().mayControl")
     page.run("corridor.connection.on.verbs({verbs: ['load_map', 'set_mode', 'set_pose']})")
@@ -127,7 +125,7 @@ def test_a_stored_map_is_loaded_to_be_localised_in_with_three_clicks(
 
 
 def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, scene, dispatcher, tmp_path):
-    save_map(tmp_path / "copy", [tile(1)], 1)
+    store_map(tmp_path / "copy")
     server = serve(folders={"session": tmp_path / "none", "map": tmp_path})
     for message in scene.messages(1.0):
         server.put(message)

@@ -1,6 +1,6 @@
 // The area Control: what changes something. It needs the token; the service checks it, the page only asks.
 
-import { card, confirmed, element, notice, setText } from "./dom.js";
+import { card, confirmed, element, NO_TOKEN, notice, setRefused, setText } from "./dom.js";
 import { degrees, fixed } from "./format.js";
 import { GRAPH_PROFILE, ProfileCard } from "./profile_card.js";
 
@@ -10,7 +10,7 @@ export class Control {
     this.connection = connection;
     this.startPoseTool = startPoseTool;
     this.verbs = [];
-    this.isPaused = this.isRecording = this.isLost = this.isLocalizing = false;
+    this.isPaused = this.isRecording = this.isLost = this.isLocalizing = this.isModeFixed = this.isMapped = false;
     this.buttons = new Map();
 
     this.access = card("Access");
@@ -62,6 +62,8 @@ export class Control {
     this.isPaused = values("mapping").state === "paused";
     this.isLost = values("mapping").state === "lost";
     this.isLocalizing = values("mapping").mode === "localization";
+    this.isModeFixed = values("mapping").configured_mode === "localization";
+    this.isMapped = values("mapping").state !== undefined;
     this.isRecording = values("recording").state === "recording";
     this.profile.putProfile(values("mapping").profile);
     this.update();
@@ -83,22 +85,33 @@ export class Control {
       : "You may look. To give commands, enter the token of the service: `corridor demo` prints it, `corridor run` says at its start in which file it is.");
     this.tokenForm.hidden = may;
     const hasGraph = [GRAPH_PROFILE, ""].includes(this.profile.profile);
-    const useless = { pause: this.isPaused, resume: !this.isPaused, start_recording: this.isRecording,
-      stop_recording: !this.isRecording, mark: !this.isRecording, set_pose: !this.isLost || !hasGraph, set_mode: !hasGraph };
-    setText(this.poseWords, !hasGraph ? `The profile ${this.profile.profile} takes no pose; ${GRAPH_PROFILE} does.` : this.isLost ? "Tell the vehicle where it is: press on the map where it stands, drag to where it looks."
-      : "The pose is known. It can be set while the vehicle is lost.");
-    for (const [verb, button] of this.buttons) {
-      button.hidden = !this.verbs.includes(verb);
-      button.disabled = !may || Boolean(useless[verb]);
-    }
+    const noPose = !hasGraph ? `The profile ${this.profile.profile} takes no pose; ${GRAPH_PROFILE} does.`
+      : this.isLost ? "" : "The pose is known. It can be set while the vehicle is lost.";
+    setText(this.poseWords, noPose || "Tell the vehicle where it is: press on the map where it stands, drag to where it looks.");
     const mode = this.buttons.get("set_mode");
     setText(mode, this.isLocalizing ? "Map again" : "Localise only");
-    mode.title = !hasGraph ? `Only with the profile ${GRAPH_PROFILE}` : this.isLocalizing ? "The map is extended again" : "The map stays as it is";
+    mode.hint = this.isLocalizing ? "The map is extended again" : "The map stays as it is";
+    const noMap = this.isMapped ? "" : "There is no map yet: it begins with the first scan that is mapped";
+    const notRecording = this.isRecording ? "" : "Nothing is being recorded: press Start first";
+    const refused = { pause: this.isPaused ? "Mapping is paused already" : "", resume: this.isPaused ? "" : "Mapping is not paused",
+      start_recording: this.isRecording ? "A recording is being written already" : "", stop_recording: notRecording, mark: notRecording,
+      set_pose: noPose, set_mode: this.#whyNotMode(hasGraph), save_map: noMap };
+    const whyNot = (verb) => (may ? refused[verb] ?? "" : NO_TOKEN);
+    for (const [verb, button] of this.buttons) {
+      button.hidden = !this.verbs.includes(verb);
+      setRefused(button, whyNot(verb));
+    }
     this.saveAs.hidden = this.buttons.get("save_map").hidden;
-    this.saveAs.disabled = !may;
-    this.profile.update(may, this.verbs);
+    setRefused(this.saveAs, whyNot("save_map"));
+    setRefused(this.mark, whyNot("mark"));
+    this.profile.update(this.verbs, !may ? NO_TOKEN : this.isModeFixed ? `The config says mode: localization, and only ${GRAPH_PROFILE} does that` : "");
     for (const node of this.cards) node.hidden = [...node.querySelectorAll("button")].every((button) => button.hidden);
-    this.mark.disabled = !may || !this.isRecording;
+  }
+
+  #whyNotMode(hasGraph) {
+    if (!hasGraph) return `Only with the profile ${GRAPH_PROFILE}`;
+    if (this.isModeFixed) return "The config says mode: localization; to map, change it and start the service again";
+    return this.isMapped ? "" : "There is no map yet to be localised in";
   }
 
   /** quietly: what was done can be seen elsewhere; only a refusal is said, of what is named so. */

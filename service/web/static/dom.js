@@ -20,10 +20,13 @@ export const setText = (node, text) => {
 };
 
 /** Disable a control, and say why where the pointer rests and to who hears the page; "": it works. */
-export const setRefused = (control, reason, hint = "") => {
+export const setRefused = (control, reason) => {
+  control.hint ??= control.title; // what it does
   control.disabled = reason !== "";
-  control.title = reason || hint;
+  control.title = reason || control.hint;
 };
+
+export const NO_TOKEN = "Only with the token: enter it under Control";
 
 /** A name of a file, which may go on in the next line after each _ only. */
 export const fileName = (name) => name.split(/(?<=_)/).flatMap((part, i) => (i ? [element("wbr"), part] : [part]));

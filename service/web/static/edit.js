@@ -2,7 +2,7 @@
 // a version. The service makes the change.
 
 import { BeforeAfter } from "./before_after.js";
-import { byId, card, confirmed, element, notice, setText } from "./dom.js";
+import { byId, card, confirmed, element, notice, setRefused, setText } from "./dom.js";
 import { EditCut, EditDraw } from "./edit_draw.js";
 import { EditPairs } from "./edit_pairs.js";
 import { KeyframeTool, PairTool } from "./edit_tools.js";
@@ -18,9 +18,10 @@ const LIVE_WORDS = "Each change is made beside the mapping, which goes on; Undo 
 const FETCH_WORDS = "To join places and to cut, the map is saved, and its key frames are fetched: this takes some seconds. Later ones are not among them.";
 
 /** Why the map of a running session takes no change; "": it does. */
-const whyNot = (mode, profile = GRAPH_PROFILE) => {
+const whyNot = ({ mode, configured_mode, profile = GRAPH_PROFILE }) => {
   if (profile !== GRAPH_PROFILE) return `The profile ${profile} changes no map while it maps; ${GRAPH_PROFILE} does. A saved map can be edited with corridor view.`;
-  return mode === "localization" ? "The vehicle is only localised, and the map stays as it is. To edit it, choose Map again under Control." : "";
+  if (mode !== "localization") return "";
+  return `The vehicle is only localised, and the map stays as it is. To edit it, ${configured_mode === mode ? "change mode: localization in the config" : "choose Map again under Control"}.`;
 };
 
 /** What the service of a stored map takes. */
@@ -58,7 +59,7 @@ export class Edit {
     this.fetched = card("Key frames", element("p", { className: "note" }, FETCH_WORDS), element("div", { className: "row" }, this.fetchButton));
     versions.node.append(
       element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
-    this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map" },
+    this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map", "aria-describedby": this.note.id },
       element("div", { className: "edit-head" }, this.note, this.undoRow),
       element("div", { className: "cards" }, this.fetched.node, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
     root.append(this.all);
@@ -81,7 +82,7 @@ export class Edit {
 
   /** Somebody else may have changed the map. */
   putHealth({ statuses }) {
-    const { mode, profile } = statuses.find(({ name }) => name === "mapping")?.values ?? {}, why = whyNot(mode, profile);
+    const why = whyNot(statuses.find(({ name }) => name === "mapping")?.values ?? {});
     if (why !== this.whyNot) {
       this.whyNot = why;
       this.update();
@@ -239,7 +240,8 @@ export class Edit {
   #showVersions() {
     const newest = [...this.versions].reverse(), shown = this.showsAll ? newest : newest.slice(0, SHOWN);
     setText(this.count, this.version ? `now ${this.version}` : "");
-    this.undoButton.disabled = this.isLive ? !this.live.undoable : !newest.some((version) => version.is_current && version.what !== "saved");
+    const canUndo = this.isLive ? this.live.undoable : newest.some((version) => version.is_current && version.what !== "saved");
+    setRefused(this.undoButton, canUndo ? "" : "There is no change to take back");
     this.list.replaceChildren(...shown.map((version) => this.#entry(version)));
     if (newest.length <= shown.length) return;
     const all = () => { this.showsAll = true; this.#showVersions(); };

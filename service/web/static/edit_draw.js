@@ -1,6 +1,6 @@
 // Cards of the area Edit that draw on the map: areas to be erased, walls, and the time span to be cut out.
 
-import { card, confirmed, element, setText } from "./dom.js";
+import { card, confirmed, element, setRefused, setText } from "./dom.js";
 import { area, CornersTool, length, RectangleTool } from "./edit_tools.js";
 import { counted, fixed } from "./format.js";
 
@@ -34,8 +34,8 @@ export class EditDraw {
   update() {
     const { kind, corners } = this, isWall = kind === "wall";
     for (const [name, button] of Object.entries(this.choices)) button.setAttribute("aria-pressed", String(name === kind));
-    this.erase.disabled = isWall || corners.length < 3;
-    this.wall.disabled = !isWall || corners.length < 2;
+    setRefused(this.erase, !isWall && corners.length >= 3 ? "" : "Draw an area on the map first");
+    setRefused(this.wall, isWall && corners.length >= 2 ? "" : "Draw a wall on the map first");
     setText(this.words, !kind ? "Choose what to draw on the map."
       : isWall ? `${counted(corners.length, "point")}, ${fixed(length(corners), 2, " m")}`
         : `${counted(corners.length, "corner")}, ${fixed(area(corners), 2, " m\u00b2")}`);
@@ -113,7 +113,7 @@ export class EditCut {
 
   update() {
     const { span } = this, isSpan = span !== null && span.to_s >= span.from_s;
-    this.button.disabled = !isSpan;
+    setRefused(this.button, isSpan ? "" : "Enter when the span begins and ends, or choose it on the map");
     setText(this.words, !span ? "" : !isSpan ? "The span ends before it begins." : `In it: ${counted(this.#count(span), "key frame")}.`);
     this.edit.view.invalidate();
   }

@@ -1,6 +1,6 @@
 // The strip of a recording: which of its moments is shown, and the way to any other, back as well as forward.
 
-import { byId, element, setText } from "./dom.js";
+import { byId, element, setRefused, setText } from "./dom.js";
 import { fixed } from "./format.js";
 
 const STEP_S = 1, FINE_STEP_S = 0.1, LEAP_S = 10;
@@ -45,8 +45,7 @@ export class Past {
   update() {
     const may = this.connection.mayControl;
     if (!may) this.#pause();
-    for (const control of this.controls) control.disabled = !may;
-    this.root.title = may ? "" : "To go to another moment needs the token: open the address that corridor view printed";
+    for (const control of this.controls) setRefused(control, may ? "" : "To go to another moment needs the token: open the address that corridor view printed");
   }
 
   clear() {

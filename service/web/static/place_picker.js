@@ -1,6 +1,6 @@
 // One of the two places whose points are said to be the same: a key frame, chosen by number or on the map.
 
-import { element, notice, setText } from "./dom.js";
+import { element, notice, setRefused, setText } from "./dom.js";
 import { fixed } from "./format.js";
 
 const LABELS = { a: "Place A", b: "Place B" };
@@ -82,7 +82,7 @@ export class PlacePicker {
     this.slider.value = String(this.keyframe ?? 0);
     const words = this.isChosen ? `key frame ${this.keyframe}, ${fixed(keyframes.seconds(this.keyframe), 1, " s")}` : "not chosen";
     this.slider.setAttribute("aria-valuetext", words);
-    this.go.disabled = !this.isChosen;
+    setRefused(this.go, this.isChosen ? "" : "Choose the place first");
     setText(this.words, words);
   }
 

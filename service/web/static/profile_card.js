@@ -1,6 +1,6 @@
 // Which method makes the map, and the switch to another one.
 
-import { card, confirmed, element, notice, setText } from "./dom.js";
+import { card, confirmed, element, notice, setRefused, setText } from "./dom.js";
 
 export const GRAPH_PROFILE = "corridor"; // the one whose graph takes poses, modes and edits
 
@@ -39,11 +39,13 @@ export class ProfileCard {
     this.#offer();
   }
 
-  update(may, verbs) {
+  /** refused: why no other profile can be switched to; "": one can. */
+  update(verbs, refused) {
     this.node.hidden = !verbs.includes("switch_profile") || this.profiles.length < 2;
-    this.button.disabled = this.choice.disabled = !may || this.isSwitching;
+    const whyNot = this.isSwitching ? "The switch before is being made" : refused;
+    for (const control of [this.button, this.choice]) setRefused(control, whyNot);
     setText(this.button, this.isSwitching ? "Switching\u2026" : "Switch\u2026");
-    this.refresh = () => this.update(may, verbs);
+    this.refresh = () => this.update(verbs, refused);
   }
 
   /** All but the one that maps; what was chosen stays chosen. */

@@ -1,6 +1,6 @@
 // The strip of a replay: where it is, how fast it goes, and the controls for that.
 
-import { byId, element, setText } from "./dom.js";
+import { byId, element, setRefused, setText } from "./dom.js";
 import { duration } from "./format.js";
 
 const RATES = [[0, "as fast as it maps"], [0.5, "0.5 times"], [1, "real time"], [2, "2 times"], [5, "5 times"], [10, "10 times"], [50, "50 times"]];
@@ -51,9 +51,9 @@ export class Replay {
   }
 
   update() {
-    const may = this.connection.mayControl && (this.state === "replaying" || this.state === "paused");
-    for (const control of [this.toggle, this.step, this.slider, this.rate]) control.disabled = !may;
-    this.root.title = this.connection.mayControl ? "" : "The controls need the token: open the address that the replay printed";
+    const isAtWork = this.state === "replaying" || this.state === "paused";
+    const refused = !this.connection.mayControl ? "The controls need the token: open the address that the replay printed" : isAtWork ? "" : "The replay has not begun yet";
+    for (const control of [this.toggle, this.step, this.slider, this.rate]) setRefused(control, refused);
   }
 
   /** A speed that was given on the command line stands in the list, too. */

@@ -1,7 +1,8 @@
 // The area Resources: stored maps and sessions; to have, to load, to name, to delete and to take back.
 
-import { card, confirmed, element, fileName, notice, setText } from "./dom.js";
+import { card, confirmed, element, fileName, NO_TOKEN, notice, setRefused, setText } from "./dom.js";
 import { bytes } from "./format.js";
+import { GRAPH_PROFILE } from "./profile_card.js";
 
 const KINDS = { map: "Maps", session: "Sessions" };
 const SHOWN = 30; // of a kind; the rest on demand
@@ -15,6 +16,7 @@ export class Resources {
     this.lists = {};
     this.verbs = [];
     this.written = ""; // what the service writes to
+    this.mapping = {}; // what health tells of it
     this.root = root;
     const refresh = element("button", { type: "button", onclick: () => this.refresh() }, "Refresh");
     root.append(element("div", { className: "row" }, refresh,
@@ -32,7 +34,8 @@ export class Resources {
   /** Another map is loaded, another recording begun. */
   putHealth({ statuses }) {
     const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
-    const written = `${values("map").folder} ${values("recording").file}`;
+    this.mapping = values("mapping");
+    const written = `${values("map").folder} ${values("recording").file} ${this.mapping.profile}`;
     if (written === this.written) return;
     this.written = written;
     if (!this.root.hidden) this.refresh();
@@ -66,19 +69,28 @@ export class Resources {
     const when = new Date(1000 * entry.changed_s).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
     const format = element("select", { "aria-label": `Format of ${entry.name}` },
       ...this.formats[kind].map((name) => element("option", { value: name }, name)));
-    const act = (text, label, onclick, isOff, className = "") => element("button",
-      { type: "button", className, onclick, disabled: isOff, "aria-label": `${text} ${label}` }, text);
-    const isBeingWritten = entry.name.endsWith(".active");
+    const act = (text, label, onclick, refused, className = "") => {
+      const button = element("button", { type: "button", className, onclick, "aria-label": `${text} ${label}` }, text);
+      setRefused(button, may ? refused : NO_TOKEN);
+      return button;
+    };
+    const isBeingWritten = entry.name.endsWith(".active"), inUse = entry.in_use ? "The service is using it" : "";
     const load = kind === "map" && this.verbs.includes("load_map")
-      ? [act("Load\u2026", entry.name, () => this.#load(entry.name), !may || entry.in_use)] : [];
+      ? [act("Load\u2026", entry.name, () => this.#load(entry.name), inUse || this.#whyNotLoaded(entry))] : [];
     return element("li", {},
       element("div", { className: "stored-head" }, element("div", {},
         element("p", { className: "stored-name" }, ...fileName(entry.name)),
         element("p", { className: "note" }, `${bytes(entry.bytes)}, ${when}${entry.in_use ? ", in use" : ""}`)), ...load),
       element("div", { className: "row" }, format,
-        act("Download", entry.name, () => this.#download(kind, entry.name, format.value), !may || isBeingWritten),
-        act("Rename\u2026", entry.name, () => this.#rename(kind, entry.name), !may || entry.in_use),
-        act("Delete\u2026", entry.name, () => this.#delete(kind, entry.name), !may || entry.in_use, "danger")));
+        act("Download", entry.name, () => this.#download(kind, entry.name, format.value), isBeingWritten ? "It is being recorded: stop the recording first" : ""),
+        act("Rename\u2026", entry.name, () => this.#rename(kind, entry.name), inUse),
+        act("Delete\u2026", entry.name, () => this.#delete(kind, entry.name), inUse, "danger")));
+  }
+
+  #whyNotLoaded({ has_graph }) {
+    const { profile = GRAPH_PROFILE } = this.mapping;
+    if (profile !== GRAPH_PROFILE) return `The profile ${profile} begins in no stored map; ${GRAPH_PROFILE} does`;
+    return has_graph ? "" : "It holds a picture without key frames: no session can begin in it";
   }
 
   async #download(kind, name, to) {
@@ -93,8 +105,9 @@ export class Resources {
 
   /** The mapping goes on in a stored map. */
   async #load(name) {
-    const way = await confirmed(`Load ${name}?`, "The present map is saved and closed. The vehicle goes on in this one: it maps there, or is only localised, and the map stays as it is. "
-      + "It is lost until it is found there; Set pose helps it. The recording goes on.", "Load and map", null, this.verbs.includes("set_mode") ? "Load and localise" : "");
+    const isFixed = this.mapping.configured_mode === "localization"; // it is localised anyway
+    const way = await confirmed(`Load ${name}?`, `The present map is saved and closed. The vehicle goes on in this one: ${isFixed ? "it" : "it maps there, or"} is only localised, and the map stays as it is. `
+      + "It is lost until it is found there; Set pose helps it. The recording goes on.", isFixed ? "Load and localise" : "Load and map", null, !isFixed && this.verbs.includes("set_mode") ? "Load and localise" : "");
     if (!way) return;
     const pose = this.lastPose();
     const answer = await this.connection.command("load_map", { map: name });

@@ -68,7 +68,7 @@ def report(*links: LinkHealth) -> Report:
         sinks=sinks,
         latency=LatencyHistogram(),
         dispatcher=SimpleNamespace(counts=lambda: Counter(mark=2, refused=1)),
-        profile=lambda: "corridor",
+        mapping=lambda: SimpleNamespace(profile="corridor", mode="mapping"),
     )
 
 

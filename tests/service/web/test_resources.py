@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from service.mapstore.files import save_map
+from service.mapstore.graph_files import GRAPH_FILE
+from service.mapstore.links import CURRENT
 from service.offline.export.export import Format
 from service.outputs import TileUpdate
 from service.web.jobs import ResourceError
@@ -59,6 +61,12 @@ def test_sessions_and_maps_are_listed_newest_first(resources):
     assert office["name"] == "office"
     assert office["bytes"] > 100
     assert listing["formats"]["session"][0] == "mcap"
+
+
+def test_a_map_with_a_graph_is_one_that_a_session_can_begin_in(resources, folders):
+    assert not resources.listing()["map"][0]["has_graph"]
+    (folders["map"] / "office" / CURRENT / GRAPH_FILE).touch()
+    assert resources.listing()["map"][0]["has_graph"]
 
 
 def test_folders_that_are_not_there_yet_are_empty(tmp_path):
