@@ -3,6 +3,7 @@
 import argparse
 import json
 import logging
+import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from service.cli.console import print_result, progress
 from service.cli.map_names import map_and_version
-from service.errors import CorridorError
+from service.errors import CorridorError, UsageError
 
 if TYPE_CHECKING:  # it imports pydantic and Zenoh
     from service.publishing.config import PublishingConfig
@@ -37,6 +38,13 @@ def add_fleet(commands: Any, add: Add) -> None:
     status.add_argument("vehicles", nargs="*", metavar="VEHICLE", help="that must be there (default: all)")
     watch = add(works, "watch", "a line with each change, until Ctrl-C; with --json with each health message")
     watch.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    page = add(works, "page", "all vehicles on one map, on the operator's page, until Ctrl-C")
+    page.add_argument(
+        "--map", type=Path, metavar="MAP", help="the stored map of the site (default: the vehicles' tiles)"
+    )
+    page.add_argument(
+        "--listen", default="127.0.0.1:8080", metavar="HOST:PORT", help="default: 127.0.0.1:8080"
+    )
     pull = add(
         works, "pull", "fetch the finished recordings of vehicles, oldest first; goes on where it ended"
     )
@@ -49,7 +57,7 @@ def add_fleet(commands: Any, add: Add) -> None:
     push.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]", help="its folder")
     push.add_argument("vehicles", nargs="+", metavar="VEHICLE")
     push.add_argument("--name", metavar="NAME", help="of the map there (default: FOLDER_vVERSION)")
-    for one in (status, watch, pull, push):
+    for one in (status, watch, page, pull, push):
         _add_site(one)
 
 
@@ -64,7 +72,8 @@ def _add_site(parser: argparse.ArgumentParser) -> None:
 
 
 def fleet(parsed: argparse.Namespace) -> int:
-    works = {"router": _router, "status": _status, "watch": _watch, "pull": _pull, "push": _push}
+    works = {"router": _router, "status": _status, "watch": _watch, "page": _page}
+    works |= {"pull": _pull, "push": _push}
     return works[parsed.work](parsed)
 
 
@@ -87,6 +96,7 @@ def _router(parsed: argparse.Namespace) -> int:
     with StopSignals() as stop:
         session = start_router(config)
         print_result({"listen": listened_at(session, config), "session": str(session.zid())}, parsed.json)
+        sys.stdout.flush()
         while not stop.wait(3600.0):
             pass
         session.close()  # type: ignore[no-untyped-call]
@@ -117,11 +127,30 @@ def _watch(parsed: argparse.Namespace) -> int:
     return 0
 
 
+def _page(parsed: argparse.Namespace) -> int:
+    from service.cli.sessions import check_listen
+    from service.fleet.page import FleetPage
+    from service.fleet.vehicles import connected
+    from service.runtime.signals import StopSignals
+
+    check_listen(parsed.listen)
+    with StopSignals() as stop, connected(_site(parsed)) as session:
+        page = FleetPage(session, parsed.listen, parsed.map)
+        print_result({"address": page.address}, parsed.json)
+        sys.stdout.flush()
+        while not stop.wait(3600.0):
+            pass
+        page.close()
+    return 0
+
+
 def _pull(parsed: argparse.Namespace) -> int:
     from service.fleet.asking import for_each
     from service.fleet.pull import Pulled, pull
     from service.fleet.vehicles import connected, present
 
+    if parsed.limit_mb_s is not None and not parsed.limit_mb_s > 0.0:
+        raise UsageError(f"--limit-mb-s {parsed.limit_mb_s:g}: give a rate above 0")
     limit = None if parsed.limit_mb_s is None else parsed.limit_mb_s * 1e6
     sizes: dict[str, tuple[int, int]] = {}
     with connected(_site(parsed)) as session, progress("recordings") as shown:

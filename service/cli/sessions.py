@@ -139,7 +139,7 @@ def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> 
     from service.offline.past.replay_page import ReplayPage
     from service.recording.opening import name_of
 
-    _check_listen(parsed.listen)
+    check_listen(parsed.listen)
     page = ReplayPage(parsed.listen, name_of(sessions[0][0]), parsed.rate, parsed.paused)
     try:
         print(f"The map, live: {page.address}", file=sys.stderr, flush=True)
@@ -148,7 +148,8 @@ def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> 
         page.close()
 
 
-def _check_listen(listen: str) -> None:
+def check_listen(listen: str) -> None:
+    """Raises UsageError."""
     from service.web.config import split_listen
 
     try:
@@ -235,7 +236,7 @@ def view(parsed: argparse.Namespace) -> int:
         return 0
     if parsed.save is not None:
         raise UsageError("--save: a recording is written for rerun; give --rerun, too")
-    _check_listen(parsed.listen)
+    check_listen(parsed.listen)
     shown = _recording_view(parsed) if recorded else _map_view(parsed)
     try:
         print_result({"source": str(first), "address": shown.address}, parsed.json)

@@ -123,7 +123,7 @@ def vehicle_of(
     values = {
         row: dict(rows[row].values) if row in rows else {} for row in ("mapping", "map", "fleet", "recording")
     }
-    at = _pose(pose)
+    at = read_pose(pose)
     return Vehicle(
         name=name,
         state=values["mapping"].get("state", "waiting") if rows else "silent",
@@ -160,7 +160,8 @@ def _source_ns(sample: zenoh.Sample) -> int:
     return Attachment.decode(sample.attachment.to_bytes()).source_ns
 
 
-def _pose(sample: zenoh.Sample | None) -> tuple[float, float, float] | None:
+def read_pose(sample: zenoh.Sample | None) -> tuple[float, float, float] | None:
+    """x, y (m) and heading (rad); None of what is no pose."""
     if sample is None:
         return None
     try:

@@ -1,5 +1,7 @@
 """The vehicles of a site as they change, until somebody stops it."""
 
+import logging
+import math
 import queue
 import time
 from collections.abc import Callable
@@ -7,10 +9,13 @@ from collections.abc import Callable
 import zenoh
 
 from drivers.zenoh_callback import daemon_callback
-from service.fleet.vehicles import Vehicle, last_of, present, vehicle_in, vehicle_of
+from service.fleet.vehicles import Vehicle, last_of, present, read_pose, vehicle_in, vehicle_of
 from service.publishing.keys import vehicle_key
-from service.publishing.uplink import PRESENCES, read_presence
+from service.publishing.uplink import PRESENCES, Presence, read_presence
 
+log = logging.getLogger(__name__)
+
+LOOK_S = 1.0
 Show = Callable[[Vehicle], None]
 
 
@@ -18,10 +23,13 @@ class Watch:
     """What is known of each vehicle, by one subscription for all of them."""
 
     def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._is_closed = False
         self._news: queue.SimpleQueue[str] = queue.SimpleQueue()  # vehicles
         self._health: dict[str, zenoh.Sample] = {}
         self._poses: dict[str, zenoh.Sample] = {}
-        self._present = present(session)
+        self._present: dict[str, list[Presence]] = {}
+        self._link = ""  # our end of it
         liveliness = session.liveliness()
         liveliness.declare_subscriber(PRESENCES, daemon_callback(self._came_or_went, "fleet-presence"))
         for channel, last in (("pose", self._poses), ("health", self._health)):
@@ -29,26 +37,44 @@ class Watch:
             session.declare_subscriber(vehicle_key("*", channel), daemon_callback(kept, f"fleet-{channel}"))
             for name, sample in last_of(session, channel).items():
                 last.setdefault(name, sample)
-        for name in sorted({*self._present, *self._health}):
-            self._news.put(name)
 
     def run(self, show: Show, seconds: float | None, changes_only: bool) -> None:
         """Show a vehicle with each health message; with changes_only where its state, faults or sessions are
         others than before. seconds: None for ever.
         """
-        until_s = time.monotonic() + seconds if seconds is not None else None
+        until_s = time.monotonic() + seconds if seconds is not None else math.inf
         shown: dict[str, tuple[object, ...]] = {}
-        while until_s is None or time.monotonic() < until_s:
+        while not self._is_closed and time.monotonic() < until_s:
+            self._look_at_link()
             try:
-                name = self._news.get(
-                    timeout=1.0 if until_s is None else max(until_s - time.monotonic(), 0.0)
-                )
+                name = self._news.get(timeout=min(until_s - time.monotonic(), LOOK_S))
             except queue.Empty:
                 continue
             vehicle = self.vehicle(name)
             if not changes_only or shown.get(name) != _what_counts(vehicle):
                 shown[name] = _what_counts(vehicle)
                 show(vehicle)
+
+    def _look_at_link(self) -> None:
+        """Who loses its own link hears of nobody that goes: all have gone then, until it is back."""
+        links = self._session.info.links()
+        link = links[0].src if links else ""
+        if link == self._link:
+            return
+        self._link = link
+        if not link:
+            log.warning("the link to the router is lost; it is tried again and again")
+        before, self._present = self._present, present(self._session) if link else {}
+        for name in sorted({*before, *self._present, *self._health}):
+            self._news.put(name)
+
+    def close(self) -> None:
+        """Let `run` end, within LOOK_S."""
+        self._is_closed = True
+
+    def pose(self, name: str) -> tuple[float, float, float] | None:
+        """x, y (m) and heading (rad) of the base in the map, as it came last."""
+        return read_pose(self._poses.get(name))
 
     def vehicle(self, name: str) -> Vehicle:
         """As it is known now; silent once its last session has gone."""

@@ -26,7 +26,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, web
 
 from service.encoding import Message, Status
-from service.errors import words_of
+from service.errors import StorageError, words_of
 from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser, Gate
@@ -47,6 +47,7 @@ log = logging.getLogger(__name__)
 SHOW_PERIOD_S = 0.05
 IDLE_PERIOD_S = 0.25  # nobody looks: only the path is kept
 RETRY_S = 5.0
+SERVED_WITHIN_S = 5.0
 HEARTBEAT_S = 20.0
 CLOSE_TIMEOUT_S = 5.0
 COMMAND_THREADS = 4
@@ -366,6 +367,15 @@ class WebServer:
         answer = await loop.run_in_executor(self._workers, self._answer, asked.verb, request)
         body: dict[str, Any] = json.loads(answer.body)
         return body
+
+
+def start_serving(server: WebServer) -> None:
+    """Raises StorageError where the page cannot be served; the server is closed then."""
+    server.start()
+    if not server.wait_served(SERVED_WITHIN_S):
+        words = server.health().message
+        server.close()
+        raise StorageError(f"{words}; give another address with --listen, 127.0.0.1:0 takes any free port")
 
 
 async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:

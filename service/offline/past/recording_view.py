@@ -9,12 +9,11 @@ from service.mapstore.tiles import TileStore
 from service.offline.past.moments import MomentCommands
 from service.offline.past.recorded_moments import RecordedMoments
 from service.offline.past.shown_tiles import ShownTiles
-from service.offline.past.view import start_serving
 from service.web.access import new_token
 from service.web.config import WebConfig
 from service.web.protocol import encode_path, series_json
 from service.web.send_queue import Payload
-from service.web.server import About, WebServer
+from service.web.server import About, WebServer, start_serving
 
 
 class RecordingView:

@@ -39,7 +39,6 @@ from service.offline.past.driven_moments import DrivenMoments
 from service.offline.past.moments import GO_TO, MomentCommands
 from service.offline.past.replayed_moments import ReplayedMoments
 from service.offline.past.shown_tiles import ShownTiles
-from service.offline.past.view import start_serving
 from service.offline.replay.pace import Pace
 from service.offline.replay.raw import FROM_RAW
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
@@ -48,7 +47,7 @@ from service.recording.mcap_source import Session
 from service.web.access import new_token
 from service.web.config import WebConfig
 from service.web.protocol import encode_changes, encode_path, encode_standing, moment_over_json
-from service.web.server import About, WebServer
+from service.web.server import About, WebServer, start_serving
 
 log = logging.getLogger(__name__)
 

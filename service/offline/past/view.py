@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from drivers.counted import counted
 from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_graph
-from service.errors import InputError, StorageError
+from service.errors import InputError
 from service.geometry.poses import Floats
 from service.mapper.graph.model.graph_picture import draw, draw_saved
 from service.mapstore.files import StoredMap
@@ -28,9 +28,8 @@ from service.web.access import new_token
 from service.web.config import WebConfig
 from service.web.protocol import encode_changes, encode_path, series_json
 from service.web.send_queue import Payload
-from service.web.server import About, WebServer
+from service.web.server import About, WebServer, start_serving
 
-SERVED_WITHIN_S = 5.0
 NO_TRAJECTORY = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
 
 
@@ -124,15 +123,6 @@ class View:
     def _show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
         self._at_ns = at_ns
         self._server.put_ready(payloads)
-
-
-def start_serving(server: WebServer) -> None:
-    """Raises StorageError where the page cannot be served; the server is closed then."""
-    server.start()
-    if not server.wait_served(SERVED_WITHIN_S):
-        words = server.health().message
-        server.close()
-        raise StorageError(f"{words}; give another address with --listen, 127.0.0.1:0 takes any free port")
 
 
 def graph_picture(result: Result) -> GraphPicture:

@@ -97,8 +97,8 @@ export class Information {
     this.#sensors(health);
     this.#recording(byName.get("recording"), byName.get("map"), health.stamp_s);
     this.#parts(health.statuses);
-    // A replay and a stored map have no devices.
-    const hasDevices = !byName.has("replay") && byName.get("mapping")?.values.state !== "stored";
+    // A replay, a stored map and a fleet have no devices.
+    const hasDevices = !byName.has("replay") && !["stored", "fleet"].includes(byName.get("mapping")?.values.state);
     for (const { node } of [this.sensors, this.recording, this.events]) node.hidden = !hasDevices;
   }
 

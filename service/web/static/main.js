@@ -6,6 +6,7 @@ import { byId, element, setText } from "./dom.js";
 import { clockTime, counted, fixed } from "./format.js";
 import { Edit } from "./edit.js";
 import { drawCrossHair } from "./edit_tools.js";
+import { FleetLayer } from "./fleet_layer.js";
 import { Gestures } from "./gestures.js";
 import { History } from "./history.js";
 import { Information, LEVELS } from "./information.js";
@@ -19,7 +20,7 @@ import { MeasureTool, PoseTool } from "./tools.js";
 
 const POSE_WORDS_MS = 200; // figures that change faster cannot be read
 
-const view = new MapView(byId("map"));
+const view = new MapView(byId("map")), fleet = new FleetLayer();
 const information = new Information(byId("information"), (sensor) => view.colourOf(sensor));
 let tool = null, runId = "", isOpen = false, poseTimer = null, health = null;
 
@@ -62,6 +63,7 @@ const connection = new Connection({
   standing: (message) => { view.putStanding(message); explainStanding(); },
   changes: (message) => { view.putStoredChanges(message); explainStoredChanges(); },
   path: (message) => view.putPath(message),
+  vehicles: (message) => { fleet.put(message); view.invalidate(); },
   scan: (message) => { if (view.putScan(message)) explainLayers(); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
   moment: (moment) => {
@@ -120,6 +122,7 @@ function showState() {
 }
 
 view.overlays = [
+  (...drawing) => fleet.draw(...drawing),
   (...drawing) => edit.draw(...drawing),
   (...drawing) => tool?.draw(...drawing),
   (...drawing) => { if (tool && byId("map").matches(":focus-visible")) drawCrossHair(...drawing); },
@@ -281,7 +284,7 @@ setInterval(() => view.invalidate(), 1000); // what is stale shall look so
 
 /** For tests and for people who look into a fault: what the page shows. */
 window.corridor = {
-  view, connection, edit, past, history,
+  view, connection, edit, past, history, fleet,
   report: () => ({
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, shownSensors: view.shownSensors, health, follows: view.follows,
