@@ -24,6 +24,9 @@ MAX_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for,
 LINE_NS = 10_000_000_000  # at least, from one line about a passing state to the next
 _PASSING = {"ok", "degraded", "overloaded"}  # states between which a mapping may go to and fro
 
+_CHECK = "if it stays so, check its power, cable and address, or run corridor doctor"
+_RESTART = "if it stays so, start the service again; its log says more"
+
 _LEVEL_OF_LINK = {"streaming": OK, "starting": WARNING, "connecting": WARNING, "down": ERROR}
 
 
@@ -57,16 +60,22 @@ class SensorHealth:
         level, words = _LEVEL_OF_LINK[link.state], link.status or link.state
         silent_s = max(now_ns - link.last_frame_ns, 0) / 1e9
         if link.state == "down":
-            words = link.last_error
-        elif link.state == "streaming" and now_ns - link.last_frame_ns > STALE_AFTER_NS:
-            level, words = STALE, f"no frame for {silent_s:.1f} s"
-        elif link.state == "streaming" and link.delay_ns > LATE_NS:
-            level, words = (
-                WARNING,
-                (
-                    f"frames arrive {link.delay_ns / 1e9:.1f} s after they were measured (expected at most "
-                    f"{LATE_NS / 1e9:.1f} s), too old to be mapped; is its link, or this computer, too slow?"
-                ),
+            words = f"{link.name}: {link.last_error} (expected frames); {_CHECK}"
+        elif link.state != "streaming":
+            words = (
+                f"{link.name}: {words}, no frame yet (expected within {_seconds(FIRST_POSE_NS)}); {_CHECK}"
+            )
+        elif now_ns - link.last_frame_ns > STALE_AFTER_NS:
+            level = STALE
+            words = (
+                f"{link.name}: no frame for {silent_s:.1f} s (expected one each "
+                f"{_seconds(STALE_AFTER_NS)} at least); {_CHECK}"
+            )
+        elif link.delay_ns > LATE_NS:
+            level = WARNING
+            words = (
+                f"{link.name}: frames arrive {link.delay_ns / 1e9:.1f} s after they were measured (expected "
+                f"at most {_seconds(LATE_NS)}), too old to be mapped. Is its link, or this computer, slow?"
             )
         offset_ns = link.clock_offset_ns
         values = {
@@ -226,48 +235,66 @@ class HealthReport:
             values |= {f"{name}_{percentile}": f"{ms:.3f}" for percentile, ms in percentiles.items()}
         if self._intake.paused:
             values["state"] = "paused"
-            return Status("mapping", WARNING, "paused by a command; scans are recorded, not mapped", values)
+            return Status(
+                "mapping",
+                WARNING,
+                "paused by a command; scans are recorded, not mapped. Resume maps again",
+                values,
+            )
         if outputs.graph_fault:
             values["graph_fault"] = outputs.graph_fault
         if last is None:
             lasers = " or ".join(outputs.lasers)
-            words = f"no scan of {lasers} mapped yet" if lasers else "no laser is mapped"
+            words = (
+                f"no scan of {lasers} mapped yet (expected within {_seconds(FIRST_POSE_NS)})"
+                if lasers
+                else "no laser is mapped (expected one at least); configure one, or remove its map: false"
+            )
             since_ns = max(self._began_ns, outputs.last_ns)  # the latter where the map was reset
             level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
-            return Status("mapping", level, ": ".join(filter(None, (words, self._why_unmapped()))), values)
+            why = self._why_unmapped() if lasers else ""
+            return Status("mapping", level, ": ".join(filter(None, (words, why))), values)
         age_s = max(self._now_ns - outputs.last_ns, 0) / 1e9
         values |= {"state": last.state, "reason_id": last.reason.id}
         values |= {"inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:
             values["state"] = "stale"
-            why = self._why_unmapped() or f"no scan of {' or '.join(outputs.lasers)}"
-            return Status("mapping", ERROR, f"no pose for {age_s:.1f} s: {why}", values)
+            expected = f"expected one each {_seconds(POSE_STALE_NS)} at least"
+            words = f"no pose for {age_s:.1f} s ({expected}): {self._why_unmapped()}"
+            return Status("mapping", ERROR, words, values)
         level, words = LEVEL_OF_STATE[last.state], last.reason or last.state
         if overload := outputs.overload():
             values["state"] = "lost" if last.state == "lost" else "overloaded"
             words = overload if last.state == "ok" else f"{words}; {overload}"
             return Status("mapping", max(level, WARNING), words, values)
         if level == OK and outputs.graph_fault:
-            level, words = WARNING, f"no loops are closed: {outputs.graph_fault}"
+            level = WARNING
+            words = (
+                f"no loops are closed (expected where a place is seen again): {outputs.graph_fault}; the map "
+                "may drift. Start the service again when the vehicle can wait"
+            )
         if level == OK and len(self._restarted_ns) > MAX_RESTARTS:
             level, words = (
                 WARNING,
                 (
-                    f"the mapper was restarted {len(self._restarted_ns)} times in the last minute; at the "
-                    f"last time its process {outputs.restart_reason}; the log says more"
+                    f"the mapper was restarted {len(self._restarted_ns)} times in the last minute (expected "
+                    f"at most {MAX_RESTARTS}); at the last time its process {outputs.restart_reason}; "
+                    f"{_RESTART}"
                 ),
             )
         return Status("mapping", level, words, values)
 
     def _why_unmapped(self) -> str:
-        """Why no pose comes of scans that come; "" where none come."""
+        """Why no pose comes, and what to do."""
         rates = [
             f"{name} sends {self._sensors[name].rate_hz:.0f} scans/s"
             for name in self._outputs.lasers
             if self._links[name].frames and self._now_ns - self._links[name].last_frame_ns <= POSE_STALE_NS
         ]
         if not rates:
-            return ""
+            lasers = self._outputs.lasers
+            rows = " or ".join(f"sensor/{name}" for name in lasers)
+            return f"no scan of {' or '.join(lasers)} comes; the status {rows} says what to check"
         silent_s = self._link.silent_s
         if not self._link.pid:
             mapper = "the mapper's process has ended and no stand-by has taken over yet"
@@ -276,7 +303,7 @@ class HealthReport:
             mapper = f"the mapper has not answered for {silent_s:.1f} s while {items} items wait for it"
         else:
             mapper = self._outputs.overload() or "the mapper maps none of them"
-        return f"{' and '.join(rates)}, but {mapper}"
+        return f"{' and '.join(rates)}, but {mapper}; {_RESTART}"
 
     def _note_restarts(self, now_ns: int) -> None:
         new, self._restarts = self._outputs.restarts - self._restarts, self._outputs.restarts
@@ -302,13 +329,20 @@ class HealthReport:
         values = {"step_s": f"{step_s:.3f}"}
         if self.clock_step_ns == 0:
             return Status("clock", OK, "steady", values)
-        words = f"the wall clock stepped by {step_s:+.3f} s since start; stamps keep to the time of the start"
+        words = (
+            f"the wall clock stepped by {step_s:+.3f} s since start (expected none); stamps keep to the time "
+            "of the start. Start the service again to take the new one"
+        )
         return Status("clock", WARNING, words, values)
 
     def _commands(self) -> Status:
         """Counts of marks, pauses ... since the start."""
         counts = self._dispatcher.counts()
         return Status("commands", OK, "ok", {name: str(count) for name, count in sorted(counts.items())})
+
+
+def _seconds(ns: int) -> str:
+    return f"{ns / 1e9:g} s"
 
 
 def _snapshot(counters: Counter[str]) -> list[tuple[str, int]]:

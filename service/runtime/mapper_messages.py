@@ -15,6 +15,8 @@ from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionAction
 from service.outputs import GraphPicture, Grid, Reason, State, TileUpdate
 
+MAX_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
+
 
 class FrameItem(NamedTuple):
     """An encoded frame, as it is recorded."""

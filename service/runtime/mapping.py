@@ -19,6 +19,7 @@ from service.mapper.saved_graph import KeptGraph
 from service.mapper.timed import note_mapped
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput
 from service.runtime.mapper_messages import (
+    MAX_AGE_NS,
     Answer,
     ChangesDrawn,
     Decisions,
@@ -52,7 +53,6 @@ MAX_TILES = 64
 STATUS_INTERVAL_NS = 200_000_000
 STANDING_INTERVAL_NS = 2_000_000_000
 STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
-MAX_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
 
 log = logging.getLogger(__name__)
 

@@ -14,6 +14,7 @@ from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.mapper_messages import (
+    MAX_AGE_NS,
     ChangesDrawn,
     FrameItem,
     GraphDrawn,
@@ -148,8 +149,9 @@ class MappingOutputs:
             return ""
         return (
             f"{overload.scans} scans in {(now_ns - overload.first_ns) / 1e9:.1f} s were not mapped, having "
-            f"waited up to {overload.oldest_age_ns / 1e6:.0f} ms; the pose follows the prediction "
-            "meanwhile. Does another program take the processor?"
+            f"waited up to {overload.oldest_age_ns / 1e6:.0f} ms (expected at most "
+            f"{MAX_AGE_NS / 1e6:.0f} ms, or two periods of the laser); the pose follows the "
+            "prediction meanwhile. Does another program take the processor?"
         )
 
     @property

@@ -19,5 +19,6 @@ def counted_row(name: str, counters: Mapping[str, Counter[str]], more: Mapping[s
     values |= {key: text for key, text in more.items() if text}
     dropped, failed = counters["dropped"].total(), counters["failed"].total()
     if dropped or failed:
-        return Status(name, WARNING, f"{dropped} dropped, {failed} failed", values)
+        words = f"{dropped} dropped, {failed} failed (expected none); is the network too slow?"
+        return Status(name, WARNING, words, values)
     return Status(name, OK, "ok", values)

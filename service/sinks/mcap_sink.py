@@ -93,7 +93,9 @@ class McapSink(Sink):
         }
         dropped = dict(recorder.dropped)  # in one step: the recorder's thread goes on counting
         values |= {f"dropped.{channel}": str(count) for channel, count in sorted(dropped.items())}
-        words = {OK: recorder.state, WARNING: "stopped by a command"}.get(level, recorder.last_error)
+        words = {OK: recorder.state, WARNING: "stopped by a command; Start records again"}.get(
+            level, recorder.last_error
+        )
         return Status(self.name, level, words, values)
 
     def place(self) -> str:

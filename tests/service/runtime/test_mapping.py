@@ -24,8 +24,8 @@ from service.mapper.components import EditAnswer
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.outputs import UNKNOWN, GraphPicture, Grid, TileUpdate
-from service.runtime.mapper_messages import Answer, Status, Tiles
-from service.runtime.mapping import MAX_AGE_NS, MAX_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
+from service.runtime.mapper_messages import MAX_AGE_NS, Answer, Status, Tiles
+from service.runtime.mapping import MAX_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
 from tests.service.runtime.mapping_runs import (
     FRAMES,
     MS,
@@ -306,7 +306,7 @@ def test_an_overload_begins_with_the_third_scan_and_ends_ten_seconds_after_the_l
         run.put(scan(at_ns, at_ns + 20, [1.0, 2.0]), waits_ns=MAX_AGE_NS + 1)
     assert run.outputs.overload() == ""
     run.put(scan(200 * MS, 200 * MS + 20, [1.0, 2.0]), waits_ns=MAX_AGE_NS + 1)
-    assert run.outputs.overload().startswith("3 scans in 0.2 s were not mapped, having waited up to 50 ms;")
+    assert run.outputs.overload().startswith("3 scans in 0.2 s were not mapped, having waited up to 50 ms (")
     run.link.now_ns += 9 * 10**9
     assert run.outputs.overload().startswith("3 scans in 9.2 s were not mapped")
     run.link.now_ns += 10**9 + 1

@@ -64,7 +64,11 @@ def test_its_row_tells_what_is_recorded_and_what_stops_it(tmp_path: Path):
     sink.put(event("a", T0_NS))
     end(sink)
     row = sink.health()
-    assert (row.level, row.message, row.values["messages"]) == (WARNING, "stopped by a command", "1")
+    assert (row.level, row.message, row.values["messages"]) == (
+        WARNING,
+        "stopped by a command; Start records again",
+        "1",
+    )
     assert sink.status_words() == "recording: stopped"
     recorder = sink._recorder.health
     recorder.state, recorder.last_error = "disk full", "0.1 GB left"
