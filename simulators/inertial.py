@@ -150,7 +150,7 @@ class InertialTruth:
         exact = np.column_stack([zero, zero, turn, c * ahead + s * left, c * left - s * ahead, gravity])
         density = np.repeat([m.gyro_density_radps, m.accelerometer_density_mps2], 3)
         white = density * math.sqrt(m.bandwidth_hz) * self._white(stamps_ns)
-        felt = exact + self._bias_at(stamps_ns) + white
+        felt = exact + self.bias_at(stamps_ns) + white
         heading = drive.poses(time_s)[:, 2] + self.datum.heading_rad + mounting.yaw_rad
         return Inertial(felt[:, :3], felt[:, 3:], self._rotations(heading))
 
@@ -162,7 +162,7 @@ class InertialTruth:
         moments = (stamps_ns - self.ride.start_ns).tolist()
         return np.array([noise_of(self.seed, self.sensor, k).standard_normal(6) for k in moments])
 
-    def _bias_at(self, stamps_ns: npt.NDArray[np.int64]) -> Floats:
+    def bias_at(self, stamps_ns: npt.NDArray[np.int64]) -> Floats:
         """(N, 6) of the gyroscopes, rad/s, and the accelerometers, m/s^2."""
         place = np.maximum((stamps_ns - self.ride.start_ns) * (1e-9 / BIAS_STEP_S), 0.0)
         step = place.astype(np.int64)
@@ -197,7 +197,7 @@ class InertialTruth:
         c, s = math.cos(theta), math.sin(theta)
         velocity = _turned(self.datum.heading_rad + theta, speed - turn * arm_y, turn * arm_x)
         at = _turned(self.datum.heading_rad, x + c * arm_x - s * arm_y, y + s * arm_x + c * arm_y)
-        error = sigma_m * self._receiver_error(stamp_ns)
+        error = sigma_m * self.receiver_error(stamp_ns)
         noise = noise_of(self.seed, f"{self.sensor} doppler", stamp_ns - self.ride.start_ns)
         wrong_mps = self._velocity_sigma(RECEIVER_VELOCITY_SIGMA_MPS) * noise.standard_normal(3)
         return self._found(at, error, (*velocity, 0.0), wrong_mps)
@@ -256,7 +256,7 @@ class InertialTruth:
         """A receiver that makes no errors of place makes none of velocity."""
         return sigma_mps if self.gnss_sigma_m else 0.0
 
-    def _receiver_error(self, stamp_ns: int) -> Floats:
+    def receiver_error(self, stamp_ns: int) -> Floats:
         """(3,) in standard deviations: east, north, up."""
         error: Floats = self._straight("gnss", GNSS_STEP_S, np.array([stamp_ns], dtype=np.int64))[0]
         return error

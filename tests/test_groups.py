@@ -46,43 +46,26 @@ def group(folder: Path, name: str, text: str) -> Group:
     return Group(name, (str(path), "-c", "/dev/null", f"--rootdir={folder}"), niceness=10)
 
 
-def test_groups_that_pass_are_one_line_each_and_skips_have_their_reason(
+def test_each_group_has_its_line_failures_are_printed_whole_and_skips_have_their_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    assert run([group(tmp_path, "a", PASSES), group(tmp_path, "c", SKIPS)], tmp_path / "logs") == 0
-    said = capsys.readouterr().out
-    assert re.search(r"^a: exit code 0 after \d+ s, \d+ s of processor: 1 passed", said, re.MULTILINE)
-    assert "1 passed" in said
-    assert "skipped 1: no laser here; plug one in" in said
-    assert said.splitlines()[-1] == "all passed"
+    made = [("a", PASSES), ("b", FAILS), ("c", SKIPS), ("empty", "")]
+    assert run([group(tmp_path, *one) for one in made], tmp_path / "logs") == 1
+    printed = capsys.readouterr().out
+    assert re.search(r"^a: exit code 0 after \d+ s, \d+ s of processor: 1 passed", printed, re.MULTILINE)
+    assert "it is broken" in printed
+    assert "skipped 1: no laser here; plug one in" in printed
+    assert printed.splitlines()[-1] == "FAILED: b, empty"
 
 
-def test_a_group_that_fails_is_told_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert run([group(tmp_path, "a", PASSES), group(tmp_path, "b", FAILS)], tmp_path / "logs") == 1
-    said = capsys.readouterr().out
-    assert "it is broken" in said
-    assert said.splitlines()[-1] == "FAILED: b"
-
-
-def test_a_group_without_a_test_is_no_success(tmp_path: Path):
-    assert run([group(tmp_path, "empty", "")], tmp_path / "logs") == 1
-
-
-def test_compiled_files_are_kept_even_where_the_environment_says_otherwise(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
-    assert run([group(tmp_path, "a", PASSES)], tmp_path / "logs") == 0
-    assert list((tmp_path / "__pycache__").glob("test_a.*.pyc"))
-
-
-def test_it_is_never_silent_for_long(
+def test_groups_that_all_pass_end_with_success_and_keep_their_compiled_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(groups, "TELL_S", 0.0)
-    monkeypatch.setattr(groups, "LOOK_S", 0.01)
-    run([group(tmp_path, "a", PASSES)], tmp_path / "logs")
-    assert "s: a 0 %" in capsys.readouterr().out
+    """Compiled files are kept even where the environment forbids it."""
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    assert run([group(tmp_path, "a", PASSES)], tmp_path / "logs") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "all passed"
+    assert list((tmp_path / "__pycache__").glob("test_a.*.pyc"))
 
 
 def test_a_group_that_hangs_after_its_tests_ends_with_the_stacks_of_its_threads(

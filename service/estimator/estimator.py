@@ -184,9 +184,9 @@ class Estimator:
         sigma[SCALE] = sigma[TURN_SCALE] = config.odometry_scale_sigma
         sigma[LAG], sigma[BIAS] = config.odometry_lag_sigma_s, config.gyro_bias_sigma_radps
         self._packed = PackedFilter(np.zeros(NUMBERS), np.zeros(STAMPS, np.int64))
-        self._filter: Filter = views_of(self._packed)
-        self._filter.covariance[:] = np.diag(sigma**2)
-        for noise in (self._filter.noise, self._filter.gyro_noise, self._filter.motion_noise):
+        self.filter: Filter = views_of(self._packed)
+        self.filter.covariance[:] = np.diag(sigma**2)
+        for noise in (self.filter.noise, self.filter.gyro_noise, self.filter.motion_noise):
             noise[:] = 1.0
         self._begin_acceleration()
         self._has_begun = False
@@ -202,8 +202,8 @@ class Estimator:
                 "odometry contradicts the scans (it says the same pose again and again while they move) and "
                 "is not used; is an encoder dead, does its driver repeat its last message?",
             )
-        way, turns = self._filter.noise.tolist()
-        gyro = float(self._filter.gyro_noise[0])
+        way, turns = self.filter.noise.tolist()
+        gyro = float(self.filter.gyro_noise[0])
         if max(way, turns) > FAULT_NOISE:
             of = "distance" if way >= turns else "turns"
             return Reason(
@@ -223,7 +223,7 @@ class Estimator:
     @property
     def learnt(self) -> npt.NDArray[np.float64]:
         """(4,) scale and turn scale of odometry, its lag in s, gyro bias in rad/s."""
-        return self._filter.learnt
+        return self.filter.learnt
 
     def add(self, sample: ImuSample | OdometrySample) -> bool:
         if isinstance(sample, OdometrySample):
@@ -234,7 +234,7 @@ class Estimator:
         self._origin_ns = stamp_ns
 
     def predict(self, stamp_ns: int) -> Prediction:
-        state = self._filter
+        state = self.filter
         x0_m, y0_m, theta0_rad = state.pose.tolist()
         pause_s = 0.0
         if not self._has_begun:
@@ -277,13 +277,13 @@ class Estimator:
 
     def _reckoned(self) -> Reckoned | None:
         """The newest step, with the noise that was learnt, at least that of the model."""
-        x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self._filter.said.tolist()
+        x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self.filter.said.tolist()
         if not is_said or self._elapsed_s <= 0.0:
             return None
-        way, turns = self._filter.noise.tolist()
+        way, turns = self.filter.noise.tolist()
         turn_rad2 *= max(turns, 1.0)
         if gyro_rad2 > 0.0:
-            gyro_rad2 *= max(float(self._filter.gyro_noise[0]), 1.0)
+            gyro_rad2 *= max(float(self.filter.gyro_noise[0]), 1.0)
             share = turn_rad2 / (turn_rad2 + gyro_rad2)
             turn_rad += share * wrap_angle(gyro_rad - turn_rad)
             turn_rad2 = share * gyro_rad2
@@ -297,7 +297,7 @@ class Estimator:
         return deviation if is_known else None
 
     def correct(self, measured: Measurement | None) -> Motion:
-        state = self._filter
+        state = self.filter
         if measured is not None and measured.gap is not None:
             state.path.span[:] = 0  # it was found elsewhere: that is no motion
             widen_pose(state, measured.gap)
@@ -325,14 +325,14 @@ class Estimator:
         packed = self._consistent.beside(self._packed)
         motion_at(packed, *tracks, seconds, self._settings, pose, twist, covariance)
         forward, left, turn = twist.tolist()
-        if self._origin_ns == int(self._filter.stamp_ns[0]) + round(seconds * 1e9):
+        if self._origin_ns == int(self.filter.stamp_ns[0]) + round(seconds * 1e9):
             pose[:] = 0.0  # `odom` itself, without what rounding leaves of it
         return Motion(SE2(*pose.tolist()), (forward, left, turn), covariance)
 
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
         """The mean of the newest prediction and what a scan says alone, and its covariance."""
-        predicted = SE2(*self._filter.pose.tolist())
-        prior = measured.prior_weight * np.linalg.inv(self._filter.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
+        predicted = SE2(*self.filter.pose.tolist())
+        prior = measured.prior_weight * np.linalg.inv(self.filter.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
         covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
         off = (predicted.inverse() @ measured.pose_odom_base).log()
         step = SE2.exp(*(covariance @ measured.information @ off).tolist())
@@ -340,27 +340,27 @@ class Estimator:
         return predicted @ step, axes @ covariance @ axes.T
 
     def settle(self, share: float) -> None:
-        transfer_into_map(self._filter.covariance, share)
+        transfer_into_map(self.filter.covariance, share)
         self._consistent.settle(share)
 
     def _begin(self, stamp_ns: int) -> None:
-        self._filter.stamp_ns[0] = stamp_ns
+        self.filter.stamp_ns[0] = stamp_ns
         self._elapsed_s = 0.0
-        begin_window(self._filter)
+        begin_window(self.filter)
         first, end = self._odometry.track.span.tolist()
         if end - first >= 2:
             self._begin_twist(stamp_ns)
         if self._origin_ns is not None:
             origin_ns, self._origin_ns = self._origin_ns, None
             origin = self.moved((origin_ns - stamp_ns) * 1e-9).pose_odom_base.inverse()
-            self._filter.pose[:] = origin.x_m, origin.y_m, origin.theta_rad
+            self.filter.pose[:] = origin.x_m, origin.y_m, origin.theta_rad
             self._origin_ns = origin_ns
 
     def _begin_twist(self, stamp_ns: int) -> None:
         """The speed as odometry has it now, at the first scan and after a pause: what it was says nothing."""
         twist = np.zeros(3)
         begin_twist(self._odometry.track, stamp_ns, self._settings, twist)
-        state = self._filter
+        state = self.filter
         state.twist[:] = state.mean_twist[:] = state.tied_twist[:] = twist
         covariance = state.covariance
         covariance[TWIST : TWIST + 3, :] = 0.0
@@ -372,7 +372,7 @@ class Estimator:
 
     def _begin_acceleration(self) -> None:
         """None is known, but for how large one is; [2]."""
-        state = self._filter
+        state = self.filter
         rows = slice(ACCELERATION, ACCELERATION + 3)
         state.acceleration[:] = 0.0
         state.covariance[rows, :] = 0.0
@@ -381,7 +381,7 @@ class Estimator:
         state.covariance[rows, rows] = np.diag(density / (2.0 * self._settings.acceleration_s))
 
     def _twist(self) -> tuple[float, float, float]:
-        forward, left, turn = self._filter.twist.tolist()
+        forward, left, turn = self.filter.twist.tolist()
         return forward, left, turn
 
     def _add_odometry(self, sample: OdometrySample) -> bool:
@@ -396,7 +396,7 @@ class Estimator:
             track = self._odometry.track
             if value[:3] == tuple(track.value[last, :3]):
                 if self._has_begun and self._still.says_nothing(
-                    sample.stamp_ns, track, self._filter, self._elapsed_s
+                    sample.stamp_ns, track, self.filter, self._elapsed_s
                 ):
                     self._is_unwitnessed = self._still.is_unwitnessed
                     return True
@@ -412,7 +412,7 @@ class Estimator:
     def _begin_odometry(self) -> None:
         """What was driven since the last sample nobody knows."""
         self._odometry.forget()
-        self._filter.last_odom[7] = 0.0
+        self.filter.last_odom[7] = 0.0
 
     def _has_begun_anew(self, sample: OdometrySample, last: int) -> bool:
         """Whether odometry has jumped since the sample before, as when the base's computer restarts.

@@ -79,7 +79,7 @@ class ChangeWatch:
             raise ValueError("the stored map shows nothing; there is nothing that could have changed")
         stored, first_row, first_column = _stored(shown)
         shape = stored.shape
-        self._votes = ChangeVotes(
+        self.votes = ChangeVotes(
             stored,
             changed=np.zeros(shape, np.uint8),
             same=np.zeros(shape, np.uint8),
@@ -118,13 +118,13 @@ class ChangeWatch:
             np.array([sensor.x_m, sensor.y_m]),
             np.array([pose_map_base.x_m, pose_map_base.y_m, pose_map_base.theta_rad]),
             FARTHEST_M,
-            self._votes,
+            self.votes,
             Moment(self._scans, self._poses, (stamp_ns - self._began_ns) // 1_000_000),
         )
 
     def changes(self) -> MapChanges:
         """What is sure by now."""
-        votes = self._votes
+        votes = self.votes
         at = np.flatnonzero(votes.poses >= MIN_POSES)  # few cells; all else is asked of these alone
         changed, same = (of.ravel()[at].astype(np.int64) for of in (votes.changed, votes.same))
         is_sure = (

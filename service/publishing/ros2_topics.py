@@ -44,15 +44,15 @@ class Ros2Topics:
         self._senders = Senders("ros2", map_period_s, map_period_s)
         self._initial_pose: InitialPoseSubscriber | None = None
         self._services: Ros2Services | None = None
-        self._session = shared.open(config)
+        self.session = shared.open(config)
         self._senders.opened.callback(shared.close)
         try:
-            self._node = Ros2Node(self._session, config.ros2)
+            self._node = Ros2Node(self.session, config.ros2)
             self._senders.opened.callback(self._node.close)
             self._publishers = {channel: self._declare(channel, kind) for channel, kind in TOPICS.items()}
             map_key = self._publishers[MAP].key
             asked = partial(self._senders.bulk.ask_for, MAP)
-            self._map_listeners = Listeners(self._session, map_key, asked)
+            self._map_listeners = Listeners(self.session, map_key, asked)
         except BaseException:
             self._senders.close()
             raise
@@ -70,7 +70,7 @@ class Ros2Topics:
     def answer(self, command: Command, map_folder: Path | None) -> None:
         """Take poses on initialpose, and answer services, from now on. `command` may wait a bounded time."""
         key = self._node.subscription_key(initial_pose.CHANNEL, INITIAL_POSE)
-        self._initial_pose = InitialPoseSubscriber(self._session, key, command, owner="ros2")
+        self._initial_pose = InitialPoseSubscriber(self.session, key, command, owner="ros2")
         self._senders.opened.callback(self._initial_pose.close)
         self._services = Ros2Services(self._node, command, self._present_map, map_folder)
         self._senders.opened.callback(self._services.close)
@@ -83,7 +83,7 @@ class Ros2Topics:
     @property
     def has_router(self) -> bool:
         """Whether another router is connected."""
-        return bool(self._session.info.routers_zid())
+        return bool(self.session.info.routers_zid())
 
     def counts(self) -> dict[str, Counter[str]]:
         """Messages sent, dropped and failed, by channel; requests answered, by service."""

@@ -120,16 +120,16 @@ class Service:
             pose_sent=self._latency.add,
         )
         self._sinks.open(SINKS, config.sinks, context)
-        self._outputs = MappingOutputs(
+        self.outputs = MappingOutputs(
             mapped_lasers(config),
             self._tiles,
             self._sinks.put,
             self._put_tiles,
             lambda: self._intake.log_ns(),
         )
-        self._link = MapperLink(self._setup(), self._outputs, early)
+        self._link = MapperLink(self._setup(), self.outputs, early)
         self._intake = Intake(self._link, self.host_time, self._sinks.put)
-        parts = self._intake, self._outputs, self._sinks.put
+        parts = self._intake, self.outputs, self._sinks.put
         storage = self._sinks.map_storage()
         self._commands = Commands(
             *parts,
@@ -143,7 +143,7 @@ class Service:
             links,
             self._intake,
             self._link,
-            self._outputs,
+            self.outputs,
             self._sinks,
             self._latency,
             self._dispatcher,
@@ -188,7 +188,7 @@ class Service:
         """How it goes, for a terminal; None before it is ready."""
         if not self._ready_ns:
             return None
-        return running_status(self._report, self._outputs.last, self._latency, self._tiles)
+        return running_status(self._report, self.outputs.last, self._latency, self._tiles)
 
     @property
     def kernels_compiled(self) -> float:
@@ -226,7 +226,7 @@ class Service:
             self._feed_watchdog()
         if now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + HEALTH_INTERVAL_NS
-            if self._resume_pose is not None and self._outputs.last is not None:
+            if self._resume_pose is not None and self.outputs.last is not None:
                 pose, self._resume_pose = self._resume_pose, None
                 self._workers.start("resumed-pose", lambda: self._set_pose(pose))
             self._tell_health(now_ns)
@@ -263,11 +263,11 @@ class Service:
             self._end("the removal of the point to resume at", self._resume.remove)
         return Summary(
             seconds=round(seconds, 3),
-            scans=sum(self._outputs.states.values()),
+            scans=sum(self.outputs.states.values()),
             scans_dropped=self._report.scans_dropped,
-            states={state: self._outputs.states[state] for state in ("ok", "degraded", "lost")},
+            states={state: self.outputs.states[state] for state in ("ok", "degraded", "lost")},
             latency_ms=self._latency.percentiles(),
-            scan_cpu_ms=self._outputs.scan_cpu.percentiles(),
+            scan_cpu_ms=self.outputs.scan_cpu.percentiles(),
             rates_hz=self._report.mean_rates_hz,
             cpu_percent=round(100.0 * cpu_s / seconds, 1) if seconds else 0.0,
             written=self._sinks.written(),
@@ -327,8 +327,8 @@ class Service:
             if self._ready_ns and not self.failure and not self._link.finish(MAPPING_STOP_S):
                 lacks.append("the mapper did not finish; the map lacks what it had not handed over")
                 log.error("%s", lacks[0])
-            elif self._outputs.graph_fault:
-                lacks.append(f"the map lacks loops: {self._outputs.graph_fault}")
+            elif self.outputs.graph_fault:
+                lacks.append(f"the map lacks loops: {self.outputs.graph_fault}")
             self._link.close()
             self._workers.join(self._mapping, MAPPING_STOP_S)
         self._link.clean_up()
@@ -343,7 +343,7 @@ class Service:
         self._last_turn = turn
 
     def _processor_s(self) -> float:
-        return time.process_time() + self._outputs.cpu_s
+        return time.process_time() + self.outputs.cpu_s
 
     def _tell_health(self, now_ns: int) -> None:
         """Counts as they are, freshness as of now_ns: the last time when the drivers were told to end."""
@@ -366,7 +366,7 @@ class Service:
         return self._dispatcher.answer(verb, payload)
 
     def _point(self) -> Point | None:
-        saved, mapped = self._sinks.map_storage().newest, self._outputs.last
+        saved, mapped = self._sinks.map_storage().newest, self.outputs.last
         folder = self._config.begin_in if saved is None else saved.folder
         if folder is None or mapped is None:
             return None

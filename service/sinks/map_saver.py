@@ -325,7 +325,7 @@ class MapSaver(Sink):
                 self._command("checkpoint", b"{}")  # the graph comes to the TileStore when it is written
             if time.monotonic() >= save_at_s:
                 save_at_s = time.monotonic() + self._checkpoint_s
-                self._try_to_save()
+                self.try_to_save()
 
     @property
     def _asks_for_graph(self) -> bool:
@@ -391,7 +391,7 @@ class MapSaver(Sink):
                 one.then()
 
     def _save_for(self, asked: Sequence[_Asked]) -> None:
-        saved = self._try_to_save()
+        saved = self.try_to_save()
         for one in asked:
             if not self.fault and one.number in self._ended:
                 one.saved(*self._of_ended(one))
@@ -439,7 +439,7 @@ class MapSaver(Sink):
         assert number is not None
         return SavedMap(folder, number, present.version, present.geo, present.graph)
 
-    def _try_to_save(self) -> SavedMap | None:
+    def try_to_save(self) -> SavedMap | None:
         try:
             return self.save()
         except StorageError as error:

@@ -32,7 +32,7 @@ class WebSink(Sink):
         self._is_started = False
         self._token_fault = ""
         path = config.token_file or state_folder() / "web.token"
-        self._server = WebServer(
+        self.server = WebServer(
             config,
             About(
                 context.vehicle,
@@ -46,25 +46,25 @@ class WebSink(Sink):
             _folders(context),
             granted=granted_beside(path),
         )
-        self._server.start()
+        self.server.start()
 
     def start(self) -> None:
         self._is_started = True
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
-        self._server.put(message, arrived_ns)
+        self.server.put(message, arrived_ns)
 
     def health(self) -> Status:
-        status = self._server.health()
+        status = self.server.health()
         if self._token_fault and status.level < WARNING:
             return status._replace(level=WARNING, message=f"commands are refused: {self._token_fault}")
         return status
 
     def place(self) -> str:
-        return self._server.address
+        return self.server.address
 
     def close(self) -> None:
-        self._server.close()
+        self.server.close()
 
     def _token(self, path: Path) -> str:
         try:

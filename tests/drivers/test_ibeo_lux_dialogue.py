@@ -3,10 +3,11 @@
 import pytest
 
 from drivers.errors import DeviceError, TransportError
+from drivers.ibeo_lux.driver import IbeoLuxSession
 from drivers.ibeo_lux.messages import Command, Parameter, read_command
 from drivers.ibeo_lux.protocol import DataType, Decoder, Message, encode, ntp_difference_ns, ntp_from_unix_ns
 from simulators.ibeo_lux import LuxSetup
-from tests.drivers.lux import UNIX_NS, reconnect, talk
+from tests.drivers.lux import UNIX_NS, config, reconnect, talk
 from tests.drivers.virtual_time import SECOND_NS
 
 
@@ -115,7 +116,7 @@ def test_clock_is_set_to_utc_before_scans_are_used(at_once):
 def test_clock_whose_second_turns_between_the_two_commands_is_set_again():
     t = talk(LuxSetup(sets_ntp_at_once=False))
     readings = iter([0, 999_999_999, 1_000_000_001, 1_000_000_002, 1_000_000_003])
-    t.session._dialogue._unix_ns = lambda: UNIX_NS + next(readings)
+    t.session = IbeoLuxSession(config(), lambda: UNIX_NS + next(readings))
     t.run(1.0)
     assert t.device.counters["clock_sets"] == 4
     assert t.device.ntp(t.now_ns) >> 32 == (ntp_from_unix_ns(UNIX_NS) >> 32) + 1 + (

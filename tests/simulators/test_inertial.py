@@ -98,7 +98,7 @@ def test_white_noise_and_biases_are_as_large_as_the_model_says(world):
     assert felt.rate_radps.std(axis=0) == pytest.approx([white] * 3, rel=0.1)
     white = MTI_G.accelerometer_density_mps2 * math.sqrt(MTI_G.bandwidth_hz)
     assert felt.force_mps2.std(axis=0) == pytest.approx([white] * 3, rel=0.1)
-    biases = np.array([truth(world, MTI_G, seed=k)._bias_at(at[:1])[0] for k in range(300)])
+    biases = np.array([truth(world, MTI_G, seed=k).bias_at(at[:1])[0] for k in range(300)])
     assert biases[:, :3].std() == pytest.approx(MTI_G.gyro_stability_radps, rel=0.1)
     assert biases[:, 3:].std() == pytest.approx(MTI_G.accelerometer_stability_mps2, rel=0.1)
 
@@ -108,7 +108,7 @@ def test_biases_walk_by_their_stability_in_their_time(world):
     ends = START_NS + np.array([0, 600_000_000_000], dtype=np.int64)
     walks = []
     for seed in range(200):
-        begin, end = truth(world, MTI_G, seed=seed)._bias_at(ends)
+        begin, end = truth(world, MTI_G, seed=seed).bias_at(ends)
         walks.append(end - begin)
     sigma = np.std(walks, axis=0)
     assert sigma[:3] == pytest.approx([math.radians(200 / 3600)] * 3, rel=0.2)
@@ -161,7 +161,7 @@ def test_the_filter_places_the_unit_at_each_sample_with_the_receivers_slow_error
     assert np.quantile(np.abs(speed_mps - north_mps), 0.9) < 0.02
     assert np.abs(north_mps).max() > 0.3
     off_m = [(e.latitude_deg - p.latitude_deg) * 111_412.8 for e, p in zip(erring, places, strict=True)]
-    assert off_m[40] == pytest.approx(2.0 * wrong._receiver_error(int(at[40]))[1], rel=1e-3)
+    assert off_m[40] == pytest.approx(2.0 * wrong.receiver_error(int(at[40]))[1], rel=1e-3)
     assert np.abs(np.diff(off_m)).max() < 0.005  # it does not jump where a fix comes
     assert truth(world, gnss_sigma_m=None).estimates(at) is None
 
@@ -180,8 +180,8 @@ def test_velocities_err_by_their_sigma(world):
 
 def test_receiver_errs_by_its_sigma_and_slowly(world):
     unit = truth(world, gnss_sigma_m=2.0)
-    errors = np.array([unit._receiver_error(START_NS + k * 30_000_000_000) for k in range(400)])
+    errors = np.array([unit.receiver_error(START_NS + k * 30_000_000_000) for k in range(400)])
     assert errors.std() == pytest.approx(1.0, rel=0.1)
-    steps = [unit._receiver_error(START_NS + k * 250_000_000) for k in range(40)]
+    steps = [unit.receiver_error(START_NS + k * 250_000_000) for k in range(40)]
     assert np.abs(np.diff(steps, axis=0)).max() < 0.05
     assert truth(world, gnss_sigma_m=None).place(START_NS) is None

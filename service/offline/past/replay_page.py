@@ -101,27 +101,27 @@ class ReplayPage:
         self._phase = "starting"  # replaying, closing loops, finished
         self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
         self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
-        self._token = new_token()
+        self.token = new_token()
         about = About(name, "", lambda: VERBS if self._moments is None else (*VERBS, GO_TO))
-        self._server = WebServer(
-            WebConfig(listen=listen), about, self._store, self._answer, self._token, retry_s=None
+        self.server = WebServer(
+            WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
         )
-        start_serving(self._server)
+        start_serving(self.server)
 
     @property
     def address(self) -> str:
         """With the token, which the controls need."""
-        return f"{self._server.address}#token={self._token}"
+        return f"{self.server.address}#token={self.token}"
 
     def close(self) -> None:
-        self._server.close()
+        self.server.close()
 
     def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
         self._session, self._mapper = session, mapper
         self._begin_map()
         self._log_ns = session.recording.first_log_ns
         self._phase = "replaying"
-        self._server.put(encode_tf_static(poses_base_sensor, self._log_ns, self._log_ns))
+        self.server.put(encode_tf_static(poses_base_sensor, self._log_ns, self._log_ns))
         self._tell_status()
 
     def wait_for(self, log_ns: int) -> None:
@@ -152,7 +152,7 @@ class ReplayPage:
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
         self._shown.take(tiles)
-        self._server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
+        self.server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
         self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
         self._show_graph()
         self._way.clear()
@@ -171,8 +171,8 @@ class ReplayPage:
             if is_remade
             else ReplayedMoments(self._session, stamp_ns, log_ns, poses)
         )
-        self._server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
-        commands = MomentCommands(moments, lambda at_ns, payloads: self._server.put_ready(payloads))
+        self.server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
+        commands = MomentCommands(moments, lambda at_ns, payloads: self.server.put_ready(payloads))
         try:
             commands.go_to(moments.last_ns)
         except InputError as error:
@@ -183,13 +183,13 @@ class ReplayPage:
     def _begin_map(self) -> None:
         self._moments = None
         self._stamps.clear()
-        self._server.put_ready({"moment": moment_over_json()})
+        self.server.put_ready({"moment": moment_over_json()})
         self._shown.take([])
         self._changes = None
-        self._server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
-        self._server.put_path(np.empty((0, 2), np.float32))
+        self.server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
+        self.server.put_path(np.empty((0, 2), np.float32))
         self._way.clear()
-        self._server.put(encode_graph(NO_GRAPH, self._log_ns))
+        self.server.put(encode_graph(NO_GRAPH, self._log_ns))
         self._scans.clear()
         self._output = None
 
@@ -203,11 +203,11 @@ class ReplayPage:
         self._picture_due_s = now_s + PICTURE_S
         if self._output is None:
             return
-        self._server.put_way(np.array(self._way, np.float32).reshape(-1, 2))
+        self.server.put_way(np.array(self._way, np.float32).reshape(-1, 2))
         self._way.clear()
         for scan in self._scans.values():
-            self._server.put(encode_frame(scan, log_ns=self._log_ns))
-        self._server.put(encode_pose(self._output, self._log_ns))
+            self.server.put(encode_frame(scan, log_ns=self._log_ns))
+        self.server.put(encode_pose(self._output, self._log_ns))
 
     def _show_tiles(self) -> None:
         if self._mapper is None or self._output is None:
@@ -215,7 +215,7 @@ class ReplayPage:
         began_s = time.monotonic()
         self._shown.take(self._mapper.tiles())
         self._show_graph()
-        self._server.put_ready({STANDING: encode_standing(self._mapper.standing())})
+        self.server.put_ready({STANDING: encode_standing(self._mapper.standing())})
         self._show_changes(self._mapper.changes_told)
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, MIN_REST * (now_s - began_s))
@@ -223,19 +223,19 @@ class ReplayPage:
     def _show_changes(self, changes: MapChanges | None) -> None:
         if changes is not None and not changes.says_as(self._changes):
             self._changes = changes
-            self._server.put_ready({CHANGES: encode_changes(changes.as_grid())})
+            self.server.put_ready({CHANGES: encode_changes(changes.as_grid())})
 
     def _show_graph(self) -> None:
         picture = self._mapper.graph_picture if self._mapper is not None else None
         if picture is not None and picture is not self._graph:
             self._graph = picture
-            self._server.put(encode_graph(picture, self._log_ns))
+            self.server.put(encode_graph(picture, self._log_ns))
 
     def _tell_status(self) -> None:
         assert self._session is not None
         self._status_due_s = time.monotonic() + STATUS_S
         rows = [self._mapping_status(), self._replay_status(self._session)]
-        self._server.put(encode_diagnostics("diagnostics", rows, self._log_ns, self._log_ns))
+        self.server.put(encode_diagnostics("diagnostics", rows, self._log_ns, self._log_ns))
 
     def _mapping_status(self) -> Status:
         counters = {} if self._mapper is None else self._mapper.counters

@@ -54,19 +54,19 @@ class View:
         if (folder := map_folder(source)) is not None and result.stored is not None:
             self._map_commands = MapCommands(folder, result.stored, self._show_stored)
         about = About(source.resolve().name, "stored", self._verbs)
-        self._server = WebServer(
-            WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
+        self.server = WebServer(
+            WebConfig(listen=listen), about, self._store, self.answer, self.token, retry_s=None
         )
         self._show(result)
-        start_serving(self._server)
+        start_serving(self.server)
 
     @property
     def address(self) -> str:
         """With the token, which changes need."""
-        return f"{self._server.address}#token={self.token}"
+        return f"{self.server.address}#token={self.token}"
 
     def close(self) -> None:
-        self._server.close()
+        self.server.close()
 
     def _verbs(self) -> tuple[str, ...]:
         return (
@@ -74,7 +74,7 @@ class View:
             *(self._moments.verbs if self._moments else ()),
         )
 
-    def _answer(self, verb: str, payload: bytes) -> Answer:
+    def answer(self, verb: str, payload: bytes) -> Answer:
         if self._moments is not None and verb in self._moments.verbs:
             return self._moments.answer(verb, payload)
         if self._map_commands is not None:
@@ -90,7 +90,7 @@ class View:
         tiles, trajectory = result.tiles, result.trajectory or NO_TRAJECTORY
         self._tiles.take(tiles)
         self._show_way(trajectory.stamp_ns, trajectory.pose)
-        self._server.put(encode_graph(graph_picture(result), now_ns))
+        self.server.put(encode_graph(graph_picture(result), now_ns))
         told = {} if result.stored is None else {"version": str(result.stored.number)}
         version = f" of version {told['version']}" if told else ""
         words = (
@@ -98,31 +98,31 @@ class View:
             f"{counted(len(trajectory.pose), 'pose')}; nothing is measured"
         )
         state = Status("mapping", OK, words, {"state": "stored", **told})
-        self._server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
+        self.server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
         if result.stored is None:
             self._show_changes(tiles)
 
     def _show_changes(self, tiles: Sequence[TileUpdate]) -> None:
         """Of a drive that was localised in a stored map: what is not as that says."""
         if tiles and (changes := read_changes(self._source / CHANGES_FILE, tiles[0].cell_m)) is not None:
-            self._server.put_ready({CHANGES: encode_changes(changes.as_grid())})
+            self.server.put_ready({CHANGES: encode_changes(changes.as_grid())})
 
     def _show_way(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
         """The whole of it, and of its moments the one that was shown before; at first the last."""
         if not len(stamp_ns):
             self._moments = None
             path = encode_path(np.empty((0, 2), np.float32))
-            self._server.put_ready({"path": path, "series": series_json((), events=())})
+            self.server.put_ready({"path": path, "series": series_json((), events=())})
             return
         moments = DrivenMoments(stamp_ns, poses)
         path = encode_path(moments.path_map.astype(np.float32))
-        self._server.put_ready({"path": path, "series": series_json(moments.rows, events=())})
+        self.server.put_ready({"path": path, "series": series_json(moments.rows, events=())})
         self._moments = MomentCommands(moments, self._show_moment)
         self._moments.go_to(moments.last_ns if self._at_ns is None else self._at_ns)
 
     def _show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
         self._at_ns = at_ns
-        self._server.put_ready(payloads)
+        self.server.put_ready(payloads)
 
 
 def graph_picture(result: Result) -> GraphPicture:

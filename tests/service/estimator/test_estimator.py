@@ -133,9 +133,9 @@ def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
 
     assert motion.pose_odom_base.x_m == pytest.approx(solution[-3], abs=1e-9)
     assert motion.twist_base[0] == pytest.approx(solution[-2], abs=1e-9)
-    assert model._filter.acceleration[0] == pytest.approx(solution[-1], abs=1e-9)
+    assert model.filter.acceleration[0] == pytest.approx(solution[-1], abs=1e-9)
     rows = (LOCAL, TWIST, ACCELERATION)
-    believed = model._filter.covariance[np.ix_(rows, rows)]
+    believed = model.filter.covariance[np.ix_(rows, rows)]
     np.testing.assert_allclose(believed, spread, rtol=1e-9, atol=1e-9 * spread[0, 0])
     assert abs(motion.pose_odom_base.x_m - scans_m[-1]) > 1e-5  # it is not the last scan
 
@@ -160,7 +160,7 @@ def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
         away = mean.inverse() @ got.pose_odom_base
         assert (away.x_m, away.y_m, away.theta_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
     assert first.twist_base == pytest.approx(second.twist_base, abs=1e-12)
-    local = alone._filter.covariance[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3]
+    local = alone.filter.covariance[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3]
     np.testing.assert_allclose(local, covariance, rtol=1e-6, atol=1e-12)
 
 
@@ -209,8 +209,8 @@ def test_what_a_step_adds_is_the_same_however_far_the_pose_has_drifted() -> None
             model.predict(100 * k * MS)
             motion = model.correct(matched(pose, TIGHT))
             if k == 10:
-                model._filter.covariance[MAP_BLOCK, MAP_BLOCK] += np.diag(np.square(drift))
-                before, began = model._filter.covariance[MAP_BLOCK, MAP_BLOCK].copy(), motion.pose_odom_base
+                model.filter.covariance[MAP_BLOCK, MAP_BLOCK] += np.diag(np.square(drift))
+                before, began = model.filter.covariance[MAP_BLOCK, MAP_BLOCK].copy(), motion.pose_odom_base
             pose, wheels = pose @ SE2.exp(0.1, 0.0, 0.02), wheels @ SE2.exp(0.1, 0.01, 0.05)
         step = began.inverse() @ motion.pose_odom_base
         away = np.array([step.x_m, step.y_m, step.theta_rad])
@@ -436,14 +436,14 @@ def test_the_estimate_is_carried_back_with_its_acceleration() -> None:
 
 def test_an_acceleration_that_nothing_confirms_fades() -> None:
     model, _ = seen_speeding_up(1.28)
-    assert model._filter.acceleration[2] > 2.0
+    assert model.filter.acceleration[2] > 2.0
     model.correct(None)
     model.predict(3280 * MS)
-    assert np.abs(model._filter.acceleration).max() < 1e-3
+    assert np.abs(model.filter.acceleration).max() < 1e-3
     rows = slice(ACCELERATION, ACCELERATION + 3)
     sigma = np.array([1.0, 1.0, 2.0]) / math.sqrt(2.0 * ACCELERATION_S)
-    noise = 0.5 + 0.5 * model._filter.motion_noise  # of 2 s one is beyond what was learnt of it
-    np.testing.assert_allclose(model._filter.covariance[rows, rows], np.diag(sigma**2 * noise), atol=1e-6)
+    noise = 0.5 + 0.5 * model.filter.motion_noise  # of 2 s one is beyond what was learnt of it
+    np.testing.assert_allclose(model.filter.covariance[rows, rows], np.diag(sigma**2 * noise), atol=1e-6)
 
 
 def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:
@@ -474,10 +474,10 @@ def test_samples_that_are_dropped_while_they_wait_are_told_once(monkeypatch: pyt
 def test_a_source_far_beyond_its_noise_is_named() -> None:
     model = Estimator(EstimatorConfig())
     assert model.fault == ""
-    model._filter.gyro_noise[0] = 2.0 * FAULT_NOISE
+    model.filter.gyro_noise[0] = 2.0 * FAULT_NOISE
     assert model.fault.startswith("the IMU's turns contradict the scans (")
-    model._filter.noise[1] = 4.0 * FAULT_NOISE
+    model.filter.noise[1] = 4.0 * FAULT_NOISE
     assert model.fault.startswith("odometry contradicts the scans (")
     assert "turns off by" in model.fault
-    model._filter.noise[0] = 9.0 * FAULT_NOISE
+    model.filter.noise[0] = 9.0 * FAULT_NOISE
     assert "distance off by" in model.fault

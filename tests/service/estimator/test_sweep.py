@@ -57,7 +57,7 @@ def predicted(
         model.correct(matched(motion(from_ms).inverse() @ motion(stamp_ms), TIGHT))
     prediction = model.predict(AT_MS * MS)
     if not accelerates:
-        model._filter.acceleration[:] = 0.0
+        model.filter.acceleration[:] = 0.0
     return prediction
 
 

@@ -162,7 +162,7 @@ def test_beams_along_a_wall_say_nothing_of_it() -> None:
 
 def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:
     """Row and column, asked one by one."""
-    votes = watch._votes
+    votes = watch.votes
     return {
         at
         for at in np.ndindex(votes.stored.shape)
@@ -196,7 +196,7 @@ def in_groups(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
 def test_cells_are_told_as_if_each_were_asked_by_itself(seed: int, share: float) -> None:
     """Groups of all shapes, also at the edges of the map; rows first."""
     watch, random = Room().watch, np.random.default_rng(seed)
-    votes, shape = watch._votes, watch._votes.stored.shape
+    votes, shape = watch.votes, watch.votes.stored.shape
     votes.stored[:] = random.integers(0, 3, shape)
     votes.poses[:] = np.where(random.random(shape) < share, 3, random.integers(0, 3, shape))
     votes.changed[:], votes.same[:] = random.integers(4, 200, shape), random.integers(0, 30, shape)

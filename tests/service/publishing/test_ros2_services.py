@@ -55,7 +55,7 @@ def topics(asked: Asked, store: TileStore, maps: Path) -> Iterator[Ros2Topics]:
 
 @pytest.fixture
 def session(topics: Ros2Topics, open_client: Callable[[str], zenoh.Session]) -> zenoh.Session:
-    return open_client(listened_at(topics._session, CONFIG)[0])
+    return open_client(listened_at(topics.session, CONFIG)[0])
 
 
 def ask(

@@ -49,8 +49,8 @@ def config(**ros2: object) -> PublishingConfig:
 class Opened:
     def __init__(self, settings: PublishingConfig, shared: SharedZenoh, store: TileStore) -> None:
         self.topics = Ros2Topics(settings, shared, store, map_period_s=0.05)
-        self.endpoint = listened_at(self.topics._session, settings)[0]
-        self.zid = str(self.topics._session.zid())
+        self.endpoint = listened_at(self.topics.session, settings)[0]
+        self.zid = str(self.topics.session.zid())
 
 
 @pytest.fixture

@@ -68,6 +68,15 @@ def test_a_back_end_comes_to_its_process_whatever_its_size(
         assert worker.submit(total).result()[0] == total
 
 
+def forked_from(process: BackEndProcess) -> BackEndProcess:
+    """What a fork of the mapper has of it."""
+    copy = BackEndProcess(patience_s=30.0)
+    copy.__dict__.update(process.__dict__)
+    copy._answers, copy._former, copy.pid = {}, [], None
+    process._listener, copy._channel = None, None
+    return copy
+
+
 def test_the_process_before_ends_and_a_copy_that_it_was_to_make_is_made(
     process: BackEndProcess, tmp_path: Path
 ):
@@ -76,10 +85,7 @@ def test_the_process_before_ends_and_a_copy_that_it_was_to_make_is_made(
     first_pid = process.pid
     assert first_pid is not None
     process.copy(tmp_path / "copy.sock")
-    copy = BackEndProcess(patience_s=30.0)
-    copy.__dict__.update(process.__dict__)  # as a fork has it
-    copy._answers, copy._former, copy.pid = {}, [], None
-    process._listener, copy._channel = None, None
+    copy = forked_from(process)
     try:
         assert process.new_worker(Adder()).submit(5).result()[0] == 5
         assert os.waitpid(first_pid, 0)[0] == first_pid
@@ -160,10 +166,7 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     assert worker.submit(1).result()[0] == 1
     on_the_way = worker.submit(gate)
     process.copy(tmp_path / "copy.sock")
-    copy = BackEndProcess(patience_s=30.0)
-    copy.__dict__.update(process.__dict__)  # as a fork has it
-    copy._answers, copy.pid = {}, None
-    process._listener, copy._channel = None, None
+    copy = forked_from(process)
     try:
         behind = worker.submit(100)
         gate.write_bytes(b"go on")

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,11 +44,13 @@ class Machine:
 
     def __init__(self, folder: Path, free_bytes: list[int], is_deaf: bool = False) -> None:
         self.tiles = TileStore()
+        self.command: Callable[[], CommandAnswer] = lambda: CommandAnswer(True, b"{}")  # of the map saver
         host_time, log_clock = HostTime(OFFSET_NS), LogClock()
         context = sink_context(
             map_folder=folder / "map",
             tiles=self.tiles,
             emit=self._put,
+            command=lambda verb, payload: self.command(),
             unix_ns=lambda: host_time.unix_ns(time.monotonic_ns()),
             is_paused=lambda: self.intake.paused,
             present_profile=lambda: self.present.profile,
@@ -80,6 +82,17 @@ class Machine:
         self.commands = Commands(*parts, self.recorder, self.saver, self._find, switch)
         self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)
         self._scans = 0
+
+    def checkpoints_in(self, folder: Path) -> None:
+        """Have each checkpoint write a graph of five key frames there."""
+        keep = GraphFolder(folder)
+
+        def checkpoint() -> CommandAnswer:
+            self.tiles.keep_graph(Path(keep(graph_of(5)).folder))
+            return CommandAnswer(True, b"{}")
+
+        self.command = checkpoint
+        self.saver.mapped_by("corridor", stores_graph=True)
 
     def start(self) -> None:
         self.recorder.start()
@@ -385,14 +398,7 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
 def test_a_map_that_ends_is_saved_with_its_graph_as_it_is_then(machine: Machine, tmp_path: Path, verb: str):
     """However short it lasted: without one nobody could go on in it."""
     save_map(tmp_path / "office", [tile(1)], 1, graph=graph_of(4))
-    keep = GraphFolder(tmp_path / "graphs")
-
-    def checkpoint(verb: str, payload: bytes) -> CommandAnswer:
-        machine.tiles.keep_graph(Path(keep(graph_of(5)).folder))
-        return CommandAnswer(True, b"{}")
-
-    machine.saver._command = checkpoint
-    machine.saver.mapped_by("corridor", stores_graph=True)
+    machine.checkpoints_in(tmp_path / "graphs")
     machine.scan(3)
     told = machine.ask(verb, **({"map": "office"} if verb == "load_map" else {}))
     assert told["folder_before"] == str(tmp_path / "map")

@@ -191,6 +191,11 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
     assert numbers == sorted(set(numbers))  # nothing is told twice
 
 
+def folder_of(link: MapperLink) -> Path:
+    """Where its sockets lie."""
+    return link._mapper_socket.folder
+
+
 def back_end_of(drive: Drive) -> int:
     """The process of its mapper's back end, once those of mappers before it have ended."""
     found: list[int] = []
@@ -211,7 +216,7 @@ def back_ends_of(mapper: int) -> list[int]:
 
 def has_back_end_for_standby(drive: Drive) -> bool:
     """Whether the copy of the back end that the newest stand-by goes on with has connected to it."""
-    made = drive.link._mapper_socket.folder.glob(f"back-end-{drive.link.pid}-*.sock")
+    made = folder_of(drive.link).glob(f"back-end-{drive.link.pid}-*.sock")
     newest = max(made, key=lambda path: int(path.stem.rpartition("-")[2]), default=None)
     sockets = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
     return any(fields[5] in CONNECTED and fields[-1] == str(newest) for fields in sockets)
@@ -474,7 +479,7 @@ def test_everything_ends_with_the_link(drive: Drive):
     drive.until_mapped()
     drive.until(lambda: drive.link.standby_pid != 0)
     pids = [drive.link.pid, drive.link.standby_pid]
-    folder = drive.link._mapper_socket.folder
+    folder = folder_of(drive.link)
     assert drive.link.finish(TIMEOUT_S)
     drive.stop()
     for pid in pids:

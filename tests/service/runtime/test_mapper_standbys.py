@@ -29,7 +29,7 @@ from service.runtime.mapper_messages import (
     TilesItem,
 )
 from tests.in_background import started
-from tests.service.runtime.test_mapper_link import Heard
+from tests.service.runtime.test_mapper_link import Heard, folder_of
 from tests.waiting import wait_until
 
 TIMEOUT_S = 10.0
@@ -75,10 +75,6 @@ def link() -> Iterator[MapperLink]:
     link.clean_up()
     while Acted.opened:
         Acted.opened.pop().close()
-
-
-def folder_of(link: MapperLink) -> Path:
-    return link._mapper_socket.folder
 
 
 def submit(link: MapperLink, count: int) -> None:

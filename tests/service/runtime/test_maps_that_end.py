@@ -5,8 +5,6 @@ from pathlib import Path
 import pytest
 
 from service.mapstore.files import load_map, save_map
-from service.mapstore.graph_files import GraphFolder
-from service.publishing.commands import Answer
 from tests.service.mapstore.graphs import graph_of
 from tests.service.runtime.test_commands import (  # noqa: F401 - fixtures
     Machine,
@@ -30,14 +28,7 @@ def test_a_map_between_two_resets_that_no_tile_was_handed_over_of_is_saved_with_
 ):
     """Tiles are handed over some times a second: a map that ends before has a graph all the same."""
     save_map(tmp_path / "office", [tile(1)], 1, graph=graph_of(4))
-    keep = GraphFolder(tmp_path / "graphs")
-
-    def checkpoint(verb: str, payload: bytes) -> Answer:
-        machine.tiles.keep_graph(Path(keep(graph_of(5)).folder))
-        return Answer(True, b"{}")
-
-    machine.saver._command = checkpoint
-    machine.saver.mapped_by("corridor", stores_graph=True)
+    machine.checkpoints_in(tmp_path / "graphs")
     machine.scan(3)
     assert machine.ask("reset_map")["ok"]
     machine.link.loop._tiles_due_ns = NEVER_NS

@@ -244,10 +244,10 @@ def test_a_clean_stop_is_no_fault_however_long_it_takes(
     link = service._report._links["front"]
     link.frames, link.last_frame_ns = 1, arrived_ns + 3600 * 10**9
     service.frame_sink(scan(link.last_frame_ns, link.last_frame_ns, [2.0] * 60))
-    tick_until(service, lambda: service._outputs.states.total() == 1)
+    tick_until(service, lambda: service.outputs.states.total() == 1)
     tick_until(service, lambda: link.connects == 1)  # its thread has set the state by then
     link.state = "streaming"
-    service._outputs.last_ns = link.last_frame_ns
+    service.outputs.last_ns = link.last_frame_ns
     later = SimpleNamespace(
         monotonic=time.monotonic,
         process_time=time.process_time,
@@ -437,7 +437,7 @@ def test_a_sink_that_is_broken_in_every_way_costs_neither_mapping_nor_another_si
     for k in range(20):
         at_ns = arrived_ns + k * 20_000_000
         service.frame_sink(scan(at_ns, at_ns, [2.0] * 60))
-    tick_until(service, lambda: service._outputs.states.total() == 20)
+    tick_until(service, lambda: service.outputs.states.total() == 20)
     service.tick()
     summary = service.stop()
     assert service.failure == ""

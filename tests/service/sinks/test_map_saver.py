@@ -99,8 +99,8 @@ def test_a_folder_that_cannot_be_written_is_health_on_the_way_and_an_error_at_th
     (tmp_path / "map").write_text("in the way")
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
-    kept.saver._try_to_save()
-    kept.saver._try_to_save()
+    kept.saver.try_to_save()
+    kept.saver.try_to_save()
     assert "cannot save the map" in kept.saver.fault
     assert caplog.text.count("cannot save the map") == 1
     with pytest.raises(StorageError, match="cannot save the map"):
@@ -251,7 +251,7 @@ def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.
     for _ in range(MAX_UNSAVED + 1):
         kept.tiles.update([tile(kept.tiles.version + 1)])
         kept.tiles.begin_anew()
-    kept.saver._try_to_save()
+    kept.saver.try_to_save()
     assert "map 1 of this run is not saved" in caplog.text
     assert len(kept.saver._unsaved) == 0  # only the first had something in its way
     assert "map 1 of this run is not saved" in kept.saver.health().message

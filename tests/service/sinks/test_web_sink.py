@@ -23,7 +23,7 @@ def open_page(tmp_path):
         sink = open_sink(config, sink_context(**context))
         assert sink is not None
         opened.append(sink)
-        assert sink._server.wait_served(TIMEOUT_S)
+        assert sink.server.wait_served(TIMEOUT_S)
         return sink
 
     yield open_one
@@ -44,7 +44,7 @@ def ask_at(sink, token):
     async def conversation(client):
         answers.append(await ask(client, token))
 
-    talk(sink._server, conversation)
+    talk(sink.server, conversation)
     return answers[0]
 
 
@@ -66,8 +66,8 @@ def test_what_is_put_is_shown_before_the_start_too(open_page):
             sink.start()
             assert (await client.next(socket, "verbs"))["verbs"] == ["mark"]
 
-    talk(sink._server, look)
-    assert sink.place() == sink._server.address != ""
+    talk(sink.server, look)
+    assert sink.place() == sink.server.address != ""
 
 
 def test_commands_reach_the_service_from_the_start_on_with_the_token_of_the_file(open_page, tmp_path):

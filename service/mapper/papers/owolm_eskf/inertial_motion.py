@@ -64,7 +64,7 @@ class InertialMotion:
         self._config = config
         self._track = InertialTrack(config.imu_yaw_rad, config.max_hold_s)
         self._odometry = OdometryTrack(ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S)
-        self._filters = FilterPair(self._new_filter())
+        self.filters = FilterPair(self._new_filter())
         self._is_inertial = False  # the IMU made the newest prediction
         self._at_ns: int | None = None  # where the filter stands
         self._matched: tuple[int, SE2] | None = None
@@ -96,16 +96,16 @@ class InertialMotion:
         if self._at_ns is None:
             return self._first(stamp_ns)
         elapsed_s = (stamp_ns - self._at_ns) * 1e-9
-        before = self._filters.best.pose
+        before = self.filters.best.pose
         wheels = self._odometry.between(self._at_ns, stamp_ns)
         wheel_twist = self._odometry.twist_at(stamp_ns) if wheels is not None else None
         self._is_inertial = self._track.covers(self._at_ns, stamp_ns)
         is_confirmed = self._is_inertial and wheel_twist is not None
-        self._filters.is_confirmed = is_confirmed
+        self.filters.is_confirmed = is_confirmed
         steps = list(self._track.steps(self._at_ns, stamp_ns)) if self._is_inertial else []
         if self._is_inertial:
             self._rate = self._track.rate_at(stamp_ns)
-        for each in self._filters.all:
+        for each in self.filters.all:
             for step in steps:
                 each.advance(*step)
             if not self._is_inertial:
@@ -115,14 +115,14 @@ class InertialMotion:
                 each.observe_speed(wheel_twist[:2], self._rate, self._config.wheel_speed_sigma_mps)
             each.observe_floor(self._config.floor_sigma_m, self._config.climb_sigma_mps)
         self._forget(stamp_ns)
-        if not self._is_inertial and wheels is None and not self._filters.is_fixed:
+        if not self._is_inertial and wheels is None and not self.filters.is_fixed:
             self._unknown_s += elapsed_s
-        pose = self._filters.best.pose
+        pose = self.filters.best.pose
         return Prediction(
             pose_odom_base=pose,
             twist_base=self._twist(),
-            covariance=self._filters.covariance(),
-            local_covariance=self._filters.best.pose_covariance(),
+            covariance=self.filters.covariance(),
+            local_covariance=self.filters.best.pose_covariance(),
             twist_gain=np.zeros((3, 3)),  # the filter learns speed itself
             elapsed_s=elapsed_s,
             travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
@@ -132,19 +132,19 @@ class InertialMotion:
 
     def correct(self, measured: Measurement | None) -> Motion:
         if measured is not None and self._at_ns is not None:
-            self._filters.observe(measured)
-            pose = self._filters.best.pose
+            self.filters.observe(measured)
+            pose = self.filters.best.pose
             if self._matched is not None and self._matched[0] < self._at_ns:
                 last_ns, last = self._matched
                 elapsed_s = (self._at_ns - last_ns) * 1e-9
                 self._turn_radps = wrap_angle(pose.theta_rad - last.theta_rad) / elapsed_s
             self._matched = (self._at_ns, pose)
-        return Motion(self._filters.best.pose, self._twist(), self._filters.covariance())
+        return Motion(self.filters.best.pose, self._twist(), self.filters.covariance())
 
     def moved(self, seconds: float) -> Motion:
         twist = self._twist()
         step = SE2.exp(*(seconds * speed for speed in twist))
-        return Motion(self._filters.best.pose @ step, twist, self._filters.covariance())
+        return Motion(self.filters.best.pose @ step, twist, self.filters.covariance())
 
     def settle(self, share: float) -> None:
         """The filter has one pose, and its error against the map is its error."""
@@ -158,7 +158,7 @@ class InertialMotion:
     def _first(self, stamp_ns: int) -> Prediction:
         self._align(stamp_ns)
         if (twist := self._odometry.twist_at(stamp_ns)) is not None:
-            self._filters.across.velocity_mps = np.array([twist[0], twist[1], 0.0])
+            self.filters.across.velocity_mps = np.array([twist[0], twist[1], 0.0])
         self._forget(stamp_ns)
         self._matched = (stamp_ns, SE2())
         nothing = np.zeros((3, 3))
@@ -179,7 +179,7 @@ class InertialMotion:
             return
         ahead, left, up = felt[:, :3].mean(axis=0)
         roll, pitch = math.atan2(left, up), math.atan2(-ahead, math.hypot(left, up))
-        filter_ = self._filters.across
+        filter_ = self.filters.across
         filter_.rotation = _tilted(roll, pitch)
         filter_.position_m = filter_.rotation @ np.array([self._config.imu_x_m, self._config.imu_y_m, 0.0])
         filter_.covariance[VELOCITY:ATTITUDE, VELOCITY:ATTITUDE] = 1e-4 * np.eye(3)
@@ -223,7 +223,7 @@ class InertialMotion:
         filter_.move(step, elapsed_s, twist, np.array(sigmas), is_measured=False)
 
     def _twist(self) -> Twist:
-        return self._twist_of(self._filters.best)
+        return self._twist_of(self.filters.best)
 
     def _twist_of(self, filter_: ErrorStateFilter) -> Twist:
         rate = self._rate if self._is_inertial else filter_.rate_bias + np.array([0.0, 0.0, self._turn])

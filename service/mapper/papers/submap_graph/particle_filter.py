@@ -91,7 +91,7 @@ class ParticleFilter:
             way = SE2()
         else:
             way = self._last.inverse() @ predicted.pose_odom_base
-        self._move(way, predicted.local_covariance, local_map)
+        self.move_particles(way, predicted.local_covariance, local_map)
         self._align_or_search(points, predicted, local_map)
         normalise_weights(local_map.log_weights, local_map.weights)
         return Aligned(self._mean(local_map), points)
@@ -110,7 +110,7 @@ class ParticleFilter:
         resample(local_map.weights, float(self._random.random()), chosen)
         local_map.take_over(chosen)
 
-    def _move(self, way: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
+    def move_particles(self, way: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
         """Move each particle by a way and an error of it, drawn anew; the latter where it is drawn from."""
         step = np.array([way.x_m, way.y_m, way.theta_rad])
         self._deviates = self._random.standard_normal((len(local_map.particles), 3))
@@ -127,7 +127,7 @@ class ParticleFilter:
         corridor are dots, a search finds the place of the scan before.
         """
         weights = local_map.log_weights.copy()
-        likelihood, best = self._align(points, predicted, local_map)
+        likelihood, best = self.align_particles(points, predicted, local_map)
         searched = local_map.particles[best]
         if local_map.overlap_of(searched, points.xy_base).agreement >= self._config.least_agreement:
             return
@@ -136,7 +136,7 @@ class ParticleFilter:
         for particle in local_map.particles:
             particle.pose = se2.compose(particle.pose, moved)
         local_map.log_weights[:] = weights
-        found, _ = self._align(points, predicted, local_map)
+        found, _ = self.align_particles(points, predicted, local_map)
         if found <= likelihood:
             local_map.log_weights[:] = aligned[0]
             for particle, pose in zip(local_map.particles, aligned[1], strict=True):
@@ -150,7 +150,9 @@ class ParticleFilter:
         found, _ = search_exhaustive(thinned(points.xy_base, config.align_beams), layer, window)
         return se2.between(particle.pose, found.pose)
 
-    def _align(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> tuple[float, int]:
+    def align_particles(
+        self, points: Points, predicted: Prediction, local_map: CountedSubmaps
+    ) -> tuple[float, int]:
         """Align each particle with its map and weigh it; the mean likelihood of the best, and which it is."""
         information = inverse(predicted.local_covariance + 1e-12 * np.eye(3))
         means = np.empty(len(local_map.particles))

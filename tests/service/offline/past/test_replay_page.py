@@ -109,7 +109,7 @@ def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
             assert "front" in (await client.next(socket, "mountings"))["pose_base_sensor"]
             assert await client.next(socket, SCAN)
 
-    talk(page._server, look)
+    talk(page.server, look)
 
 
 def test_when_it_is_finished_any_moment_can_be_gone_to(
@@ -122,7 +122,7 @@ def test_when_it_is_finished_any_moment_can_be_gone_to(
 
     async def look(client: Any) -> None:
         async with client.socket() as socket:
-            await client.ask(socket, type="token", token=page._token)
+            await client.ask(socket, type="token", token=page.token)
             last = await client.next(socket, "moment")
             assert last["duration_s"] == pytest.approx((done.outputs[-1].stamp_ns - first_ns) / 1e9)
             for k in (30, 5, 59):
@@ -140,7 +140,7 @@ def test_when_it_is_finished_any_moment_can_be_gone_to(
                 while stamp_s != done.outputs[k].stamp_ns / 1e9:
                     (stamp_s,) = struct.unpack_from("<d", await client.next(socket, SCAN), 4)
 
-    talk(page._server, look)
+    talk(page.server, look)
 
 
 def test_of_frames_that_were_made_anew_only_the_way_is_shown(
@@ -152,7 +152,7 @@ def test_of_frames_that_were_made_anew_only_the_way_is_shown(
     session = record_drive(scans=20)
     monkeypatch.setattr(Session, "metadata", {"from_raw": {}})
     page = show()
-    monkeypatch.setattr(page._server, "put_ready", lambda payloads: ready.extend(payloads))
+    monkeypatch.setattr(page.server, "put_ready", lambda payloads: ready.extend(payloads))
     replay([session], ReplayOptions(), watch=page)
     assert page._moments is not None
     session.unlink()  # as that of frames made anew
@@ -185,9 +185,9 @@ def test_what_stands_is_shown_while_it_is_mapped_and_not_of_the_finished_map(
 ) -> None:
     told: list[bytes] = []
     page = show()
-    put_ready = page._server.put_ready
+    put_ready = page.server.put_ready
     monkeypatch.setattr(
-        page._server,
+        page.server,
         "put_ready",
         lambda ready: (told.extend(v for k, v in ready.items() if k == "standing"), put_ready(ready)),
     )
@@ -247,7 +247,7 @@ def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
             assert float((await state_of("finished", 0.7))["rate"]) == 100.0
             assert "finished" in (await command("replay_pause"))["error"]
 
-    talk(page._server, steer)
+    talk(page.server, steer)
     assert len(working.result(TIMEOUT_S).outputs) == 40
 
 
@@ -268,7 +268,7 @@ def test_two_recordings_are_shown_one_after_the_other(
             known = {key for key, cells in shown.items() if cells.strip(b"\xff")}
             assert known == {(t.ix, t.iy) for t in done.tiles}
 
-    talk(page._server, look)
+    talk(page.server, look)
 
 
 def test_a_port_that_is_taken_is_said(show: Callable[..., ReplayPage], caplog: pytest.LogCaptureFixture):

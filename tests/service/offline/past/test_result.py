@@ -193,7 +193,7 @@ def test_the_edits_of_the_page_are_in_the_files_too(result):
     try:
         corners = [[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]]
         request = {"version": 1, "change": {"what": "erase", "corners": corners}}
-        answer = view._answer("map_edit", json.dumps(request).encode())
+        answer = view.answer("map_edit", json.dumps(request).encode())
     finally:
         view.close()
     assert answer.ok, answer.body

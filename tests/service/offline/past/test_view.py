@@ -125,18 +125,18 @@ def test_a_moment_stays_when_the_map_is_edited_and_its_pose_goes_with_the_map(
     write_tum(tmp_path / "trajectory.tum", [(stamp_ns, SE2(*pose)) for stamp_ns, pose in rows])
     save_bent(tmp_path / "map", bent)
     view, told = show(tmp_path), []
-    put_ready = view._server.put_ready
-    monkeypatch.setattr(view._server, "put_ready", lambda ready: (told.append(ready), put_ready(ready)))
+    put_ready = view.server.put_ready
+    monkeypatch.setattr(view.server, "put_ready", lambda ready: (told.append(ready), put_ready(ready)))
     k = ROUND + 20
     asked = {"position_s": (graph.stamp_ns[k] - graph.stamp_ns[0]) / 1e9}
-    assert view._answer("moment_go_to", json.dumps(asked).encode()).ok
+    assert view.answer("moment_go_to", json.dumps(asked).encode()).ok
     pairs = [
         {"points": points.tolist(), "keyframes": [near, near + ROUND]}
         for near in (6, 22)
         for points in bent.common_points(near)
     ]
     change = {"version": 1, "change": {"what": "add-pair", "pairs": pairs}}
-    assert view._answer("map_edit", json.dumps(change).encode()).ok
+    assert view.answer("map_edit", json.dumps(change).encode()).ok
     before, after = (json.loads(ready["moment"]) for ready in told if "moment" in ready)
     assert before["position_s"] == after["position_s"] == pytest.approx(asked["position_s"])
     (was,), (now,) = before["poses"], after["poses"]

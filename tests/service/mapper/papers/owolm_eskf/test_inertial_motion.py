@@ -127,10 +127,10 @@ def test_standing_before_the_first_scan_gives_tilt_and_biases():  # B3
     first = model.predict(1000 * MS)
     assert first.pose_odom_base == SE2()
     assert first.twist_base[:2] == pytest.approx((0.0, 0.0), abs=0.01)
-    rotation = model._filters.across.rotation
+    rotation = model.filters.across.rotation
     assert math.asin(-rotation[2, 0]) == pytest.approx(pitch, abs=0.003)
     assert math.atan2(rotation[2, 1], rotation[2, 2]) == pytest.approx(roll, abs=0.003)
-    assert model._filters.across.rate_bias[2] == pytest.approx(rates[:, 2].mean(), abs=0.0002)
+    assert model.filters.across.rate_bias[2] == pytest.approx(rates[:, 2].mean(), abs=0.0002)
 
 
 def test_a_shaking_start_is_not_taken_for_standing():  # B3
@@ -138,7 +138,7 @@ def test_a_shaking_start_is_not_taken_for_standing():  # B3
     for stamp_ms in range(0, 1000, 5):
         model.add(imu(stamp_ms, force=(math.sin(0.05 * stamp_ms), 0.0, 9.81)))
     model.predict(1000 * MS)
-    np.testing.assert_array_equal(model._filters.across.rotation, np.eye(3))
+    np.testing.assert_array_equal(model.filters.across.rotation, np.eye(3))
 
 
 def test_an_imu_mounted_sideways_is_turned_into_the_base():  # B9

@@ -74,8 +74,8 @@ def test_where_a_map_says_nothing_particles_are_drawn_from_motion_and_weigh_alik
     for particle in submaps.particles:
         particle.pose[2] = 0.7
     still = Prediction(SE2(), (0.0, 0.0, 0.0), covariance, covariance, np.zeros((3, 3)), 0.1, 0.0, True)
-    matcher._move(SE2(0.1, 0.0, 0.0), covariance, submaps)
-    matcher._align(square(), still, submaps)
+    matcher.move_particles(SE2(0.1, 0.0, 0.0), covariance, submaps)
+    matcher.align_particles(square(), still, submaps)
     weights = submaps.log_weights
     np.testing.assert_allclose(weights, weights[0], atol=1e-6)
     poses = np.array([particle.pose for particle in submaps.particles])
@@ -103,11 +103,11 @@ def test_a_particle_weighs_as_much_as_the_scan_is_likely_on_its_map() -> None:
     for particle, x_m in zip(submaps.particles, (0.0, 0.1, 0.3), strict=True):
         particle.pose[:] = x_m, 0.0, 0.0
     nothing = np.zeros((3, 3))
-    matcher._move(SE2(), nothing, submaps)
-    matcher._align(square(), standing(nothing), submaps)
+    matcher.move_particles(SE2(), nothing, submaps)
+    matcher.align_particles(square(), standing(nothing), submaps)
     once = submaps.log_weights.copy()
     assert (np.diff(once) < -0.5).all()
-    matcher._align(square(), standing(nothing), submaps)
+    matcher.align_particles(square(), standing(nothing), submaps)
     np.testing.assert_allclose(submaps.log_weights, 2.0 * once)  # scan by scan, until they are drawn anew
 
 
@@ -123,8 +123,8 @@ def test_drawn_around_the_scan_particles_weigh_by_p_over_q() -> None:
     config = ParticleFilterConfig(draw="around_scan")
     matcher, submaps = ParticleFilter(config), with_a_room(20)
     covariance = np.diag([0.02**2, 0.03**2, 0.02**2])
-    matcher._move(SE2(), covariance, submaps)
-    matcher._align(square(), standing(covariance), submaps)
+    matcher.move_particles(SE2(), covariance, submaps)
+    matcher.align_particles(square(), standing(covariance), submaps)
     field = submaps.particles[0].map.likelihood()
     xy, weights = thin_evenly(square().xy_base, config.align_beams, config.align_sigma)
     around = align(
