@@ -56,6 +56,7 @@ class GnssHealth:
             values |= {
                 "position_sigma_m": f"{reference.position_sigma_m:.2f}",
                 "yaw_sigma_deg": f"{yaw_sigma_deg:.2f}",
+                "map_yaw_enu_deg": f"{math.degrees(reference.pose_enu_map.theta_rad):.2f}",
                 "origin": f"{reference.origin.latitude_deg:.7f} {reference.origin.longitude_deg:.7f}",
             }
             words = (

@@ -1,5 +1,6 @@
 """A stored map or the result of a replay on the operator's page: nothing is live; a map can be edited."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -92,7 +93,9 @@ class View:
         self._show_way(trajectory.stamp_ns, trajectory.pose)
         self.server.put(encode_graph(graph_picture(result), now_ns))
         told = {} if result.stored is None else {"version": str(result.stored.number)}
-        version = f" of version {told['version']}" if told else ""
+        if (geo := result.geo) is not None:
+            told["map_yaw_enu_deg"] = f"{math.degrees(geo.pose_enu_map.theta_rad):.2f}"
+        version = f" of version {told['version']}" if result.stored is not None else ""
         words = (
             f"{self._source}: {counted(len(tiles), 'tile')}{version}, "
             f"{counted(len(trajectory.pose), 'pose')}; nothing is measured"

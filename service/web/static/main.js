@@ -10,6 +10,7 @@ import { FleetLayer } from "./fleet_layer.js";
 import { Gestures } from "./gestures.js";
 import { History } from "./history.js";
 import { Information, LEVELS } from "./information.js";
+import { drawCompass, drawMetres, northOf, savePicture } from "./map_frame.js";
 import { MapView, scaleBar } from "./map_view.js";
 import { setUpPast } from "./past.js";
 import { setUpReplay } from "./replay.js";
@@ -123,6 +124,8 @@ function showState() {
 
 view.overlays = [
   (...drawing) => fleet.draw(...drawing),
+  (context, camera, colours) => { if (view.layers.grid) drawMetres(context, camera, colours, view.gridStep_m); },
+  (context, camera, colours) => drawCompass(context, camera, colours, northOf(health)),
   (...drawing) => edit.draw(...drawing),
   (...drawing) => tool?.draw(...drawing),
   (...drawing) => { if (tool && byId("map").matches(":focus-visible")) drawCrossHair(...drawing); },
@@ -255,6 +258,7 @@ byId("turn-left").addEventListener("click", () => gestures.turn(1));
 byId("turn-right").addEventListener("click", () => gestures.turn(-1));
 byId("north").addEventListener("click", () => gestures.north());
 byId("measure").addEventListener("click", toggleMeasure);
+byId("picture").addEventListener("click", () => savePicture(view, byId("vehicle").textContent, past.moment?.at_s ?? Date.now() / 1000));
 byId("map").addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || (event.repeat && event.key === "Enter")) return;
   const own = { f: toggleFollow, F: toggleFollow, 0: fit, m: toggleMeasure, M: toggleMeasure, b: showBefore, B: showBefore,

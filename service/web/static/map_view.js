@@ -252,8 +252,8 @@ export class MapView {
     context.fillStyle = colours.ground;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     camera.applyTo(context, dpr);
-    if (layers.grid) this.#drawGrid();
     if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
+    if (layers.grid) this.#drawGrid();
     if (layers.standing && !this.showsBefore) this.standing.draw(context, colours.standing);
     if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
     if (layers.stored && !this.showsBefore) this.stored.draw(context, camera.seen, camera.scale, colours.change);
@@ -269,9 +269,13 @@ export class MapView {
     if (this.drawn_ms.length > 300) this.drawn_ms.shift();
   }
 
+  get gridStep_m() {
+    return niceLength(90 / this.camera.scale);
+  }
+
+  /** Seen on free space, not on walls. */
   #drawGrid() {
-    const { context, camera } = this;
-    const step_m = niceLength(90 / camera.scale);
+    const { context, camera, gridStep_m: step_m } = this;
     const { x_min_m, y_min_m, x_max_m, y_max_m } = camera.seen;
     context.beginPath();
     for (let x = Math.ceil(x_min_m / step_m) * step_m; x <= x_max_m; x += step_m) {
@@ -284,7 +288,9 @@ export class MapView {
     }
     context.strokeStyle = this.colours.grid;
     context.lineWidth = 1 / camera.scale;
+    context.globalCompositeOperation = document.documentElement.dataset.theme === "dark" ? "lighten" : "darken";
     context.stroke();
+    context.globalCompositeOperation = "source-over";
   }
 
   /** As far as it was driven at the moment that is shown, and on to the vehicle. */

@@ -7,7 +7,9 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.runtime.gnss_health import FAULTS, RECENT_NS, WARNING, GnssHealth
 
-REFERENCE = GeoReference(LocalFrame(60.1, 24.5, 51.0), SE2(), 0.84, math.radians(0.31), 62)
+REFERENCE = GeoReference(
+    LocalFrame(60.1, 24.5, 51.0), SE2(0.0, 0.0, math.radians(30.0)), 0.84, math.radians(0.31), 62
+)
 
 
 def test_without_fixes_there_is_nothing_to_say():
@@ -25,6 +27,7 @@ def test_the_state_is_said_before_and_after_the_map_is_referenced():
     assert after is not None
     assert (after.level, after.message) == (0, "referenced to 0.8 m and 0.3 deg by 62 fixes")
     assert after.values["yaw_sigma_deg"] == "0.31"
+    assert after.values["map_yaw_enu_deg"] == "30.00"
 
 
 @pytest.mark.parametrize("counter", FAULTS)
