@@ -11,11 +11,12 @@ from dataclasses import replace
 import zenoh
 
 from drivers.zenoh_callback import daemon_callback
-from service.encoding import ERROR, OK, WARNING, Message, Status
+from service.encoding import ERROR, OK, TILES, WARNING, Message, Status
 from service.errors import StorageError
 from service.outputs import TileUpdate
 from service.publishing.config import PublishingConfig, host_of
-from service.publishing.keys import alive_key
+from service.publishing.keys import alive_key, vehicle_key
+from service.publishing.listeners import Listeners
 from service.publishing.shared import SharedZenoh
 from service.publishing.uplink import LinkBytes, Presence, open_uplink, presences
 from service.publishing.zenoh_publisher import ZenohPublisher
@@ -53,6 +54,7 @@ class FleetSink(Sink):
         self._shared = SharedZenoh(open_uplink)
         self._publisher: ZenohPublisher | None = None
         self._opened = ExitStack()  # beside it
+        self._followers: Listeners | None = None  # of tiles, which Zenoh would send without any, too
         recordings = context.folders.get("recording")
         self._journal = FleetJournal(recordings / JOURNAL_FILE) if recordings is not None else None
         self._wake = threading.Event()
@@ -79,7 +81,8 @@ class FleetSink(Sink):
 
     def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
         if (publisher := self._publisher) is not None and self._config.fleet.tiles:
-            publisher.map_changed(tiles, stamp_ns, log_ns)
+            followed = self._followers is not None and self._followers.are_there
+            publisher.map_changed(tiles if followed else (), stamp_ns, log_ns)  # who comes asks for them
 
     def health(self) -> Status:
         fault = self._fault  # before the values, which are written before it
@@ -200,6 +203,7 @@ class FleetSink(Sink):
             name=self.name,
             tiles_wait=True,
         )
+        self._followers = Listeners(session, vehicle_key(self._context.vehicle, f"{TILES}/**"), lambda: None)
         if self._config.fleet.commands:
             publisher.answer_commands(self._context.command)
             folders = self._context.folders

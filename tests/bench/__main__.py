@@ -18,7 +18,7 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import accuracy, cluster, decoding, live, reading, replaying, scans, start_up
+    from tests.bench import accuracy, cluster, decoding, fleet, live, reading, replaying, scans, start_up
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
         "scans": scans.measure,
@@ -26,6 +26,7 @@ def main() -> int:
         "reading": reading.measure,
         "replay": replaying.measure,
         "cluster": cluster.measure,
+        "fleet": fleet.measure,
         "start-up": start_up.measure,
         "live": live.measure,
         "accuracy": lambda: accuracy.measure(

@@ -63,6 +63,16 @@ def test_tiles_go_out_newest_first_changed_and_not_more_often_than_allowed(
     assert len(inbox.samples) <= 4  # at once, and after 0.5 s the newest of each place
 
 
+def test_without_a_subscriber_no_tile_is_sent(endpoint, router, start_vehicle, open_client):
+    sink = start_vehicle(endpoint)
+    for version in range(1, 20):
+        sink.put_tiles([tile(version, 0, version)], 1, 1)
+    inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
+    wait_until(lambda: sink.put_tiles([tile(0, 0, 20)], 1, 1) or inbox.samples)
+    assert {str(sample.key_expr) for sample in inbox.samples} == {f"{VEH1}/map/tile/0/0/0"}
+    assert int(sink.health().values.get("sent.map/tile", "0")) < 19
+
+
 def test_the_bytes_that_the_kernel_counts_are_in_health(endpoint, router, start_vehicle, open_client):
     sink = start_vehicle(endpoint)
     inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
