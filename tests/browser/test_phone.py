@@ -66,6 +66,15 @@ def test_names_of_areas_stand_apart(phone):
     assert min(gaps) >= 10.0
 
 
+@pytest.mark.parametrize("size", [DESKTOP, PHONE, (320, 640)])
+def test_all_areas_fit_the_width(phone, size):
+    phone.resize(size)
+    for area in ("information", "control", "edit", "history", "resources"):
+        phone.choose(area)
+        assert phone.run("return document.documentElement.scrollWidth") == size[0]
+        assert box(phone, "#tab-resources")[2] <= size[0]
+
+
 @pytest.mark.parametrize("name", TOOLS)
 def test_every_tool_is_ended_by_a_button(phone, name):
     phone.run(TOOLS[name])

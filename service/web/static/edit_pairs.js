@@ -96,7 +96,7 @@ export class EditPairs {
     setRefused(button, isChosen ? "Its points are in the list below" : "");
     return element("li", { className: "pass" }, element("p", { className: "stored-name" }, `Two passes ${fixed(apart_m, 2, " m")} and ${fixed(apart_deg, 1)}\u00b0 apart at ${where}`),
       element("p", { className: "note" }, `Of ${fixed(keyframes.seconds(a), 0)} and ${fixed(keyframes.seconds(b), 0, " s")}; aligned, ${fixed(100 * on_map, 0, " %")} of the later points fit. Not joined by itself: ${why}.`),
-      button);
+      element("div", { className: "row" }, button));
   }
 
   /** Choose both places and points of them, for the person to look at before Optimise. */
