@@ -5,7 +5,7 @@ import numpy as np
 from simulators.worlds.library import library_structure
 from tests.papers.owolm_eskf import _fitted, _turned_by, far_share
 
-APART_M = 0.02
+APART_M = 0.05
 
 
 def test_a_map_of_the_structure_moved_and_turned_lies_on_it_again() -> None:

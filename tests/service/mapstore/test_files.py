@@ -1,12 +1,8 @@
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from service.errors import InputError, StorageError
@@ -234,44 +230,6 @@ def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path
     assert save_map(tmp_path, later, 4) in (3, 4)  # the next save is not hindered by what lies about
     assert load_map(tmp_path).saved_ns == 4
     assert not list(tmp_path.glob(".unfinished-*"))
-
-
-SAVE_FOR_EVER = """
-import sys
-from pathlib import Path
-from service.mapstore.files import save_map
-from tests.service.mapstore.tile_makers import tile
-version = int(sys.argv[2])
-while True:
-    version += 1
-    tiles = [tile(x, y, version, value=version % 101) for x in range(6) for y in range(6)]
-    save_map(Path(sys.argv[1]), tiles, version)
-    print(version, flush=True)
-"""
-
-
-def test_sigkill_in_a_loop_of_saves_leaves_a_good_map_each_time(tmp_path):
-    random = np.random.default_rng(11)
-    saved = 0
-    for _ in range(6):
-        with subprocess.Popen(
-            [sys.executable, "-c", SAVE_FOR_EVER, str(tmp_path), str(saved)],
-            stdout=subprocess.PIPE,
-            text=True,
-        ) as saver:
-            assert saver.stdout is not None
-            for _ in range(int(random.integers(1, 5))):
-                saved = int(saver.stdout.readline())
-            for _ in range(int(random.integers(0, 30_000))):  # to be somewhere inside the next save
-                pass
-            saver.send_signal(signal.SIGKILL)
-            saved = max([saved, *map(int, saver.stdout.read().split())])
-        stored = load_map(tmp_path)
-        assert stored.problems == []
-        assert stored.saved_ns in (saved, saved + 1)
-        assert (stored.tiles[0].cells == stored.saved_ns % 101).all()
-        assert read_ros_map(tmp_path / "map.yaml").cells.shape == (48, 48)
-        saved = stored.saved_ns
 
 
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)

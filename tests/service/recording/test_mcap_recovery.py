@@ -62,7 +62,7 @@ def test_any_truncation_keeps_every_whole_chunk_and_more(active):
     path, synced = active
     whole = path.read_bytes()
     ends = chunk_offsets(path)[1:]
-    for end in np.random.default_rng(5).integers(ends[0], len(whole), 30).tolist():
+    for end in np.random.default_rng(5).integers(ends[0], len(whole), 12).tolist():
         path.write_bytes(whole[:end])
         report = recover(path)
         complete = sum(chunk_end <= end for chunk_end in ends) * SYNCED

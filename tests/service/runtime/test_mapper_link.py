@@ -173,12 +173,12 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
     undisturbed = Drive()
     undisturbed._has_wheels = drive._has_wheels = True
     try:
-        undisturbed.start().scan(60)
+        undisturbed.start().scan(30)
         undisturbed.until_mapped()
     finally:
         undisturbed.stop()
     drive.start()
-    for _ in range(6):
+    for _ in range(3):
         drive.scan(7)
         pid = drive.link.pid
         os.kill(pid, signal.SIGKILL)
@@ -186,7 +186,7 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
         drive.until_mapped()
         assert drive.link.pid != pid
     assert drive.heard.poses == undisturbed.heard.poses
-    assert len(drive.heard.takeovers) == drive.link.restarts == 6
+    assert len(drive.heard.takeovers) == drive.link.restarts == 3
     numbers = [m.number for m in drive.heard.messages if isinstance(m, Mapped)]
     assert numbers == sorted(set(numbers))  # nothing is told twice
 

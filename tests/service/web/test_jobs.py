@@ -28,26 +28,22 @@ def pid_of(process):
     return process._process.pid
 
 
-def test_one_process_answers_question_after_question_and_ends_with_its_desk(process, office):
-    told = process.ask("look", office, {})
-    assert told["keyframes"] is None
-    number = pid_of(process)
-    with pytest.raises(ResourceError, match="there is no key frame 0 in this map"):
-        process.ask("keyframe", office, {"seen": told["seen"], "keyframe": 0})
-    assert process.ask("look", office, {})["version"] == 1
-    assert pid_of(process) == number
-    process.close()
-    with pytest.raises(ProcessLookupError):
-        os.kill(number, 0)
-
-
-def test_one_that_was_killed_is_told_and_the_next_question_starts_another(process, office):
-    process.ask("look", office, {})
+def test_one_process_answers_all_questions_another_follows_its_death_and_ends_at_the_close(process, office):
+    seen = process.ask("look", office, {})
+    assert seen["keyframes"] is None
     first = process._process
+    with pytest.raises(ResourceError, match="there is no key frame 0 in this map"):
+        process.ask("keyframe", office, {"seen": seen["seen"], "keyframe": 0})
+    assert process.ask("look", office, {})["version"] == 1
+    assert pid_of(process) == first.pid
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
     assert process.ask("look", office, {})["version"] == 1
-    assert pid_of(process) != first.pid
+    second = pid_of(process)
+    assert second != first.pid
+    process.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(second, 0)
 
 
 def test_one_that_dies_at_a_question_is_told_in_words(process, office, monkeypatch):

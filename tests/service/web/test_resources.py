@@ -175,10 +175,9 @@ def test_every_format_is_one_of_the_exports():
         assert set(exports) < set(get_args(Format))
 
 
-@pytest.mark.parametrize(("to", "name"), [("svg", "office.svg"), ("ply", "office.ply")])
-def test_an_export_of_one_file_is_that_file(resources, to, name):
-    download = resources.download("map", "office", to)
-    assert (download.name, download.path.name) == (name, name)
+def test_an_export_of_one_file_is_that_file(resources):
+    download = resources.download("map", "office", "svg")
+    assert (download.name, download.path.name) == ("office.svg", "office.svg")
     assert download.path.stat().st_size > 50
     download.clean_up()
 

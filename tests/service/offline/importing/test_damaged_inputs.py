@@ -19,8 +19,8 @@ from tests.service.offline.importing.test_carmen import HEAD, corrected_log, fla
 from tests.service.recording.sessions import drive, write_file
 
 SEEDS = [
-    pytest.param(range(100), id="100 seeds"),
-    pytest.param(range(100, 1000), id="900 seeds", marks=pytest.mark.soak),
+    pytest.param(range(50), id="50 seeds"),
+    pytest.param(range(50, 1000), id="950 seeds", marks=pytest.mark.soak),
 ]
 MIN_LEFT = 0.06  # such a share has to be read all the same, and such a share to be refused
 
