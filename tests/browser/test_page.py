@@ -1,3 +1,4 @@
+import json
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import product
 
@@ -114,6 +115,15 @@ def test_an_event_that_comes_again_within_ten_seconds_stays_one_line(page, live)
     lines = "[...document.querySelectorAll('.events li span')].map((line) => line.textContent)"
     page.wait_for(f"return {lines}.filter((line) => line.startsWith('mark')).length === 3")
     assert page.run(f"return {lines}")[:3] == ["mark, lift", "mark, door (3 times)", "mark, lift"]
+    for share, seconds in ((12, 41.0), (9, 44.0)):
+        reason = f"{share} % of the returns lie on the map (expected 45 %)"
+        live.put(event(json.dumps({"event": "mapping", "state": "lost", "reason": reason}), seconds))
+        live.put(event(json.dumps({"event": "sensor", "sensor": f"lidar{share}", "state": "down"}), seconds))
+    page.wait_for(f"return {lines}[0] === 'sensor, lidar9, down'")
+    assert page.run(f"return {lines}")[1:3] == [
+        "mapping, lost, 9 % of the returns lie on the map (expected 45 %) (2 times)",
+        "sensor, lidar12, down",
+    ]
 
 
 def test_the_token_leaves_the_address_bar(still):

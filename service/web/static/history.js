@@ -2,7 +2,8 @@
 
 import { card, element, setText } from "./dom.js";
 import { clockTime, duration } from "./format.js";
-import { eventWords, LEVELS } from "./information.js";
+import { eventLines } from "./events.js";
+import { LEVELS } from "./information.js";
 import { colour, Drawing, Plot, Series, timeAxis } from "./series.js";
 
 const PLOTS = [ // title, unit, digits, least top of the scale, lines
@@ -93,7 +94,7 @@ export class History {
     if (this.root.hidden) return;
     const states = this.series.states.map(({ from_s, to_s, state, level }, i, all) => ({ stamp_s: from_s, level,
       words: `${state || "no state known"}${i + 1 < all.length ? `, ${duration(to_s - from_s)}` : ""}` }));
-    const events = (this.series.events ?? this.events).map(({ stamp_s, text }) => ({ stamp_s, words: eventWords(text) }));
+    const events = eventLines(this.series.events ?? this.events).map(({ stamp_s, words }) => ({ stamp_s, words }));
     const lines = [...(states.length > 1 || states[0]?.state ? states : []), ...events].sort((a, b) => b.stamp_s - a.stamp_s).slice(0, MAX_EVENTS);
     const listed = JSON.stringify(lines);
     if (listed === this.listed) return; // what is focused stays

@@ -1,6 +1,7 @@
 // The area Information: how things stand, in words and figures.
 
 import { card, element, Facts, setText } from "./dom.js";
+import { eventLines } from "./events.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
 import { helpLink } from "./help_links.js";
 import { clockTime, degrees, deviceClock, duration, figure, fixed } from "./format.js";
@@ -9,22 +10,8 @@ export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/Di
 const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the newest frame"],
   ["Delay ms", "from the measurement to its arrival"], ["Dropped", "scans not mapped: they had waited too long"],
   ["Clock", "what the device's clock says: time since power-up, or since it last began at 0, or the year it was set to"]];
-const EVENT_WORDS = { start: "service started", stop: "service stops", mark: "mark", pause: "mapping paused",
-  resume: "mapping resumed", reset_map: "map reset", save_map: "map saved", load_map: "map loaded",
-  switch_profile: "profile switched", sensor: "sensor" };
 const MAX_EVENTS = 60;
-const GROUPED_S = 10; // the same event so soon again is one line
 const MAX_SIGMA_MS = 5; // of a clock that is known
-
-/** An event's text for people. */
-export const eventWords = (text) => {
-  try {
-    const { event, ...rest } = JSON.parse(text);
-    return [EVENT_WORDS[event] ?? event, ...Object.values(rest)].join(", ");
-  } catch {
-    return text; // no JSON: then it is words already
-  }
-};
 
 export class Information {
   constructor(root, colourOf) {
@@ -52,6 +39,7 @@ export class Information {
     this.partRows = element("tbody");
     const partsCard = card("Parts of the service", element("table", {}, this.partRows));
     this.events = card("Events");
+    this.heard = []; // {stamp_s, text}, as they came
     this.eventList = element("ul", { className: "events", tabIndex: 0, "aria-label": "Events, the newest first" }); // it scrolls
     this.events.node.append(this.eventList);
     root.append(this.old, ...[this.mapping, this.sensors, this.recording, partsCard, this.events].map((c) => c.node));
@@ -69,7 +57,8 @@ export class Information {
     this.old.hidden = true;
     for (const facts of [this.pose, this.recordingFacts]) facts.clear();
     for (const node of [this.words, this.mapping.aside, this.sensors.aside, this.recording.aside]) setText(node, "");
-    for (const list of [this.rows, this.partRows, this.eventList]) list.replaceChildren();
+    for (const list of [this.rows, this.partRows]) list.replaceChildren();
+    this.putEvents([]);
     this.sensorRows.clear();
     this.parts.clear();
   }
@@ -106,20 +95,20 @@ export class Information {
   putMoment({ events }) {
     this.isPast = true;
     const newest = events.at(-1)?.stamp_s ?? null;
-    if (this.eventList.children.length > 0 && newest === this.newestEvent_s) return;
+    if (this.heard.length > 0 && newest === this.newestEvent_s) return;
     this.newestEvent_s = newest;
-    this.eventList.replaceChildren();
-    for (const event of events) this.putEvent(event);
+    this.putEvents(events);
   }
 
-  putEvent({ stamp_s, text }) {
-    const words = eventWords(text);
-    const same = [...this.eventList.children].find((line) => line.words === words && Math.abs(stamp_s - line.stamp_s) < GROUPED_S);
-    const count = (same?.count ?? 0) + 1;
-    same?.remove();
-    const line = element("li", { words, count, stamp_s }, element("time", {}, clockTime(stamp_s)), element("span", {}, count > 1 ? `${words} (${count} times)` : words));
-    this.eventList.prepend(line);
-    if (this.eventList.children.length > MAX_EVENTS) this.eventList.lastChild.remove();
+  putEvent(event) {
+    this.putEvents([...this.heard, event]);
+  }
+
+  /** All of them, as they came. */
+  putEvents(events) {
+    this.heard = events.slice(-MAX_EVENTS);
+    this.eventList.replaceChildren(...eventLines(this.heard).reverse().map(({ stamp_s, words }) =>
+      element("li", {}, element("time", {}, clockTime(stamp_s)), element("span", {}, words))));
   }
 
   #mapping(mapping, now_s) {
