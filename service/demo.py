@@ -195,7 +195,7 @@ def simulators(options: DemoOptions, truth: Path) -> Iterator[Simulators]:
             last_words = process.stdout.read()
             process.stdout.close()
             if fakes is not None:
-                fakes.left_out = _left_out(last_words)
+                fakes.left_out = left_out_of(last_words)
 
 
 def demo_config(
@@ -331,7 +331,7 @@ def _read_endpoints(process: subprocess.Popen[bytes]) -> list[dict[str, str]]:
         endpoints.append(word)
 
 
-def _left_out(last_words: bytes) -> dict[str, int]:
+def left_out_of(last_words: bytes) -> dict[str, int]:
     for line in last_words.splitlines():
         word = json.loads(line)
         if "left_out" in word:

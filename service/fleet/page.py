@@ -43,18 +43,18 @@ class FleetPage:
 
     def __init__(self, session: zenoh.Session, listen: str, site_map: Path | None = None) -> None:
         self._session = session
-        self._store = TileStore()
+        self.store = TileStore()
         self._adding = threading.Lock()
-        self._versions: dict[str, int] = {}  # newest tile of each vehicle
+        self.versions: dict[str, int] = {}  # newest tile of each vehicle
         if site_map is not None:
-            self._store.update(load_map(site_map).tiles)
+            self.store.update(load_map(site_map).tiles)
         self._follows_tiles = site_map is None
-        self._vehicles: dict[str, Vehicle] = {}
+        self.vehicles: dict[str, Vehicle] = {}
         self._watch = Watch(session)
         self._ending = threading.Event()
         about = About("fleet", "fleet", tuple)
         self._server = WebServer(
-            WebConfig(listen=listen), about, self._store, _refuse, new_token(), retry_s=None
+            WebConfig(listen=listen), about, self.store, _refuse, new_token(), retry_s=None
         )
         self._show_health()
         start_serving(self._server)
@@ -86,10 +86,10 @@ class FleetPage:
 
     def _came(self, vehicle: Vehicle) -> None:
         """One that is here again is asked for the tiles that changed meanwhile."""
-        before = self._vehicles.get(vehicle.name)
-        self._vehicles[vehicle.name] = vehicle
+        before = self.vehicles.get(vehicle.name)
+        self.vehicles[vehicle.name] = vehicle
         if self._follows_tiles and vehicle.sessions and (before is None or not before.sessions):
-            since = self._versions.get(vehicle.name, 0)
+            since = self.versions.get(vehicle.name, 0)
             replies = self._session.get(
                 vehicle_key(vehicle.name, f"{TILES}/**?since={since}"),
                 timeout=ANSWER_S,
@@ -110,15 +110,15 @@ class FleetPage:
                 continue
             name = vehicle_in(key)
             with self._adding:
-                self._versions[name] = max(self._versions.get(name, 0), version)
-                tile = TileUpdate(level, ix, iy, self._store.version + 1, grid.cell_m, grid.cells)
-                self._store.update([tile])
+                self.versions[name] = max(self.versions.get(name, 0), version)
+                tile = TileUpdate(level, ix, iy, self.store.version + 1, grid.cell_m, grid.cells)
+                self.store.update([tile])
 
     def _show(self) -> None:
         health_at_s = 0.0
         while not self._ending.wait(POSES_S):
             shown = []
-            for name, vehicle in sorted(self._vehicles.copy().items()):
+            for name, vehicle in sorted(self.vehicles.copy().items()):
                 if (at := self._watch.pose(name)) is not None:
                     place = {"x_m": at[0], "y_m": at[1], "theta_rad": at[2]}
                     shown.append({"name": name, **place, "is_well": vehicle.is_well, "state": vehicle.state})
@@ -128,7 +128,7 @@ class FleetPage:
                 self._show_health()
 
     def _show_health(self) -> None:
-        vehicles = sorted(self._vehicles.copy().values(), key=lambda vehicle: vehicle.name)
+        vehicles = sorted(self.vehicles.copy().values(), key=lambda vehicle: vehicle.name)
         well = sum(vehicle.is_well for vehicle in vehicles)
         words = f"{counted(len(vehicles), 'vehicle')}, {well} of them well" if vehicles else "no vehicle yet"
         level = OK if well == len(vehicles) else WARNING

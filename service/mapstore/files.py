@@ -245,7 +245,7 @@ def _publish(
     """Make a version of what `write` puts into a new folder, and names; its number. Raises StorageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _only_writer(folder):
+        with only_writer(folder):
             return _publish_alone(folder, write, saved_ns, about, edit)
     except OSError as error:
         before = "; the version before is untouched" if _versions_read(folder) else ""
@@ -397,7 +397,7 @@ def _number(name: str) -> int:
 
 
 @contextmanager
-def _only_writer(folder: Path) -> Iterator[None]:
+def only_writer(folder: Path) -> Iterator[None]:
     with (folder / ".lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -42,7 +42,7 @@ class Ros2Topics:
     ) -> None:
         self._map = shared.map_picture(map_source)
         self._senders = Senders("ros2", map_period_s, map_period_s)
-        self._initial_pose: InitialPoseSubscriber | None = None
+        self.initial_pose: InitialPoseSubscriber | None = None
         self._services: Ros2Services | None = None
         self.session = shared.open(config)
         self._senders.opened.callback(shared.close)
@@ -70,15 +70,15 @@ class Ros2Topics:
     def answer(self, command: Command, map_folder: Path | None) -> None:
         """Take poses on initialpose, and answer services, from now on. `command` may wait a bounded time."""
         key = self._node.subscription_key(initial_pose.CHANNEL, INITIAL_POSE)
-        self._initial_pose = InitialPoseSubscriber(self.session, key, command, owner="ros2")
-        self._senders.opened.callback(self._initial_pose.close)
+        self.initial_pose = InitialPoseSubscriber(self.session, key, command, owner="ros2")
+        self._senders.opened.callback(self.initial_pose.close)
         self._services = Ros2Services(self._node, command, self._present_map, map_folder)
         self._senders.opened.callback(self._services.close)
 
     @property
     def pose_refused(self) -> str:
         """Why the newest pose on initialpose was not taken, "" if it was."""
-        return self._initial_pose.refused if self._initial_pose is not None else ""
+        return self.initial_pose.refused if self.initial_pose is not None else ""
 
     @property
     def has_router(self) -> bool:

@@ -26,23 +26,23 @@ class Ros2Sink(Sink):
         self._context = context
         self._place = f"domain {config.ros2.domain}, {config.ros2.namespace or '/'}"
         self._routers = ", ".join(config.connect) if config.ros2.router == "connect" else ""
-        self._topics = Ros2Topics(config, context.shared.of(SharedZenoh), context.tiles)
+        self.topics = Ros2Topics(config, context.shared.of(SharedZenoh), context.tiles)
 
     def start(self) -> None:
-        self._topics.answer(self._context.command, self._context.folders.get("map"))
+        self.topics.answer(self._context.command, self._context.folders.get("map"))
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
         sensor, _, last = message.channel.rpartition("/")
         if (last in OF_SENSORS) if sensor else (last in TOPICS and last != MAP):
-            self._topics.put(message)
+            self.topics.put(message)
 
     def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
-        self._topics.map_changed(stamp_ns, log_ns)
+        self.topics.map_changed(stamp_ns, log_ns)
 
     def health(self) -> Status:
-        refused = self._topics.pose_refused
-        row = counted_row(self.name, self._topics.counts(), {"initialpose_refused": refused})
-        if self._routers and not self._topics.has_router:
+        refused = self.topics.pose_refused
+        row = counted_row(self.name, self.topics.counts(), {"initialpose_refused": refused})
+        if self._routers and not self.topics.has_router:
             no_router = f"no router at {self._routers}; start rmw_zenohd there, or change publishing.connect"
             return row._replace(level=WARNING, message=no_router)
         return row
@@ -51,4 +51,4 @@ class Ros2Sink(Sink):
         return self._place
 
     def close(self) -> None:
-        self._topics.close()
+        self.topics.close()

@@ -46,17 +46,17 @@ class Manual:
     """Answers GET /help/ and what is below it."""
 
     def __init__(self, folder: Path = DOCS) -> None:
-        self._files = {
+        self.files = {
             path.relative_to(folder).as_posix(): path
             for path in sorted(folder.rglob("*"))
             if path.suffix[1:] in ("md", *_IMAGES)
         }
         self._markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
-        self._rendered = lru_cache(KEPT_PAGES)(self._render)
+        self._rendered = lru_cache(KEPT_PAGES)(self.render)
 
     @property
     def pages(self) -> tuple[str, ...]:
-        return tuple(name for name in self._files if name.endswith(".md"))
+        return tuple(name for name in self.files if name.endswith(".md"))
 
     def add_to(self, app: web.Application) -> None:
         app.router.add_get("/help", _to_contents)
@@ -64,9 +64,9 @@ class Manual:
 
     async def _answer(self, request: web.Request) -> web.Response:
         name = request.match_info["name"] or INDEX
-        if name not in self._files:
+        if name not in self.files:
             name = posixpath.join(name, INDEX)  # of a folder
-        path = self._files.get(posixpath.normpath(name))
+        path = self.files.get(posixpath.normpath(name))
         if path is None:
             return web.Response(status=404, text="the manual has no such page; its contents: /help/\n")
         kind = path.suffix[1:]
@@ -76,8 +76,8 @@ class Manual:
         text = await asyncio.to_thread(self._rendered, posixpath.normpath(name))
         return web.Response(text=text, content_type="text/html")
 
-    def _render(self, name: str) -> str:
-        tokens = self._markdown.parse(self._files[name].read_text(encoding="utf-8"))
+    def render(self, name: str) -> str:
+        tokens = self._markdown.parse(self.files[name].read_text(encoding="utf-8"))
         title = ""
         for heading, inline in pairwise(tokens):
             if heading.type == "heading_open":
@@ -112,7 +112,7 @@ class Manual:
     def _has(self, name: str, target: str) -> bool:
         path = target.partition("#")[0]
         place = posixpath.normpath(posixpath.join(posixpath.dirname(name), path)) if path else name
-        return place in self._files or posixpath.join(place, INDEX) in self._files
+        return place in self.files or posixpath.join(place, INDEX) in self.files
 
 
 async def _to_contents(request: web.Request) -> web.Response:

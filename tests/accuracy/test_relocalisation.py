@@ -38,7 +38,7 @@ def test_a_place_is_right_where_the_truth_is_and_wrong_beside_it(mapped, off_m: 
     assert found.found_s < 1.0
 
 
-def test_of_a_vehicle_that_is_lost_it_is_told_whether_another_place_is_likelier(mapped):
+def test_of_a_vehicle_that_is_lost_it_is_reported_whether_another_place_is_likelier(mapped):
     """Of one that looks at nothing: no place at all."""
     begin = mapped[1]
     later = through("office", 1.0, 4, stand_s=-12.0)
@@ -49,7 +49,7 @@ def test_of_a_vehicle_that_is_lost_it_is_told_whether_another_place_is_likelier(
     assert math.isnan(found.found_s)
 
 
-def test_of_two_places_that_are_alike_the_true_one_is_told():
+def test_of_two_places_that_are_alike_the_true_one_is_reported():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     search, _ = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
     truth = np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])
@@ -58,7 +58,7 @@ def test_of_two_places_that_are_alike_the_true_one_is_told():
     assert not is_told(search, truth + np.array([0.5 * APART_M, 0.0, 0.0]))
 
 
-def test_of_two_places_of_which_one_has_a_pillar_none_is_told():
+def test_of_two_places_of_which_one_has_a_pillar_none_is_reported():
     keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
     search, _ = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise))
     assert not is_told(search, np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad]))

@@ -109,7 +109,7 @@ def test_right_after_is_from_when_on_all_scans_are_right() -> None:
     assert lost.right_after_s == pytest.approx(0.5)
 
 
-def test_heading_is_told_beside_the_place() -> None:
+def test_heading_is_reported_beside_the_place() -> None:
     made = outputs()
     turned = replace(made[50], pose_odom_base=made[50].pose_odom_base @ SE2(0.0, 0.0, math.radians(-5.0)))
     verdict = judge([*made[:50], turned, *made[51:]], TRUTH, FROM_NS, TO_NS)

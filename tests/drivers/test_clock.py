@@ -80,7 +80,7 @@ def test_skew_of_a_young_hull_cannot_run_wild():
 
 
 @pytest.mark.parametrize("jump_us", [-60_000, -200_000, -499_000])
-def test_clock_set_back_a_little_is_learnt_anew_with_the_second_message(jump_us):
+def test_clock_set_back_a_little_is_learnt_again_with_the_second_message(jump_us):
     stream = Stream(1)
     stream.ticks[1500:] += jump_us
     clock = microseconds()
@@ -91,7 +91,7 @@ def test_clock_set_back_a_little_is_learnt_anew_with_the_second_message(jump_us)
 
 
 @pytest.mark.parametrize("jump_us", [-600_000, -30_000_000])
-def test_clock_set_back_far_is_learnt_anew_with_the_first_message(jump_us):
+def test_clock_set_back_far_is_learnt_again_with_the_first_message(jump_us):
     stream = Stream(1)
     stream.ticks[1500:] += jump_us
     clock = microseconds()
@@ -200,7 +200,7 @@ def test_asking_before_the_first_message_is_refused():
         microseconds().to_host_ns(1)
 
 
-def test_how_well_an_offset_is_known_is_said_in_its_own_standard_deviation():
+def test_how_well_an_offset_is_known_is_reported_in_its_own_standard_deviation():
     """Of exponential lateness the least of n scatters by the mean over n."""
     rng = np.random.default_rng(5)
     errors_ns, said_ns = [], []

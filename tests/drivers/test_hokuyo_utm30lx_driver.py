@@ -323,7 +323,7 @@ def test_a_host_that_did_not_look_for_a_while_does_not_blame_the_device():
     assert t.session.status == "streaming"
 
 
-def test_nobody_at_the_other_end_is_a_transport_error_with_advice():
+def test_no_one_at_the_other_end_is_a_transport_error_with_advice():
     t = talk(replace(USB, boot_ns=3_600_000_000_000))
     with pytest.raises(TransportError, match="no answer to 15 times QT"):
         t.run(40.0)

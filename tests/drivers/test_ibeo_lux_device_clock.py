@@ -29,7 +29,7 @@ def test_steady_clock_is_followed_over_the_wrap_of_the_scan_number():
     assert clock.resets == 0
 
 
-def test_clock_that_is_set_is_learnt_anew_at_once():
+def test_clock_that_is_set_is_learnt_again_at_once():
     for jump_ns in (30_000_000, 300_000_000, -300_000_000, 3_900_000_000 * SECOND_NS):
         clock = DeviceClock(0)
         errors_ns = feed(
@@ -58,7 +58,7 @@ def test_a_mirror_that_is_not_exact_is_no_jump_over_many_missing_scans():
     assert clock.resets == 0
 
 
-def test_clock_that_is_set_while_scans_are_missing_is_learnt_anew_at_once():
+def test_clock_that_is_set_while_scans_are_missing_is_learnt_again_at_once():
     clock = DeviceClock(0)
     for k in (*range(20), *range(500, 520)):
         set_ns = 3_900_000_000 * SECOND_NS if k >= 500 else 0
@@ -74,7 +74,7 @@ def test_mirror_that_comes_up_to_speed_is_no_jump():
     assert clock.jumps == 0
 
 
-def test_restart_with_a_clock_at_zero_and_new_numbers_is_learnt_anew():
+def test_restart_with_a_clock_at_zero_and_new_numbers_is_learnt_again():
     clock = DeviceClock(0)
     feed(clock, range(5000, 5050), lambda k: 500 * SECOND_NS + k * PERIOD_NS)
     errors_ns = feed(clock, range(50), lambda k: SECOND_NS + k * PERIOD_NS)

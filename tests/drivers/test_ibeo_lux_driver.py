@@ -162,9 +162,10 @@ def test_first_scan_of_the_side_not_wanted_is_a_sign_of_life_all_the_same():
 def test_scan_from_the_future_is_refused_and_does_not_stop_the_next():
     made = [scan(number=k, start_ns=10 * SECOND_NS + PERIOD_NS * k) for k in range(5)]
     frames, session = frames_of(*made[:3])
-    session._clock._map._latency_ns = -SECOND_NS
+    latency = session._clock._map
+    latency._latency_ns = -SECOND_NS
     more, _ = frames_of(made[3], session=session)
-    session._clock._map._latency_ns = 0
+    latency._latency_ns = 0
     again, _ = frames_of(made[4], session=session)
     assert (len(frames), len(more), len(again)) == (3, 0, 1)
     assert session.counters["scans_ahead_of_arrival"] == 1
@@ -383,7 +384,7 @@ def test_restart_of_the_device_is_recovered_in_three_seconds():
     assert np.diff([frame.stamp_ns for frame in t.frames]).min() > 0
 
 
-def test_device_that_restarts_unseen_and_forgets_is_set_up_anew():
+def test_device_that_restarts_unseen_and_forgets_is_set_up_again():
     t = talk().run(5.0)
     t.device.power_on(t.now_ns)
     with pytest.raises(
@@ -451,7 +452,7 @@ def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock():
         assert SWEEP_NS - 1_000 < frame.arrived_ns - frame.stamp_ns < 10e9
 
 
-def test_link_that_breaks_is_made_anew():
+def test_link_that_breaks_is_made_again():
     def cut_once(count, port_wire):
         if count == 5:
             port_wire.cut()

@@ -97,7 +97,7 @@ def test_forced_dialect_is_the_only_one_spoken():
     assert {r.dialect for r in Decoder().receive_data(bytes(t.sent))} == {ASCII}
 
 
-def test_wrong_password_is_said_so():
+def test_wrong_password_is_reported_so():
     with pytest.raises(DeviceError, match=r"login .* refused .*00000000.*password_hash"):
         talk(Lms100Setup(measuring=False), password_hash="00000000").run(5.0)
 

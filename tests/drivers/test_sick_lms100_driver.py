@@ -382,7 +382,7 @@ def test_recorded_lms111_plays_through_the_session(shared):
     assert ((step_ms > 20.06) & (step_ms < 20.19)).all()
 
 
-def test_answers_nobody_asked_for_are_counted():
+def test_answers_no_one_asked_for_are_counted():
     session = Lms100Session(config())
     session.receive_data(b"\x02sAN Run 1\x03\x02sFA 3\x03\x02sSN LIDoutputstate 1\x03", 1)
     assert session.counters["answers_not_asked_for"] == 2
@@ -400,7 +400,7 @@ def test_frames_come_over_tcp_with_stamps_of_this_hosts_clock(dialect):
         assert 14.8e6 < frame.arrived_ns - frame.stamp_ns < 10e9
 
 
-def test_link_that_breaks_is_made_anew():
+def test_link_that_breaks_is_made_again():
     def cut_once(count, wire):
         if count == 5:
             wire.cut()

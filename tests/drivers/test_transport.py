@@ -165,7 +165,7 @@ def test_serial_url_that_refuses_is_named_once_and_without_numbers(listener):
     assert str(refused.value) == f"cannot open {url} at 9600 baud: Connection refused"
 
 
-def test_tcp_host_that_nobody_knows_is_said_so(monkeypatch):
+def test_tcp_host_that_no_one_knows_is_reported_so(monkeypatch):
     def unknown(*_, **__):
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 

@@ -79,12 +79,12 @@ def test_device_that_cannot_be_had_is_given_back():
     assert bus.calls == ["open", "detach 1", "claim 1", "attach 1", "close"]
 
 
-def test_serial_number_that_may_not_be_read_is_told():
+def test_serial_number_that_may_not_be_read_is_reported():
     with pytest.raises(TransportError, match="no rights to read its serial number"):
         open_usb(FakeBus(unit(forbidden=True)), "0380A")
 
 
-def test_missing_libusb_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPatch):
+def test_missing_libusb_is_reported_with_its_remedy(monkeypatch: pytest.MonkeyPatch):
     def nothing(**_: object) -> None:
         raise usb.core.NoBackendError("No backend available")
 

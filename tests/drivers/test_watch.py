@@ -42,7 +42,7 @@ def watched(reasons, seconds):
     return watch
 
 
-def test_frames_that_came_and_were_dropped_are_told_with_the_remedy():
+def test_frames_that_came_and_were_dropped_are_reported_with_the_remedy():
     assert watched([SAME_STAMP] * 80, 2.0).what_came("scans", 2.0) == (
         "80 scans came in 2 s, all with the same stamp; the sensor stalls: switch its power off and on"
     )
@@ -57,7 +57,7 @@ def test_a_device_that_sends_nothing_any_more_is_silent_whatever_was_dropped_bef
     assert watched([SAME_STAMP] * dropped, 2.0).what_came("scans", 2.0) == ""
 
 
-def test_malformed_messages_are_borne_up_to_the_limit_and_a_good_one_begins_anew():
+def test_malformed_messages_are_borne_up_to_the_limit_and_a_good_one_begins_again():
     counters: Counter[str] = Counter()
     run = MalformedRun(counters, "scans", 3)
     for _ in range(2):

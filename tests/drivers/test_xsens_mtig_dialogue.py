@@ -275,7 +275,7 @@ class Stubborn(FakeMtiG):
         return super()._act(message, now_ns)
 
 
-def test_what_the_device_makes_of_our_requests_is_told():
+def test_what_the_device_makes_of_our_requests_is_reported():
     t = talk(Stubborn(Swing())).run(2.0)
     assert t.session.status.startswith(
         "streaming; configured status not sent; acceleration at 100 Hz, configured 200 Hz; "

@@ -210,7 +210,7 @@ def test_legacy_unit_that_skips_samples_is_stamped_right_however_it_counts(count
     assert t.session.counters["samples_missed"] == 0
 
 
-def test_clock_that_jumps_is_learnt_anew():
+def test_clock_that_jumps_is_learnt_again():
     for make in (mtdata2, legacy):
         device = make()
         t = talk(device, latency_ms=1.0).run(3.0)
@@ -236,7 +236,7 @@ def test_utc_alone_is_time_enough():
     assert sample.stamp_ns * 1e-9 - 1000.0 == pytest.approx(sample.rate_radps[2], abs=0.3e-3)
 
 
-def test_errors_warnings_and_clipping_are_told_and_forgotten():
+def test_errors_warnings_and_clipping_are_reported_and_forgotten():
     device = mtdata2(baud=460_800)
     t = talk(device).run(1.0)
     device.send_error(0x28, t.now_ns)
@@ -268,7 +268,7 @@ def test_status_bits_are_told_in_words(status, words):
     assert words in t.session.status
 
 
-def test_silence_of_a_stream_is_told():
+def test_silence_of_a_stream_is_reported():
     device = mtdata2()
     t = talk(device).run(2.0)
     device.lose_messages(10_000)
@@ -284,7 +284,7 @@ def test_fixes_alone_are_no_stream():
         t.run(5.0)
 
 
-def test_device_that_came_back_is_configured_and_stamped_anew():
+def test_device_that_came_back_is_configured_and_stamped_again():
     for make in (mtdata2, legacy):
         device = make()
         t = talk(device, latency_ms=1.0).run(3.0)

@@ -200,7 +200,7 @@ def test_items_of_a_wrong_size_are_refused(data: str, diagnostic: str):
         decode_items(bytes.fromhex(data))
 
 
-def test_items_nobody_knows_are_kept_as_they_are():
+def test_items_no_one_knows_are_kept_as_they_are():
     data = join([(0x9999, b"abc"), (Kind.PACKET_COUNTER, b"\0\1")])
     assert decode_items(data) == [Item(0x9999, b"abc"), Item(0x1020, 1)]
     assert encode_items(decode_items(data)) == data

@@ -111,7 +111,7 @@ def test_ports_are_opened_as_the_config_says(monkeypatch: pytest.MonkeyPatch):
     assert opened[0][2] == "0380"
 
 
-def test_the_doctor_is_told_who_speaks_and_what_to_try():
+def test_the_doctor_is_reported_who_speaks_and_what_to_try():
     assert recognise(encode(Mid.MTDATA2)) == "an Xsens unit that sends MTData2 (an MTi-G-700 or later)"
     assert recognise(b"garbage" + encode(Mid.MTDATA)) == "an Xsens unit that sends MTData (an MTi-G)"
     assert recognise(encode(Mid.WAKE_UP)) == "an Xsens unit"

@@ -49,7 +49,7 @@ def test_an_mti_g_that_loses_its_fix_says_so_at_once(places):
     ],
 )
 @BOTH
-def test_what_a_unit_that_was_set_up_elsewhere_does_not_send_is_told(make, changes, words):
+def test_what_a_unit_that_was_set_up_elsewhere_does_not_send_is_reported(make, changes, words):
     if make is legacy:
         t = unconfigured(Mode.CALIBRATED | Mode.STATUS, Swing(None), **changes)
     else:

@@ -138,7 +138,7 @@ def test_sample_time_may_step_back_a_little_over_the_wrap():
     assert clock.resets == 0
 
 
-def test_sample_time_that_begins_anew_near_its_wrap_is_no_wrap():
+def test_sample_time_that_begins_again_near_its_wrap_is_no_wrap():
     clock = FineClock(0)
     for i in range(600):
         clock.observe(863_900_000 + 50 * i, i * 5 * MS)

@@ -242,7 +242,7 @@ def test_a_sensor_upside_down_and_its_height_stand_in_its_mounting():
     assert edge.translation_m == (0.2, 0.0, 0.3)
 
 
-def test_a_laser_whose_type_is_wrong_is_said_once():
+def test_a_laser_whose_type_is_wrong_is_reported_once():
     text = with_line("  front: {type: sick_lms10, host: a}", 3) + "mapping: {lasers: [front]}\n"
     assert [fault.split(": ")[1] for fault in faults(text)] == ["sensors.front.type"]
 
@@ -281,7 +281,7 @@ def test_two_spellings_of_a_host_are_one_wire(one: str, other: str):
     )
 
 
-def test_what_is_wrong_already_as_yaml_is_said_once():
+def test_what_is_wrong_already_as_yaml_is_reported_once():
     assert len(faults(with_line("  front: {type: sick_lms100, host: a, port: 012}", 3))) == 1
 
 

@@ -76,7 +76,7 @@ def test_the_page_is_at_the_usual_port_or_at_a_free_one_and_off_where_it_is_not_
     assert not demo_config(ENDPOINTS, options(tmp_path), 7447).sinks["web"].enabled
 
 
-def test_the_address_of_the_page_is_said_once_and_not_before_it_is_served(
+def test_the_address_of_the_page_is_reported_once_and_not_before_it_is_served(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     said: list[str] = []
@@ -111,7 +111,7 @@ def test_the_vehicle_is_that_of_the_samples_in_the_docs(tmp_path: Path):
     assert f"corridor/v1/{vehicle}/cmd/" in page
 
 
-def test_a_taken_port_is_said_where_it_was_asked_for(caplog: pytest.LogCaptureFixture):
+def test_a_taken_port_is_reported_where_it_was_asked_for(caplog: pytest.LogCaptureFixture):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -136,7 +136,7 @@ def test_the_truth_is_read_between_its_rows_and_across_half_a_turn():
     assert abs(math.remainder(middle.theta_rad - math.pi, math.tau)) < 1e-12
 
 
-def test_truth_that_does_not_reach_is_said():
+def test_truth_that_does_not_reach_is_reported():
     truth = np.array([[0.0, 0.0, 0.0, 0.0], [10.0, 1.0, 0.0, 0.0]])
     with pytest.raises(CorridorError, match="ended too early"):
         interpolate(truth, np.array([5, 11]))
@@ -224,7 +224,7 @@ def test_without_poses_there_is_no_error_to_tell(tmp_path: Path):
     }
 
 
-def test_simulators_that_do_not_come_up_are_said(tmp_path: Path):
+def test_simulators_that_do_not_come_up_are_reported(tmp_path: Path):
     wrong = DemoOptions(seconds=1.0, world="no such world", profile=None, seed=1, out=tmp_path)
     with (
         pytest.raises(CorridorError, match="the simulators ended before they were ready"),
@@ -251,10 +251,10 @@ def test_simulators_that_end_on_the_way_end_the_demo():
 
 def test_figures_of_a_demo_whose_devices_had_no_processor_are_called_void():
     words = b'{"ready": true}\n{"left_out": {"front": 12, "rear": 3}}\n'
-    assert _void(demo._left_out(words), "") == (
+    assert _void(demo.left_out_of(words), "") == (
         "the fake devices had no processor to send 12 of front, 3 of rear; latency and error are void"
     )
-    assert _void(demo._left_out(b'{"left_out": {}}\n'), "") is None
+    assert _void(demo.left_out_of(b'{"left_out": {}}\n'), "") is None
 
 
 def test_a_folder_that_cannot_be_written_ends_it_before_anything_begins(

@@ -3,7 +3,7 @@ import ssl
 from service.errors import StorageError, words_of
 
 
-def test_what_the_system_says_is_told_without_number_and_path():
+def test_what_the_system_says_is_reported_without_number_and_path():
     assert words_of(FileNotFoundError(2, "No such file or directory", "/maps/hall")) == (
         "No such file or directory"
     )

@@ -27,7 +27,7 @@ def test_what_is_there_passes_and_what_is_not_is_named(tmp_path: Path):
         ["export", "{}", "--format", "png", "--out", "x.png"],
     ],
 )
-def test_a_folder_without_rights_is_said_by_every_command(
+def test_a_folder_without_rights_is_reported_by_every_command(
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     def refuse(path: object) -> None:

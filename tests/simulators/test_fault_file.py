@@ -126,7 +126,7 @@ def test_a_file_without_a_list_of_faults_is_refused(text: str):
     assert any("one key, faults, with a list below it" in refusal for refusal in refusals(text))
 
 
-def test_all_that_is_wrong_is_said_at_once():
+def test_all_that_is_wrong_is_reported_at_once():
     found = refusals("faults:\n  - {device: x, kind: cut}\n  - {device: front, kind: y}\nmore: 1\n")
     assert [refusal.split(":")[1] for refusal in found] == ["2", "3", "4"]
 

@@ -94,7 +94,7 @@ def test_without_faults_nothing_changes():
     assert device.plugged(ZERO_NS)
 
 
-def test_silence_loses_what_is_said_and_not_what_is_heard():
+def test_silence_loses_what_is_reported_and_not_what_is_heard():
     device = faulty("kind: silence, at_s: 0.015, for_s: 0.03")
     device.connected(ZERO_NS)
     assert [text for _, text in run(device, 0.02)] == numbers(10)
@@ -209,7 +209,7 @@ def test_a_cut_unplugs_for_its_time_and_says_when():
     assert device.next_plug_ns(ZERO_NS + 6 * S) is None
 
 
-def test_a_restart_takes_the_link_along_and_begins_anew_at_its_own_moment():
+def test_a_restart_takes_the_link_along_and_begins_again_at_its_own_moment():
     device = faulty("kind: restart, at_s: 1, for_s: 0.5")
     device.connected(ZERO_NS)
     assert not device.plugged(ZERO_NS + S)

@@ -377,14 +377,14 @@ def test_states_of_an_ethernet_unit():
     assert seen == [b"000", b"003", b"004", b"000", b"005", b"003", b"000", b"002"]
 
 
-def test_scip_1_refuses_all_until_it_is_told():
+def test_scip_1_refuses_all_until_it_is_reported():
     bench = Bench(replace(USB, scip_1=True))
     assert bench.say("QT") == b"QT\nE\n\n"
     assert bench.say("SCIP2.0") == b"SCIP2.0\n0\n\n"
     assert bench.say("QT") == b"QT\n00P\n\n"
 
 
-def test_usb_streams_on_for_nobody_and_ethernet_stops():
+def test_usb_streams_on_for_no_one_and_ethernet_stops():
     for setup, goes_on in ((USB, True), (ETHERNET, False)):
         bench = Bench(setup)
         bench.say("MD0000108001000")

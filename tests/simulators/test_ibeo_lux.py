@@ -271,7 +271,7 @@ def test_objects_vehicle_states_and_errors_come_unless_switched_off():
     assert {message.data_type for _, message in client.listen(1.0)} == {DataType.VEHICLE_STATE}
 
 
-def test_failed_motor_ends_the_scans_and_is_told():
+def test_failed_motor_ends_the_scans_and_is_reported():
     client = Client(LuxSetup(parameters={0x1012: 0xFFEE}))
     client.listen(1.0)
     client.device.motor_failed = True

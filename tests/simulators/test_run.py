@@ -169,7 +169,7 @@ def test_faults_that_cannot_be_are_78_and_name_the_place(tmp_path: Path):
     assert "Traceback" not in ended.stderr
 
 
-def test_losses_of_this_side_are_told_once_each(caplog: pytest.LogCaptureFixture):
+def test_losses_of_this_side_are_reported_once_each(caplog: pytest.LogCaptureFixture):
     vehicle = FakeVehicle(parse_devices([]), Ride(build_world("ring"), 0, 0.0), seed=1)
     told: Counter[tuple[str, str]] = Counter()
     with caplog.at_level("WARNING"):

@@ -61,7 +61,7 @@ def test_wrong_device_is_refused_with_what_is_wrong(text: str, diagnostic: str):
 
 
 @pytest.mark.parametrize("option", ["port", "link"])
-def test_a_place_that_is_taken_is_told_with_the_device_that_wanted_it(
+def test_a_place_that_is_taken_is_reported_with_the_device_that_wanted_it(
     option: str, world: World, tmp_path: Path
 ):
     (tmp_path / "mine").write_text("my own")

@@ -322,7 +322,7 @@ def test_unplugged_terminal_fails_its_reader_and_comes_back_under_its_link(tmp_p
         os.close(fd)
 
 
-def test_terminal_nobody_reads_keeps_the_device_running():
+def test_terminal_no_one_reads_keeps_the_device_running():
     ticker = Ticker(b"x" * 1000, period_ns=100_000)
     wire = serve_pty(ticker)
     with wire as path:

@@ -226,7 +226,7 @@ def test_reset_is_acknowledged_then_silence_then_wake_up(make):
 
 
 @BOTH
-def test_a_unit_that_nobody_greets_sends_its_configuration_and_measures(make):
+def test_a_unit_that_no_one_greets_sends_its_configuration_and_measures(make):
     host = Host(make())
     host.unit.restart(host.now_ns)
     heard = host.wait(1.5)
@@ -314,7 +314,7 @@ def test_lost_messages_leave_a_gap_in_the_counter():
     assert sorted(np.diff(packets).tolist())[-2:] == [1, 5]
 
 
-def test_nobody_listening_makes_no_backlog():
+def test_no_one_listening_makes_no_backlog():
     unit = mtdata2()
     host = Host(unit)
     host.wait(0.1)

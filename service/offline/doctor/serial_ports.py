@@ -88,7 +88,7 @@ def _no_rights(machine: Machine, who: str, device: str, path: Path) -> Finding |
     if machine.may_read_and_write(path):
         return None
     found = path.stat()
-    group = _group_name(found.st_gid)
+    group = group_name(found.st_gid)
     measured = (
         f"user {machine.user} may not read and write {device}, which is {stat.filemode(found.st_mode)}, "
     )
@@ -97,7 +97,7 @@ def _no_rights(machine: Machine, who: str, device: str, path: Path) -> Finding |
         remedy = f'a udev rule with GROUP="dialout", MODE="0660" for this port, now: sudo chmod g+rw {device}'
     elif found.st_gid in machine.group_ids:
         remedy = "a container or a sandbox (DeviceAllow= of a unit) keeps this port away; let it in there"
-    elif machine.user in _members(found.st_gid):
+    elif machine.user in members_of(found.st_gid):
         remedy = f"{machine.user} is in group {group} since after this login: log out and in again"
     else:
         remedy = f"sudo usermod -aG {group} {machine.user}, then log out and in again"
@@ -168,14 +168,14 @@ def _device_number(path: Path) -> str:
     return f"{os.major(number)}:{os.minor(number)}"
 
 
-def _group_name(group_id: int) -> str:
+def group_name(group_id: int) -> str:
     try:
         return grp.getgrgid(group_id).gr_name
     except KeyError:
         return str(group_id)
 
 
-def _members(group_id: int) -> list[str]:
+def members_of(group_id: int) -> list[str]:
     try:
         return grp.getgrgid(group_id).gr_mem
     except KeyError:

@@ -97,12 +97,12 @@ class ReplayPage:
         self._graph: GraphPicture | None = None  # the newest that is shown
         self._way: list[tuple[float, float]] = []  # driven since the last picture
         self._stamps: list[tuple[int, int]] = []  # of each scan mapped in the present map: measured, logged
-        self._moments: MomentCommands | None = None  # of the finished map
+        self.moments: MomentCommands | None = None  # of the finished map
         self._phase = "starting"  # replaying, closing loops, finished
         self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
         self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
         self.token = new_token()
-        about = About(name, "", lambda: VERBS if self._moments is None else (*VERBS, GO_TO))
+        about = About(name, "", lambda: VERBS if self.moments is None else (*VERBS, GO_TO))
         self.server = WebServer(
             WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
         )
@@ -178,10 +178,10 @@ class ReplayPage:
         except InputError as error:
             log.warning("the page cannot look back: %s", error)  # the result is written all the same
         else:
-            self._moments = commands
+            self.moments = commands
 
     def _begin_map(self) -> None:
-        self._moments = None
+        self.moments = None
         self._stamps.clear()
         self.server.put_ready({"moment": moment_over_json()})
         self._shown.take([])
@@ -283,7 +283,7 @@ class ReplayPage:
 
     def _answer(self, verb: str, payload: bytes) -> Answer:
         """From a thread of the page."""
-        if verb == GO_TO and (moments := self._moments) is not None:
+        if verb == GO_TO and (moments := self.moments) is not None:
             return moments.answer(verb, payload)
         if verb not in VERBS:
             return refusal(f"this is a replay; it knows {', '.join(VERBS)}, and {GO_TO} when it is finished")

@@ -145,7 +145,9 @@ def test_wrong_usage_exits_with_64(wrong: list[str], capsys: pytest.CaptureFixtu
         (["replay", "a.mcap", "--rate", "fast"], "argument --rate: 'fast' is no number; give one, or max"),
     ],
 )
-def test_wrong_usage_is_said_in_plain_words(wrong: list[str], words: str, capsys: pytest.CaptureFixture[str]):
+def test_wrong_usage_is_reported_in_plain_words(
+    wrong: list[str], words: str, capsys: pytest.CaptureFixture[str]
+):
     assert code_of(wrong) == UsageError.exit_code
     assert capsys.readouterr().err.endswith(f": {words}\n")
 
@@ -266,7 +268,7 @@ def test_each_error_has_its_exit_code(
     assert main(["run", str(good)]) == code
 
 
-def test_an_error_of_the_system_is_said_without_its_number(
+def test_an_error_of_the_system_is_reported_without_its_number(
     good: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     def fail(path: Path) -> None:
@@ -398,7 +400,7 @@ def test_a_run_ends_by_naming_recording_and_map():
     assert what_was_written([], None) == "recording: none\nmap: none, no scan was mapped"
 
 
-def test_the_journal_is_told_the_severity(monkeypatch: pytest.MonkeyPatch):
+def test_the_journal_is_reported_the_severity(monkeypatch: pytest.MonkeyPatch):
     record = logging.LogRecord("drivers.link", logging.WARNING, "", 0, "gone\nback", None, None)
     assert (
         log_format.JournalFormatter("%(name)s: %(message)s").format(record) == "<4>drivers.link: gone\n  back"

@@ -46,7 +46,7 @@ def test_the_running_status_names_state_pose_rates_latency_and_map():
     assert str(lost) == "lost | front 0 Hz | few beams agree"
 
 
-def test_on_a_terminal_the_line_is_drawn_anew_in_its_place():
+def test_on_a_terminal_the_line_is_drawn_again_in_its_place():
     terminal, clock = Terminal(), Clock()
     line = StatusLine(terminal, clock)
     line(service(None))

@@ -85,7 +85,7 @@ print(caller.answer(), sum(caller.answer.stats.cache_hits.values()))
 """
 
 
-def test_a_kernel_whose_callee_changed_in_another_file_is_compiled_anew(tmp_path: Path):
+def test_a_kernel_whose_callee_changed_in_another_file_is_compiled_again(tmp_path: Path):
     sources = tmp_path / "kernels"
     sources.mkdir()
     head = "from numba import njit\n"

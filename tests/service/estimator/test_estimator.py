@@ -295,7 +295,7 @@ def test_odometry_that_grows_unsure_widens_the_prediction() -> None:
 
 
 @pytest.mark.parametrize("begins_at", [SE2(), SE2(10.0, 0.0, 2.5), SE2(1e8, -1e8, 0.0)])
-def test_odometry_that_begins_anew_costs_the_step_in_which_it_did(
+def test_odometry_that_begins_again_costs_the_step_in_which_it_did(
     begins_at: SE2, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The computer of the base restarts while the vehicle drives on."""
@@ -368,7 +368,7 @@ def test_samples_of_a_silent_laser_are_kept_and_old_ones_forgotten() -> None:
     assert model.predict(400_000 * MS).pose_odom_base.x_m == pytest.approx(200.5, abs=0.05)
 
 
-def test_a_pause_of_odometry_between_two_scans_is_told_and_one_of_the_laser_is_none() -> None:
+def test_a_pause_of_odometry_between_two_scans_is_reported_and_one_of_the_laser_is_none() -> None:
     model = Estimator(EstimatorConfig())
     assert driven(model, 2000).pause_s == 0.0
     for stamp_ms in range(2020, 4001, 20):
@@ -461,7 +461,7 @@ def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:
     assert samples.take_dropped() == 0
 
 
-def test_samples_that_are_dropped_while_they_wait_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_that_are_dropped_while_they_wait_are_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estimator, "MAX_SAMPLES", CAPACITY)
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(CAPACITY + 1):

@@ -98,7 +98,7 @@ def test_a_gyro_alone_tells_the_turn():
     assert off_m(prediction, begun_to_move) < 0.03  # the way, 11 mm at the end, it does not tell
 
 
-def test_a_turn_that_goes_on_growing_bends_no_wall_although_nobody_measures_it():
+def test_a_turn_that_goes_on_growing_bends_no_wall_although_no_one_measures_it():
     """Scans each 40 ms have shown the acceleration; the sweep of the next one is expected to have it."""
 
     def grown(stamp_ms: float) -> SE2:

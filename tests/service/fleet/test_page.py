@@ -68,11 +68,11 @@ def test_vehicles_are_on_the_map_with_their_state_and_the_map_is_of_their_tiles(
         statuses = rows(messages(page, lambda all_: "vehicle/veh2" in rows(all_)))
         assert statuses["mapping"]["message"] == "2 vehicles, 1 of them well"
         assert (statuses["vehicle/veh1"]["level"], statuses["vehicle/veh1"]["message"]) == (2, "lost")
-        wait_until(lambda: {(t.ix, t.iy) for t in page._store.since(0)} == {(0, 0), (1, 0)})
+        wait_until(lambda: {(t.ix, t.iy) for t in page.store.since(0)} == {(0, 0), (1, 0)})
         changed = tile(1, 0, 2, value=100, edge=64)
         stores["veh2"].update([changed])
         sink.put_tiles([changed], 1, 1)
-        wait_until(lambda: page._store.since(0)[-1].cells.max() == 100)
+        wait_until(lambda: page.store.since(0)[-1].cells.max() == 100)
 
 
 def test_tiles_that_changed_without_a_link_come_when_the_vehicle_is_here_again(
@@ -82,13 +82,13 @@ def test_tiles_that_changed_without_a_link_come_when_the_vehicle_is_here_again(
     sink = start_vehicle(endpoint, tiles=store)
     store.update([tile(0, 0, 1, edge=64)])
     with closing(FleetPage(open_client(endpoint), "127.0.0.1:0")) as page:
-        wait_until(lambda: page._store.version == 1)
+        wait_until(lambda: page.store.version == 1)
         router.close()
-        wait_until(lambda: not page._vehicles["veh1"].sessions)
+        wait_until(lambda: not page.vehicles["veh1"].sessions)
         store.update([tile(5, 0, 2, edge=64)])
         start_router(endpoint)
-        wait_until(lambda: sink.put(diagnostics()) or page._store.version == 2)
-        assert page._versions == {"veh1": 2}
+        wait_until(lambda: sink.put(diagnostics()) or page.store.version == 2)
+        assert page.versions == {"veh1": 2}
 
 
 def test_with_a_stored_map_the_tiles_of_the_vehicles_are_left_out(
@@ -99,8 +99,8 @@ def test_with_a_stored_map_the_tiles_of_the_vehicles_are_left_out(
     store.update([tile(0, 0, 5, edge=64)])
     start_vehicle(endpoint, tiles=store)
     with closing(FleetPage(open_client(endpoint), "127.0.0.1:0", tmp_path / "site")) as page:
-        wait_until(lambda: "veh1" in page._vehicles)
-        assert [(t.ix, t.iy) for t in page._store.since(0)] == [(7, 7)]
+        wait_until(lambda: "veh1" in page.vehicles)
+        assert [(t.ix, t.iy) for t in page.store.since(0)] == [(7, 7)]
     with pytest.raises(InputError, match="no stored map"):
         FleetPage(open_client(endpoint), "127.0.0.1:0", tmp_path / "nothing")
 
@@ -114,4 +114,4 @@ def test_what_is_no_tile_is_passed_over(endpoint, router, open_client, caplog):
                 or "is no tile" in caplog.text
             )
         )
-        assert page._store.version == 0
+        assert page.store.version == 0

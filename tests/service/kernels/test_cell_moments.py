@@ -135,7 +135,7 @@ def test_a_point_behind_the_corner_belongs_to_no_plane_and_is_not_taken_in() -> 
     assert grid.moments[..., WEIGHT].sum() == before
 
 
-def test_a_cell_that_is_no_plane_begins_anew_and_finds_it() -> None:
+def test_a_cell_that_is_no_plane_begins_again_and_finds_it() -> None:
     """Points behind a corner came first: the cell would never be a plane with them in it."""
     noise, grid = np.random.default_rng(6), empty_moments()
     corner = np.array([[FACE_X_M, 1.2], [FACE_X_M, 1.3]])

@@ -24,7 +24,7 @@ def contradicting(place: CandidateSubmap, xy, normals, sensor=SENSOR, behind_m=S
     return count_contradicting(xy, sensor, normals, POSE, place.grid, place.sightings, behind_m)
 
 
-def test_what_lies_behind_a_wall_on_ground_that_nobody_knows_is_behind(place: CandidateSubmap) -> None:
+def test_what_lies_behind_a_wall_on_ground_that_no_one_knows_is_behind(place: CandidateSubmap) -> None:
     in_free, behind = contradicting(place, *wall(FAR_M))
     assert in_free == 0
     assert behind > MOST
@@ -56,7 +56,7 @@ def test_points_without_weight_are_not_asked(place: CandidateSubmap) -> None:
     assert contradicting(place, xy, normals) == (0, 0)
 
 
-def test_a_wall_is_behind_nobody_whose_beams_begin_behind_it(place: CandidateSubmap) -> None:
+def test_a_wall_is_behind_no_one_whose_beams_begin_behind_it(place: CandidateSubmap) -> None:
     assert contradicting(place, *wall(FAR_M), sensor=np.array([2.5, 0.0])) == (0, 0)
 
 

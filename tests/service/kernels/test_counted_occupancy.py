@@ -115,7 +115,7 @@ def test_count_scan_asks_only_every_so_many_beams_to_clear() -> None:
     assert counts_at(sparse, 0.05, 2.05)[:2] == (1, 0)
 
 
-def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_nobody_saw() -> None:
+def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_no_one_saw() -> None:
     drawn = CountedMap(CountedMap.new_pool(64), CONFIG)
     drawn.insert(np.array([[2.05, 0.05]]), SENSOR, np.zeros(3))
     xy = np.array([[2.05, 0.05], [2.15, 0.15], [2.25, 0.05], [1.05, 0.05], [1.85, 0.05], [1.0, 1.0]])

@@ -53,7 +53,7 @@ def test_points_count_by_their_shares():
     assert half == pytest.approx(0.5 * whole, rel=0.02)
 
 
-def test_what_beams_go_through_counts_at_each_pose_anew():
+def test_what_beams_go_through_counts_at_each_pose_again():
     """Beams that end 1 m behind the wall go through it at every pose that is asked."""
     known = mapped()
     xy, normals = seen_at((0.0, 0.0, 0.0), np.random.default_rng(1))
@@ -65,7 +65,7 @@ def test_what_beams_go_through_counts_at_each_pose_anew():
     assert best == pytest.approx(float(at_end.sum() + on_way.sum()))
 
 
-def test_where_the_ends_alone_are_not_enough_their_sum_is_told():
+def test_where_the_ends_alone_are_not_enough_their_sum_is_reported():
     """From beyond the wall: every beam goes through it and ends on its back."""
     known, truth = mapped(), np.zeros(3)
     xy, normals = seen_at(truth, np.random.default_rng(1))

@@ -248,7 +248,7 @@ def test_where_little_of_a_scan_lies_on_finer_surfels_whole_cells_decide() -> No
     assert np.array_equal(result.covariance, without.covariance)
 
 
-def test_no_step_of_a_doubted_match_raises_the_cost() -> None:
+def test_no_step_of_a_doubtful_match_raises_the_cost() -> None:
     """A step may take points to where the map knows nothing: without a surfel they pull no longer."""
     grid, rng = room_grid(), np.random.default_rng(1)
     for _ in range(40):

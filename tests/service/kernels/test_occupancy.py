@@ -108,7 +108,7 @@ def test_per_cent_follow_the_odds_and_say_what_changed() -> None:
 
 
 @pytest.mark.parametrize("theta_rad", [0.0, 0.7])
-def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_nobody_saw(theta_rad: float) -> None:
+def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_no_one_saw(theta_rad: float) -> None:
     grid = empty_occupancy(CELL_M)
     trace(grid, [(2.02, 0.01)])
     xy = [(2.02, 0.01), (2.06, 0.06), (2.13, 0.01), (1.0, 0.01), (1.92, 0.01), (1.0, 1.0), (90.0, 0.0)]

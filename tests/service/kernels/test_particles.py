@@ -25,7 +25,7 @@ def test_each_particle_lives_on_as_often_as_its_weight_says(first: float) -> Non
     assert (np.abs(copies - 30 * weights) < 1.0).all()
 
 
-def test_equal_weights_change_nothing_and_rounding_loses_nobody() -> None:
+def test_equal_weights_change_nothing_and_rounding_loses_no_one() -> None:
     chosen = np.empty(10, np.int64)
     resample(np.full(10, 0.1), 0.5, chosen)
     np.testing.assert_array_equal(chosen, np.arange(10))

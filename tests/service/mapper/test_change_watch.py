@@ -63,7 +63,7 @@ def told(room: Room) -> list[tuple[float, float]]:
     return sorted((round(float(x), 2), round(float(y), 2)) for x, y in room.changes().xy_map)
 
 
-def test_what_stands_in_free_ground_is_told_once_it_was_seen_from_three_poses() -> None:
+def test_what_stands_in_free_ground_is_reported_once_it_was_seen_from_three_poses() -> None:
     for poses, expected in ((2, []), (3, BOX)):
         room = Room()
         room.see_from(BOX, poses, scans=6, over_ms=1500.0)
@@ -193,7 +193,7 @@ def in_groups(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.35, 0.6])
 @pytest.mark.parametrize("seed", range(4))
-def test_cells_are_told_as_if_each_were_asked_by_itself(seed: int, share: float) -> None:
+def test_cells_are_reported_as_if_each_were_asked_by_itself(seed: int, share: float) -> None:
     """Groups of all shapes, also at the edges of the map; rows first."""
     watch, random = Room().watch, np.random.default_rng(seed)
     votes, shape = watch.votes, watch.votes.stored.shape

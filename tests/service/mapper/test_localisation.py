@@ -79,7 +79,7 @@ def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, told: list[st
     assert list(judged(PlaceNews(placed), "ok")[1:]) == told
 
 
-def test_who_is_lost_is_told_between_which_places_and_that_the_pose_a_person_set_is_not_one():
+def test_who_is_lost_is_reported_between_which_places_and_that_the_pose_a_person_set_is_not_one():
     between = "about equally well at (1.0, 2.0) m (310 nats) and (-3.0, 4.0) m (305 nats)"
     between = f"the scans match the map {between}"
     alike = [PossiblePlace(1.0, 2.0, 310.0), PossiblePlace(-3.04, 4.0, 304.7)]

@@ -125,7 +125,7 @@ def test_who_finds_it_knows_its_place_as_well_as_if_nothing_had_changed(before, 
     assert max(off_m) < 0.05
 
 
-def test_each_change_is_told_within_seconds_of_the_first_scan_that_contradicts(before, after):
+def test_each_change_is_reported_within_seconds_of_the_first_scan_that_contradicts(before, after):
     mapper, _, _, told = after
     last = mapper.map_changes
     assert last is not None
@@ -146,7 +146,7 @@ def test_each_change_is_told_within_seconds_of_the_first_scan_that_contradicts(b
     assert (shown.as_grid().cells == 0).sum() == mapper.counters["changed_cells_gone"]
 
 
-def test_nothing_is_told_where_only_people_walk(laser, before):
+def test_nothing_is_reported_where_only_people_walk(laser, before):
     again = drive(office(with_change=False), laser, SECONDS, 5, Wheels())
     mapper, _ = driven_again(before[1], again)
     changes = mapper.map_changes

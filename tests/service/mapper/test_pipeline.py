@@ -94,6 +94,11 @@ def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_
 NOISE = np.random.default_rng(1).uniform(0.5, 15.0, 541).astype(np.float32)  # m, ranges of no room
 
 
+def last_step(mapper: Mapper) -> object:
+    """The odometry step that the next scan would be compared with."""
+    return mapper._checks._odometry_mounting._last
+
+
 def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> Iterator[MapperOutput]:
     """The vehicle is said to stand still. What comes out in the other room, where one scan may be noise."""
     here = drive(ROOM, standing, 1.2)
@@ -102,7 +107,7 @@ def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> It
     for frame in here.frames:
         mapper.process(frame)
     assert mapper.changed_tiles()
-    assert mapper._checks._odometry_mounting._last is not None
+    assert last_step(mapper) is not None
     last_ns = max(frame.stamp_ns for frame in here.frames)
     scans = [frame for frame in there.frames if isinstance(frame, LaserScan)]
     for k, frame in enumerate(scans):
@@ -124,7 +129,7 @@ def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
     states = [first.state, *(output.state for output in outputs)]
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
-    assert mapper._checks._odometry_mounting._last is None  # no step from there to here tells a mounting
+    assert last_step(mapper) is None  # no step from there to here tells a mounting
     local_map = mapper.components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5

@@ -113,7 +113,7 @@ def test_a_vehicle_pushed_on_standing_wheels_is_followed() -> None:
     assert np.hypot(*errors(run(made.frames), made.truth)[-1, :2]) < 0.005
 
 
-def test_a_turn_that_nobody_announced_is_found_again(room_drive: Drive) -> None:
+def test_a_turn_that_no_one_announced_is_found_again(room_drive: Drive) -> None:
     """Half a metre and half a radian from the prediction, where walls are no guide any more."""
     mapper = new_mapper()
     scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:30]

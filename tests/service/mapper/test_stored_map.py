@@ -158,7 +158,7 @@ def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(fi
     assert saved.by_hand.until.tolist() == [0, len(graph)]
 
 
-def test_nobody_is_found_by_what_was_erased(first, second):
+def test_no_one_is_found_by_what_was_erased(first, second):
     _, begin = first
     everywhere = 100.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     graph, gone = with_area_erased(begin.graph, everywhere, "free")
@@ -219,7 +219,7 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
 
 
 @pytest.mark.usefixtures("few_candidates")
-def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
+def test_a_pose_that_does_not_fit_is_given_up_and_that_is_reported(first):
     """The vehicle stands in another building."""
     elsewhere = through("library", 3.5, 1, laser=COARSE)
     mapper = new_mapper(first[1])
@@ -236,7 +236,7 @@ def test_a_pose_that_does_not_fit_is_given_up_and_that_is_told(first):
     assert mapper.pose_refused is None
 
 
-def test_who_is_found_elsewhere_than_said_is_told_so(first, second):
+def test_who_is_found_elsewhere_than_said_is_reported_so(first, second):
     drove, begin = first
     mapper = new_mapper(begin)
     true = drove.world_first.inverse() @ second.world_first
@@ -319,7 +319,7 @@ def test_frames_without_scans_change_nothing(first, second):
     assert len(saved) == len(first[1].graph)
 
 
-def test_a_place_that_the_map_contradicts_is_taken_back_and_found_anew(first, second):
+def test_a_place_that_the_map_contradicts_is_taken_back_and_found_again(first, second):
     """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     drove, begin = first
     mapper = new_mapper(begin)

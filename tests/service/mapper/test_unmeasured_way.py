@@ -82,7 +82,7 @@ def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(w
     assert not any(state != "lost" and off > 0.3 for state, off in zip(states, off_m, strict=True))
 
 
-def test_who_was_carried_back_is_told_where_it_is_and_ok_once_that_is_confirmed():
+def test_who_was_carried_back_is_reported_where_it_is_and_ok_once_that_is_confirmed():
     made, again = drives(WORLDS["office"](), LASER, 22.0, [2, 3], Wheels())
     carried = carried_back(made, again, 22 * S, PAUSE_NS, 14 * S, 6 * S)
     states, off_m, since_s, reasons = states_after(carried, 22 * S)

@@ -88,7 +88,7 @@ def test_a_damaged_version_is_not_restored(tmp_path):
         restore_version(tmp_path, 9, 1, Edit("ada", "undo", "", 2, 9))
 
 
-def test_a_version_whose_manifest_nobody_can_read_is_named_and_stays(tmp_path):
+def test_a_version_whose_manifest_no_one_can_read_is_named_and_stays(tmp_path):
     for k in (1, 2):
         save_map(tmp_path, [tile(0, 0, k)], k)
     (tmp_path / "v000001" / "manifest.json").write_text("{}")

@@ -168,7 +168,7 @@ def test_a_path_that_the_system_refuses_holds_no_map(tmp_path, name, why):
 
 
 def test_two_writers_do_not_meet(tmp_path):
-    with files._only_writer(tmp_path), pytest.raises(StorageError, match="another process is writing"):
+    with files.only_writer(tmp_path), pytest.raises(StorageError, match="another process is writing"):
         save_map(tmp_path, TILES, 1)
 
 

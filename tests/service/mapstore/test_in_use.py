@@ -15,7 +15,7 @@ def test_one_holds_a_map_until_it_lets_go_and_the_other_hears_who(tmp_path: Path
         InUse(tmp_path, "a session of veh1")
 
 
-def test_a_disk_that_takes_nothing_is_told_and_leaves_the_map_free(tmp_path: Path):
+def test_a_disk_that_takes_nothing_is_reported_and_leaves_the_map_free(tmp_path: Path):
     (tmp_path / ".in_use").symlink_to("/dev/full")
     with pytest.raises(StorageError, match=str(tmp_path)):
         InUse(tmp_path, "a session of veh1")
@@ -24,7 +24,7 @@ def test_a_disk_that_takes_nothing_is_told_and_leaves_the_map_free(tmp_path: Pat
         pass
 
 
-def test_a_folder_that_is_gone_is_told(tmp_path: Path):
+def test_a_folder_that_is_gone_is_reported(tmp_path: Path):
     with pytest.raises(StorageError, match="gone"):
         InUse(tmp_path / "gone", "an edit")
 

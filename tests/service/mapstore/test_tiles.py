@@ -86,7 +86,7 @@ def test_a_grid_given_out_never_changes():
         second.cells[0, 0] = 1
 
 
-def test_a_grid_is_not_made_anew_while_nothing_changes():
+def test_a_grid_is_not_made_again_while_nothing_changes():
     store = TileStore()
     store.update([tile(0, 0, 1)])
     assert store.grid() is store.grid()

@@ -117,7 +117,7 @@ def test_ids_do_not_pile_up_without_end(workshop: Workshop, monkeypatch: pytest.
     assert workshop.ask("wash", {"id": "0"})["number"] == 5
 
 
-def test_what_takes_too_long_is_told_and_its_end_can_be_asked_for(workshop: Workshop):
+def test_what_takes_too_long_is_reported_and_its_end_can_be_asked_for(workshop: Workshop):
     workshop.settles = False
     told = workshop.ask("wash", {"id": "7"})
     assert told["error"].startswith("taken up, but not finished within 0.05 s")

@@ -69,7 +69,7 @@ def test_a_pose_becomes_set_pose(
         (b"\x00\x01", "initialpose: 2 bytes cannot be read as a geometry_msgs/msg/PoseWithCovarianceStamped"),
     ],
 )
-def test_what_is_no_pose_of_the_map_is_refused_and_told(
+def test_what_is_no_pose_of_the_map_is_refused_and_reported(
     served: ZenohPublisher, client: zenoh.Session, asked: Asked, payload: bytes, words: str, caplog
 ):
     client.put(KEY, payload)
@@ -97,7 +97,7 @@ def test_of_poses_that_come_while_one_is_answered_the_newest_counts(
     assert len(asked_x) == 2
 
 
-def test_a_refusal_of_the_command_is_told_in_its_words(
+def test_a_refusal_of_the_command_is_reported_in_its_words(
     publisher: ZenohPublisher, client: zenoh.Session, asked: Asked
 ):
     def refused(verb: str, payload: bytes):

@@ -94,7 +94,7 @@ def test_a_burst_of_what_belongs_together_arrives_whole(publisher, client):
         inbox.wait_for(12 * burst)
 
 
-def test_latency_is_told_for_what_has_an_origin(open_publisher):
+def test_latency_is_reported_for_what_has_an_origin(open_publisher):
     told, done = [], threading.Event()
 
     def note(latency_ns: int) -> None:

@@ -139,7 +139,7 @@ def test_robots_with_the_same_frames_are_told_apart_by_their_namespaces(foreign)
     assert set(session.devices) == {"/robot1/scan", "/robot1/odom"}
 
 
-def test_odometry_of_tf_that_nobody_knows_is_named_in_a_warning_and_by_options(foreign):
+def test_odometry_of_tf_that_no_one_knows_is_named_in_a_warning_and_by_options(foreign):
     foreign.tf(("chassis", "laser", (0.2, 0.0, 0.1), LEVEL))
     for k in range(SCANS):
         foreign.add_message("/tf", moving(k, ("world", "dead_reckoning"), ("dead_reckoning", "chassis")))

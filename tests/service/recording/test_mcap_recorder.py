@@ -234,7 +234,7 @@ def test_what_is_decided_about_an_earlier_frame_is_not_in_a_session_that_began_s
     assert not session.health.dropped
 
 
-def test_what_is_so_already_is_said(recorder, changes):
+def test_what_is_so_already_is_reported(recorder, changes):
     session = recorder()
     session.put(scan_message(0))
     session.begin_session(event("go", T0_NS + 1), changes)

@@ -334,7 +334,7 @@ def test_a_laser_with_a_topic_of_its_own_is_not_read_from_a_shared_one(foreign):
     assert session.counters["/scan refused"] == 3
 
 
-def test_what_cannot_be_used_is_told_by_topic_and_why(foreign):
+def test_what_cannot_be_used_is_reported_by_topic_and_why(foreign):
     foreign.add_message("/scan", scan_message(0))
     for message in (
         odometry(), odometry(variance=math.nan), odometry(variance=1e13), odometry(is_turned=False),
@@ -355,7 +355,7 @@ def test_what_cannot_be_used_is_told_by_topic_and_why(foreign):
     ("span_deg", "beam_interval_ns", "is_told"),
     [(359.0, 0, True), (359.0, 300_000, False), (180.0, 0, False)],
 )
-def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_told(
+def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_reported(
     foreign, span_deg: float, beam_interval_ns: int, is_told: bool
 ):
     beams = 360

@@ -115,7 +115,7 @@ def _listen_for_a_minute(listening: Ros2Session, data: bytes = b"") -> None:
 
 
 @pytest.mark.parametrize("seconds", [3600.0, -3600.0])
-def test_a_clock_that_is_set_is_learnt_anew(seconds):
+def test_a_clock_that_is_set_is_learnt_again(seconds):
     listening, speaking = session(latency_ms=2.0), node()
     hear(listening, speaking, 50)
     speaking.jump_clock(seconds)

@@ -143,7 +143,7 @@ def test_waiting_has_an_end(caplog: pytest.LogCaptureFixture):
     assert process.pid is None or not _is_there(process.pid)
 
 
-def test_the_process_outlives_nobody_and_ignores_a_signal_to_the_group(process: BackEndProcess):
+def test_the_process_outlives_no_one_and_ignores_a_signal_to_the_group(process: BackEndProcess):
     worker = process.new_worker(Adder())
     worker.submit(1).result()
     pid = process.pid

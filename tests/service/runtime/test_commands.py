@@ -240,7 +240,7 @@ def test_save_map_answers_when_every_scan_before_it_is_on_disk(machine: Machine,
     assert machine.ask("save_map")["version"] == 2
 
 
-def test_a_map_that_cannot_be_saved_is_told(machine: Machine, tmp_path: Path):
+def test_a_map_that_cannot_be_saved_is_reported(machine: Machine, tmp_path: Path):
     (tmp_path / "map").write_text("in the way")
     machine.scan()
     assert "cannot save the map to" in machine.ask("save_map")["error"]
@@ -467,7 +467,7 @@ def test_who_asks_while_the_service_stops_hears_so(machine: Machine):
     assert machine.ask("pause") == {"ok": False, "error": "the service is stopping"}
 
 
-def test_nobody_is_left_waiting_when_the_mapper_does_not_answer(tmp_path: Path, free_bytes: list[int]):
+def test_no_one_is_left_waiting_when_the_mapper_does_not_answer(tmp_path: Path, free_bytes: list[int]):
     machine = Machine(tmp_path, free_bytes, is_deaf=True)
     asking = started(lambda: machine.ask("pause"))
     wait_until(lambda: machine.link.waiting)

@@ -32,7 +32,7 @@ def test_what_is_no_file_is_not_read(tmp_path: Path):
 
 
 @pytest.mark.parametrize("is_told", [False, True])
-def test_a_process_that_nobody_takes_over_ends_with_its_folder(is_told: bool):
+def test_a_process_that_no_one_takes_over_ends_with_its_folder(is_told: bool):
     with EarlyMapper() as early:
         if is_told:
             early.tell({"profile": "corridor"})

@@ -17,7 +17,7 @@ def test_without_fixes_there_is_nothing_to_say():
     assert GnssHealth().status({"fixes_passed_over": 3}, None, 0) is None
 
 
-def test_the_state_is_said_before_and_after_the_map_is_referenced():
+def test_the_state_is_reported_before_and_after_the_map_is_referenced():
     health = GnssHealth()
     before = health.status({"fixes_taken": 3}, None, 0)
     assert before is not None
@@ -47,7 +47,7 @@ def test_each_fault_is_named_while_it_lasts_and_not_for_ever(counter):
     assert over.message.startswith("referenced")
 
 
-def test_the_worst_of_several_is_said():
+def test_the_worst_of_several_is_reported():
     status = GnssHealth().status({"fixes_too_poor": 1, "fixes_frozen": 1}, None, 0)
     assert status is not None
     assert status.level == WARNING

@@ -105,7 +105,7 @@ def test_a_sensor_says_in_words_how_it_is(link: LinkHealth, level: int, words: s
     assert level == OK or NAMES_ALL.search(told.message)
 
 
-def test_rates_drops_offset_counters_and_identity_are_told():
+def test_rates_drops_offset_counters_and_identity_are_reported():
     link = streaming()
     sensor = SensorHealth(link)
     sensor.status(0, 0, 10 * S)
@@ -162,7 +162,7 @@ def test_without_a_first_pose_devices_may_log_in_for_some_seconds_then_it_is_an_
     assert [status(made, "mapping", s * S).level for s in (61, 66)] == [WARNING, ERROR]
 
 
-def test_latency_and_processor_time_of_scans_are_told():
+def test_latency_and_processor_time_of_scans_are_reported():
     made = report(streaming())
     made.parts.latency.add(4_000_000)
     made.parts.outputs.scan_cpu.add(1_500_000)
@@ -181,7 +181,7 @@ def test_rows_and_words_of_the_sinks_come_from_the_sinks():
     assert made.line.endswith(" scans/s, paper: none")
 
 
-def test_a_stepped_wall_clock_is_told():
+def test_a_stepped_wall_clock_is_reported():
     made = report(streaming())
     made.update(11 * S, -3_600 * S)
     told = next(status for status in made.statuses if status.name == "clock")
@@ -189,7 +189,7 @@ def test_a_stepped_wall_clock_is_told():
     assert "stepped by -3600.000 s" in told.message
 
 
-def test_a_change_of_state_is_told_once():
+def test_a_change_of_state_is_reported_once():
     link = LinkHealth("front")
     made = report(link)
     assert made.take_state_changes() == []
@@ -198,7 +198,7 @@ def test_a_change_of_state_is_told_once():
     assert made.take_state_changes() == []
 
 
-def test_a_change_of_the_mapping_is_told_once_with_its_reason():
+def test_a_change_of_the_mapping_is_reported_once_with_its_reason():
     made = report(streaming())
     made.update(11 * S, 0)
     assert made.mapping_state[0] == "waiting"
@@ -232,7 +232,7 @@ def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
     assert all(before != after for before, after in pairwise(states))
 
 
-def test_a_lost_pose_is_told_at_once():
+def test_a_lost_pose_is_reported_at_once():
     made = report(streaming())
     for second, state in ((11, "ok"), (12, "lost"), (13, "ok"), (14, "lost")):
         made.parts.outputs.last, made.parts.outputs.last_ns = (

@@ -440,7 +440,7 @@ def test_a_mapper_that_even_a_kill_does_not_end_is_left_behind(
     assert f"the mapper's process ({pid}) was killed and has not ended within 0.1 s" in caplog.text
 
 
-def test_a_mapper_that_does_not_start_is_told(strange: Callable[[str], None]):
+def test_a_mapper_that_does_not_start_is_reported(strange: Callable[[str], None]):
     strange("does not compile")
     drive = Drive()
     try:

@@ -120,7 +120,7 @@ class Redrawn(FakeMapper):
         return [TileUpdate(0, k, 0, 1, 0.05, np.zeros((4, 4), np.int8)) for k in range(count)]
 
 
-def test_a_map_drawn_anew_is_handed_over_in_parts_between_items():
+def test_a_map_drawn_again_is_handed_over_in_parts_between_items():
     said, now_ns = [], [0]
     mapper = Redrawn()
     loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: now_ns[0])
@@ -147,7 +147,7 @@ def test_a_map_drawn_anew_is_handed_over_in_parts_between_items():
     assert not loop.has_tiles
 
 
-def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():
+def test_the_graph_is_shown_when_it_was_drawn_again_and_taken_away_by_a_reset():
     mapper, said, now_ns = FakeMapper(), [], [0]
     fresh = iter([mapper])
     session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], None)
@@ -176,7 +176,7 @@ def test_the_graph_is_shown_when_it_was_drawn_anew_and_taken_away_by_a_reset():
     assert shown() == []
 
 
-def test_what_has_changed_is_told_when_it_is_something_else():
+def test_what_has_changed_is_reported_when_it_is_something_else():
     mapper, said, now_ns = FakeMapper(), [], [10**9]
     mappers = iter([mapper, FakeMapper()])
     session = MappingSession(lambda: next(mappers), ["front"], None)
@@ -212,7 +212,7 @@ def changed(x_m: list[float]) -> MapChanges:
     return MapChanges(0.1, xy_map, np.ones(len(x_m), np.bool_), stamps, stamps, stamps)
 
 
-def test_what_stands_is_told_each_two_seconds_while_scans_come():
+def test_what_stands_is_reported_each_two_seconds_while_scans_come():
     mapper, said, now_ns = FakeMapper(), [], [10**9]
     mapper.stands = Grid(0, 0.1, 2.0, 3.0, np.full((2, 3), 40, np.int8))
     loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: now_ns[0])
@@ -267,7 +267,7 @@ def test_a_frame_without_anything_to_map_is_counted_and_recorded():
     assert [m.channel for m in run.recorded] == ["base/odom"]
 
 
-def test_a_mapper_that_raises_is_told_with_the_number_of_the_frame():
+def test_a_mapper_that_raises_is_reported_with_the_number_of_the_frame():
     run = Run(FakeMapper(fault=ZeroDivisionError("float division"))).put(FRAMES[0])
     with pytest.raises(MapperError, match=r"scan of front stamped 17.*ZeroDivisionError") as raised:
         run.put(FRAMES[1])

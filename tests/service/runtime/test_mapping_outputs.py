@@ -27,7 +27,7 @@ def test_where_the_map_lies_goes_to_the_tiles_and_ends_with_the_map():
     assert outputs.map_reset() is None  # it had no tile
 
 
-def test_a_message_that_nobody_takes_is_not_lost_in_silence():
+def test_a_message_that_no_one_takes_is_not_lost_in_silence():
     outputs = MappingOutputs(["front"], TileStore(), lambda *_: None, lambda *_: None, lambda: 0)
     with pytest.raises(AssertionError, match="Hello"):
         outputs.heard(Hello(1, 0, is_standby=False))

@@ -29,14 +29,14 @@ class TestStandBy:
             loop.keep_up(is_idle=True)
         return mapper, said
 
-    def test_what_is_done_is_done_again_in_silence_and_then_the_clock_decides_anew(self):
+    def test_what_is_done_is_done_again_in_silence_and_then_the_clock_decides_again(self):
         mapper, said = self.follow(Go(2, Decisions({}, frozenset(), frozenset())))
         assert [frame.sensor for frame in mapper.eaten] == ["base", "front"]
         assert mapper.skipped == 2  # both have waited for a second
         assert [s.number for s in said if isinstance(s, PassedOver)] == [3, 4]
         assert not any(isinstance(s, Mapped) for s in said)
 
-    def test_what_was_decided_by_the_clock_is_not_decided_anew(self):
+    def test_what_was_decided_by_the_clock_is_not_decided_again(self):
         decided = Decisions({3: 1}, frozenset([2]), frozenset([4]))
         mapper, said = self.follow(Go(4, decided), GraphAtWork())
         assert [getattr(e, "sensor", e) for e in mapper.eaten] == ["base", "apply_result", "front"]

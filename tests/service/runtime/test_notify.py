@@ -38,13 +38,13 @@ def test_words_reach_systemd(systemd: tuple[socket.socket, str]):
     ]
 
 
-def test_nobody_to_tell_is_no_error():
+def test_no_one_to_tell_is_no_error():
     notifier = Notifier({})
     notifier.ready()
     assert notifier.watchdog_s is None
 
 
-def test_a_socket_nobody_listens_on_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_a_socket_no_one_listens_on_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     caplog.set_level(logging.WARNING)
     notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")})
     notifier.ready()

@@ -160,7 +160,7 @@ def test_a_profile_whose_kernels_were_never_compiled_is_made_ready(tmp_path: Pat
     assert list((tmp_path / "cache").rglob("*.nbc"))
 
 
-def test_kernels_that_do_not_compile_are_told():
+def test_kernels_that_do_not_compile_are_reported():
     with pytest.raises(CommandError, match=r"the kernels of nobody could not be compiled.*code 1"):
         compile_kernels({"profile": "nobody"})
 

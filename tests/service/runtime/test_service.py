@@ -152,7 +152,7 @@ def test_systemd_hears_ready_once_everything_runs(open_service: Callable[..., Se
     assert "STOPPING=1" in notifier.words
 
 
-def test_the_watchdog_starves_when_nobody_listens_to_the_mapper(
+def test_the_watchdog_starves_when_no_one_listens_to_the_mapper(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     hangs, release = threading.Event(), threading.Event()
@@ -216,7 +216,7 @@ def test_a_mapper_that_does_not_end_in_good_order_costs_neither_recording_nor_ma
     assert "the disk hangs" in events[-1]
 
 
-def test_what_cannot_be_told_at_the_end_costs_neither_recording_nor_hooks(
+def test_what_cannot_be_reported_at_the_end_costs_neither_recording_nor_hooks(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
     def fail(self: HealthReport, unix_ns: int) -> Message:
@@ -268,7 +268,7 @@ def test_a_clean_stop_is_no_fault_however_long_it_takes(
     assert not any("stale" in decode_event(m.payload) for m in recording.messages(["/events"]))
 
 
-def test_a_thread_nobody_watches_brings_the_service_down_too(
+def test_a_thread_no_one_watches_brings_the_service_down_too(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
 ):
     told = threading.Event()

@@ -55,7 +55,7 @@ def test_where_one_came_more_of_them_are_ignored_to_the_end_of_the_process():
         os.kill(os.getpid(), number)
 
 
-def test_waking_nobody_is_harmless():
+def test_waking_no_one_is_harmless():
     with StopSignals() as signals:
         pass
     signals.wake()

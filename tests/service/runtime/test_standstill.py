@@ -20,7 +20,7 @@ def test_a_process_that_is_stopped_stands_still_and_one_that_computes_does_not()
             process.kill()
 
 
-def test_time_counts_anew_after_a_word():
+def test_time_counts_again_after_a_word():
     standstill = Standstill()
     wait_until(lambda: standstill.seconds(0) > 0.05)  # no such process
     standstill.reset()

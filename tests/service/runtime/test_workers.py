@@ -5,7 +5,7 @@ import pytest
 from service.runtime.workers import Workers
 
 
-def test_a_failing_thread_is_told_at_once_and_named(caplog: pytest.LogCaptureFixture):
+def test_a_failing_thread_is_reported_at_once_and_named(caplog: pytest.LogCaptureFixture):
     told = threading.Event()
     workers = Workers(told.set)
     thread = workers.start("mapping", lambda: [][0])
@@ -28,7 +28,7 @@ def test_a_thread_that_ends_by_itself_is_no_failure():
     assert workers.failure == ""
 
 
-def test_a_thread_that_does_not_end_is_said_and_left(caplog: pytest.LogCaptureFixture):
+def test_a_thread_that_does_not_end_is_reported_and_left(caplog: pytest.LogCaptureFixture):
     release = threading.Event()
     workers = Workers(lambda: None)
     thread = workers.start("stuck", lambda: release.wait(30.0) and None)

@@ -151,7 +151,9 @@ def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_
     assert [row.level for row in sinks.health()] == [ERROR, ERROR]
 
 
-def test_what_is_lost_at_the_end_is_told_and_the_others_end_as_they_should(caplog: pytest.LogCaptureFixture):
+def test_what_is_lost_at_the_end_is_reported_and_the_others_end_as_they_should(
+    caplog: pytest.LogCaptureFixture,
+):
     broken = ListSink("broken", ["flush"], StorageError("cannot save the map to /x"))
     well = ListSink("well")
     sinks = open_all(well, broken)
@@ -162,12 +164,14 @@ def test_what_is_lost_at_the_end_is_told_and_the_others_end_as_they_should(caplo
     assert "cannot save the map to /x" in caplog.text
 
 
-def test_what_is_lost_while_closing_is_told_and_other_faults_cost_nothing():
+def test_what_is_lost_while_closing_is_reported_and_other_faults_cost_nothing():
     full = ListSink("full", ["close"], StorageError("recording: no space"))
     assert open_all(full, ListSink("odd", ["close"])).close() == ["recording: no space"]
 
 
-def test_a_fault_of_the_program_at_the_end_is_told_with_where_it_was_raised(caplog: pytest.LogCaptureFixture):
+def test_a_fault_of_the_program_at_the_end_is_reported_with_where_it_was_raised(
+    caplog: pytest.LogCaptureFixture,
+):
     assert open_all(ListSink("odd", ["flush"])).flush() == ["odd failed to flush: RuntimeError: out of order"]
     assert "in _do" in caplog.text
 

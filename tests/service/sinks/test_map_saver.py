@@ -171,7 +171,7 @@ def test_requests_do_not_pile_up_without_end_while_the_disk_hangs(tmp_path: Path
     assert heard_put_away == [True]
 
 
-def test_a_name_that_the_disk_refuses_is_told_and_the_next_save_is_made(
+def test_a_name_that_the_disk_refuses_is_reported_and_the_next_save_is_made(
     running: Kept, answers: Answers, tmp_path: Path
 ):
     running.tiles.update([tile(1)])
@@ -259,7 +259,7 @@ def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.
         kept.saver.flush()
 
 
-def test_where_the_map_lies_is_saved_with_it_and_anew_when_that_alone_changed(tmp_path: Path):
+def test_where_the_map_lies_is_saved_with_it_and_again_when_that_alone_changed(tmp_path: Path):
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
     for number, geo in enumerate((None, GEO, GEO, replace(GEO, fixes=50)), start=1):
@@ -360,7 +360,7 @@ def gone_on_in(folder: Path) -> tuple[TileStore, MapSaver]:
     return tiles, saver
 
 
-def test_a_stored_map_is_not_overtaken_by_a_version_that_nobody_can_go_on_in(tmp_path: Path):
+def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(tmp_path: Path):
     """Tiles come with the first scan, the graph with the first checkpoint."""
     tiles, saver = gone_on_in(folder := tmp_path / "office")
     heard: queue.Queue[tuple[SavedMap | None, str]] = queue.Queue()

@@ -44,7 +44,7 @@ def events(path: Path) -> list[str]:
     return [decode_event(m.payload) for m in Recording([path]).messages(["/events"])]
 
 
-def test_every_channel_is_recorded_and_what_is_complete_is_told(tmp_path: Path):
+def test_every_channel_is_recorded_and_what_is_complete_is_reported(tmp_path: Path):
     sink = sink_in(tmp_path)
     sink.start()
     sink.put(event("a", T0_NS))
@@ -132,7 +132,9 @@ def test_files_that_a_disk_error_left_unfinished_are_named_at_the_end(
     assert sink.written() == []
 
 
-def test_a_disk_that_takes_nothing_at_all_is_told_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_disk_that_takes_nothing_at_all_is_reported_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     def fail(file: McapFile, message: Message, log_ns: int | None = None) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -145,7 +147,7 @@ def test_a_disk_that_takes_nothing_at_all_is_told_at_the_end(tmp_path: Path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_directory_that_cannot_be_written_is_said_at_the_start(tmp_path: Path):
+def test_a_directory_that_cannot_be_written_is_reported_at_the_start(tmp_path: Path):
     (tmp_path / "file").write_text("in the way")
     sink = sink_in(tmp_path / "file")
     with pytest.raises(StorageError, match="cannot record"):

@@ -71,12 +71,12 @@ def test_the_topics_of_the_contract_go_out_and_nothing_else(sink: Ros2Sink):
     ):
         sink.put(message)
     sink.close()
-    assert sink._topics.counts()["sent"] == {"front/scan": 1, "pose": 1, "tf": 1, "diagnostics": 1}
+    assert sink.topics.counts()["sent"] == {"front/scan": 1, "pose": 1, "tf": 1, "diagnostics": 1}
 
 
 def test_its_row_holds_what_was_sent_and_warns_of_what_was_not(sink: Ros2Sink):
     assert (sink.health().level, sink.place()) == (OK, "domain 3, /veh1")
-    sink._topics._initial_pose.refused = "initialpose: no pose"
+    sink.topics.initial_pose.refused = "initialpose: no pose"
     assert sink.health().values["initialpose_refused"] == "initialpose: no pose"
     sink.close()
     sink.put(encode_pose(OUTPUT, LOG_NS))  # its threads have ended

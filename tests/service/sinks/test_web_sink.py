@@ -87,7 +87,7 @@ def test_commands_reach_the_service_from_the_start_on_with_the_token_of_the_file
     assert not ask_at(sink, "another")["ok"]
 
 
-def test_a_token_that_others_may_read_is_used_by_nobody(open_page, tmp_path):
+def test_a_token_that_others_may_read_is_used_by_no_one(open_page, tmp_path):
     path = tmp_path / "open.token"
     path.write_text("known\n")
     path.chmod(0o644)

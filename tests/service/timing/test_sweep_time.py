@@ -77,13 +77,13 @@ def test_fields_of_lasers_that_exist_are_believed_without_a_word(fields: dict[st
     assert {frame.beam_interval_ns for frame in frames} == {beam_ns}
 
 
-def test_turns_that_are_left_out_are_said_and_believed():
+def test_turns_that_are_left_out_are_reported_and_believed():
     frames, (warning,) = used(turn_s=0.1, told_s=0.1, period_s=0.5)
     assert "scans come each 500 ms: either the other turns are left out" in warning
     assert frames[-1].beam_interval_ns == scan().beam_interval_ns
 
 
-def test_a_sweep_that_fills_the_period_is_said_and_believed():
+def test_a_sweep_that_fills_the_period_is_reported_and_believed():
     frames, (warning,) = used(turn_s=0.1 * 360.0 / (1.5 * 180.0))
     assert "should be scan_time * angle_increment / 360 deg" in warning
     assert frames[-1].beam_interval_ns == scan(turn_s=0.1 * 360.0 / 270.0).beam_interval_ns

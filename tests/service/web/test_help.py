@@ -25,7 +25,7 @@ class Found(HTMLParser):
 
 def test_every_link_and_picture_of_every_page_is_served():
     manual = Manual()
-    found = {name: Found(manual._render(name)) for name in manual.pages}
+    found = {name: Found(manual.render(name)) for name in manual.pages}
     assert len(found) > 60
     count = 0
     for name, page in found.items():
@@ -34,8 +34,8 @@ def test_every_link_and_picture_of_every_page_is_served():
                 continue
             place, _, anchor = target.partition("#")
             path = normpath(join(dirname(name), place)) if place else name
-            path = path if path in manual._files else join(path, INDEX)
-            assert path in manual._files, f"{name}: {target}"
+            path = path if path in manual.files else join(path, INDEX)
+            assert path in manual.files, f"{name}: {target}"
             assert not anchor or anchor in found[path].ids, f"{name}: {target}"
             count += 1
     assert count > 300
@@ -46,7 +46,7 @@ def test_html_in_a_page_is_shown_as_text_and_links_that_lead_elsewhere_are_plain
         "# A <b>page</b>\n\n<script>alert(1)</script> [out](../secret.md) [js](javascript:alert(1)) "
         "[there](https://example.com) [here](#a-bpageb)\n"
     )
-    text = Manual(tmp_path)._render("README.md")
+    text = Manual(tmp_path).render("README.md")
     main = text.partition("<main>")[2]
     assert "<script>" not in main
     assert "&lt;script&gt;" in main

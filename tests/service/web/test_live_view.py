@@ -128,7 +128,7 @@ def test_health_says_how_long_a_frame_is_on_its_way(view):
     assert health["latency_ms"] == {"front": pytest.approx(5.0), "rear": pytest.approx(5.0)}
 
 
-def test_figures_are_told_once_a_second_and_in_full_to_who_comes_late(view, clock):
+def test_figures_are_reported_once_a_second_and_in_full_to_who_comes_late(view, clock):
     scene = Scene()
     told = []
     for k in range(10):
@@ -149,7 +149,7 @@ def test_figures_are_told_once_a_second_and_in_full_to_who_comes_late(view, cloc
     assert whole["state"] == ["ok", "ok"]
 
 
-def test_figures_of_a_run_that_begins_anew_take_the_place_of_those_before(view):
+def test_figures_of_a_run_that_begins_again_take_the_place_of_those_before(view):
     scene = Scene()
     told = []
     for seconds in (100.0, 101.0, 102.0, 0.0, 1.0, 2.0):
@@ -188,7 +188,7 @@ def test_the_path_is_told_to_who_comes_late_and_ends_with_its_map(view):
     assert len(points()) == 0
 
 
-def test_what_stands_is_shown_until_the_map_begins_anew(view):
+def test_what_stands_is_shown_until_the_map_begins_again(view):
     grid = Grid(0, 0.1, -1.2, 3.4, np.array([[-1, 5, 100], [7, -1, -1]], np.int8))
     view.put(encode_grid(grid, 1, 1, "standing"))
     (shown,) = view.due()
@@ -201,7 +201,7 @@ def test_what_stands_is_shown_until_the_map_begins_anew(view):
     assert [s.payload for s in view.snapshot() if s.key == "standing"] == [emptied.payload]
 
 
-def test_what_has_changed_is_shown_until_the_map_begins_anew(view):
+def test_what_has_changed_is_shown_until_the_map_begins_again(view):
     view.put(encode_grid(Grid(0, 0.1, 0.3, -0.2, np.array([[100, -1, 0]], np.int8)), 1, 1, "map/changes"))
     (shown,) = view.due()
     assert shown.key == "map/changes"
@@ -277,7 +277,7 @@ def test_sensors_with_poses_of_their_own_are_not_the_pose(view):
     assert texts(view.due(), "pose") == []
 
 
-def test_a_turn_of_the_mounting_is_told(view):
+def test_a_turn_of_the_mounting_is_reported(view):
     view.put(encode_tf_static({"front": SE2(0.2, 0.1, 0.5)}, 1, 1))
     (told,) = texts(view.due(), "mountings")
     assert told["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])

@@ -76,7 +76,7 @@ def test_nothing_else_can_be_fetched(serve, path):
     talk(serve(), look)
 
 
-def test_a_new_browser_is_told_all_of_it(serve, store):
+def test_a_new_browser_is_reported_all_of_it(serve, store):
     scene = Scene(store=store)
     scene.map_all()
     server = serve()
@@ -355,7 +355,7 @@ def test_a_browser_that_never_reads_slows_nothing_and_is_let_go(serve, store, mo
     assert sorted(took_ns)[len(took_ns) // 2] < 500_000  # five messages; it only queues
 
 
-def test_a_port_that_is_taken_is_said_and_taken_when_it_is_free(serve):
+def test_a_port_that_is_taken_is_reported_and_taken_when_it_is_free(serve):
     with sockets.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         server = serve(wait=False, listen=f"127.0.0.1:{port}")

@@ -68,7 +68,7 @@ def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
         (SE2(0.0, 0.25, 0.0), r"around a point \+0\.00 m ahead and -0\.25 m left"),
     ],
 )
-def test_a_wrong_mounting_is_told_with_its_figures(offset: SE2, said: str):
+def test_a_wrong_mounting_is_reported_with_its_figures(offset: SE2, said: str):
     check = OdometryMounting()
     drive(offset, 60.0, check)
     assert re.search(said, check.fault), check.fault

@@ -71,7 +71,7 @@ def test_walls_of_a_room_stand_longer_from_scan_to_scan(monkeypatch: pytest.Monk
     assert shares[-1] == 1.0
 
 
-def test_where_nothing_is_weighed_nothing_is_told() -> None:
+def test_where_nothing_is_weighed_nothing_is_reported() -> None:
     chain = SurfelSubmaps(SubmapsConfig.model_validate({"dynamic_filter": {"enough_s": 0.0}}))
     points = square()
     chain.insert(points, match_at(SE2(), points, "ok", 0))

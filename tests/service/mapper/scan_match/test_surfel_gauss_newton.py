@@ -74,7 +74,7 @@ def test_a_room_that_is_not_on_the_map_is_lost_and_keeps_the_prediction() -> Non
     assert "0% of 360 returns lie on the map (at least 30%)" in result.reason
 
 
-def test_measured_motion_carries_the_pose_onto_ground_that_nobody_knows() -> None:
+def test_measured_motion_carries_the_pose_onto_ground_that_no_one_knows() -> None:
     pose = SE2(30.0, 0.0, 0.2)
     result = match(square(), pose, mapped(square()))
     assert result.state == "degraded"
@@ -83,7 +83,7 @@ def test_measured_motion_carries_the_pose_onto_ground_that_nobody_knows() -> Non
     np.testing.assert_allclose([found.x_m, found.y_m, found.theta_rad], [30.0, 0.0, 0.2], atol=1e-12)
 
 
-def test_a_vehicle_that_was_lost_is_not_carried_back_onto_ground_that_nobody_knows() -> None:
+def test_a_vehicle_that_was_lost_is_not_carried_back_onto_ground_that_no_one_knows() -> None:
     """Set down in another room, it drives off the ground that the map knows: nothing contradicts there."""
     chain, matcher = mapped(square()), new_matcher()
     assert lost_at(chain, matcher, square(8.0), predicted(SE2(), sigma=0.005)).state == "lost"
@@ -99,7 +99,7 @@ def test_another_room_where_the_walls_of_this_one_should_be_seen_is_lost() -> No
     assert "behind its walls" in result.reason
 
 
-def test_after_a_pause_in_which_nobody_saw_the_way_a_scan_has_to_lie_on_the_map() -> None:
+def test_after_a_pause_in_which_no_one_saw_the_way_a_scan_has_to_lie_on_the_map() -> None:
     """Half of the room is another: new ground where the way is known, not after 5 s without odometry."""
     xy = square().xy_base
     opened = points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy))
@@ -110,7 +110,7 @@ def test_after_a_pause_in_which_nobody_saw_the_way_a_scan_has_to_lie_on_the_map(
     assert new_matcher().match(square(), unseen, mapped(square())).state == "ok"
 
 
-def test_where_nobody_measured_the_way_the_map_is_asked_again_when_the_graph_has_found_the_piece() -> None:
+def test_where_no_one_measured_the_way_the_map_is_asked_again_when_the_graph_has_found_the_piece() -> None:
     """The same walls prove nothing, for others may look alike."""
     chain, matcher, points = mapped(square()), new_matcher(), square()
     pieces = []
@@ -230,7 +230,7 @@ def test_what_is_lost_is_matched_to_the_detached_piece_and_stays_lost() -> None:
     assert (result.state, result.submap) == ("ok", 1)
 
 
-def test_back_on_the_map_the_gap_of_the_piece_is_said() -> None:
+def test_back_on_the_map_the_gap_of_the_piece_is_reported() -> None:
     """Through the piece the pose was known to 0.2 m only, which the estimator did not know."""
     chain, matcher = mapped(square()), new_matcher()
     lost_at(chain, matcher, square(8.0), predicted(SE2(0.2, 0.0, 0.0), sigma=0.2))

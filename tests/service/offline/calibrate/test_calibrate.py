@@ -116,7 +116,7 @@ def test_a_wrong_config_is_mended(session, config, tmp_path, capsys):
     assert "# looks back" in text
 
 
-def test_turns_to_the_other_side_change_nothing_and_are_said(frames, config, tmp_path, capsys):
+def test_turns_to_the_other_side_change_nothing_and_are_reported(frames, config, tmp_path, capsys):
     """Whether the laser or the wheels are mirrored, the drive does not tell."""
     mirrored = [_mirrored(frame) if frame.sensor == "base" else frame for frame in frames]
     path = tmp_path / "mirrored.mcap"
@@ -194,7 +194,7 @@ def test_a_laser_with_a_handful_of_scans_is_named(frames, tmp_path, capsys):
     assert "rear: 20 scans; expected 100 or more to calibrate by" in capsys.readouterr().err
 
 
-def test_a_laser_that_cannot_be_calibrated_is_said_beside_the_others(frames, tmp_path, capsys):
+def test_a_laser_that_cannot_be_calibrated_is_reported_beside_the_others(frames, tmp_path, capsys):
     path = tmp_path / "short.mcap"
     rear = [frame for frame in frames if frame.sensor == "rear"]
     gone = {id(frame) for frame in rear[20:]}

@@ -126,7 +126,7 @@ def test_a_slow_start_is_named_with_what_the_device_is_at(on_tcp: OnTcp):
     assert "its status: waiting for the laser" in finding.measured
 
 
-def test_a_refusal_is_said_with_the_drivers_own_advice(on_tcp: OnTcp):
+def test_a_refusal_is_reported_with_the_drivers_own_advice(on_tcp: OnTcp):
     at = on_tcp(fake_lms100(measuring=False))
     finding = only(examine(lms100(at, password_hash="00000000"), WAITING))
     assert "login as authorised client refused" in finding.measured
@@ -198,7 +198,7 @@ def test_a_stream_at_another_rate_is_found_by_listening_alone(serial_line: Seria
     assert finding.remedy == "write baud: 57600, or set the device to 115200"
 
 
-def test_noise_at_every_rate_is_said_in_words(serial_line: SerialLine):
+def test_noise_at_every_rate_is_reported_in_words(serial_line: SerialLine):
     dice = random.Random(1)
     line = serial_line(lambda baud: dice.randbytes(8))
     finding = only(examine(create(line.path)))

@@ -55,7 +55,7 @@ def test_a_vehicle_with_a_fault_exits_with_1_and_says_what_to_do(
     assert "\x1b" not in said
 
 
-def test_two_names_of_one_device_are_told_beside_what_the_device_says(tmp_path: Path, closed_port: int):
+def test_two_names_of_one_device_are_reported_beside_what_the_device_says(tmp_path: Path, closed_port: int):
     (tmp_path / "port").touch()
     (tmp_path / "create").symlink_to("port")
     config = written(tmp_path, closed_port, f"{tmp_path}/create")

@@ -70,7 +70,7 @@ def test_silence_by_way_of_a_gateway_blames_the_missing_net(tree: FakeTree):
     assert "ip addr add" in finding.remedy
 
 
-def test_an_address_that_nobody_has_is_told_from_a_silent_device(tree: FakeTree):
+def test_an_address_that_no_one_has_is_told_from_a_silent_device(tree: FakeTree):
     tree.write("/proc/net/route", HEAD + VEHICLE_NET)
     arp = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:06:77:00:00:01 * eth1\n"
     tree.write("/proc/net/arp", arp.format(0))
@@ -81,7 +81,7 @@ def test_an_address_that_nobody_has_is_told_from_a_silent_device(tree: FakeTree)
     assert "no answer from" in call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0)).measured
 
 
-def test_a_name_without_an_address_is_said(monkeypatch: pytest.MonkeyPatch):
+def test_a_name_without_an_address_is_reported(monkeypatch: pytest.MonkeyPatch):
     assert resolve("front", "127.0.0.1", 2111) == ("127.0.0.1", None)
 
     def nobody(*_: object, **__: object) -> None:

@@ -24,7 +24,7 @@ from service.offline.doctor.protocol_identification import describe, recognise_s
         (bytes(range(256)), "no message of any sensor known here"),
     ],
 )
-def test_bytes_are_said_in_words(data: bytes, words: str):
+def test_bytes_are_reported_in_words(data: bytes, words: str):
     assert words in describe(data)
 
 

@@ -79,5 +79,5 @@ def asked_while_published(publisher: ZenohPublisher, security: SecurityConfig) -
         return asked.result()
 
 
-def test_nobody_at_the_endpoint_ends_in_time(closed_port: int):
+def test_no_one_at_the_endpoint_ends_in_time(closed_port: int):
     assert ask_health(RunningService(PROCESS, f"tcp/127.0.0.1:{closed_port}"), "veh1", None, 0.3) == []

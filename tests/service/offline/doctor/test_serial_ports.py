@@ -70,7 +70,7 @@ def test_who_has_no_rights_learns_which_group_to_join(
     tree: FakeTree, port: Path, monkeypatch: pytest.MonkeyPatch
 ):
     group = os.stat(port).st_gid
-    monkeypatch.setattr("service.offline.doctor.serial_ports._group_name", lambda _: "dialout")
+    monkeypatch.setattr("service.offline.doctor.serial_ports.group_name", lambda _: "dialout")
     port.resolve().chmod(0o660)
     asked: list[Path] = []
     machine = tree.machine(may_read_and_write=lambda path: bool(asked.append(path)))
@@ -80,7 +80,7 @@ def test_who_has_no_rights_learns_which_group_to_join(
     assert "crw-rw----" in finding.measured
     assert finding.remedy.startswith("sudo usermod -aG dialout driver")
 
-    monkeypatch.setattr("service.offline.doctor.serial_ports._members", lambda _: ["driver"])
+    monkeypatch.setattr("service.offline.doctor.serial_ports.members_of", lambda _: ["driver"])
     (finding,) = look_at_port(machine, "base", PORT).findings
     assert "since after this login" in finding.remedy
 

@@ -162,7 +162,7 @@ def usable_numbers(frame: Frame) -> bool:
     return max(map(abs, values)) < 1e12  # also false where the first is NaN
 
 
-def test_numbers_that_nobody_measures_reach_no_mapper(tmp_path):
+def test_numbers_that_no_one_measures_reach_no_mapper(tmp_path):
     """Every message has some: each kind of them is handed on without, or left out and counted."""
     path, handed_on, left_out, kept = tmp_path / "run.mcap", Counter(), Counter(), Counter()
     for seed in range(100):

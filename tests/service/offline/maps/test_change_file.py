@@ -33,7 +33,7 @@ def test_a_changed_cell_is_a_line(tmp_path):
     assert CHANGES.as_dict() == {"cells_new": 1, "cells_gone": 1, "cell_m": 0.1}
 
 
-def test_where_nobody_watched_no_file_of_before_stays(tmp_path):
+def test_where_no_one_watched_no_file_of_before_stays(tmp_path):
     write_changes(tmp_path / "changes.csv", CHANGES)
     write_changes(tmp_path / "changes.csv", None)
     assert not (tmp_path / "changes.csv").exists()

@@ -44,7 +44,7 @@ class Asking:
         return self.ask("map_edit", version=version, who=who, change={"what": what, **change})
 
 
-def test_a_page_is_told_versions_pairs_and_key_frames(folder, bent):
+def test_a_page_is_reported_versions_pairs_and_key_frames(folder, bent):
     told = Asking(folder).ask("map_look")
     assert (told["version"], len(told["versions"]), told["pairs"]) == (1, 1, [])
     assert told["user"] == map_edit.user_name()

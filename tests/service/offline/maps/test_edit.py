@@ -98,7 +98,7 @@ def test_an_area_can_be_free_instead(ring):
     assert 0 <= cell(load_map(ring).tiles, 4.3, -0.7) < 10
 
 
-def test_what_was_erased_stays_gone_when_the_map_is_drawn_anew(ring):
+def test_what_was_erased_stays_gone_when_the_map_is_drawn_again(ring):
     edit(ring, "--erase", *CABINET.ravel(), "--unknown")
     edit(ring, "--optimize")
     assert cell(load_map(ring).tiles, 4.3, -0.7) == -1

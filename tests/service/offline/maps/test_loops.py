@@ -38,7 +38,7 @@ def graph() -> SavedGraph:
     return saved
 
 
-def test_the_loops_of_a_map_are_told_with_place_and_evidence(tmp_path, graph):
+def test_the_loops_of_a_map_are_reported_with_place_and_evidence(tmp_path, graph):
     save_map(tmp_path, TILES, 1, graph=graph)
     told = map_loops(tmp_path)
     assert [loop["loop"] for loop in told["accepted"]] == list(range(len(graph.loop_ends)))
@@ -52,7 +52,7 @@ def test_the_loops_of_a_map_are_told_with_place_and_evidence(tmp_path, graph):
         assert loop["back_at_s"] - loop["from_s"] > 10.0
 
 
-def test_a_loop_that_the_rest_contradicted_is_told_with_the_reason(tmp_path, graph):
+def test_a_loop_that_the_rest_contradicted_is_reported_with_the_reason(tmp_path, graph):
     save_map(tmp_path, TILES, 1, graph=graph)
     (false,) = [loop for loop in map_loops(tmp_path)["refused"] if loop["keyframes"] == [10, 80]]
     assert false["why"] == WORDS[CONTRADICTED] == "the rest of the graph contradicts it"
@@ -67,7 +67,7 @@ def test_without_company_each_loop_is_told_to_be_alone(tmp_path):
     assert [loop["why"] for loop in told["refused"]].count(WORDS[ALONE]) > 3
 
 
-def test_no_loop_is_told_twice(graph):
+def test_no_loop_is_reported_twice(graph):
     accepted = {tuple(ends) for ends in graph.loop_ends.tolist()}
     refused = [tuple(ends) for ends in graph.refused.ends.tolist()]
     assert len(refused) == len(set(refused))

@@ -47,7 +47,7 @@ def test_a_key_frame_of_another_look_than_the_newest_is_refused(folder):
         ("edit", {}, "look and keyframe are known"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_words(folder, verb, request_, words):
+def test_what_cannot_be_done_is_reported_in_words(folder, verb, request_, words):
     answer = Asking().ask(verb, folder, **request_)
     assert not answer["ok"]
     assert words in answer["error"]

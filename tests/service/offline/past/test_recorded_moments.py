@@ -160,7 +160,7 @@ def test_a_recording_without_poses_is_refused_with_what_helps(tmp_path):
         RecordedMoments([tmp_path / "raw.mcap"])
 
 
-def test_how_much_is_read_is_told(tmp_path):
+def test_how_much_is_read_is_reported(tmp_path):
     told = []
     RecordedMoments(write_past(tmp_path), told.append)
     assert told == sorted(told)

@@ -76,7 +76,7 @@ def test_a_scan_comes_with_its_moment(shown):
     talk(shown, look)
 
 
-def test_without_the_token_nobody_is_taken_elsewhere(shown):
+def test_without_the_token_no_one_is_taken_elsewhere(shown):
     async def ask(client):
         async with client.socket() as socket:
             await client.ask(socket, type="command", n=1, verb=GO_TO, request={"position_s": 1.0})
@@ -138,7 +138,7 @@ def test_a_way_is_thinned_evenly():
     assert thinned(np.empty((0, 2)), 0.05, 10) == []
 
 
-def test_a_port_that_is_taken_is_said(shown, files, caplog):
+def test_a_port_that_is_taken_is_reported(shown, files, caplog):
     taken = shown.address.partition("#")[0].removeprefix("http://").rstrip("/")
     with pytest.raises(StorageError, match="--listen"):
         RecordingView(files, taken)

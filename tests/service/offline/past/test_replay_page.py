@@ -143,7 +143,7 @@ def test_when_it_is_finished_any_moment_can_be_gone_to(
     talk(page.server, look)
 
 
-def test_of_frames_that_were_made_anew_only_the_way_is_shown(
+def test_of_frames_that_were_made_again_only_the_way_is_shown(
     record_drive: RecordDrive,  # noqa: F811
     show: Callable[..., ReplayPage],
     monkeypatch: pytest.MonkeyPatch,
@@ -154,10 +154,10 @@ def test_of_frames_that_were_made_anew_only_the_way_is_shown(
     page = show()
     monkeypatch.setattr(page.server, "put_ready", lambda payloads: ready.extend(payloads))
     replay([session], ReplayOptions(), watch=page)
-    assert page._moments is not None
+    assert page.moments is not None
     session.unlink()  # as that of frames made anew
     ready.clear()
-    page._moments.go_to(0)
+    page.moments.go_to(0)
     assert "moment" in ready
     assert not any(key.startswith("scan/") for key in ready)
 
@@ -271,7 +271,7 @@ def test_two_recordings_are_shown_one_after_the_other(
     talk(page.server, look)
 
 
-def test_a_port_that_is_taken_is_said(show: Callable[..., ReplayPage], caplog: pytest.LogCaptureFixture):
+def test_a_port_that_is_taken_is_reported(show: Callable[..., ReplayPage], caplog: pytest.LogCaptureFixture):
     taken = show().address.removeprefix("http://").partition("/")[0]
     with pytest.raises(StorageError, match="--listen"):
         ReplayPage(taken, "lap", 0.0)

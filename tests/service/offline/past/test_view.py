@@ -185,7 +185,7 @@ def test_a_folder_without_a_map_is_refused(tmp_path):
         View(tmp_path, ANY_PORT)
 
 
-def test_a_port_that_is_taken_is_said(show, tmp_path, caplog):
+def test_a_port_that_is_taken_is_reported(show, tmp_path, caplog):
     save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
     first = show(tmp_path / "m")
     taken = first.address.partition("#")[0].removeprefix("http://").rstrip("/")

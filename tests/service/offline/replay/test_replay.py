@@ -187,7 +187,7 @@ def test_a_config_that_does_not_know_the_lasers_maps_the_fullest(record_drive: R
         replay([session], ReplayOptions(config=config))
 
 
-def test_a_laser_that_the_recording_does_not_hold_is_said(record_drive: RecordDrive):
+def test_a_laser_that_the_recording_does_not_hold_is_reported(record_drive: RecordDrive):
     session = record_drive(config=TWO_LASERS + "mapping: {lasers: [rear]}\n")
     with pytest.raises(InputError, match=r"maps rear, but the scans here are of front; .*--config"):
         replay([session], ReplayOptions())
@@ -280,7 +280,7 @@ def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog
 
 
 @pytest.mark.parametrize("jobs", ["1", in_soak("2")])
-def test_why_scans_were_lost_is_told_at_the_end(
+def test_why_scans_were_lost_is_reported_at_the_end(
     jobs: str, record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     sessions = record_drive("a", covered=range(6)), record_drive("b")

@@ -77,14 +77,14 @@ def test_another_map_begins_in_its_newest_version(session: Session, tmp_path: Pa
     assert (setup.map_version, setup.is_as_live) == (None, False)
 
 
-def test_a_version_that_is_gone_is_said(session: Session, office: Path, caplog: pytest.LogCaptureFixture):
+def test_a_version_that_is_gone_is_reported(session: Session, office: Path, caplog: pytest.LogCaptureFixture):
     shutil.rmtree(office / "v000001")
     assert set_up(session, ReplayOptions(map=office)).map_version is None
     assert "version 1 of" in caplog.text
     assert "is not there any more" in caplog.text
 
 
-def test_a_map_that_is_left_out_is_said_with_the_option(
+def test_a_map_that_is_left_out_is_reported_with_the_option(
     session: Session, office: Path, caplog: pytest.LogCaptureFixture
 ):
     setup = set_up(session, ReplayOptions())

@@ -46,14 +46,14 @@ def test_reasons_that_differ_in_numbers_alone_are_one_kind():
     }
 
 
-def test_only_the_most_frequent_kinds_are_told():
+def test_only_the_most_frequent_kinds_are_reported():
     rare = [("degraded", f"reason {letter}") for letter in "abcdefg"]
     kinds = reasons_of([*rare, ("degraded", "reason g")]).as_dict()["degraded"]
     assert len(kinds) == MAX_KINDS
     assert kinds[0] == {"id": "off_map", "reason": "reason g", "scans": 2, "first_s": 0.6}
 
 
-def test_of_each_state_but_ok_the_main_reason_is_said():
+def test_of_each_state_but_ok_the_main_reason_is_reported():
     told = reasons_of([("ok", ""), *[("lost", "no returns")] * 2, ("lost", "elsewhere")]).as_dict()
     summary = {"scans": 4, "state": {"ok": 1, "degraded": 0, "lost": 3}, "state_reasons": told}
     assert list(doubts(summary)) == ["3 of 4 scans were lost; 2 of them, from 0.1 s on: no returns"]

@@ -66,7 +66,7 @@ def test_a_name_server_that_is_silent_is_not_waited_for(monkeypatch: pytest.Monk
         answered.set()
 
 
-def test_a_name_that_nobody_knows_is_itself():
+def test_a_name_that_no_one_knows_is_itself():
     assert known_addresses("a..b") == {"a..b"}
 
 
@@ -86,7 +86,7 @@ def test_the_map_to_load_is_read(tmp_path: Path):
     assert faults_here(config_of(FRONT, office), "v.yaml") == []
 
 
-def test_a_damaged_map_to_load_is_said_in_one_line(tmp_path: Path):
+def test_a_damaged_map_to_load_is_reported_in_one_line(tmp_path: Path):
     office = tmp_path / "office"
     for version in (1, 2):
         tiles = [TileUpdate(0, 0, 0, version, 0.05, np.zeros((64, 64), np.int8))]

@@ -62,7 +62,7 @@ def test_a_program_that_no_unit_can_start_is_wrong_usage(tmp_path: Path, program
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_unit_that_was_kept_is_told_by_what_it_starts(tmp_path: Path):
+def test_a_unit_that_was_kept_is_reported_by_what_it_starts(tmp_path: Path):
     install_unit(tmp_path, program="/opt/my 100%/corridor")
     again = install_unit(tmp_path, program="/usr/bin/corridor")
     assert [Path(path).name for path in again.kept] == ["corridor@.service"]
@@ -71,7 +71,7 @@ def test_a_unit_that_was_kept_is_told_by_what_it_starts(tmp_path: Path):
     assert "the unit starts" not in str(install_unit(tmp_path))
 
 
-def test_a_program_that_the_unit_may_not_see_is_said(tmp_path: Path):
+def test_a_program_that_the_unit_may_not_see_is_reported(tmp_path: Path):
     assert "may not look" in install_unit(tmp_path, program="/home/me/venv/bin/corridor").warning
 
 
@@ -83,7 +83,7 @@ def test_the_command_that_runs_is_the_one_that_the_unit_starts(
     assert own_program() in (tmp_path / "etc/systemd/system/corridor@.service").read_text()
 
 
-def test_a_root_that_is_not_there_or_takes_no_files_is_said(tmp_path: Path):
+def test_a_root_that_is_not_there_or_takes_no_files_is_reported(tmp_path: Path):
     with pytest.raises(UsageError, match="is no folder; make it"):
         install_unit(tmp_path / "nowhere")
     (tmp_path / "etc").write_text("")

@@ -171,7 +171,7 @@ def test_settings_that_are_refused_are_no_result_and_end_no_search(drives_given:
         searched(drives_given, tmp_path / "other", 6, refusing)
 
 
-def test_held_out_sessions_that_become_worse_are_said(drives_given: list[Drive]):
+def test_held_out_sessions_that_become_worse_are_reported(drives_given: list[Drive]):
     good, bad = Measured(1.0, {}), Measured(2.0, {})
     measured = {"d0.mcap": (bad, good), "d1.mcap": (good, bad), "d2.mcap": (bad, good)}
     outcome = Outcome(None, PARAMETERS, drives_given, {}, measured)

@@ -157,7 +157,7 @@ def test_a_pair_is_held_by_the_passes_that_saw_its_points(open_ring: SavedGraph)
     np.testing.assert_allclose(seen, np.stack((of_first, of_second)), atol=1e-9)
 
 
-def test_a_pair_that_nobody_saw_is_refused(ring: SavedGraph):
+def test_a_pair_that_no_one_saw_is_refused(ring: SavedGraph):
     nowhere = np.array([(100.0, 100.0), (101.0, 100.0)])
     with pytest.raises(EditError, match=r"the first point at \(100.00, 100.00\) m was seen by no key frame"):
         with_pair(ring, nowhere)

@@ -206,7 +206,7 @@ def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Out
     assert result.all == bare.all
 
 
-def test_a_lever_arm_that_is_told_wrong_shows_in_the_place(drive: Outing):
+def test_a_lever_arm_that_is_reported_wrong_shows_in_the_place(drive: Outing):
     """On a way in one direction, where it is said to be 6 m behind where it is."""
     straight = outing(WAY_M, 1, GnssModel(lasting_sigma_m=0.2), route=lambda way_m: SE2(way_m, 0.0, 0.0))
     right = fed(straight)[1][-1]

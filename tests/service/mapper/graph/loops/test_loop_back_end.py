@@ -122,7 +122,7 @@ def test_a_closed_ring_is_known_better_than_the_way_that_led_to_it(ring: tuple[l
         assert np.trace(one.covariance[:2, :2]) < 0.5 * np.trace(one.motion_covariance[:2, :2])
 
 
-def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_anew(
+def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_again(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Else the live error grows lap by lap: no loop is off by what is worth a solution."""

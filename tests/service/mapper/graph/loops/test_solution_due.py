@@ -57,7 +57,7 @@ def test_without_a_loop_since_the_newest_solution_nothing_is_due() -> None:
 
 
 @pytest.mark.parametrize("moved", [(0.6 * DRAW_AT_M, 0.0, 0.0), (0.0, 0.0, -0.6 * DRAW_AT_M / LEVER_M)])
-def test_the_map_is_drawn_anew_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
+def test_the_map_is_drawn_again_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
     before = laps().map.copy()
     after = before + np.array(moved)
     due = SolutionDue(LoopsConfig(), 0.0)

@@ -21,7 +21,7 @@ def landmark_graph() -> Graph:
 
 
 @pytest.mark.parametrize("new_graph", [loop_closing, landmark_graph])
-def test_lost_work_is_counted_and_told(new_graph: Callable[[], Graph]):
+def test_lost_work_is_counted_and_reported(new_graph: Callable[[], Graph]):
     graph = new_graph()
     graph.request("optimize", {})
     assert graph.waiting == 1

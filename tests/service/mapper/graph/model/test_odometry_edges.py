@@ -94,7 +94,7 @@ def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
     np.testing.assert_allclose(found[ODD], SOUND)
 
 
-def test_nobody_knows_the_way_into_another_piece_and_back_it_is_counted_from_where_it_was_left() -> None:
+def test_no_one_knows_the_way_into_another_piece_and_back_it_is_counted_from_where_it_was_left() -> None:
     found = edges(piece=1)
     np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
     assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
@@ -112,7 +112,7 @@ def test_nobody_knows_the_way_into_another_piece_and_back_it_is_counted_from_whe
         ({"gap_s": 1.5, "motion_covariance": None}, False),
     ],
 )
-def test_into_another_piece_dead_reckoning_knows_the_way_where_nobody_can_have_carried_the_vehicle(
+def test_into_another_piece_dead_reckoning_knows_the_way_where_no_one_can_have_carried_the_vehicle(
     odd: dict[str, Any], is_known: bool, by_motion: bool
 ) -> None:
     found = edges(by_motion=by_motion, piece=1, **odd).covariance[ODD - 1]

@@ -70,7 +70,7 @@ def test_the_drift_of_a_way_is_the_sum_of_its_steps():
     assert drift.chi2(loop(10.0 + 3.0 * sigma_m, 0.0, 0.0)) == pytest.approx(9.0, rel=0.01)
 
 
-def test_a_loop_beyond_that_is_not_allowed_unless_nobody_knows_the_way():
+def test_a_loop_beyond_that_is_not_allowed_unless_no_one_knows_the_way():
     off_m = 1.1 * np.sqrt(MAX_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
     assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
     assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
@@ -87,7 +87,7 @@ def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_way
     assert not drift.allows(loop(10.0, 4.0 * BESIDE_M, 0.0))
 
 
-def test_nobody_knows_the_way_from_a_piece_beside_it():
+def test_no_one_knows_the_way_from_a_piece_beside_it():
     drift = straight(beside=(20, 21, 22))
     assert drift.allows(loop(0.25 * (STEPS - 21), 4.0 * BESIDE_M, 0.0, of=21))
     assert not drift.allows(loop(0.25 * (STEPS - 19), 4.0 * BESIDE_M, 0.0, of=19))
@@ -104,7 +104,7 @@ def test_a_loop_is_where_the_way_leads_if_that_is_known_well_and_says_so():
     assert not straight(variance=doubtful).confirms(there)  # something alike may lie nearer
 
 
-def test_a_slip_that_nobody_noticed_does_not_keep_loops_away():
+def test_a_slip_that_no_one_noticed_does_not_keep_loops_away():
     """A scan that was matched wrong leaves the covariance as small as it was."""
     sure = straight(variance=1e-4 * VARIANCE)
     assert sure.allows(loop(10.0 * 1.02, 0.0, 0.0))

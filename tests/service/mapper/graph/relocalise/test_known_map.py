@@ -111,7 +111,7 @@ def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_secon
         assert search.ahead_of_others(in_the_other) < -CLEARLY_LIKELIER
 
 
-def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_told():
+def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_reported():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     search, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
     assert best is None

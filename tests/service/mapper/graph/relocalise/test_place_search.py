@@ -85,7 +85,7 @@ def test_a_niche_tells_where_along_a_corridor():
     assert math.hypot(away[0], away[1]) < 0.03
 
 
-def test_two_niches_that_are_alike_are_told_both():
+def test_two_niches_that_are_alike_are_reported_both():
     search, best = looked_for(corridor((13.0, 47.0)), SE2(12.0, 0.3, 0.2))
     assert best is None
     x_m, other_m = sorted(at.x_m for at in search.possible)

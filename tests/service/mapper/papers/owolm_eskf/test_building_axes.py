@@ -33,7 +33,7 @@ def test_the_direction_is_that_of_the_walls():  # B3
     assert (axes_deg(points_of(0.0)) + laser_deg + 45.0) % 90.0 - 45.0 == pytest.approx(0.0, abs=0.3)
 
 
-def test_where_nothing_stands_out_nothing_is_said():
+def test_where_nothing_stands_out_nothing_is_reported():
     angle = np.linspace(-2.0, 2.0, 500)
     circle = 5.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     assert building_axes(circle, np.full(500, 0.3), 0.35) is None

@@ -40,7 +40,7 @@ def test_beyond_the_samples_the_last_speed_holds() -> None:
     assert as_tuple(way) == pytest.approx(as_tuple(SE2.exp(0.4, 0.0, 0.2)), abs=1e-9)
 
 
-def test_too_far_beyond_the_samples_nothing_is_said() -> None:
+def test_too_far_beyond_the_samples_nothing_is_reported() -> None:
     filled = circling(1000)
     assert filled.between(900 * MS, 2001 * MS) is None
     assert filled.between(-1001 * MS, 500 * MS) is None

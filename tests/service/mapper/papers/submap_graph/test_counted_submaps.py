@@ -103,7 +103,7 @@ def test_blocks_are_made_where_a_random_walk_leads_and_nowhere_else() -> None:
     assert math.isclose(sum(layer.tile_bytes for layer in pool._layers), TILE_CELLS**2 * 10)
 
 
-def test_a_map_that_begins_anew_closes_its_sub_map_and_draws_nothing_of_it_again() -> None:
+def test_a_map_that_begins_again_closes_its_sub_map_and_draws_nothing_of_it_again() -> None:
     submaps = CountedSubmaps(CONFIG)
     for k in range(3):
         drive(submaps, 0.5 * k, k)
