@@ -115,3 +115,27 @@ def test_a_mode_that_cannot_be_is_refused(switched: Switched):
     only = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
     with pytest.raises(GraphRequestError, match="the config says mode: localization"):
         only.graph.request("set_mode", {"mode": "mapping"})
+
+
+def test_a_map_that_was_loaded_is_localised_in_before_the_vehicle_is_found(drove: Drive, switched: Switched):
+    """As the page asks for it: the mode right after the map, with no scan between them."""
+    begin = BeginIn(switched.stored, rendered_of(switched.shown))
+    session = MappingSession(
+        lambda: build_mapper(mapping_config(), {"front": FORWARD}, begin_in=begin), ["front"], None
+    )
+    session.request("set_mode", {"mode": "localization"})
+    session.apply_result()
+    assert session.take_edited()[0].told["mode"] == "localization"
+    assert session.is_localizing
+    states = []
+    for frame in drove.frames:
+        if (output := session.process(frame)) is not None:
+            states.append(output.state)
+        while session.work_ready:
+            session.apply_result()
+        if states and states[-1] == "ok":
+            break
+    assert states[0] == "lost"
+    assert states[-1] == "ok"
+    assert stored_now(session) == len(switched.stored)
+    assert cells(session.tiles()) == cells(switched.shown)
