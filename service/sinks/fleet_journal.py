@@ -18,8 +18,8 @@ from service.errors import InputError, StorageError
 log = logging.getLogger(__name__)
 
 PERIOD_NS = 10_000_000_000
-MAX_LINES = 100_000  # eleven days, 20 MB; the oldest go
-PAGE_LINES = 500  # of one answer, 0.1 MB
+MAX_LINES = 100_000  # eleven days, 20 to 50 MB; the oldest go
+PAGE_LINES = 500  # of one answer, 0.1 to 0.25 MB
 _TABLE = "CREATE TABLE IF NOT EXISTS journal (unix_ns INTEGER PRIMARY KEY, line TEXT NOT NULL)"
 
 
