@@ -99,7 +99,7 @@ class FakeLms100:
         )
         self.range = self.setup.output_range or OutputRange(model.first_e4deg, model.last_e4deg)
         self.echo_filter = self.setup.echo_filter
-        self._scan_data = self.setup.scan_data
+        self.scan_data = self.setup.scan_data
         self._dialect = self._next_dialect = self.setup.dialect
         self._writes_to_refuse = self.setup.first_writes_refused
 
@@ -161,7 +161,7 @@ class FakeLms100:
             self._telegram_base -= skipped
             self._next_scan += skipped
         scan = self._measure(self._next_scan)
-        self._next_scan += self._scan_data.interval
+        self._next_scan += self.scan_data.interval
         self.counters["scans_sent"] += 1
         message = encode(write_scan(scan, self._dialect))
         if self.setup.repeat_every and self.counters["scans_sent"] % self.setup.repeat_every == 0:
@@ -265,7 +265,7 @@ class FakeLms100:
         sent_ns = leaves_ns + round(self._jitter.uniform(-SENDING_JITTER_NS, SENDING_JITTER_NS))
         error = self.failed or index < FLAGGED_SCANS
         channels_16bit, channels_8bit = channels_of(
-            sweep, self._scan_data, first_e4deg, step_e4deg, self.setup.scale, self._reach_m
+            sweep, self.scan_data, first_e4deg, step_e4deg, self.setup.scale, self._reach_m
         )
         number = self._telegram_base + index
         self._last_scan = ScanTelegram(
@@ -280,11 +280,11 @@ class FakeLms100:
             channels_16bit=channels_16bit,
             channels_8bit=channels_8bit,
             outputs=(1 if error else 4, 0),
-            name=self.setup.device_name if self._scan_data.name else None,
-            comment="" if self._scan_data.comment else None,
-            position=(0.0,) * 7 if self._scan_data.position else None,
-            encoders=((0, 0),) if self._scan_data.encoder else (),
-            time=self._calendar(begins_ns) if self._scan_data.time else None,
+            name=self.setup.device_name if self.scan_data.name else None,
+            comment="" if self.scan_data.comment else None,
+            position=(0.0,) * 7 if self.scan_data.position else None,
+            encoders=((0, 0),) if self.scan_data.encoder else (),
+            time=self._calendar(begins_ns) if self.scan_data.time else None,
         )
         return self._last_scan
 
@@ -353,7 +353,7 @@ class FakeLms100:
             "STlms": lambda w: status.write(w, self._dialect),
             "LMPscancfg": self._scan.write,
             "LMPoutputRange": replace(self.range, step_e4deg=output_step_e4deg).write,
-            "LMDscandatacfg": self._scan_data.write,
+            "LMDscandatacfg": self.scan_data.write,
             "DeviceIdent": ident,
             "0": ident,
             "FirmwareVersion": lambda w: w.text(self.setup.firmware + "  "),
@@ -399,7 +399,7 @@ class FakeLms100:
             layout = ScanDataConfig.read(r)
             if not 1 <= layout.echoes <= 3 or layout.interval < 1:
                 return self._refuse(NOT_NOW)
-            self._scan_data = self._scan_data if name in self.setup.kept else layout
+            self.scan_data = self.scan_data if name in self.setup.kept else layout
         elif name == "FREchoFilter":
             self.echo_filter = self.echo_filter if name in self.setup.kept else r.u8()
         elif name == "EIHstCola":

@@ -17,6 +17,7 @@ def world() -> World:
     return corridors(np.random.default_rng(11))
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_corridors_are_two_kilometres_and_driven_clear_of_their_walls(world: World) -> None:
     assert 2000.0 < world.drive.length_m < 2500.0
     places = world.drive.poses(np.arange(0.0, world.drive.duration_s, 10.0))[:, :2]
@@ -26,10 +27,12 @@ def test_corridors_are_two_kilometres_and_driven_clear_of_their_walls(world: Wor
         assert np.hypot(*(begin + share[:, None] * way - place).T).min() > HALF_M - 0.7, place
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_another_seed_has_other_doors(world: World) -> None:
     assert not np.array_equal(corridors(np.random.default_rng(12)).segments[:50], world.segments[:50])
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_wheels_slip_now_and_then(world: World) -> None:
     slips = slipping(world, 11).slips
     assert len(slips) > 30
@@ -38,6 +41,7 @@ def test_wheels_slip_now_and_then(world: World) -> None:
     assert max(slip.way_scale for slip in slips) > 1.4
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_thinned_drive_has_a_scan_each_second_and_a_half() -> None:
     frames = thinned_drive(11, 30.0).frames
     scan_ns = [frame.stamp_ns for frame in frames if isinstance(frame, LaserScan)]
@@ -46,6 +50,7 @@ def test_thinned_drive_has_a_scan_each_second_and_a_half() -> None:
     assert set(np.diff(odometry_ns)) == {300_000_000}
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_error_of_a_lap_is_that_of_its_scans_and_sigma_rises_by_the_graph_alone() -> None:
     errors = np.zeros((40, 3))
     errors[20:, 0] = 0.01

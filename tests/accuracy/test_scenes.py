@@ -26,6 +26,7 @@ def test_lap_is_driven_from_any_place_at_any_speed(moment: float) -> None:
     assert np.hypot(*(here - later)[:2]) < 0.02
 
 
+@pytest.mark.soak  # of the bench's own drives
 @pytest.mark.parametrize("scene", ["escort", "ring_of_people", "train_along"])
 def test_people_and_trains_have_their_share_of_the_returns(scene: str) -> None:
     world = driven(WORLDS["library"](), 0.1, 1.0, 40.0)
@@ -36,6 +37,7 @@ def test_people_and_trains_have_their_share_of_the_returns(scene: str) -> None:
     assert 0.33 <= few < 0.45 <= many < 0.7
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_same_case_is_the_same_drive() -> None:
     one, again = (staged(Case("ahead", "ring", for_s=1.0)) for _ in range(2))
     scans, others = ([f for f in of.made.frames if isinstance(f, LaserScan)] for of in (one, again))
@@ -44,6 +46,7 @@ def test_same_case_is_the_same_drive() -> None:
         np.testing.assert_array_equal(scan.range_m, other.range_m)
 
 
+@pytest.mark.soak  # of the bench's own drives
 def test_towed_vehicle_moves_while_its_wheels_stand_and_its_laser_is_silent() -> None:
     of = staged(Case("towed", "ring"))
     during = [f for f in of.made.frames if of.from_ns <= f.stamp_ns and f.arrived_ns < of.to_ns]

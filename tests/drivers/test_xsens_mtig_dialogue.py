@@ -11,6 +11,7 @@ from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from simulators.xsens_mtig_settings import FACTORY_OUTPUT, Refusal
 from tests.drivers.mtig import MS, ZERO_NS, Swing, fixes, legacy, mtdata2, samples, talk
 from tests.drivers.virtual_time import SECOND_NS
+from tests.silent_device import SilentDevice
 
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
 
@@ -195,24 +196,6 @@ def test_device_that_hears_nothing_at_all_is_given_up_in_words():
     assert t.now_ns < ZERO_NS + 30 * SECOND_NS
 
 
-class Mute:
-    """A port with nobody at its other end."""
-
-    def connected(self, now_ns: int) -> bytes:
-        return b""
-
-    def receive_data(self, data: bytes, now_ns: int) -> bytes:
-        return b""
-
-    def next_due_ns(self, now_ns: int) -> int | None:
-        return None
-
-    def due(self, now_ns: int) -> bytes:
-        return b""
-
-    def disconnected(self, now_ns: int) -> None: ...
-
-
 @pytest.mark.parametrize(
     ("changes", "diagnostic"),
     [
@@ -223,7 +206,7 @@ class Mute:
 )
 def test_silence_is_given_up_in_words(changes: dict[str, object], diagnostic: str):
     with pytest.raises(TransportError, match=diagnostic):
-        talk(Mute(), **changes).run(20.0)
+        talk(SilentDevice(), **changes).run(20.0)
 
 
 def test_new_baud_rate_is_stored_and_the_unit_reset():

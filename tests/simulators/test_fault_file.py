@@ -10,6 +10,7 @@ from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100
 from tests.drivers.irobot_bench import STANDING
 from tests.drivers.lms100 import Room
+from tests.silent_device import SilentDevice
 
 
 class Switchboard:
@@ -19,30 +20,11 @@ class Switchboard:
         return FakeLms100(Room())
 
 
-class Clock:
-    """FakeDevice that can do nothing but be one."""
-
-    def connected(self, now_ns: int) -> bytes:
-        return b""
-
-    def receive_data(self, data: bytes, now_ns: int) -> bytes:
-        return b""
-
-    def next_due_ns(self, now_ns: int) -> int | None:
-        return None
-
-    def due(self, now_ns: int) -> bytes:
-        return b""
-
-    def disconnected(self, now_ns: int) -> None:
-        pass
-
-
 DEVICES = {
     "front": FakeLms100(Room()),
     "base": FakeCreate(STANDING),
     "hub": Switchboard(),
-    "plain": Clock(),
+    "plain": SilentDevice(),
 }
 
 

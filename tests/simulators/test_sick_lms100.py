@@ -337,7 +337,7 @@ def test_power_cut_costs_settings_client_counters_and_clock():
 @pytest.mark.parametrize("seconds", [30.0, -1.5])
 def test_clock_that_jumps_shows_in_stamps_and_calendar(seconds):
     bench = streaming()
-    bench.device._scan_data = replace(bench.device._scan_data, time=True)
+    bench.device.scan_data = replace(bench.device.scan_data, time=True)
     (at_ns, before), *_ = bench.scans(6000)[-1:]
     bench.device.jump_clock(seconds)
     (later_ns, after), *_ = bench.scans(100)[-1:]

@@ -18,6 +18,7 @@ from service.offline.doctor import verdict
 from service.offline.doctor.machine import KernelClock, Machine
 from simulators.wire import serve_tcp
 from tests.in_background import in_background
+from tests.silent_device import SilentDevice
 
 PATIENCE_S = 60.0
 HOLD = """
@@ -81,7 +82,7 @@ def tree(tmp_path: Path) -> FakeTree:
     return FakeTree(tmp_path / "root")
 
 
-class Parrot:
+class Parrot(SilentDevice):
     """A FakeDevice that says always the same: once when somebody comes, and to everything it hears."""
 
     def __init__(self, answer: bytes, greeting: bytes = b"") -> None:
@@ -94,15 +95,6 @@ class Parrot:
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         self.heard += data
         return self._answer
-
-    def next_due_ns(self, now_ns: int) -> int | None:
-        return None
-
-    def due(self, now_ns: int) -> bytes:
-        return b""
-
-    def disconnected(self, now_ns: int) -> None:
-        pass
 
 
 @pytest.fixture

@@ -57,11 +57,6 @@ def places(result: Result) -> np.ndarray:
     return np.array([(c.pose_map_base.x_m, c.pose_map_base.y_m) for c in result.all])
 
 
-def on_earth_m(result: Result) -> np.ndarray:
-    assert result.geo is not None
-    return np.array([ORIGIN.to_enu(*result.geo.to_geodetic(*xy), 51.7)[:2] for xy in places(result)])
-
-
 def moved_m(a: Result, b: Result) -> float:
     """Most that a key frame lies elsewhere in the map or on the earth."""
     assert a.geo is not None

@@ -260,7 +260,7 @@ def test_a_false_loop_that_the_rest_contradicts_is_dropped(
 ):
     truth, back_end = ring[1], pickle.loads(ring_fed[0])
     false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
-    back_end._loops.append(false)
+    back_end.loops.append(false)
     finished = back_end.work(Batch([], is_last=True))
     assert finished.disabled >= 1
     assert false not in back_end.loops
