@@ -43,7 +43,7 @@ def pull(
     progress: Progress = lambda done, total: None,
     pause_s: float = PAUSE_S,
 ) -> Pulled:
-    """Into out/<vehicle>/. One part is under way at a time, behind all else on the vehicle's link.
+    """Into out/<vehicle>/. One part is asked for at a time, behind all else on the vehicle's link.
 
     Raises RefusedError; StorageError where the vehicle does not answer any more, OSError where the disk
     refuses: what has come stays, and the next call goes on there; InputError where a file is not what the

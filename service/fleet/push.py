@@ -56,7 +56,7 @@ def push(
     source = version_folder(folder, stored.number)
     before = _ready(session, vehicles)
     if any(isinstance(one, CorridorError) for one in before.values()):
-        return _told(before, "as before")
+        return _in_state(before, "as before")
 
     def bring(vehicle: str) -> None:
         _bring(session, vehicle, source, name)
@@ -138,7 +138,7 @@ def _load(session: zenoh.Session, vehicle: str, name: str, identity: str) -> dic
                 raise
 
 
-def _told(ready: dict[str, str | CorridorError], state: str) -> list[Pushed]:
+def _in_state(ready: dict[str, str | CorridorError], state: str) -> list[Pushed]:
     return [
         Pushed(vehicle, state, str(why) if isinstance(why, CorridorError) else "")
         for vehicle, why in ready.items()

@@ -56,7 +56,7 @@ class Watch:
                 show(vehicle)
 
     def _look_at_link(self) -> None:
-        """Who loses its own link hears of nobody that goes: all have gone then, until it is back."""
+        """Zenoh does not report who goes with our own link: all have gone then, until it is back."""
         links = self._session.info.links()
         link = links[0].src if links else ""
         if link == self._link:
@@ -82,11 +82,11 @@ class Watch:
         health = self._health.get(name) if sessions else None
         return vehicle_of(name, health, self._poses.get(name), sessions)
 
-    def _keeper(self, last: dict[str, zenoh.Sample], tells: bool) -> Callable[[zenoh.Sample], None]:
+    def _keeper(self, last: dict[str, zenoh.Sample], is_news: bool) -> Callable[[zenoh.Sample], None]:
         def keep(sample: zenoh.Sample) -> None:
             name = vehicle_in(str(sample.key_expr))
             last[name] = sample
-            if tells:
+            if is_news:
                 self._news.put(name)
 
         return keep

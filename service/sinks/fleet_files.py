@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 RECORDINGS, MAPS, JOURNAL = "cmd/fleet/recordings", "cmd/fleet/map", "cmd/fleet/journal"
 PART_BYTES = 1 << 20  # of a recording, at most
-MAP_PART_BYTES = 512 << 10  # below MAX_COMMAND_BYTES of the routers on its way
+MAP_PART_BYTES = 512 << 10  # below MAX_COMMAND_BYTES of the routers between
 MAP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _FILE_NAME = re.compile(r"\w[\w.]{0,99}", re.ASCII)
 _INCOMING = ".incoming-"  # begins the folder of a map that is not whole yet

@@ -139,6 +139,7 @@ class FleetSink(Sink):
             lambda sample: self._wake.set(), "fleet-presence"
         )
         session.liveliness().declare_subscriber(watched, changed)
+        self._followers = Listeners(session, vehicle_key(self._context.vehicle, f"{TILES}/**"), lambda: None)
         host, decided_for = socket.gethostname() or "unnamed", ""
         while not self._closing:
             links = session.info.links()
@@ -203,7 +204,6 @@ class FleetSink(Sink):
             name=self.name,
             tiles_wait=True,
         )
-        self._followers = Listeners(session, vehicle_key(self._context.vehicle, f"{TILES}/**"), lambda: None)
         if self._config.fleet.commands:
             publisher.answer_commands(self._context.command)
             folders = self._context.folders

@@ -59,7 +59,7 @@ def test_a_transfer_that_was_cut_off_goes_on_where_it_ended(
     assert (part.parent / name).read_bytes() == (recordings / name).read_bytes()
 
 
-def test_a_file_with_another_checksum_is_removed_and_said_so(
+def test_a_file_with_another_checksum_is_an_error_and_removed(
     vehicle, endpoint, open_client, recordings, tmp_path
 ):
     name = min(SIZES)
