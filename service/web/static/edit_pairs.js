@@ -95,7 +95,7 @@ export class EditPairs {
     const button = element("button", { type: "button", "aria-label": `Propose points at ${where}`, onclick: () => this.#propose(pass) }, "Propose points");
     setRefused(button, isChosen ? "Its points are in the list below" : "");
     return element("li", { className: "pass" }, element("p", { className: "stored-name" }, `Two passes ${fixed(apart_m, 2, " m")} and ${fixed(apart_deg, 1)}\u00b0 apart at ${where}`),
-      element("p", { className: "note" }, `Of ${fixed(keyframes.seconds(a), 0)} and ${fixed(keyframes.seconds(b), 0, " s")}; aligned, ${fixed(100 * on_map, 0, " %")} of the later points fit. Not joined by itself: ${why}.`),
+      element("p", { className: "note" }, `Driven at ${fixed(keyframes.seconds(a), 0, " s")} and ${fixed(keyframes.seconds(b), 0, " s")}; aligned, ${fixed(100 * on_map, 0, " %")} of the later points fit. Not joined by itself: ${why}.`),
       element("div", { className: "row" }, button));
   }
 
