@@ -1,11 +1,12 @@
 import json
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import product
 
 import numpy as np
 from selenium.webdriver.common.keys import Keys
 
-from service.encoding import Status, encode_diagnostics, encode_graph
+from service.encoding import Status, encode_diagnostics, encode_frame, encode_graph
 from service.outputs import GraphPicture
 from tests.browser.conftest import DESKTOP, PHONE, asked
 from tests.browser.scene import event, stamp
@@ -71,6 +72,30 @@ def test_all_that_a_sensor_tells_is_shown_while_its_name_is_pressed(still):
     assert shown.splitlines()[:3] == ["no route to 192.168.0.10", "state: down", "rate_hz: 0.0"]
     rear.send_keys(Keys.ENTER)
     assert still.driver.find_elements("css selector", ".details:not([hidden])") == []
+
+
+def test_the_scan_of_a_laser_is_drawn_as_it_sees_it_and_beams_without_a_return_are_counted(page, live, scene):
+    page.driver.find_element("xpath", "//section[@id='information']//button[contains(., 'front')]").click()
+    scan = scene.scan("front", 1.1)
+    range_m = scan.range_m.copy()
+    range_m[:40] = np.nan  # on its right
+    live.put(encode_frame(replace(scan, range_m=range_m), log_ns=stamp(1.2)))
+    page.wait_for_text("information", "361 beams: 321 returns")
+    page.wait_for_text("information", "40 without a return")
+    found = page.run(
+        "const canvas = document.querySelector('.polar'), {width, height} = canvas;"
+        "const {data} = canvas.getContext('2d').getImageData(0, 0, width, height);"
+        "const style = getComputedStyle(document.documentElement);"
+        "const warn = style.getPropertyValue('--warn').trim().slice(1);"
+        "const tick = [0, 2, 4].map((k) => parseInt(warn.slice(k, k + 2), 16));"
+        "const is = (i) => tick.every((value, k) => Math.abs(data[i + k] - value) < 12);"
+        "let left = 0, right = 0;"
+        "for (let i = 0; i < data.length; i += 4)"
+        " if (data[i + 3] > 200 && is(i)) (i / 4) % width < width / 2 ? left += 1 : right += 1;"
+        "return [left, right]"
+    )
+    assert found[0] == 0
+    assert found[1] > 40  # beams that look to the right
 
 
 def test_no_zero_has_a_sign(still):

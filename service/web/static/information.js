@@ -4,6 +4,7 @@ import { card, element, Facts, setText } from "./dom.js";
 import { eventLines } from "./events.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
 import { helpLink } from "./help_links.js";
+import { PolarView } from "./polar.js";
 import { clockTime, degrees, deviceClock, duration, figure, fixed } from "./format.js";
 
 export const LEVELS = ["ok", "warn", "error", "error"]; // of diagnostic_msgs/DiagnosticStatus
@@ -125,6 +126,19 @@ export class Information {
       "Processor a scan, median": isLive ? figure(values.scan_cpu_ms_p50, 1, " ms") : null,
       "Loops closed": values.loop_closures ?? null,
     });
+  }
+
+  /** Drawn while the data of its laser are shown. */
+  putScan(scan) {
+    const details = this.sensorRows.get(scan.sensor)?.details;
+    if (!details || details.row.hidden) return;
+    if (!details.polar) {
+      details.polar = new PolarView(() => this.colourOf(scan.sensor));
+      details.returns = element("p", { className: "returns" });
+      details.words.before(details.polar.node, details.returns);
+    }
+    details.polar.put(scan);
+    setText(details.returns, details.polar.words);
   }
 
   #sensors(health) {

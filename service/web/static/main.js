@@ -65,7 +65,7 @@ const connection = new Connection({
   changes: (message) => { view.putStoredChanges(message); explainStoredChanges(); },
   path: (message) => view.putPath(message),
   vehicles: (message) => { fleet.put(message); view.invalidate(); },
-  scan: (message) => { if (view.putScan(message)) explainLayers(); },
+  scan: (message) => { if (view.putScan(message)) explainLayers(); information.putScan(message); },
   mountings: ({ pose_base_sensor }) => { view.mountings = pose_base_sensor; },
   moment: (moment) => {
     view.putMoment(moment);
