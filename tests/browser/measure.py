@@ -27,13 +27,14 @@ from service.publishing.commands import Answer
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from tests.browser import watched_mapping
-from tests.browser.conftest import DESKTOP, Page
+from tests.browser.conftest import DESKTOP, PHONE, Page
 from tests.browser.scene import Scene, stamp
 from tests.in_background import in_background
 
 LASERS = (("front", 541, 50.0), ("rear", 1081, 40.0), ("lux", 440, 25.0))
 SETTLE_S = 2.0
 STEADY_S = 10.0
+SLOWER = 4  # a phone's processor
 PAN_S = 5.0
 BROWSERS = 8
 LOOK = """
@@ -138,7 +139,46 @@ def new_server(store: TileStore) -> WebServer:
     return server
 
 
-def measure_large_map(page: Page) -> dict[str, float]:
+def pan(page: Page) -> dict[str, float]:
+    """Panning and zooming for PAN_S: frames, and how long a picture takes to be drawn."""
+    per_s, draw_ms, longest_ms = page.driver.execute_async_script(
+        "const done = arguments[1], v = corridor.view, began = performance.now();"
+        "let frames = 0, before = began, longest = 0; v.drawn_ms.length = 0;"
+        "const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];"
+        "const step = (now) => { frames += 1; longest = Math.max(longest, now - before); before = now;"
+        "v.camera.panBy(8 * Math.cos(now / 300), 8 * Math.sin(now / 300));"
+        "v.camera.scale = 12 + 8 * Math.sin(now / 900); v.invalidate();"
+        "if (now < began + 1000 * arguments[0]) requestAnimationFrame(step);"
+        "else done([1000 * frames / (now - began), median(v.drawn_ms), longest]); };"
+        "requestAnimationFrame(step);",
+        PAN_S,
+    )
+    return {
+        "frames_per_s_panning": round(per_s, 1),
+        "longest_frame_ms": round(longest_ms, 1),
+        "draw_ms_p50": round(draw_ms, 2),
+    }
+
+
+def measure_phone(page: Page, address: str, tiles: int) -> dict[str, float]:
+    """A processor of a quarter of this one's speed, the size of a phone, the page's files in its cache."""
+    page.resize(PHONE)
+    page.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": SLOWER})
+    try:
+        page.driver.get("about:blank")
+        page.driver.get(address)
+        page.wait_for("return window.corridor && corridor.report().tiles > 0 && corridor.view.frames > 0")
+        first_ms = page.run("return corridor.view.firstMap_ms")
+        page.wait_for("return corridor.report().tiles >= arguments[0]", tiles)
+        opened_ms = page.run("return performance.now()")
+        page.run("corridor.view.fit()")
+        return {"first_picture_ms": round(first_ms), "opened_ms": round(opened_ms), **pan(page)}
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
+        page.resize(DESKTOP)
+
+
+def measure_large_map(page: Page) -> dict[str, Any]:
     """A room of 12 000 m2, its cells in noise so that nothing compresses away unduly."""
     scene = Scene(half_x_m=75.0, half_y_m=40.0)
     random = np.random.default_rng(1)
@@ -157,29 +197,18 @@ def measure_large_map(page: Page) -> dict[str, float]:
     page.run("corridor.view.fit()")
     browser = [page.driver.service.process.pid, *_below(page.driver.service.process.pid)]
     before_s, began_s = sum(map(_processor_s, browser)), time.monotonic()
-    result = page.driver.execute_async_script(
-        "const done = arguments[1], v = corridor.view, began = performance.now();"
-        "let frames = 0, before = began, longest = 0; v.drawn_ms.length = 0;"
-        "const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];"
-        "const step = (now) => { frames += 1; longest = Math.max(longest, now - before); before = now;"
-        "v.camera.panBy(8 * Math.cos(now / 300), 8 * Math.sin(now / 300));"
-        "v.camera.scale = 12 + 8 * Math.sin(now / 900); v.invalidate();"
-        "if (now < began + 1000 * arguments[0]) requestAnimationFrame(step);"
-        "else done([1000 * frames / (now - began), median(v.drawn_ms), longest]); };"
-        "requestAnimationFrame(step);",
-        PAN_S,
-    )
+    smooth = pan(page)
     busy = (sum(map(_processor_s, browser)) - before_s) / (time.monotonic() - began_s)
     bytes_received = page.report()["bytes"]
+    phone = measure_phone(page, server.address, len(scene.store.since(0)))
     server.close()
     return {
         "square_metres": 4 * scene.half_x_m * scene.half_y_m,
         "opened_s": round(opened_s, 2),
         "megabytes": round(bytes_received / 1e6, 2),
-        "frames_per_s_panning": round(result[0], 1),
-        "longest_frame_ms": round(result[2], 1),
-        "draw_ms_p50": round(result[1], 2),
+        **smooth,
         "browser_percent_of_a_core": round(100 * busy),
+        "phone": phone,
     }
 
 

@@ -23,6 +23,7 @@ from service.encoding import (
     Message,
     Status,
     encode_diagnostics,
+    encode_event,
     encode_frame,
     encode_graph,
     encode_grid,
@@ -163,7 +164,12 @@ def take_past(page: Page, office: Office, folder: Path) -> None:
         for o in office.outputs
     ]
     messages += [encode_grid(grid, at_ns + UNIX_NS, at_ns + UNIX_NS) for at_ns, grid in office.maps]
-    messages += [health(UNIX_NS + k * 10**9) for k in range(round(DRIVEN_S))]
+    messages += [
+        health(UNIX_NS + k * 10**9, "degraded" if 20 < k < 26 else "ok") for k in range(round(DRIVEN_S))
+    ]
+    for seconds, text in ((8.0, "door to the store room is open"), (41.0, "pallet in the corridor")):
+        at_ns = UNIX_NS + round(seconds * 1e9)
+        messages.append(encode_event(json.dumps({"event": "mark", "text": text}), at_ns, at_ns))
     write_file(folder / "veh1_20261118T061320Z_0001.mcap", sorted(messages, key=lambda m: m.log_ns))
     view = RecordingView([folder / "veh1_20261118T061320Z_0001.mcap"], "127.0.0.1:0")
     try:
@@ -175,6 +181,29 @@ def take_past(page: Page, office: Office, folder: Path) -> None:
         page.wait_for("return corridor.report().tiles > 0 && corridor.report().shownSensors.length === 2")
         page.element("fit").click()
         save_picture(page, "past")
+        page.choose("history")
+        page.wait_for("return document.querySelectorAll('.timeline .line').length > 2")
+        save_picture(page, "history")
+        page.resize(PHONE, is_dark=True)
+        page.choose("history")
+        save_picture(page, "history-phone")
+        page.resize(DESKTOP)
+    finally:
+        view.close()
+
+
+def take_loops(page: Page, stored: Path) -> None:
+    """Those of the office, the places of one of them on the map."""
+    view = View(stored, "127.0.0.1:0")
+    try:
+        page.open(view.address)
+        page.wait_for("return corridor.report().tiles > 0 && corridor.edit.version === 1")
+        page.resize(DESKTOP)
+        page.choose("edit")
+        page.run("document.querySelector('.loops button').click()")
+        page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
+        page.run("document.querySelector('.loops').closest('.card').scrollIntoView()")
+        save_picture(page, "loops")
     finally:
         view.close()
 
@@ -270,7 +299,7 @@ def save_picture(page: Page, name: str) -> None:
     page.driver.save_screenshot(str(IMAGES / f"operator-{name}.png"))
 
 
-def health(stamp_ns: int) -> Message:
+def health(stamp_ns: int, state: str = "ok") -> Message:
     sensor = {"state": "streaming", "dropped": "0"}
     rows = [
         Status(
@@ -282,7 +311,7 @@ def health(stamp_ns: int) -> Message:
             ("base", "66.7", "0.01", ""),
         )
     ]
-    rest = [status for status in statuses() if not status.name.startswith("sensor/")]
+    rest = [status for status in statuses(state) if not status.name.startswith("sensor/")]
     return encode_diagnostics("diagnostics", [*rows, *rest], stamp_ns, stamp_ns)
 
 
@@ -427,6 +456,7 @@ def main() -> None:
             take_replay(fresh, office.frames, Path(kept) / "recorded")
             take_report(fresh, office.frames, Path(kept) / "reported")
             take_past(fresh, office, Path(kept))
+            take_loops(fresh, stored)
             take_edit(fresh, Path(kept) / "ring")
 
 

@@ -1,6 +1,6 @@
 """What the operator's page may ask of a stored map, as JSON; all of it bounded."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -38,6 +38,13 @@ class Pair(Asked):
     keyframes: tuple[Number, Number]
 
 
+class RefuseLoop(Asked):
+    """loop    its number in the list of accepted ones"""
+
+    what: Literal["refuse-loop"]
+    loop: Number
+
+
 class UndoTo(Undo):
     """to    number of the version to go back to; None: the one before the newest edit"""
 
@@ -45,7 +52,8 @@ class UndoTo(Undo):
 
 
 ChangeAsked = Annotated[
-    Erase | Wall | Cut | AddPairs[Pair] | RemovePair | Optimize | UndoTo, Field(discriminator="what")
+    Erase | Wall | Cut | AddPairs[Pair] | RemovePair | RefuseLoop | Optimize | UndoTo,
+    Field(discriminator="what"),
 ]
 
 

@@ -19,6 +19,7 @@ from service.offline.maps import asked as asked_for
 from service.offline.maps import edit as map_edit
 from service.offline.maps.disagreeing_passes import disagreeing_passes
 from service.offline.maps.log import map_log
+from service.offline.maps.loops import as_pairs, loops_of
 from service.publishing.commands import Answer, refusal
 
 MAX_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
@@ -59,7 +60,7 @@ class MapCommands:
     def _look(self) -> dict[str, Any]:
         log = map_log(self._folder)
         versions = {"versions": log["versions"][-MAX_VERSIONS:], "problems": log["problems"]}
-        return {**look(self._stored), **versions, "user": self._user}
+        return {**look(self._stored), **versions, "loops": _loops(self._stored.graph), "user": self._user}
 
     def _keyframe(self, asked: asked_for.LookAtKeyframe) -> dict[str, Any]:
         stored = self._stored
@@ -127,6 +128,18 @@ def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
     }
 
 
+def _loops(graph: SavedGraph | None) -> dict[str, Any]:
+    """As `map loops` lists them; of each refused one the pairs by which it would be accepted."""
+    if graph is None:
+        return {"accepted": [], "refused": []}
+    accepted, refused = loops_of(graph)
+    pairs = as_pairs(graph, graph.refused.ends, graph.refused.measured)
+    return {
+        "accepted": accepted,
+        "refused": [{**loop, "pairs": points} for loop, points in zip(refused, pairs, strict=True)],
+    }
+
+
 def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
     match change:
         case edits.Erase():
@@ -138,6 +151,8 @@ def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
         case edits.AddPairs():
             pairs = [(np.ravel(pair.points).tolist(), pair.keyframes) for pair in change.pairs]
             return map_edit.add_pairs(pairs)
+        case asked_for.RefuseLoop():
+            return map_edit.refuse_loops([change.loop])
         case edits.RemovePair():
             return map_edit.remove_pair(change.pair)
         case edits.Optimize():

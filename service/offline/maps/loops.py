@@ -13,6 +13,8 @@ from service.mapper.refused_loops import WORDS
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map
 
+PAIR_M = 5.0  # far enough to fix the turn, too
+
 
 def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
     """The loops of a version (None: the current one), for JSON: accepted ones first, as `map edit
@@ -51,6 +53,19 @@ def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, An
             for reason, told in zip(refused.reason.tolist(), not_accepted, strict=True)
         ],
     )
+
+
+def as_pairs(graph: SavedGraph, ends: np.ndarray, measured: Floats) -> list[list[list[list[float]]]]:
+    """Of each loop two pairs of points of the map, (2, 2, 2) m, that say together what it measured: both lie
+    `PAIR_M` from the second key frame, seen as they would be from there and from the first.
+    """
+    seen = np.array([[PAIR_M, 0.0], [-PAIR_M, 0.0]])
+    pairs = []
+    for (of, to), second in zip(ends.tolist(), measured, strict=True):
+        first_xy = se2.points_from(graph.map[of], se2.points_from(second, seen))
+        second_xy = se2.points_from(graph.map[to], seen)
+        pairs.append(np.stack((first_xy, second_xy), axis=1).round(5).tolist())
+    return pairs
 
 
 def loops_table(loops: dict[str, Any]) -> list[list[str]]:

@@ -4,6 +4,7 @@
 import { BeforeAfter } from "./before_after.js";
 import { byId, card, confirmed, element, notice, setRefused, setText } from "./dom.js";
 import { EditCut, EditDraw } from "./edit_draw.js";
+import { EditLoops } from "./edit_loops.js";
 import { EditPairs } from "./edit_pairs.js";
 import { KeyframeTool, PairTool } from "./edit_tools.js";
 import { LiveEdit } from "./edit_live.js";
@@ -49,6 +50,8 @@ export class Edit {
     this.list = element("ul", { className: "stored", id: "versions", "aria-label": "Versions of the map" });
     this.compare = new BeforeAfter(view);
     this.pairs = new EditPairs(this);
+    this.loops = new EditLoops(this);
+    this.loops.put(); // none is known of a running session
     this.drawing = new EditDraw(this);
     this.cut = new EditCut(this);
     const versions = card("Versions");
@@ -61,7 +64,7 @@ export class Edit {
       element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
     this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map", "aria-describedby": this.note.id },
       element("div", { className: "edit-head" }, this.note, this.undoRow),
-      element("div", { className: "cards" }, this.fetched.node, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
+      element("div", { className: "cards" }, this.fetched.node, this.pairs.card.node, this.loops.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
     root.append(this.all);
     this.update();
   }
@@ -150,6 +153,7 @@ export class Edit {
     if (!this.who.value) this.who.value = told.user;
     this.update();
     this.pairs.put(told.pairs, told.passes);
+    this.loops.put(told.loops);
     this.view.invalidate();
     return true;
   }

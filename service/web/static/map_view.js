@@ -52,6 +52,7 @@ export class MapView {
     this.poseArrived_ms = -Infinity;
     this.moment = null; // of a past that is looked at: {at_s, path}
     this.frames = 0;
+    this.firstMap_ms = null; // when there was a map on the screen, after the page was opened
     this.drawn_ms = []; // how long the last pictures took
     this.needsPicture = false;
     new ResizeObserver(() => this.#resize()).observe(canvas);
@@ -265,6 +266,7 @@ export class MapView {
     for (const overlay of this.overlays) overlay(context, camera, colours);
     this.onDrawn?.();
     this.frames += 1;
+    if (this.firstMap_ms === null && tiles.tiles.size > 0) this.firstMap_ms = performance.now();
     this.drawn_ms.push(performance.now() - began_ms);
     if (this.drawn_ms.length > 300) this.drawn_ms.shift();
   }

@@ -8,18 +8,20 @@ import pytest
 
 from service.cli import main
 from service.cli.map_names import map_and_version
+from service.geometry.poses import between
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.refusals import MAX_REFUSED, Refusals
-from service.mapper.refused_loops import ALONE, CONTRADICTED, WORDS
+from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, WORDS
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
-from service.offline.maps.loops import map_loops
+from service.offline.maps.loops import as_pairs, map_loops
 from tests.service.mapper.graph.edit.test_editing import saved_of
 from tests.service.mapper.graph.loops.rings import key_frames
 from tests.service.mapstore.tile_makers import tile
+from tests.service.offline.maps.test_commands import Asking
 
 TILES = [tile(0, 0, 1)]
 
@@ -136,3 +138,31 @@ def test_a_version_is_named_behind_the_folder(tmp_path):
     assert map_and_version("maps/me@home") == (Path("maps/me@home"), None)
     (tmp_path / "a@3").mkdir()
     assert map_and_version(str(tmp_path / "a@3")) == (tmp_path / "a@3", None)
+
+
+def test_a_loop_is_refused_and_accepted_again_as_the_page_asks(tmp_path, graph):
+    save_map(tmp_path, TILES, 1, graph=graph)
+    asking = Asking(tmp_path)
+    before = asking.ask("map_look")["loops"]
+    keyframes = before["accepted"][0]["keyframes"]
+    assert asking.edit(1, "refuse-loop", loop=0)["ok"]
+    after = asking.ask("map_look")["loops"]
+    assert len(after["accepted"]) == len(before["accepted"]) - 1
+    (loop,) = [loop for loop in after["refused"] if loop["why"] == WORDS[BY_HAND]]
+    assert loop["keyframes"] == keyframes
+    pairs = [{"points": points, "keyframes": keyframes} for points in loop["pairs"]]
+    assert asking.edit(2, "add-pair", pairs=pairs)["ok"]
+    assert max(pair["apart_mm"] for pair in asking.ask("map_look")["pairs"]) < 50.0
+
+
+def test_pairs_of_a_loop_say_what_it_measured(graph):
+    """Where the graph agrees with a loop, its pairs are of one place each."""
+    of, to = graph.loop_ends[0].tolist()
+    measured = between(graph.map[of], graph.map[to])
+    ((first, second),) = as_pairs(graph, np.array([[of, to]]), measured[None])
+    for a, b in (first, second):
+        assert a == pytest.approx(b, abs=2e-5)
+    assert np.hypot(*np.subtract(first[0], second[0])) == pytest.approx(10.0)
+    off = measured + np.array([0.3, 0.0, 0.0])
+    ((first, _),) = as_pairs(graph, np.array([[of, to]]), off[None])
+    assert np.hypot(*np.subtract(*first)) == pytest.approx(0.3, abs=1e-4)
