@@ -194,18 +194,19 @@ def take_past(page: Page, office: Office, folder: Path) -> None:
 
 def take_loops(page: Page, stored: Path) -> None:
     """Those of the office, the places of one of them on the map."""
-    view = View(stored, "127.0.0.1:0")
-    try:
-        page.open(view.address)
-        page.wait_for("return corridor.report().tiles > 0 && corridor.edit.version === 1")
-        page.resize(DESKTOP)
-        page.choose("edit")
-        page.run("document.querySelector('.loops button').click()")
-        page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
-        page.run("document.querySelector('.loops').closest('.card').scrollIntoView()")
-        save_picture(page, "loops")
-    finally:
-        view.close()
+    with chdir(stored.parent):  # the page names the folder as it was given
+        view = View(Path(stored.name), "127.0.0.1:0")
+        try:
+            page.open(view.address)
+            page.wait_for("return corridor.report().tiles > 0 && corridor.edit.version === 1")
+            page.resize(DESKTOP)
+            page.choose("edit")
+            page.run("document.querySelector('.loops button').click()")
+            page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
+            page.run("document.querySelector('.loops').closest('.card').scrollIntoView()")
+            save_picture(page, "loops")
+        finally:
+            view.close()
 
 
 def take_edit(page: Page, folder: Path) -> None:

@@ -31,6 +31,12 @@ class LookAtKeyframe(Asked):
     keyframe: Number
 
 
+class LookAtVersion(Asked):
+    """The tiles of a version, to be compared with the present ones."""
+
+    version: Number
+
+
 class Pair(Asked):
     """Two points of the map that are one place, and the key frames that saw them."""
 
@@ -72,10 +78,11 @@ class KeyframeOfSession(Asked):
     keyframe: Number
 
 
-Request = Look | LookAtKeyframe | Edit
+Request = Look | LookAtKeyframe | LookAtVersion | Edit
 REQUESTS: dict[str, TypeAdapter[Any]] = {
     "map_look": TypeAdapter(Look),
     "map_keyframe": TypeAdapter(LookAtKeyframe),
+    "map_version": TypeAdapter(LookAtVersion),
     "map_edit": TypeAdapter(Edit),
 }
 VERBS = tuple(REQUESTS)

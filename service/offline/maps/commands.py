@@ -1,5 +1,6 @@
 """Carries out what the operator's page asks of a stored map, by the same code as `corridor map edit`."""
 
+import base64
 import json
 import threading
 import time
@@ -21,6 +22,7 @@ from service.offline.maps.disagreeing_passes import disagreeing_passes
 from service.offline.maps.log import map_log
 from service.offline.maps.loops import as_pairs, loops_of
 from service.publishing.commands import Answer, refusal
+from service.web.protocol import encode_tiles
 
 MAX_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
 MAX_VERSIONS = 50
@@ -51,6 +53,8 @@ class MapCommands:
                     told = self._look()
                 case asked_for.LookAtKeyframe():
                     told = self._keyframe(asked)
+                case asked_for.LookAtVersion():
+                    told = self._version(asked.version)
                 case asked_for.Edit():
                     told = self._edit(asked)
         except CorridorError as error:
@@ -70,6 +74,13 @@ class MapCommands:
                 "look at it again"
             )
         return look_at_keyframe(stored, asked.keyframe)
+
+    def _version(self, number: int) -> dict[str, Any]:
+        """Its tiles as a message of service.web.protocol, base64."""
+        tiles = load_map(self._folder, number).tiles
+        if not tiles:
+            raise InputError(f"version {number} of the map has no tiles; there is nothing to compare")
+        return {"version": number, "tiles": base64.b64encode(encode_tiles(tiles)).decode()}
 
     def _edit(self, asked: asked_for.Edit) -> dict[str, Any]:
         if not self._changing.acquire(blocking=False):

@@ -11,6 +11,7 @@ import { LiveEdit } from "./edit_live.js";
 import { clockTime, counted } from "./format.js";
 import { Keyframes } from "./keyframes.js";
 import { GRAPH_PROFILE } from "./profile_card.js";
+import { Swipe } from "./swipe.js";
 import { chooseTab } from "./tabs.js";
 
 const SHOWN = 8; // versions; the rest on demand
@@ -51,6 +52,7 @@ export class Edit {
     this.compare = new BeforeAfter(view);
     this.pairs = new EditPairs(this);
     this.loops = new EditLoops(this);
+    this.swipe = new Swipe(view);
     this.loops.put(); // none is known of a running session
     this.drawing = new EditDraw(this);
     this.cut = new EditCut(this);
@@ -258,9 +260,19 @@ export class Edit {
       element("p", { className: "note" }, `${who}, ${when}${is_current ? ", the present one" : ""}`));
     if (!is_current) {
       entry.append(element("div", { className: "row" },
-        element("button", { type: "button", onclick: () => this.#goBack(version) }, `Go back to version ${version}\u2026`)));
+        element("button", { type: "button", onclick: () => this.#goBack(version) }, `Go back to version ${version}\u2026`),
+        element("button", { type: "button", onclick: () => this.#compareWith(version) }, "Compare")));
     }
     return entry;
+  }
+
+  async #compareWith(version) {
+    const told = await this.connection.command("map_version", { version });
+    if (!told.ok) this.say(told.error, "error");
+    else {
+      await this.swipe.show(told, this.version);
+      chooseTab("map", { onlyOnPhone: true });
+    }
   }
 
   async #goBack(version) {

@@ -57,4 +57,4 @@ export class EditLoops {
 const evidence = ({ x_m, y_m, from_s, back_at_s, points, on_map, in_free, off_mm, off_deg }) => [
   `${fixed(from_s, 0)} to ${fixed(back_at_s, 0, " s")} at x ${fixed(x_m, 1)}, y ${fixed(y_m, 1, " m")}`,
   `${points || "\u2013"} points, ${fixed(100 * on_map, 0, " %")} on walls${in_free === null ? "" : `, ${fixed(100 * in_free, 0, " %")} in free space`}`,
-  `residual ${fixed(off_mm / 1000, 3, " m")}, ${fixed(off_deg, 2, "\u00b0")}`].join("; ");
+  `residual ${fixed(off_mm, 1, " mm")}, ${fixed(off_deg, 2, "\u00b0")}`].join("; ");

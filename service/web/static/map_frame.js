@@ -3,6 +3,7 @@
 import { scaleBar } from "./map_view.js";
 
 const EDGE = 4, COMPASS = 22; // pixels
+const BELOW = 74 + 2 * COMPASS; // from there on are the compass and the scale
 const FONT = "11px system-ui, sans-serif";
 
 /** Metres where lines of the grid meet the lower and the left edge; x at the one, y at the other, as the map is turned. */
@@ -19,7 +20,7 @@ export const drawMetres = (context, camera, colours, step_m) => {
     context.textBaseline = isBelow ? "alphabetic" : "middle";
     for (let at = Math.ceil(first / step_m) * step_m; at <= last; at += step_m) {
       const [sx, sy] = edgePoint(camera, axis, at, isBelow);
-      if (isBelow ? sx < 24 || sx > camera.width - 24 : sy < 8 || sy > camera.height - 24) continue;
+      if (isBelow ? sx < 24 || sx > camera.width - 24 : sy < 8 || sy > camera.height - BELOW) continue;
       const words = `${axis} ${Number(at.toFixed(3))}`;
       context.strokeText(words, sx, sy);
       context.fillText(words, sx, sy);
@@ -41,7 +42,7 @@ const edgePoint = (camera, axis, at, isBelow) => {
  *
  * north_rad    direction in the map, counter-clockwise from its x axis; null: not known */
 export const drawCompass = (context, camera, colours, north_rad) => {
-  const [x, y] = [EDGE + COMPASS + 10, camera.height - 66 - COMPASS];
+  const [x, y] = [EDGE + COMPASS + 10, camera.height + 8 - BELOW + COMPASS];
   const up = (north_rad ?? Math.PI / 2) + camera.rotation_rad;
   context.save();
   context.translate(x, y);

@@ -46,6 +46,7 @@ export class MapView {
     this.overlays = []; // functions(context, camera, colours) of the tools
     this.before = null; // snapshot of an earlier map
     this.showsBefore = false; // ... and whether it is drawn in place of the present one
+    this.other = null; // {tiles, share}: another version of the map, drawn in that share of the width
     this.follows = true;
     this.isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
     this.isFitted = false; // until then the first tiles are brought into view
@@ -75,7 +76,7 @@ export class MapView {
       lasers: Array.from({ length: LASER_COLOURS }, (_, i) => colour(`--laser-${i}`)),
     };
     this.standing.repaint();
-    for (const tiles of [this.tiles, this.before?.tiles]) {
+    for (const tiles of [this.tiles, this.before?.tiles, this.other?.tiles]) {
       tiles?.setColours({
         unknown: [0, 0, 0, 0], free: rgba(colour("--map-free")), occupied: rgba(colour("--map-occupied")),
       });
@@ -254,6 +255,7 @@ export class MapView {
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     camera.applyTo(context, dpr);
     if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
+    if (layers.map && this.other) this.#drawOther();
     if (layers.grid) this.#drawGrid();
     if (layers.standing && !this.showsBefore) this.standing.draw(context, colours.standing);
     if (layers.change) this.change.draw(context, camera.seen, camera.scale, colours.change);
@@ -269,6 +271,23 @@ export class MapView {
     if (this.firstMap_ms === null && tiles.tiles.size > 0) this.firstMap_ms = performance.now();
     this.drawn_ms.push(performance.now() - began_ms);
     if (this.drawn_ms.length > 300) this.drawn_ms.shift();
+  }
+
+  #drawOther() {
+    const { context, camera, canvas, colours, dpr = 1, other } = this, split = Math.round(canvas.width * other.share);
+    context.save();
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.beginPath();
+    context.rect(0, 0, split, canvas.height);
+    context.clip();
+    context.fillStyle = colours.ground;
+    context.fillRect(0, 0, split, canvas.height);
+    camera.applyTo(context, dpr);
+    other.tiles.draw(context, camera.seen, camera.scale * dpr);
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = colours.measure;
+    context.fillRect(split - 2 * dpr, 0, 2 * dpr, canvas.height);
+    context.restore();
   }
 
   get gridStep_m() {

@@ -1,5 +1,6 @@
 """What the operator's page asks of a stored map: bounded, one at a time, each change a version on disk."""
 
+import base64
 import json
 import threading
 
@@ -12,6 +13,7 @@ from service.mapstore.in_use import InUse
 from service.offline.maps import edit as map_edit
 from service.offline.maps.commands import MapCommands
 from service.offline.past.view import View
+from service.web.protocol import encode_tiles
 from tests.in_background import started
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.bent_maps import ROUND, graph_in
@@ -62,6 +64,16 @@ def test_the_points_of_a_key_frame_lie_in_the_map(folder, bent):
     np.testing.assert_allclose(np.reshape(told["points"], (-1, 2)), expected, atol=2e-3)
     assert "no key frame 9999" in Asking(folder).ask("map_keyframe", version=1, keyframe=9999)["error"]
     assert "this is of version 7" in Asking(folder).ask("map_keyframe", version=7, keyframe=0)["error"]
+
+
+def test_the_tiles_of_a_version_are_told_as_a_page_reads_them(folder):
+    asking = Asking(folder)
+    before = load_map(folder).tiles
+    assert asking.edit(1, "erase", corners=SQUARE, becomes="free")["ok"]
+    for number, tiles in ((1, before), (2, load_map(folder).tiles)):
+        told = asking.ask("map_version", version=number)
+        assert base64.b64decode(told["tiles"]) == encode_tiles(tiles)
+    assert "3" in asking.ask("map_version", version=3)["error"]
 
 
 def test_pairs_of_points_straighten_the_map(folder, bent):
@@ -171,7 +183,7 @@ def test_what_is_no_change_is_refused_in_words(folder, change, words):
 
 def test_other_requests_are_refused_in_words(picture):
     asking = Asking(picture)
-    assert "it knows map_look, map_keyframe, map_edit" in asking.ask("reset_map")["error"]
+    assert "it knows map_look, map_keyframe, map_version, map_edit" in asking.ask("reset_map")["error"]
     assert "Extra inputs" in asking.ask("map_look", more=1)["error"]
     change = {"what": "optimize"}
     assert "who" in asking.ask("map_edit", version=1, who="x" * 101, change=change)["error"]
@@ -188,7 +200,12 @@ def test_the_page_of_a_stored_map_takes_edits_with_the_token(folder):
 
     async def change(client):
         async with client.socket() as socket:
-            assert (await client.next(socket, "hello"))["verbs"] == ["map_look", "map_keyframe", "map_edit"]
+            assert (await client.next(socket, "hello"))["verbs"] == [
+                "map_look",
+                "map_keyframe",
+                "map_version",
+                "map_edit",
+            ]
             await client.next(socket, 1)
             request = {"version": 1, "who": "ada", "change": wall}
             await client.ask(socket, type="command", n=1, verb="map_edit", request=request)
