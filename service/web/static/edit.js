@@ -66,7 +66,7 @@ export class Edit {
       element("div", { className: "row" }, element("label", { for: "edit-who" }, "Your name"), this.who), this.list);
     this.all = element("fieldset", { className: "areas", "aria-label": "Changes of the map", "aria-describedby": this.note.id },
       element("div", { className: "edit-head" }, this.note, this.undoRow),
-      element("div", { className: "cards" }, this.fetched.node, this.pairs.card.node, this.loops.card.node, this.drawing.card.node, this.cut.card.node, versions.node));
+      element("div", { className: "cards" }, this.fetched.node, this.pairs.card.node, this.drawing.card.node, this.cut.card.node, versions.node, this.loops.card.node));
     root.append(this.all);
     this.update();
   }
