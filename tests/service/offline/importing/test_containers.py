@@ -20,8 +20,7 @@ from service.encoding import encode_pose
 from service.errors import InputError, StorageError
 from service.geometry.se2 import SE2
 from service.offline.past.recorded_moments import RecordedMoments
-from service.offline.replay.replay import group_sessions, replay, result_folders
-from service.offline.replay.setup import ReplayOptions
+from service.offline.replay.replay import group_sessions, result_folders
 from service.outputs import MapperOutput
 from service.recording.mcap_source import open_session
 from service.recording.opening import open_recording
@@ -129,12 +128,6 @@ CONTAINERS: dict[str, Callable[[Path], Path]] = {
 }
 
 
-def poses_of(paths: list[Path]) -> list[object]:
-    done = replay(paths, ReplayOptions())
-    assert done.summary["scans"] == SCANS
-    return [(output.stamp_ns, pose) for output, pose in zip(done.outputs, done.poses_map_base, strict=True)]
-
-
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_a_drive_is_read_to_the_last_byte_out_of_every_container(container: str, tmp_path: Path):
     (files,) = group_sessions([CONTAINERS[container](tmp_path)])
@@ -144,12 +137,6 @@ def test_a_drive_is_read_to_the_last_byte_out_of_every_container(container: str,
     assert not session.losses
     read = [(m.channel, m.type, m.log_ns, m.payload) for m in session.recording.messages()]
     assert read == [(m.channel, m.type, m.log_ns, m.payload) for m in DRIVE]
-
-
-def test_bag_and_db3_are_mapped_to_the_poses_of_the_mcap(tmp_path: Path):
-    expected = poses_of([mcap(tmp_path)])
-    assert poses_of([CONTAINERS["bag of lz4 chunks"](tmp_path)]) == expected
-    assert poses_of([CONTAINERS["ROS 2 folder, message mode"](tmp_path)]) == expected
 
 
 def test_a_span_of_times_is_read_out_of_every_container(tmp_path: Path):
