@@ -17,7 +17,7 @@ from service.interruption import (  # noqa: E402
 
 # These compile, run long in kernels, which no exception may leave, or begin processes: a signal ends them at
 # once. What they write, an end at any moment leaves whole. The others raise KeyboardInterrupt.
-ENDED_AT_ONCE = ("run", "demo", "replay", "warmup", "calibrate", "tune", "map")
+ENDED_AT_ONCE = ("run", "demo", "replay", "warmup", "calibrate", "tune", "map", "site")
 LIVE = ("run", "demo")
 
 

@@ -27,6 +27,7 @@ _COMMANDS = {
     "view": ("service.cli.sessions", "view"),
     "score": ("service.cli.sessions", "score"),
     "calibrate": ("service.cli.calibration", "calibrate"),
+    "site": ("service.cli.sites", "site"),
     "tune": ("service.cli.tuning", "tune"),
     "map": ("service.cli.maps", "map_command"),
     "check": ("service.cli.upkeep", "check"),

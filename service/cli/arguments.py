@@ -56,6 +56,7 @@ def new_parser() -> Parser:
     _add_view(commands)
     _add_score(commands)
     add_maps(commands, _add)
+    _add_site(commands)
     _add_check_and_doctor(commands)
     _add_recover(commands)
     _add_init(commands)
@@ -284,6 +285,34 @@ def _add_tune(commands: Any) -> None:
     )
     _add_engine(tune)
     add_choice(tune)
+
+
+def _add_site(commands: Any) -> None:
+    works = commands.add_parser("site", help="one map of all drives of a site").add_subparsers(
+        dest="work", metavar="WORK", required=True
+    )
+    build = _add(works, "build", "map all sessions, find how they lie to each other, and solve them as one")
+    build.add_argument(
+        "sessions",
+        nargs="+",
+        metavar="SESSION",
+        help=f"{RECORDINGS}; the result of a replay; a stored map; a folder of them, or a URL of recordings",
+    )
+    build.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="MAP",
+        help="folder of the site's map; what is there already is kept, and the sessions are added",
+    )
+    build.add_argument(
+        "--config",
+        type=Path,
+        metavar="CONFIG.yaml",
+        help="map recordings with its sensors and mapping instead of the recorded ones",
+    )
+    _add_engine(build)
+    add_choice(build)
 
 
 def _add_view(commands: Any) -> None:

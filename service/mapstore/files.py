@@ -217,6 +217,13 @@ def is_map_folder(folder: Path) -> bool:
     return folder.is_dir() and bool(_versions_read(folder))
 
 
+def newest_digest(folder: Path) -> str:
+    """That of the version that counts, as of StoredMap; only its manifest is read. Raises InputError."""
+    if not (names := _by_preference(folder)):
+        raise _no_map(folder, [])
+    return read_manifest(folder / names[0]).digest
+
+
 def keep_version(folder: Path, number: int, why: str) -> None:
     """Never remove this version when later ones are saved. Raises StorageError."""
     kept = folder / _name(number) / _KEPT

@@ -18,7 +18,18 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import accuracy, cluster, decoding, fleet, live, reading, replaying, scans, start_up
+    from tests.bench import (
+        accuracy,
+        cluster,
+        decoding,
+        fleet,
+        live,
+        reading,
+        replaying,
+        scans,
+        site,
+        start_up,
+    )
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
         "scans": scans.measure,
@@ -27,6 +38,7 @@ def main() -> int:
         "replay": replaying.measure,
         "cluster": cluster.measure,
         "fleet": fleet.measure,
+        "site": site.measure,
         "start-up": start_up.measure,
         "live": live.measure,
         "accuracy": lambda: accuracy.measure(

@@ -20,7 +20,7 @@ from uuid import uuid4
 from service.errors import CorridorError, StorageError, UsageError
 from service.extras import optional
 from service.interruption import before_ending, children_do_not_hear
-from service.offline.cluster.tasks import Done, Task, logged, run
+from service.offline.cluster.tasks import AnyTask, Done, logged, run
 
 log = logging.getLogger(__name__)
 
@@ -30,10 +30,10 @@ CONNECT_S = 30.0  # for a scheduler to answer, at first and after it was lost
 LOCAL, SLURM = "local:", "slurm:"  # and how many workers
 ADDRESSES = ("tcp://", "tls://")
 Ended = Generator[tuple[int, Done], None, None]
-Engine = Callable[[Sequence[Task]], Ended]
+Engine = Callable[[Sequence[AnyTask]], Ended]
 
 
-def in_turn(tasks: Sequence[Task]) -> Ended:
+def in_turn(tasks: Sequence[AnyTask]) -> Ended:
     """One after the other in this process."""
     for k, task in enumerate(tasks):
         yield k, run(task)
@@ -53,12 +53,12 @@ class Processes:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def __call__(self, tasks: Sequence[Task]) -> Ended:
+    def __call__(self, tasks: Sequence[AnyTask]) -> Ended:
         with TemporaryDirectory(prefix="corridor-", ignore_cleanup_errors=True) as folder:
             logs = [Path(folder) / f"{k}.log" for k in range(len(tasks))]
             yield from self._run(tasks, logs)
 
-    def _run(self, tasks: Sequence[Task], logs: Sequence[Path]) -> Ended:
+    def _run(self, tasks: Sequence[AnyTask], logs: Sequence[Path]) -> Ended:
         left, deaths = dict(enumerate(tasks)), Counter[int]()
         while left:
             # After a death those that had begun go on one by one, which shows whose fault it was.
@@ -76,7 +76,7 @@ class Processes:
                     del left[k]
                     yield k, _lost(tasks[k], _lines_of(logs[k]))
 
-    def _round(self, tasks: dict[int, Task], logs: Sequence[Path]) -> Iterator[tuple[int, Done | None]]:
+    def _round(self, tasks: dict[int, AnyTask], logs: Sequence[Path]) -> Iterator[tuple[int, Done | None]]:
         """None: not done, for a process of the pool died."""
         if self._pool is None:
             # spawn: a forked child would inherit locks of numba's and of threads that it does not have
@@ -101,7 +101,7 @@ def _lines_of(log_file: Path) -> list[str]:
     return log_file.read_text(encoding="utf-8", errors="replace").splitlines()
 
 
-def _run_in_pool(task: Task, log_file: Path) -> Done:
+def _run_in_pool(task: AnyTask, log_file: Path) -> Done:
     with (
         log_file.open("a", encoding="utf-8", buffering=1) as file,
         logged(lambda line: file.write(f"{line}\n")),
@@ -142,7 +142,7 @@ class Cluster:
     def __exit__(self, *exception: object) -> None:
         self._stack.close()
 
-    def __call__(self, tasks: Sequence[Task]) -> Ended:
+    def __call__(self, tasks: Sequence[AnyTask]) -> Ended:
         """Where the scheduler is lost, what is not done goes to it again once it is back."""
         left = dict(enumerate(tasks))
         while left:
@@ -153,7 +153,7 @@ class Cluster:
             if left:
                 log.warning("%s: the scheduler was lost; %d tasks go to it again", self._wanted, len(left))
 
-    def _round(self, client: Any, left: dict[int, Task]) -> Ended:
+    def _round(self, client: Any, left: dict[int, AnyTask]) -> Ended:
         """Those that end before the scheduler is lost."""
         batch = uuid4().hex
         futures = {
@@ -219,7 +219,7 @@ class Cluster:
         return cluster
 
 
-def _run_on_worker(topic: str, task: Task) -> Done:
+def _run_on_worker(topic: str, task: AnyTask) -> Done:
     """Its log goes to the scheduler, where it outlives the worker."""
     worker: Any = optional("dask.distributed", "cluster", "a worker").get_worker()
     worker.log_event(topic, f"{time.strftime('%H:%M:%S')} begins on {worker.address}")
@@ -227,12 +227,12 @@ def _run_on_worker(topic: str, task: Task) -> Done:
         return run(task)
 
 
-def _lost(task: Task, lines: Sequence[str]) -> Done:
+def _lost(task: AnyTask, lines: Sequence[str]) -> Done:
     words = "\n  ".join(lines[-LOG_LINES:]) or "nothing"
     return Done(
         CorridorError(
-            f"{task.name}: the process that mapped it died, each of {MAX_TRIES} times; is its memory enough? "
-            f"The last of its log:\n  {words}"
+            f"{task.name}: the process that worked on it died, each of {MAX_TRIES} times; is its memory "
+            f"enough? The last of its log:\n  {words}"
         ),
         {},
     )

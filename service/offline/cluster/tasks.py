@@ -1,4 +1,6 @@
-"""One session, one task: it is replayed to its folder, unless that holds the same result already."""
+"""What an engine runs; and a session as a task: it is replayed to its folder, unless that holds the same
+result already.
+"""
 
 import hashlib
 import json
@@ -9,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import service
 from service.archive import fingerprint
@@ -24,6 +26,21 @@ from service.version import VERSION
 
 DONE_FILE = "done.json"  # written last: a folder that has it is whole
 LOGGER = logging.getLogger("service")
+
+
+class AnyTask(Protocol):
+    """Can be pickled; its paths mean the same in another process or, on a shared disk, on another node."""
+
+    @property
+    def name(self) -> str:
+        """Of the session, say, for who reads why it failed."""
+
+    @property
+    def program(self) -> str:
+        """Digest of the sources of whoever asks for it; "": any."""
+
+    def work(self) -> "Done":
+        """Do it. Raises CorridorError."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +59,22 @@ class Task:
     @property
     def name(self) -> str:
         return str(self.session[0])
+
+    def work(self) -> "Done":
+        """Raises CorridorError."""
+        manifest = _manifest(self)
+        place = self.folder / DONE_FILE
+        try:
+            if not self.is_again and (summary := _summary_of(self.folder, manifest)) is not None:
+                return Done(summary, manifest, was_done=True)
+            place.unlink(missing_ok=True)
+            summary = replay_to(self.session, self.options, self.folder, self.extras)
+            place.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+        except CorridorError:
+            raise
+        except OSError as error:
+            raise StorageError(f"cannot write to {self.folder}: {words_of(error)}") from error
+        return Done(summary, manifest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,37 +98,19 @@ def program_digest() -> str:
     return digest.hexdigest()
 
 
-def run(task: Task) -> Done:
-    """Never raises: a fault of the program, too, is the outcome of its session alone."""
+def run(task: AnyTask) -> Done:
+    """Never raises: a fault of the program, too, is the outcome of its task alone."""
     ensure_cache_dir()
+    if task.program not in ("", program_digest()):
+        words = f"the worker has other sources of corridor ({VERSION}) than the command"
+        return Done(CorridorError(f"{task.name}: {words}; install the same wheel on every node"), {})
     try:
-        return _run(task)
+        return task.work()
     except CorridorError as error:
         return Done(error, {})
     except Exception:
         words = traceback.format_exc()
         return Done(CorridorError(f"{task.name}: this is a fault of the program\n{words}"), {})
-
-
-def _run(task: Task) -> Done:
-    if task.program not in ("", program_digest()):
-        raise CorridorError(
-            f"{task.name}: the worker has other sources of corridor ({VERSION}) than the command; install "
-            "the same wheel on every node"
-        )
-    manifest = _manifest(task)
-    place = task.folder / DONE_FILE
-    try:
-        if not task.is_again and (summary := _summary_of(task.folder, manifest)) is not None:
-            return Done(summary, manifest, was_done=True)
-        place.unlink(missing_ok=True)
-        summary = replay_to(task.session, task.options, task.folder, task.extras)
-        place.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
-    except CorridorError:
-        raise
-    except OSError as error:
-        raise StorageError(f"cannot write to {task.folder}: {words_of(error)}") from error
-    return Done(summary, manifest)
 
 
 def _manifest(task: Task) -> dict[str, Any]:

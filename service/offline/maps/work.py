@@ -103,7 +103,9 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
         try:
             merged = merge_graphs(graph, _graph_of(other, folder), shown.renderer, given)
         except MergeError as error:
-            raise InputError(f"{folder} and what is merged so far: {error}") from error
+            raise InputError(
+                f"{folder} and what is merged so far: {error}; if they overlap, say how by --pair"
+            ) from error
         assert isinstance(merged.result.saved, SavedGraph)
         graph = merged.result.saved
         steps.append(_told(folder, merged))

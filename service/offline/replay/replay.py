@@ -74,12 +74,17 @@ def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list
         return [out]
     folders: list[Path] = []
     for session in sessions:
-        part_of = _SESSION_FILE.fullmatch(session[0].name)
-        name = part_of[1] if part_of else name_of(session[0])
+        name = session_name(session)
         folder = out / name if out is not None else DEFAULT_OUT / f"replay_{name}"
         like = (folder.with_name(f"{folder.name}_{number}") for number in itertools.count(2))
         folders.append(folder if folder not in folders else next(one for one in like if one not in folders))
     return folders
+
+
+def session_name(session: Sequence[Path]) -> str:
+    """Of the files of one drive."""
+    part_of = _SESSION_FILE.fullmatch(session[0].name)
+    return part_of[1] if part_of else name_of(session[0])
 
 
 Outcome = dict[str, Any] | CorridorError  # of one session: its summary, or why there is none

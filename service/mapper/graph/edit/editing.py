@@ -15,6 +15,7 @@ from service.geometry.poses import Floats
 from service.mapper.by_hand import BECOMES, WALL, Drawing
 from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.edit_requests import Becomes, EditError
+from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.model.groups import groups_of
@@ -74,16 +75,23 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
     if not is_kept.any():
         raise EditError("that is all of the map: nothing would be left")
     piece = graph.piece if is_bridged else _pieces_cut(graph.piece, is_kept)
+    less = only(replace(graph, piece=piece), is_kept)
+    bridge = "--bridge lets odometry hold them over what is cut"
+    _refuse_if_apart(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
+    return less
+
+
+def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
+    """Some of the key frames (N,), and what lies between them."""
     number = np.cumsum(is_kept) - 1
     loops_kept = is_kept[graph.loop_ends].all(axis=1)
     points_kept = np.repeat(is_kept, graph.point_count)
-    per_frame = (  # but for piece: below
-        "stamp_ns odom map way_m covariance score gap_s is_lost range_sigma_m sensor_xy_m point_count"
+    per_frame = (
+        "stamp_ns odom map way_m covariance score gap_s piece is_lost range_sigma_m sensor_xy_m point_count"
     )
-    less = replace(
+    return replace(
         graph,
         **{name: getattr(graph, name)[is_kept] for name in per_frame.split()},
-        piece=piece[is_kept],
         xy_base=graph.xy_base[points_kept],
         normals=graph.normals[points_kept],
         **_loops_of(graph, loops_kept),
@@ -91,9 +99,6 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
         refused=graph.refused.renumbered(number, is_kept),
         by_hand=graph.by_hand.without_keyframes(is_kept, graph.map),
     )
-    bridge = "--bridge lets odometry hold them over what is cut"
-    _refuse_if_apart(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
-    return less
 
 
 def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None = None) -> SavedGraph:
@@ -152,9 +157,14 @@ def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
     return {name: getattr(graph, name)[kept] for name in names}
 
 
-def solved(graph: SavedGraph, renderer: MapRenderer, config: LoopsConfig | None = None) -> Solved:
-    """The poses that agree best with odometry, loops and pairs; the first key frame stays where it is."""
-    back_end = LoopBackEnd(config or LoopsConfig(), renderer, graph)
+def solved(
+    graph: SavedGraph,
+    renderer: MapRenderer,
+    config: LoopsConfig | None = None,
+    anchoring: Anchoring | None = None,
+) -> Solved:
+    """The poses that agree best with odometry, loops, pairs and fixes; the first key frame stays."""
+    back_end = LoopBackEnd(config or LoopsConfig(), renderer, graph, anchoring=anchoring)
     rendered: Result = back_end.work(Batch([], "optimize"))
     saved = back_end.work(Batch([], "checkpoint")).saved
     assert isinstance(saved, SavedGraph)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
@@ -19,6 +20,9 @@ ASKED_EVERY_M = 4.0  # of the second's way
 AGREE_M, AGREE_RAD = 0.5, 0.05  # two finds say the same, where both lie within AGREE_WAY_M of way
 AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
 MIN_AGREEING = 3
+QUERY = 6  # key frames of a place that are looked for, where not everywhere is asked
+MAX_MISSES = 8  # of places far apart; where a quarter of the second overlaps, one in ten sessions has so many
+SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # every 8th place from these on, one series after the other
 
 
 class MergeError(ValueError):
@@ -54,7 +58,7 @@ def merge_graphs(
     both = together(first, second)
     finds = 0
     if pose_first_second is None:
-        pose_first_second, finds = _found(both, len(first), config)
+        pose_first_second, finds = find_second(both, len(first), config)
     here = np.arange(len(both)) >= len(first)
     placed = both.map.copy()
     placed[here] = se2.compose(pose_first_second, both.map[here])
@@ -65,9 +69,7 @@ def merge_graphs(
     assert isinstance(saved, SavedGraph)
     across = [loop for loop in back_end.loops if (loop.of < len(first)) != (loop.to < len(first))]
     if not across:
-        raise MergeError(
-            "no loop holds the second map to the first where it was put; if they overlap, say how by --pair"
-        )
+        raise MergeError("no loop holds the second map to the first where it was put")
     off = [se2.between(loop.measured, se2.between(saved.map[loop.of], saved.map[loop.to])) for loop in across]
     residual = np.array(off)
     return Merged(
@@ -80,45 +82,95 @@ def merge_graphs(
     )
 
 
-def together(first: SavedGraph, second: SavedGraph) -> SavedGraph:
-    """The key frames of one behind those of the other, each still in its own map frame."""
+def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
+    """The key frames of several graphs one behind the other, each still in its own map frame."""
+    graphs = (first, *others)
+    before = np.cumsum([0, *(len(graph) for graph in graphs)]).tolist()
+    way_m, piece = [first.way_m], [first.piece]
+    refused, by_hand = first.refused, first.by_hand
+    for graph, count in zip(others, before[1:], strict=False):
+        way_m.append(graph.way_m - graph.way_m[0] + way_m[-1][-1] + SESSION_APART_M)
+        piece.append(graph.piece - graph.piece.min() + piece[-1].max() + 1)
+        refused = refused.and_also(replace(graph.refused, ends=graph.refused.ends + count))
+        by_hand = by_hand.and_also(graph.by_hand, count)
 
     def joined(name: str) -> np.ndarray:
-        return np.concatenate((getattr(first, name), getattr(second, name)))
+        return np.concatenate([getattr(graph, name) for graph in graphs])
 
     names = (
         "stamp_ns odom map covariance score gap_s is_lost range_sigma_m sensor_xy_m point_count xy_base "
         "normals loop_measured loop_covariance loop_score loop_points loop_against"
     )
-    way_m = second.way_m - second.way_m[0] + first.way_m[-1] + SESSION_APART_M
-    piece = second.piece - second.piece.min() + first.piece.max() + 1
+    ends = [graph.loop_ends + count for graph, count in zip(graphs, before, strict=False)]
     return SavedGraph(
         **{name: joined(name) for name in names.split()},
-        way_m=np.concatenate((first.way_m, way_m)),
-        piece=np.concatenate((first.piece, piece)),
-        loop_ends=np.concatenate((first.loop_ends, second.loop_ends + len(first))),
-        refused=first.refused.and_also(replace(second.refused, ends=second.refused.ends + len(first))),
-        by_hand=first.by_hand.and_also(second.by_hand, len(first)),
+        way_m=np.concatenate(way_m),
+        piece=np.concatenate(piece),
+        loop_ends=np.concatenate(ends),
+        refused=refused,
+        by_hand=by_hand,
     )
 
 
-def _found(both: SavedGraph, count: int, config: LoopsConfig) -> tuple[Floats, int]:
-    """Pose (3,) of the second's map frame in the first's that most places say, and how many."""
+def find_second(
+    both: SavedGraph, count: int, config: LoopsConfig, enough: int | None = None
+) -> tuple[Floats, int]:
+    """Pose (3,) of the second's map frame in the first's that most places say, and how many.
+
+    count    key frames of the first, which stand before those of the second
+    enough   end the search once so many places agree and no more than half as many say otherwise, or the
+             first MAX_MISSES are found nowhere; None: ask everywhere
+
+    Raises MergeError where fewer than MIN_AGREEING agree.
+    """
     keyframes = KeyframeList(both)
     search = DetachedSearch(config, keyframes)
     usable = keyframes.is_usable
     known, own = np.flatnonzero(usable[:count]), count + np.flatnonzero(usable[count:])
+    asked = _places_asked(keyframes, own)
     found: list[tuple[int, Floats]] = []  # key frame of the second, and the pose of its frame that it says
-    asked_m = -np.inf
-    for k in own.tolist():
-        if keyframes.way_m[k] < asked_m + ASKED_EVERY_M:
-            continue
-        asked_m = float(keyframes.way_m[k])
+    agreeing: list[tuple[int, Floats]] = []
+    for number, k in enumerate(asked if enough is None else _spread(asked)):
+        if enough is not None and not found and number >= MAX_MISSES:
+            break
         near = own[np.abs(keyframes.way_m[own] - keyframes.way_m[k]) <= 0.5 * config.place_m]
-        best = search.best_of(search.places_of(near.tolist(), int(k), known))
-        if best is not None:
-            at, _ = best
-            found.append((k, se2.compose(at, se2.between(keyframes.map[k], np.zeros(3)))))
+        near = near if enough is None else near[:: max(1, len(near) // QUERY)]
+        best = search.best_of(search.places_of(near.tolist(), k, known, only_winners=enough is not None))
+        if best is None:
+            continue
+        at, _ = best
+        found.append((k, se2.compose(at, se2.between(keyframes.map[k], np.zeros(3)))))
+        if enough is not None and len(found) >= enough:
+            agreeing = _agreeing(keyframes, found)
+            if len(agreeing) >= enough and len(found) - len(agreeing) <= len(agreeing) // 2:
+                break
+    found.sort(key=lambda one: one[0])
+    agreeing = _agreeing(keyframes, found)
+    if len(agreeing) < MIN_AGREEING:
+        raise MergeError(
+            f"{len(found)} places of the second map look like places of the first, and {len(agreeing)} of "
+            f"them agree (at least {MIN_AGREEING}): the maps overlap too little"
+        )
+    middle = agreeing[len(agreeing) // 2][1]
+    return middle, len(agreeing)
+
+
+def _places_asked(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[int]:
+    """Of some key frames by rising number one each ASKED_EVERY_M of the way."""
+    asked: list[int] = []
+    for k in own.tolist():
+        if not asked or keyframes.way_m[k] >= keyframes.way_m[asked[-1]] + ASKED_EVERY_M:
+            asked.append(k)
+    return asked
+
+
+def _spread(places: list[int]) -> list[int]:
+    """The same in another order, in which those after each other lie far apart: every 8th, and so on."""
+    return [place for first in SPREAD for place in places[first :: len(SPREAD)]]
+
+
+def _agreeing(keyframes: KeyframeList, found: list[tuple[int, Floats]]) -> list[tuple[int, Floats]]:
+    """The most of them that put the second at one pose."""
     agreeing: list[tuple[int, Floats]] = []
     for k, pose in found:
         same = [
@@ -128,14 +180,7 @@ def _found(both: SavedGraph, count: int, config: LoopsConfig) -> tuple[Floats, i
         ]
         if len(same) > len(agreeing):
             agreeing = same
-    if len(agreeing) < MIN_AGREEING:
-        raise MergeError(
-            f"{len(found)} places of the second map look like places of the first, and {len(agreeing)} of "
-            f"them agree (at least {MIN_AGREEING}): the maps overlap too little; if they do, say how by "
-            "--pair"
-        )
-    middle = agreeing[len(agreeing) // 2][1]
-    return middle, len(agreeing)
+    return agreeing
 
 
 def _agree(place: Floats, a: Floats, b: Floats, apart_m: float) -> bool:

@@ -64,6 +64,7 @@ class LoopBackEnd:
     """BackEnd. Key frames, loops and poses gather here, behind those of a stored map if there is one.
 
     is_localizing   the stored map stays as it is: its key frames are held, what is new is forgotten
+    anchoring       of what is stored; None: by the fixes that come
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class LoopBackEnd:
         stored: SavedGraph | None = None,
         is_localizing: bool = False,
         keep_graph: KeepGraph | None = None,
+        anchoring: Anchoring | None = None,
     ) -> None:
         self._keep_graph = keep_graph
         self._config = config
@@ -92,11 +94,11 @@ class LoopBackEnd:
         # Numbers of the pieces whose place in the map is known.
         self._joined = {0} if stored is None else set(self.keyframes.piece.tolist())
         self.pieces = DetachedSearch(config, self.keyframes)
-        self._is_merging = False  # what is stored was put together, and no loop holds it yet
+        self._is_merging = self._is_across = False  # as of begin_session_at
         self._placement = Placement(stored is not None)
         self._old_passes = OldPasses(config, self.keyframes)
         self._edits = LiveEdits(self.keyframes)
-        self._anchoring = Anchoring()
+        self._anchoring = anchoring or Anchoring()
         self._drawing = Drawing()
 
     def make_ready(self) -> None:
@@ -204,9 +206,9 @@ class LoopBackEnd:
         """Those that are accepted."""
         return self._loops
 
-    def begin_session_at(self, k: int) -> None:
-        """Take the key frames from k on for those of this session, though they are stored, too."""
-        self.keyframes.stored, self._is_merging = k, True
+    def begin_session_at(self, k: int, is_across: bool = False) -> None:
+        """Key frames from k on are of this session, though stored; is_across: seek loops to those before."""
+        self.keyframes.stored, self._is_merging, self._is_across = k, True, is_across
 
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
@@ -316,8 +318,8 @@ class LoopBackEnd:
         if window is None:
             apart &= way < way[reference]
         near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
-        if self._held:
-            near = near[near < self._held]
+        if self._held or self._is_across:
+            near = near[near < (self._held or keyframes.stored)]
         cloud: PointCloud | None = None
         found = []
         for k in worth_asking(way, near, away_m, reach_m, config.place_m):

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,19 @@ def stored_loops(stored: SavedGraph) -> list[Loop]:
     ]
 
 
+def loop_arrays(loops: Sequence[Loop]) -> dict[str, npt.NDArray[Any]]:
+    """Loops as the fields of a SavedGraph that hold them; stored_loops gives them back."""
+    edges = as_edges(loops)
+    return {
+        "loop_ends": np.column_stack((edges.of, edges.to)).astype(np.int64),
+        "loop_measured": edges.measured,
+        "loop_covariance": edges.covariance,
+        "loop_score": np.array([loop.share for loop in loops], np.float64),
+        "loop_points": np.array([loop.points for loop in loops], np.int64),
+        "loop_against": np.array([loop.against for loop in loops], np.float64),
+    }
+
+
 def saved_graph(
     keyframes: KeyframeList,
     loops: Sequence[Loop],
@@ -58,7 +72,8 @@ def saved_graph(
     kept = np.flatnonzero(is_known)
     number = np.cumsum(is_known) - 1
     between = [loop for loop in loops if is_known[loop.of] and is_known[loop.to]]
-    edges = as_edges(between)
+    of_loops = loop_arrays(between)
+    of_loops["loop_ends"] = number[of_loops["loop_ends"]]
     thinned = [keyframes.thinned[k] for k in kept.tolist()]
     return SavedGraph(
         stamp_ns=np.array(keyframes.stamps_ns, np.int64)[kept],
@@ -75,12 +90,7 @@ def saved_graph(
         point_count=np.array([len(one.xy_base) for one in thinned], np.int64),
         xy_base=np.concatenate([np.zeros((0, 2), np.float32), *(one.xy_base for one in thinned)]),
         normals=np.concatenate([np.zeros((0, 3), np.float32), *(one.normals for one in thinned)]),
-        loop_ends=np.column_stack((number[edges.of], number[edges.to])).astype(np.int64),
-        loop_measured=edges.measured,
-        loop_covariance=edges.covariance,
-        loop_score=np.array([loop.share for loop in between]),
-        loop_points=np.array([loop.points for loop in between], np.int64),
-        loop_against=np.array([loop.against for loop in between], np.float64),
+        **of_loops,
         refused=refusals.arrays(loops).renumbered(number, is_known),
         by_hand=by_hand,
     )

@@ -253,9 +253,12 @@ class DetachedSearch:
         known: npt.NDArray[np.int64],
         prior: OdometryPrior | None = None,
         reach_m: float = math.inf,
+        only_winners: bool = False,
     ) -> list[CandidatePose]:
         """Where in the known map the key frames `own` may lie, the likeliest by what is seen first; no
         farther than reach_m from where dead reckoning puts the reference.
+
+        only_winners   refine none where none can be likelier than new ground
         """
         seen = seen_cloud(self._keyframes, own, reference)
         self._asked = seen
@@ -264,12 +267,13 @@ class DetachedSearch:
         def is_in_reach(pose: Floats) -> bool:
             return math.dist(pose[:2], at_m) <= reach_m
 
-        found = (
-            find_places(self._map_of(known), seen, is_possible=is_in_reach)
-            if prior is None
-            else find_places(
-                self._map_of(known), seen, [prior.pose], lambda one: _could_win(one, prior), is_in_reach
-            )
+        guesses = [] if prior is None else [prior.pose]
+        found = find_places(
+            self._map_of(known),
+            seen,
+            guesses,
+            lambda one: (prior is None and not only_winners) or _could_win(one, prior),
+            is_in_reach,
         )
         self._places = [self._candidate(known, reference, one, seen.cloud, prior) for one in found]
         return self._places
@@ -463,8 +467,8 @@ def _margin(unexplained: float, is_led: bool) -> float:
     return CLEARLY_LIKELIER + (0.0 if is_led else FOR_UNEXPLAINED * unexplained)
 
 
-def _could_win(one: Aligned, prior: OdometryPrior) -> bool:
+def _could_win(one: Aligned, prior: OdometryPrior | None) -> bool:
     """Whether a candidate may be likelier than new ground, once refined: by BEHIND_NATS at most."""
     unexplained = max(one.weight.unexplained - BEHIND_NATS, 0.0)
-    least = _margin(unexplained, is_same_place(prior.pose, one.fit.pose))
+    least = _margin(unexplained, prior is not None and is_same_place(prior.pose, one.fit.pose))
     return one.weight.evidence + BEHIND_NATS >= least

@@ -14,19 +14,19 @@ TURN_ERROR_RADPM = 0.004
 FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 360, 361
 
 
-def _rectangle(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
+def rectangle(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
     return [(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)]
 
 
 RING = [
-    *_rectangle(-HALF_M, -HALF_M, LENGTH_M + HALF_M, WIDTH_M + HALF_M),
-    *_rectangle(HALF_M, HALF_M, LENGTH_M - HALF_M, WIDTH_M - HALF_M),
-    *_rectangle(4.0, -HALF_M, 4.6, -0.7),  # cabinets, so that no two places look alike
-    *_rectangle(9.0, 0.7, 9.3, HALF_M),
-    *_rectangle(LENGTH_M + 0.6, 3.0, LENGTH_M + HALF_M, 3.5),
-    *_rectangle(10.0, WIDTH_M + 0.7, 11.5, WIDTH_M + HALF_M),
-    *_rectangle(3.0, WIDTH_M + 0.5, 3.3, WIDTH_M + HALF_M),
-    *_rectangle(-HALF_M, 5.0, -0.6, 6.2),
+    *rectangle(-HALF_M, -HALF_M, LENGTH_M + HALF_M, WIDTH_M + HALF_M),
+    *rectangle(HALF_M, HALF_M, LENGTH_M - HALF_M, WIDTH_M - HALF_M),
+    *rectangle(4.0, -HALF_M, 4.6, -0.7),  # cabinets, so that no two places look alike
+    *rectangle(9.0, 0.7, 9.3, HALF_M),
+    *rectangle(LENGTH_M + 0.6, 3.0, LENGTH_M + HALF_M, 3.5),
+    *rectangle(10.0, WIDTH_M + 0.7, 11.5, WIDTH_M + HALF_M),
+    *rectangle(3.0, WIDTH_M + 0.5, 3.3, WIDTH_M + HALF_M),
+    *rectangle(-HALF_M, 5.0, -0.6, 6.2),
 ]
 
 

@@ -1,0 +1,224 @@
+"""`corridor site build`: one map of all drives of a site, which grows by new ones."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.counted import counted
+from service.errors import CorridorError, InputError
+from service.geometry import poses as se2
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapstore.files import is_map_folder, load_map, newest_digest, save_map
+from service.offline.cluster.batch import run_batch
+from service.offline.cluster.engines import Engine
+from service.offline.cluster.tasks import new_tasks
+from service.offline.past.result import map_folder
+from service.offline.replay.setup import ReplayOptions
+from service.offline.site.growth import Member, Progress, Site, begun_with, grow, member_of
+from service.offline.site.manifest import LeftOut, read_manifest, write_manifest
+from service.offline.site.paths import write_paths
+from service.offline.site.sessions import Given, Session, given_sessions, load_session
+from service.offline.writing import refuse_unwritable_folder
+
+SESSIONS = "sessions"  # below the map: results of recordings that were replayed for it
+
+
+def site_build(
+    paths: Sequence[Path], options: ReplayOptions, out: Path, engine: Engine, progress: Progress
+) -> dict[str, Any]:
+    """Add sessions to the site map in `out`, or begin one; what came of it, for JSON.
+
+    Raises InputError where `out` holds another map or no session can be used, StorageError where it cannot be
+    written, and what a task failed by.
+    """
+    refuse_unwritable_folder(out)
+    given = given_sessions(paths, out / SESSIONS)
+    site, left_out, number = _site_there(out)
+    old = [] if site is None else list(site.members)
+    failed = _replayed(given, options, engine, progress)
+    refused = {name: LeftOut("", 0, str(error)) for name, error in failed.items()}
+    sessions: list[Session] = []
+    for one in given:
+        if one.name in failed:
+            continue
+        try:
+            if (fresh := _fresh(one, old, left_out)) is not None:
+                _refuse_again(fresh, [*old, *map(member_of, sessions)])
+                sessions.append(fresh)
+        except InputError as error:
+            refused[one.name] = LeftOut("", 0, str(error))
+    out.mkdir(parents=True, exist_ok=True)
+    if site is None:
+        if not sessions:
+            raise next(iter(failed.values()), InputError("; ".join(one.why for one in refused.values())))
+        site = _begun(sessions, engine, out, progress)
+    else:
+        known = {one.name: left_out[one.name].known for one in sessions if one.name in left_out}
+        grow(site, sessions, engine, out, progress, known)
+    digests = {one.name: one.digest for one in sessions}
+    refused |= {name: LeftOut(digests[name], len(site.members), why) for name, why in site.left_out.items()}
+    left_out = {name: one for name, one in left_out.items() if name not in digests} | refused
+    write_manifest(out, site.members, left_out)
+    if len(site.members) > len(old):
+        number = _save(site, out)
+        write_paths(out, site, {one.name: one.result for one in given})
+    return _told(site, left_out, out, number, len(site.members) - len(old))
+
+
+def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
+    """The site, who was left out of it, and the version of its map. None: nothing was built there."""
+    if not is_map_folder(out):
+        return None, {}, 0
+    stored = load_map(out)
+    members, left_out = read_manifest(out, stored)
+    assert stored.graph is not None
+    cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
+    return Site(members, stored.graph, cell_m, stored.geo), left_out, stored.number
+
+
+def _replayed(
+    given: Sequence[Given], options: ReplayOptions, engine: Engine, progress: Progress
+) -> dict[str, CorridorError]:
+    """Replay what is not mapped, as tasks; by name what failed."""
+    todo = [one for one in given if one.recording]
+    if not todo:
+        return {}
+    tasks = new_tasks([one.recording for one in todo], options, [one.result for one in todo])
+    done = run_batch(tasks, engine, progress)
+    return {
+        one.name: each.outcome
+        for one, each in zip(todo, done, strict=True)
+        if isinstance(each.outcome, CorridorError)
+    }
+
+
+def _fresh(given: Given, members: Sequence[Member], left_out: Mapping[str, LeftOut]) -> Session | None:
+    """The session, where there is anything to be done of it: it is not in the site, and was not left out when
+    the site had the same members. Raises InputError where it cannot be.
+    """
+    folder = map_folder(given.result)
+    digest = "" if folder is None else newest_digest(folder)
+    for member in members:
+        if member.name == given.name:
+            if member.digest == digest:
+                return None
+            raise InputError(
+                "the site has a session of this name with other content: it was edited or replayed again "
+                "since; build the site anew with another --out"
+            )
+    known = left_out.get(given.name)
+    if known is not None and (known.digest, known.known) == (digest, len(members)):
+        return None
+    return load_session(given)
+
+
+def _refuse_again(session: Session, others: Sequence[Member]) -> None:
+    """Raises InputError where another one is of the same drive: each would confirm the other's errors."""
+    own = member_of(session)
+    if same := next((one for one in others if one.stamps_ns == own.stamps_ns), None):
+        raise InputError(f"it is the drive of {same.name}, by the stamps of its key frames")
+
+
+def _begun(sessions: Sequence[Session], engine: Engine, folder: Path, progress: Progress) -> Site:
+    """A new site: the most of the sessions that fit together, in the map frame of the first of them."""
+    rest, best, apart = list(sessions), None, dict[str, str]()
+    while rest and (best is None or len(best.members) < len(rest)):
+        site = begun_with(rest[0])
+        grow(site, rest[1:], engine, folder, progress)
+        names = [one.name for one in site.members]
+        for name in names:
+            others = ", ".join(other for other in names if other != name)
+            apart[name] = (
+                f"it overlaps with {others} alone: a site of its own, or the drive between is missing"
+                if others
+                else "it overlaps with no other session"
+            )
+        if best is None or len(names) > len(best.members):
+            best = site
+        rest = [one for one in rest if one.name not in names]
+    assert best is not None
+    inside = {one.name for one in best.members}
+    best.left_out = {
+        one.name: apart.get(one.name) or best.left_out[one.name] for one in sessions if one.name not in inside
+    }
+    return best
+
+
+def _save(site: Site, out: Path) -> int:
+    shown = OccupancyTiles(OccupancyConfig(), site.cell_m)
+    if site.rendered is None:  # of one session
+        site.solve()
+    assert site.rendered is not None
+    shown.replace_by(site.rendered, ())
+    about = {"profile": "corridor", "sessions": str(len(site.members))}
+    saved_ns = int(site.graph.stamp_ns.max())
+    number = save_map(out, shown.changed_tiles(), saved_ns, about, site.geo, site.graph)
+    if number is None:
+        raise InputError(f"{out}: no key frame of the site saw anything; the map has no tile")
+    return number
+
+
+def _told(site: Site, left_out: Mapping[str, LeftOut], out: Path, number: int, added: int) -> dict[str, Any]:
+    graph, ends = site.graph, site.members_of_loops()
+    is_across = ends[:, 0] != ends[:, 1]
+    seen = se2.between(graph.map[graph.loop_ends[:, 0]], graph.map[graph.loop_ends[:, 1]])
+    off = se2.between(graph.loop_measured, seen)
+    off_mm = 1e3 * np.hypot(off[:, 0], off[:, 1])
+    told = []
+    for k, one in enumerate(site.members):
+        own = is_across & (ends == k).any(axis=1)
+        told.append(
+            {
+                "session": one.name,
+                "keyframes": one.keyframes,
+                "loops": int(own.sum()),
+                "sessions_joined": len(np.unique(ends[own])) - 1 if own.any() else 0,
+                "residual_mm": round(float(np.sqrt((off_mm[own] ** 2).mean())), 1) if own.any() else None,
+                "contradicts_percent": _per_cent(graph.loop_against[own]),
+                "fixes": 0 if one.geo is None else one.geo.fixes,
+            }
+        )
+    return {
+        "map": str(out),
+        "version": number,
+        "added": added,
+        "sessions": told,
+        "left_out": {name: one.why for name, one in sorted(left_out.items())},
+        "keyframes": len(graph),
+        "loops": len(graph.loop_ends),
+        "loops_contradicted": site.contradicted,
+    }
+
+
+def _per_cent(shares: np.ndarray) -> float | None:
+    """The median of shares, those that are no number left out."""
+    known = shares[np.isfinite(shares)]
+    return round(100.0 * float(np.median(known)), 2) if len(known) else None
+
+
+def summary_of(told: Mapping[str, Any]) -> str:
+    """In words, a line."""
+    count, left_out = len(told["sessions"]), told["left_out"]
+    words = f"{told['map']}, version {told['version']}: {counted(count, 'session')} of the site"
+    words += f", {told['added']} of them new" if told["added"] != count else ""
+    if left_out:
+        words += f"; {len(left_out)} left out: {', '.join(left_out)}"
+    return words
+
+
+def site_table(told: Mapping[str, Any]) -> list[list[str]]:
+    """Rows for a terminal, the first one the heads."""
+    heads = ["session", "key frames", "loops", "to sessions", "residual mm", "contradicts %", "fixes"]
+    names = (
+        "session",
+        "keyframes",
+        "loops",
+        "sessions_joined",
+        "residual_mm",
+        "contradicts_percent",
+        "fixes",
+    )
+    rows = [["-" if one[name] is None else str(one[name]) for name in names] for one in told["sessions"]]
+    return [heads, *rows]

@@ -1,0 +1,319 @@
+"""A site grows: sessions are found in it, tied to what it has by loops, and all is solved as one graph."""
+
+import shutil
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import accumulate, pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import CorridorError
+from service.geometry import poses as se2
+from service.geometry.geo_reference import GeoReference
+from service.geometry.poses import Floats
+from service.interruption import before_ending
+from service.mapper.components import RenderedMap
+from service.mapper.graph.edit.editing import only, solved
+from service.mapper.graph.edit.merging import together
+from service.mapper.graph.loops.stored_graph import loop_arrays
+from service.mapper.graph.model.loops import Loop
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.saved_graph import SavedGraph
+from service.offline.cluster.engines import Engine
+from service.offline.cluster.tasks import AnyTask, program_digest
+from service.offline.site.anchors import StoredAnchors
+from service.offline.site.sessions import Session
+from service.offline.site.tasks import Find, FindLoops, keep_graph
+
+SPOT_M, VIEWS = 0.5, 6  # of the site so many key frames a spot and direction are looked at
+KEPT_OF_SPOT = 2
+PLACE_M = 4.0  # cells in which sessions overlap
+MAX_PARTNERS, TIMES_COVERED = 4, 2  # sessions that one is tied to, at most; of each of its places
+MIN_LOOPS = 3  # that hold a session
+# By fixes alone a session is known well enough to look for loops: FINISH_WINDOW of the back end at 3 sigma.
+MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
+Pair = tuple[int, int]  # numbers of sessions: members, and behind them those that are new
+Progress = Callable[[float, str, str], None]  # share; the phase; in words
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A session of the site: its key frames stand behind those of the members before.
+
+    stamps_ns   of its first and last key frame
+    """
+
+    name: str
+    digest: str
+    keyframes: int
+    stamps_ns: tuple[int, int]
+    geo: GeoReference | None = None
+
+
+@dataclass(slots=True, eq=False)
+class Site:
+    """What is known of a site; `rendered` once it has been solved."""
+
+    members: list[Member]
+    graph: SavedGraph
+    cell_m: float
+    geo: GeoReference | None = None
+    rendered: RenderedMap | None = None
+    contradicted: int = 0  # loops that the rest contradicts
+    left_out: dict[str, str] = field(default_factory=dict)  # name -> why
+
+    @property
+    def begins(self) -> list[int]:
+        """Of each member the number of its first key frame; at the end that of all."""
+        return [0, *accumulate(one.keyframes for one in self.members)]
+
+    def graph_of(self, k: int) -> SavedGraph:
+        """The key frames of a member, in the map of the site."""
+        number = np.arange(len(self.graph))
+        return only(self.graph, (number >= self.begins[k]) & (number < self.begins[k + 1]))
+
+    def anchors(self) -> StoredAnchors:
+        of = {
+            begin: one.geo
+            for begin, one in zip(self.begins, self.members, strict=False)
+            if one.geo is not None
+        }
+        return StoredAnchors(of, self.graph.map)
+
+    def members_of_loops(self) -> npt.NDArray[np.int64]:
+        """(L, 2) numbers of the members that each loop joins."""
+        return np.asarray(np.searchsorted(self.begins, self.graph.loop_ends, side="right") - 1)
+
+    def solve(self) -> None:
+        """Solve it, and draw it."""
+        anchors, renderer = self.anchors(), OccupancyTiles(OccupancyConfig(), self.cell_m).renderer
+        solution = solved(self.graph, renderer, anchoring=anchors)
+        self.graph, self.geo, self.rendered = solution.graph, anchors.reference, solution.rendered_map
+        self.contradicted += solution.contradicted
+
+
+def begun_with(session: Session) -> Site:
+    """A site in the map frame of its first session."""
+    return Site([member_of(session)], session.graph, session.cell_m)
+
+
+def member_of(session: Session) -> Member:
+    stamps = session.graph.stamp_ns
+    return Member(session.name, session.digest, len(stamps), (int(stamps[0]), int(stamps[-1])), session.geo)
+
+
+def grow(
+    site: Site,
+    sessions: Sequence[Session],
+    engine: Engine,
+    folder: Path,
+    progress: Progress,
+    known: Mapping[str, int] | None = None,
+) -> None:
+    """Add the sessions that fit, in rounds, for one may fit to another one only; `left_out` names the others.
+
+    folder   for what tasks read; it is there, and on a cluster on a shared disk
+    known    members that sessions were looked for in before, by name: the first so many
+    """
+    waiting, looked = list(sessions), dict(known or {})
+    while any(looked.get(one.name, 0) < len(site.members) for one in waiting):
+        with TemporaryDirectory(prefix=".build-", dir=folder, ignore_cleanup_errors=True) as kept:
+            before_ending(partial(shutil.rmtree, kept, ignore_errors=True))
+            round_ = _Round(site, waiting, engine, Path(kept), progress)
+            found = round_.find(looked)
+            looked = dict.fromkeys((one.name for one in waiting), len(site.members))
+            added = round_.add(found)
+        waiting = [one for one in waiting if one.name not in added]
+    site.left_out = {one.name: site.left_out[one.name] for one in waiting}
+
+
+@dataclass(slots=True, eq=False)
+class _Round:
+    """One round: what waits is looked for in the members that are new, and tied to all."""
+
+    site: Site
+    waiting: Sequence[Session]
+    engine: Engine
+    folder: Path
+    progress: Progress
+
+    def find(self, known: Mapping[str, int]) -> dict[str, Floats]:
+        """Where sessions lie in the site, (3,) each, by name; looked for where they were not yet."""
+        site, found = self.site, dict[str, Floats]()
+        firsts: dict[int, Path] = {}
+        asked, tasks = [], []
+        for k, session in enumerate(self.waiting):
+            if (pose := self._by_fixes(session)) is not None:
+                found[session.name] = pose
+                continue
+            members = known.get(session.name, 0)
+            if members not in firsts:
+                seen = _seen_enough(site.graph, site.begins[members])
+                firsts[members] = keep_graph(only(site.graph, seen), self.folder / f"from_{members}")
+            own = keep_graph(session.graph, self.folder / f"own_{k}")
+            asked.append(session)
+            tasks.append(Find(session.name, firsts[members], own, program_digest()))
+        for one, outcome in zip(asked, self._run(tasks, "looking for sessions"), strict=True):
+            if "pose_first_second" in outcome:
+                found[one.name] = np.array(outcome["pose_first_second"])
+            else:
+                site.left_out[one.name] = outcome["why"]
+        return found
+
+    def _by_fixes(self, session: Session) -> Floats | None:
+        """(3,) of its map frame in the site's, where fixes say it well enough."""
+        geo, anchors = session.geo, self.site.anchors()
+        if geo is None or anchors.reference is None:
+            return None
+        xy = session.graph.map[:, :2] - session.graph.map[0, :2]
+        sigma_rad = np.hypot(geo.yaw_sigma_rad, anchors.reference.yaw_sigma_rad)
+        sigma_m = np.hypot(geo.position_sigma_m, anchors.reference.position_sigma_m)
+        sigma_m += sigma_rad * np.hypot(*xy.T).max()
+        if sigma_m > MAX_GEO_SIGMA_M or sigma_rad > MAX_GEO_SIGMA_RAD:
+            return None
+        first = se2.between(session.graph.map[0], np.zeros(3))
+        pose: Floats = se2.compose(anchors.pose_map_of(geo), first)
+        return pose
+
+    def add(self, found: Mapping[str, Floats]) -> set[str]:
+        """Tie the sessions that were found to the site and to each other, and solve all; who is added."""
+        site, count = self.site, len(self.site.members)
+        new = {k: one for k, one in enumerate((s for s in self.waiting if s.name in found), count)}
+        if not new:
+            return set()
+        placed = {k: one.placed(found[one.name]) for k, one in new.items()}
+        ways = [site.graph.map[a:b, :2] for a, b in pairwise(site.begins)]
+        pairs = _pairs([*ways, *(graph.map[:, :2] for graph in placed.values())], count)
+        loops = self._loops_of(pairs, placed)
+        held = [k for k, one in new.items() if one.geo is not None and self._by_fixes(one) is not None]
+        kept = {k: placed[k] for k in _tied(loops, range(count), new, held)}
+        while not self._join(kept, new, loops, held):
+            pass
+        for k, one in new.items():
+            if k not in kept:
+                x_m, y_m, theta_rad = found[one.name].tolist()
+                site.left_out[one.name] = (
+                    f"it looks as if its map lay at ({x_m:.1f}, {y_m:.1f}) m, {np.degrees(theta_rad):.0f} "
+                    f"deg, but fewer than {MIN_LOOPS} loops hold it there"
+                )
+        return {new[k].name for k in kept}
+
+    def _loops_of(self, pairs: Sequence[Pair], placed: Mapping[int, SavedGraph]) -> dict[Pair, list[Loop]]:
+        site = self.site
+        folders = {}
+        for k in sorted({k for pair in pairs for k in pair}):
+            graph = placed[k] if k in placed else site.graph_of(k)
+            folders[k] = keep_graph(graph, self.folder / f"graph_{k}")
+        tasks = [
+            FindLoops(f"sessions {of} and {to} of the site", folders[of], folders[to], program_digest())
+            for of, to in pairs
+        ]
+        outcomes = self._run(tasks, "looking for loops between sessions")
+        return {pair: outcome["loops"] for pair, outcome in zip(pairs, outcomes, strict=True)}
+
+    def _join(
+        self,
+        kept: dict[int, SavedGraph],
+        new: Mapping[int, Session],
+        loops: Mapping[Pair, Sequence[Loop]],
+        held: Collection[int],
+    ) -> bool:
+        """Solve the site with those that are kept. False: too few of the loops of some are left, and these
+        are kept no more.
+        """
+        site = self.site
+        if not kept:
+            return True
+        members = [*site.members, *(member_of(new[k]) for k in kept)]
+        joined = Site(members, together(site.graph, *kept.values()), site.cell_m)
+        number = dict(zip([*range(len(site.members)), *kept], joined.begins, strict=False))
+        between = [
+            replace(loop, of=number[of] + loop.of, to=number[to] + loop.to)
+            for (of, to), found in loops.items()
+            if of in number and to in number
+            for loop in found
+        ]
+        added: dict[str, Any] = {
+            name: np.concatenate((getattr(joined.graph, name), array))
+            for name, array in loop_arrays(between).items()
+        }
+        joined.graph = replace(joined.graph, **added)
+        joined.solve()
+        ends = joined.members_of_loops()
+        left = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(members))
+        weak = [k for k, count in zip(kept, left[len(site.members) :], strict=True) if count < MIN_LOOPS]
+        if weak := [k for k in weak if k not in held]:
+            for k in weak:
+                del kept[k]
+            return False
+        site.members, site.graph, site.geo = members, joined.graph, joined.geo
+        site.rendered = joined.rendered
+        site.contradicted += joined.contradicted
+        return True
+
+    def _run(self, tasks: Sequence[AnyTask], phase: str) -> list[dict[str, Any]]:
+        """Their outcomes in their order, whatever the order in which they end. Raises CorridorError."""
+        outcomes: dict[int, dict[str, Any]] = {}
+        for k, done in self.engine(tasks):
+            if isinstance(done.outcome, CorridorError):
+                raise done.outcome
+            outcomes[k] = done.outcome
+            self.progress(len(outcomes) / len(tasks), phase, f", {len(outcomes)} of {len(tasks)}")
+        return [outcomes[k] for k in range(len(tasks))]
+
+
+def _seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
+    """(N,) key frames from `begin` on that tell what there is: of each spot and direction the newest ones, so
+    that a site of bounded size is looked through in bounded time.
+    """
+    seen = np.zeros(len(graph), np.bool_)
+    view = np.floor((graph.map[:, 2] / (2.0 * np.pi) + 0.5) * VIEWS).astype(np.int64) % VIEWS
+    spots = np.column_stack((np.floor(graph.map[:, :2] / SPOT_M).astype(np.int64), view))
+    usable = (graph.point_count > 0) & ~graph.is_lost
+    kept = Counter[tuple[int, ...]]()
+    for k in begin + np.flatnonzero(usable[begin:])[::-1]:
+        spot = tuple(spots[k].tolist())
+        kept[spot] += 1
+        seen[k] = kept[spot] <= KEPT_OF_SPOT
+    return seen
+
+
+def _pairs(ways: Sequence[Floats], first_new: int) -> list[Pair]:
+    """Sessions (of, to) between which loops are looked for: each new one with some before it, with which it
+    has most places in common, one of them of the site as it was.
+
+    ways   (N, 2) m in the map, of each session
+    """
+    places = [set(map(tuple, np.floor(way / PLACE_M).astype(np.int64).tolist())) for way in ways]
+    pairs = []
+    for to in range(first_new, len(ways)):
+        left = Counter(dict.fromkeys(places[to], TIMES_COVERED))
+        chosen: list[int] = []
+        while len(chosen) < MAX_PARTNERS:
+            among = [of for of in range(to if chosen else first_new) if of not in chosen]
+            gain = {of: sum(left[place] > 0 for place in places[of] & places[to]) for of in among}
+            if not gain or max(gain.values()) == 0:
+                break
+            chosen.append(max(gain, key=lambda of: gain[of]))
+            left.subtract(places[chosen[-1]] & places[to])
+        pairs += [(of, to) for of in sorted(chosen)]
+    return pairs
+
+
+def _tied(
+    loops: Mapping[Pair, Sequence[Loop]], members: Iterable[int], new: Iterable[int], held: Collection[int]
+) -> list[int]:
+    """Those of the new sessions that enough loops tie to members, or to others that they tie; or fixes."""
+    tied, added = set(members), []
+    for to in new:
+        count = sum(len(found) for (of, other), found in loops.items() if other == to and of in tied)
+        if count >= MIN_LOOPS or to in held:
+            tied.add(to)
+            added.append(to)
+    return added

@@ -1,0 +1,44 @@
+"""The path of each session in the map of the site, as a TUM file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from service.errors import StorageError, words_of
+from service.mapper.corrections import bent
+from service.offline.past.result import open_result
+from service.offline.score.trajectory import Trajectory, read_tum, write_tum
+from service.offline.site.growth import Site
+from service.offline.writing import whole_files
+
+PATHS = "paths"  # below the map of the site
+
+
+def write_paths(out: Path, site: Site, results: Mapping[str, Path]) -> None:
+    """paths/NAME.tum of each member: every pose of the result, bent to where its key frames are now. Of a map
+    without a trajectory those of the key frames alone.
+
+    results   folders of the results of new members, by name; the others are bent from where they were
+
+    Raises InputError, StorageError.
+    """
+    for begin, member in zip(site.begins, site.members, strict=False):
+        rows = slice(begin, begin + member.keyframes)
+        at_ns, k = np.unique(site.graph.stamp_ns[rows], return_index=True)
+        now = site.graph.map[rows][k]
+        path = out / PATHS / f"{member.name}.tum"
+        was = read_tum(path) if path.exists() else None
+        if was is None and member.name in results:
+            was = open_result(results[member.name]).trajectory
+        if was is not None:  # a session that extended a map has its key frames, too, of other times
+            is_of_path = (at_ns >= was.stamp_ns[0]) & (at_ns <= was.stamp_ns[-1])
+            at_ns, now = at_ns[is_of_path], now[is_of_path]
+        else:
+            was = Trajectory(at_ns, now)
+        poses = bent(was.stamp_ns, was.pose, at_ns, was.at(at_ns), now)
+        try:
+            with whole_files(path) as new:
+                write_tum(new, Trajectory(was.stamp_ns, poses).poses())
+        except OSError as error:
+            raise StorageError(f"cannot write {path}: {words_of(error)}") from error

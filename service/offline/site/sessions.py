@@ -1,0 +1,111 @@
+"""Which sessions a site is built from: recordings, results of replays, or stored maps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from service.archive import is_remote
+from service.errors import InputError
+from service.geometry import poses as se2
+from service.geometry.geo_reference import GeoReference
+from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import load_map
+from service.offline.past.result import MAP_FOLDER, map_folder
+from service.offline.replay.replay import group_sessions, session_name
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A session as it is named on the command line.
+
+    recording   its files, to be replayed; () where it is mapped
+    result      folder of the replay's result or of the stored map, or where the result goes
+    """
+
+    name: str
+    recording: tuple[Path, ...]
+    result: Path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """A session that is mapped.
+
+    digest   SHA-256 of its stored map
+    geo      where its first key frame lies on the earth, and how well that is known; None: not known
+    """
+
+    name: str
+    digest: str
+    graph: SavedGraph
+    geo: GeoReference | None
+    cell_m: float
+
+    def placed(self, pose_site_session: Floats) -> SavedGraph:
+        """Its graph, moved to where its map frame lies in the site's, (3,) m, m, rad."""
+        return replace(self.graph, map=se2.compose(pose_site_session, self.graph.map))
+
+
+def given_sessions(paths: Sequence[Path], replayed: Path) -> list[Given]:
+    """Results and stored maps as they are; recordings go to folders below `replayed`. A folder stands for the
+    results in it or, where there is none, for the recordings in it. Two of one name are numbered.
+
+    Raises InputError for a folder that may not be read, or without sessions.
+    """
+    given: list[Given] = []
+    recordings: list[Path] = []
+    for path in paths:
+        mapped = [] if is_remote(path) or not path.is_dir() else _mapped_in(path)
+        given += [Given(_name_of(one), (), one) for one in mapped]
+        if not mapped:
+            recordings.append(path)
+    for session in group_sessions(recordings) if recordings else []:
+        given.append(Given(session_name(session), tuple(session), replayed))
+    return _numbered(given)
+
+
+def _mapped_in(folder: Path) -> list[Path]:
+    if map_folder(folder) is not None:
+        return [folder]
+    return sorted(one for one in folder.iterdir() if one.is_dir() and map_folder(one) is not None)
+
+
+def _name_of(result: Path) -> str:
+    result = result.absolute()
+    return result.parent.name if result.name == MAP_FOLDER else result.name
+
+
+def _numbered(given: Sequence[Given]) -> list[Given]:
+    taken: set[str] = set()
+    numbered = []
+    for one in given:
+        name, number = one.name, 1
+        while name in taken:
+            number += 1
+            name = f"{one.name}_{number}"
+        taken.add(name)
+        numbered.append(Given(name, one.recording, one.result / name if one.recording else one.result))
+    return numbered
+
+
+def load_session(given: Given) -> Session:
+    """Raises InputError where it has no map, or one that a graph is missing of."""
+    if (folder := map_folder(given.result)) is None:
+        raise InputError(f"{given.result}: the replay stored no map; is there a scan in the recording?")
+    stored = load_map(folder)
+    if stored.graph is None or not len(stored.graph):
+        raise InputError(
+            f"{folder}: the map has no graph, which only the profile corridor stores; replay the recording "
+            "with that profile"
+        )
+    cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
+    return Session(given.name, stored.digest, stored.graph, _geo_of_first(stored.graph, stored.geo), cell_m)
+
+
+def _geo_of_first(graph: SavedGraph, geo: GeoReference | None) -> GeoReference | None:
+    if geo is None:
+        return None
+    pose = geo.pose_enu_map @ SE2(*graph.map[0].tolist())
+    return GeoReference(geo.origin, pose, geo.position_sigma_m, geo.yaw_sigma_rad, geo.fixes)

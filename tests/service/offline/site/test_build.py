@@ -1,0 +1,253 @@
+"""One map of several drives: drives round a ring of corridors, each in a map frame of its own."""
+
+import math
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.cli import main
+from service.errors import InputError
+from service.geometry import poses as se2
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
+from service.mapper.graph.edit import merging
+from service.mapper.graph.edit.editing import only
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.saved_graph import SavedGraph
+from service.mapstore.files import load_map, save_map
+from service.offline.cluster.engines import Ended, in_turn
+from service.offline.cluster.tasks import AnyTask
+from service.offline.replay.setup import ReplayOptions
+from service.offline.score.trajectory import read_tum
+from service.offline.site.build import site_build
+from service.offline.site.manifest import SITE_FILE
+from service.offline.site.tasks import Find, FindLoops
+from tests.service.mapper.graph.loops import rings
+from tests.service.mapstore.tile_makers import tile
+
+HOUR_NS = 3600 * 10**9
+FRAMES = {"a": SE2(), "b": SE2(3.0, -2.0, 0.7), "c": SE2(-5.0, 1.0, -2.0), "d": SE2(0.5, 0.5, 3.0)}
+FIRST = {"a": 0, "b": 40, "c": 90, "d": 10}  # key frame of the ring that each drive begins with
+BEAMS = 91
+COUNT = 120  # key frames of each, of 153 in a round
+ORIGIN = LocalFrame(48.1, 11.5, 500.0)
+
+
+class Counting:
+    """An engine that counts tasks by kind, and ends them in the reverse of their order."""
+
+    def __init__(self) -> None:
+        self.done: list[AnyTask] = []
+
+    def __call__(self, tasks: Sequence[AnyTask]) -> Ended:
+        return self._run(tasks)
+
+    def _run(self, tasks: Sequence[AnyTask]) -> Ended:
+        self.done += tasks
+        ended = list(in_turn(tasks))
+        yield from reversed(ended)
+
+    def count(self, kind: type) -> int:
+        return sum(isinstance(task, kind) for task in self.done)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_beams_and_questions() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rings, "BEAMS", BEAMS)
+        patch.setattr(rings, "STEP_RAD", -2.0 * rings.FIRST_RAD / (BEAMS - 1))
+        patch.setattr(merging, "MAX_MISSES", 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def drives(_few_beams_and_questions: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stored map of each drive; `elsewhere` of another building."""
+    folder = tmp_path_factory.mktemp("drives")
+    for seed, name in enumerate(FRAMES):
+        store(folder / name, driven(name, seed))
+    with pytest.MonkeyPatch.context() as patch:
+        boxes = ((-1.0, -1.0, 15.0, 10.0), (0.6, 0.6, 6.0, 8.4), (8.0, 0.6, 13.4, 8.4))
+        patch.setattr(rings, "RING", [side for box in boxes for side in rings.rectangle(*box)])
+        store(folder / "elsewhere", driven("a", 7, begin_ns=9 * HOUR_NS))
+    return folder
+
+
+def driven(name: str, seed: int, begin_ns: int | None = None) -> SavedGraph:
+    frames, _ = rings.key_frames(1.4, seed, turn_error_radpm=0.0005)
+    begin_ns = seed * HOUR_NS if begin_ns is None else begin_ns
+    part = [
+        replace(
+            frame,
+            stamp_ns=begin_ns + frame.stamp_ns,
+            pose_odom_base=FRAMES[name] @ frame.pose_odom_base,
+        )
+        for frame in frames[FIRST[name] : FIRST[name] + COUNT]
+    ]
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    saved = back_end.work(Batch(part, is_last=True)).saved
+    assert isinstance(saved, SavedGraph)
+    return saved
+
+
+def store(folder: Path, graph: SavedGraph, geo: GeoReference | None = None) -> None:
+    save_map(folder, [tile(0, 0, 3)], int(graph.stamp_ns.max()), {"profile": "corridor"}, geo, graph)
+
+
+def build(sessions: Sequence[Path], out: Path, engine: Any = in_turn) -> dict[str, Any]:
+    return site_build(sessions, ReplayOptions(), out, engine, lambda *_: None)
+
+
+def true_pose(k: int) -> SE2:
+    return rings.round_the_ring(k * rings.STEP_M)
+
+
+def names_in(told: dict[str, Any]) -> list[str]:
+    return [one["session"] for one in told["sessions"]]
+
+
+def errors_m(out: Path, names: Sequence[str]) -> np.ndarray:
+    """Of all key frames, in the frame of the first drive, which is that of the truth."""
+    graph = load_map(out).graph
+    assert graph is not None
+    numbers = [k for name in names for k in range(FIRST[name], FIRST[name] + COUNT)]
+    expected = np.array([(pose.x_m, pose.y_m) for pose in map(true_pose, numbers)])
+    return np.hypot(*(graph.map[:, :2] - expected).T)
+
+
+@pytest.fixture(scope="module")
+def three(drives: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("site") / "map"
+    return out, build([drives / name for name in ("a", "b", "c", "elsewhere")], out)
+
+
+def test_all_drives_of_a_place_lie_in_one_frame(three):
+    out, told = three
+    assert names_in(told) == ["a", "b", "c"]
+    off_m = errors_m(out, ("a", "b", "c"))
+    assert math.sqrt((off_m**2).mean()) < 0.02
+    assert all(one["loops"] >= 3 and one["residual_mm"] < 100.0 for one in told["sessions"])
+    assert load_map(out).graph.checked() is not None
+
+
+def test_a_drive_of_another_place_is_left_out_by_its_name(three):
+    _, told = three
+    assert list(told["left_out"]) == ["elsewhere"]
+    assert "overlap too little" in told["left_out"]["elsewhere"]
+
+
+def test_each_path_is_written_in_the_map_of_the_site(three):
+    out, _ = three
+    path = read_tum(out / "paths" / "b.tum")
+    graph = load_map(out).graph
+    np.testing.assert_allclose(path.pose, graph.map[COUNT : 2 * COUNT], atol=1e-8)
+    np.testing.assert_array_equal(path.stamp_ns, graph.stamp_ns[COUNT : 2 * COUNT])
+
+
+def test_the_order_in_which_tasks_end_does_not_change_a_byte(three, drives, tmp_path):
+    out, _ = three
+    again = tmp_path / "map"
+    build([drives / name for name in ("a", "b", "c")], again, Counting())
+    assert files_in(again) == files_in(out)
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """All but the list of who is in it, and who is not."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != SITE_FILE]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def two(drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("site") / "map"
+    build([drives / "a", drives / "b"], out)
+    return out
+
+
+@pytest.fixture
+def grown(two: Path, tmp_path: Path) -> Path:
+    """A copy of the site of two drives."""
+    return Path(shutil.copytree(two, tmp_path / "map", symlinks=True))
+
+
+def test_a_new_drive_is_added_without_doing_the_others_again(grown, drives):
+    engine = Counting()
+    told = build([drives], grown, engine)
+    assert sorted(names_in(told)) == ["a", "b", "c", "d"]
+    assert (told["added"], told["version"]) == (2, 2)
+    assert {task.name for task in engine.done if isinstance(task, Find)} == {"c", "d", "elsewhere"}
+    assert not any("0 and 1 " in task.name for task in engine.done if isinstance(task, FindLoops))
+    off_m = errors_m(grown, names_in(told))
+    assert math.sqrt((off_m**2).mean()) < 0.02
+    idle = Counting()
+    again = build([drives], grown, idle)
+    assert (idle.done, again["added"], again["version"]) == ([], 0, 2)
+    assert list(again["left_out"]) == ["elsewhere"]
+
+
+def test_what_was_drawn_by_hand_outlives_the_next_build(grown, drives):
+    assert main(["map", "edit", str(grown), "--wall", "2", "-0.5", "2", "0.5"]) == 0
+    build([drives / "c"], grown)
+    assert len(load_map(grown).graph.by_hand.kind) == 1
+
+
+def test_a_map_that_lost_key_frames_is_refused(grown, drives):
+    assert main(["map", "edit", str(grown), "--cut", "1", "2", "--bridge"]) == 0
+    with pytest.raises(InputError, match="cut, remapped or extended"):
+        build([drives / "c"], grown)
+    assert main(["map", "edit", str(grown), "--undo"]) == 0
+    assert names_in(build([drives / "c"], grown)) == ["a", "b", "c"]
+
+
+def test_a_map_that_is_no_site_is_not_built_upon(drives, tmp_path):
+    store(tmp_path / "map", driven("a", 0))
+    with pytest.raises(InputError, match="no site build made"):
+        build([drives / "b"], tmp_path / "map")
+
+
+def test_one_drive_counts_once(drives, tmp_path):
+    store(tmp_path / "copy_of_a", driven("a", 0))
+    told = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
+    assert names_in(told) == ["a"]
+    assert told["left_out"] == {"copy_of_a": "it is the drive of a, by the stamps of its key frames"}
+
+
+def test_the_most_drives_that_fit_make_the_site(drives, tmp_path):
+    told = build([drives / "elsewhere", drives / "a", drives / "b"], tmp_path / "map")
+    assert names_in(told) == ["a", "b"]
+    assert told["left_out"] == {"elsewhere": "it overlaps with no other session"}
+
+
+def test_fixes_place_drives_that_do_not_overlap(tmp_path):
+    graph = driven("a", 0)
+    half, turn = COUNT // 4, FRAMES["b"]
+    for name, rows, frame in (("first", slice(0, half), SE2()), ("second", slice(-half, None), turn)):
+        is_kept = np.zeros(COUNT, np.bool_)
+        is_kept[rows] = True
+        part = only(graph, is_kept)
+        moved = se2.compose(np.array([frame.x_m, frame.y_m, frame.theta_rad]), part.map)
+        pose_enu = SE2(100.0, 50.0, 0.3) @ frame.inverse()
+        store(tmp_path / name, replace(part, map=moved), GeoReference(ORIGIN, pose_enu, 0.02, 0.001, 40))
+    told = build([tmp_path / "first", tmp_path / "second"], tmp_path / "map")
+    assert names_in(told) == ["first", "second"]
+    stored = load_map(tmp_path / "map")
+    true = np.concatenate((graph.map[:half], graph.map[-half:]))
+    assert np.hypot(*(stored.graph.map - true)[:, :2].T).max() < 0.02
+    assert stored.geo.pose_enu_map.x_m == pytest.approx(100.0, abs=0.02)
+    assert stored.geo.fixes == 80
+
+
+def test_the_command_tells_who_is_in_and_who_is_not(three, drives, capsys):
+    out, _ = three
+    assert main(["site", "build", str(drives / "b"), "--out", str(out)]) == 0
+    table, summary = capsys.readouterr().out.rstrip().rsplit("\n", 1)
+    assert "left out: elsewhere: " in table
+    assert summary.endswith("3 sessions of the site, 0 of them new; 1 left out: elsewhere")
