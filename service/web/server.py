@@ -396,6 +396,11 @@ def _static_files() -> Mapping[str, tuple[bytes, str, str]]:
     for file in package_files("service.web").joinpath("static").iterdir():
         kind = file.name.rpartition(".")[2]
         if kind in _TYPES:
-            content = file.read_bytes()
-            files[file.name] = (content, _TYPES[kind], f'"{hashlib.sha256(content).hexdigest()[:16]}"')
-    return files
+            files[file.name] = file.read_bytes()
+    modules = sorted(name for name in files if name.endswith(".js") and name != "help.js")
+    links = "".join(f'  <link rel="modulepreload" href="{name}">\n' for name in modules)  # all at once
+    files["index.html"] = files["index.html"].replace(b"</head>", links.encode() + b"</head>")
+    return {
+        name: (content, _TYPES[name.rpartition(".")[2]], f'"{hashlib.sha256(content).hexdigest()[:16]}"')
+        for name, content in files.items()
+    }

@@ -341,3 +341,28 @@ def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
     assert page.pixel(new_x_m, new_y_m) == [190, 24, 93]
     page.run("document.getElementById('change-now').click()")
     assert page.report()["change"] == {"appeared": 0, "gone": 0}
+
+
+def test_a_picture_is_drawn_within_a_frame_on_a_phones_processor(still):
+    """A quarter of this machine's speed; 60 pictures a second leave 16.7 ms for each."""
+    still.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 4})
+    try:
+        median_ms = still.driver.execute_async_script(
+            "const done = arguments[0], v = corridor.view; v.follow(false); v.drawn_ms.length = 0;"
+            "const step = () => { v.camera.panBy(6, 3); v.invalidate();"
+            " if (v.drawn_ms.length < 30) requestAnimationFrame(step);"
+            " else done(v.drawn_ms.toSorted((a, b) => a - b)[15]); }; step();"
+        )
+    finally:
+        still.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
+    assert median_ms < 16.7
+
+
+def test_all_modules_are_fetched_at_once_and_not_one_after_another_found(still):
+    found = still.run(
+        "const urls = (list) => [...new Set(list.map((url) => new URL(url).pathname))].sort();"
+        "return [urls([...document.querySelectorAll('link[rel=modulepreload]')].map((l) => l.href)),"
+        " urls(performance.getEntriesByType('resource').map((r) => r.name).filter((n) => n.endsWith('.js')))]"
+    )
+    assert "/main.js" in found[0]
+    assert set(found[1]) <= set(found[0])
