@@ -32,7 +32,7 @@ REMAP = "tests/service/offline/maps/test_remap.py"
 BROWSER = ("tests/browser",)
 PAGES = (  # against clocks, and mostly waiting, as those of the browser
     DOCTOR,
-    *(f"tests/service/{folder}" for folder in ("publishing", "ros2_sensors", "sinks", "web")),
+    *(f"tests/service/{folder}" for folder in ("fleet", "publishing", "ros2_sensors", "sinks", "web")),
 )
 PARTS = (  # each on its own: drivers, fake devices, kernels
     *("tests/chaos", "tests/drivers", "tests/fuzz", "tests/simulators"),
