@@ -47,7 +47,7 @@ class Transport(Protocol):
 class TcpTransport:
     """A TCP client. Raises TransportError when the peer refuses, resets, closes or stops acknowledging."""
 
-    def __init__(self, host: str, port: int, connect_timeout_s: float = 3.0) -> None:
+    def __init__(self, host: str, port: int, connect_timeout_s: float = 1.5) -> None:
         self._where = f"{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
