@@ -37,7 +37,7 @@ REPLY_TIMEOUT_S = 2.0  # SICK's library waits 0.5 to 2 s
 FIRST_REPLY_TIMEOUT_S = 0.5  # while it may be booting, so that its return is not missed for long
 STATUS_ATTEMPTS = 40
 LISTENS, LISTEN_S = 10, 0.1  # a scanner that says it runs sends by then, else it is started
-LISTEN_AFTER = 6  # unanswered, but scans come: take them as they are
+LISTEN_AFTER = 6  # unanswered while scans come: take them as they are
 CHANGE_ATTEMPTS = 3
 CLOCK_ATTEMPTS = 3  # two commands within one second of the clock
 START_ATTEMPTS = 3
@@ -115,14 +115,17 @@ class IbeoLuxDialogue:
 
     def _identify(self) -> Dialogue[bool]:
         """Whether the device answers commands; one that does not may still send scans."""
-        for attempt in range(STATUS_ATTEMPTS):
+        unanswered = 0  # while scans came: it does not boot any more
+        for _ in range(STATUS_ATTEMPTS):
+            scans_came = self.scans_seen > 0
             status = yield from self._read_status(FIRST_REPLY_TIMEOUT_S)
             if status is not None:
                 self.identity["firmware"] = status.firmware
                 if status.serial:
                     self.identity["serial"] = status.serial
                 return True
-            if self.scans_seen and attempt + 1 >= LISTEN_AFTER:
+            unanswered += scans_came
+            if unanswered >= LISTEN_AFTER:
                 self.identity["commands"] = "not answered; taken as it is"
                 return False
         if self.foreign:
