@@ -79,7 +79,7 @@ bench: venv ## the benchmarks: a table, and bench.json
 papers: venv ## the papers' experiments: tables and pictures in docs/papers
 	$(BIN)/python -m tests.papers $(PAPERS_ARGS)
 
-chaos: venv ## every driver through every fault, then the whole machine: a table
+chaos: venv ## faults of wires, devices, processes, disks and clocks, judged against the truth: a table
 	$(BIN)/python -m tests.chaos $(CHAOS_ARGS)
 
 interop: venv ## third-party programs, each in a venv of its own, against ours: a table

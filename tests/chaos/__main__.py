@@ -1,48 +1,120 @@
-"""The fault campaign: `python -m tests.chaos [--seconds S] [--seed N] [--only DEVICE]`.
+"""The fault campaign: `python -m tests.chaos [--only ROW] [--drivers] [--docs]`.
 
-Every driver against its pretended device in virtual time, then the whole machine for a minute in real time.
-Prints a table; exits 1 where something did not come back.
+A drive of five fake devices and the service in real time for each row, judged against the truth: map, state,
+recovery, what was lost. `--drivers` first takes every driver through every fault in virtual time.
+Results are kept in build/chaos.json; `--docs` writes them, those of earlier calls too, into
+docs/reliability.md. Exits 1 where a row is not as expected.
 """
 
 import argparse
+import json
+import math
 import sys
 import time
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
 
 from service.compile.cache import ensure_cache_dir
+
+ROOT = Path(__file__).parents[2]
+KEPT, PAGE = ROOT / "build" / "chaos.json", ROOT / "docs" / "reliability.md"
+BEGIN, END = "<!-- make chaos: begin -->", "<!-- make chaos: end -->"
 
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.chaos.campaign import campaign
-    from tests.chaos.machine import run_machine
-    from tests.drivers.faulty_devices import BENCHES
+    from tests.chaos.faults import CannotBeHadError
+    from tests.chaos.rows import rows
 
     parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
     parser.add_argument(
-        "--seconds", type=float, default=60.0, help="virtual, of each device and kind (default 60)"
+        "--only", action="append", default=[], help="a row; may be repeated; a wrong one lists them"
     )
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", action="append", choices=sorted(BENCHES), default=[])
     parser.add_argument(
-        "--machine-seconds", type=float, default=60.0, help="real; 0: leave it out (default 60)"
+        "--drivers", type=float, metavar="S", help="every driver through S virtual seconds of each fault"
     )
+    parser.add_argument("--kills", type=int, default=200, help="of the service (default 200)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--docs", action="store_true", help="write the table of docs/reliability.md")
     options = parser.parse_args()
+    table = rows(options.seed, options.kills)
+    if unknown := set(options.only) - table.keys():
+        parser.error(f"no row {', '.join(unknown)}; there are {', '.join(table)}")
+    failed = _drivers(options.drivers, options.seed) if options.drivers else 0
+    for name in options.only or table:
+        row, began_s = table[name], time.monotonic()
+        result = {
+            "fault": row.fault,
+            "expected": str(row.expected),
+            "at": datetime.now(UTC).date().isoformat(),
+        }
+        try:
+            figures, notes = row.run(options.seed, lambda words: print(words, flush=True))
+            missed = row.expected.missed_by(figures)
+            result |= {"figures": asdict(figures), "notes": notes, "missed": missed}
+        except CannotBeHadError as error:
+            result["skipped"] = str(error)
+        except (AssertionError, OSError) as error:
+            result |= {"missed": [f"{type(error).__name__}: {error}"]}
+        failed += bool(result.get("missed"))
+        _keep(name, result)
+        print(f"{name} ({time.monotonic() - began_s:.0f} s): {_measured(result)}", flush=True)
+    if options.docs:
+        kept = json.loads(KEPT.read_text())
+        _write_page([kept[name] for name in table if name in kept])
+    print(f"{failed} not as expected; seed {options.seed}")
+    return int(failed > 0)
+
+
+def _drivers(seconds: float, seed: int) -> int:
+    from tests.chaos.drivers import campaign
+    from tests.drivers.faulty_devices import BENCHES
+
     failed = 0
-    began_s = time.monotonic()
     print(f"{'device':17} {'fault':15} {'times':>5} {'harmed':>6} {'links':>5} {'frames':>6} {'gap s':>6}")
-    for row in campaign(options.seconds, options.seed, options.only or list(BENCHES)):
+    for row in campaign(seconds, seed, list(BENCHES)):
         failed += bool(row.defect)
         print(
             f"{row.device:17} {row.faults:15} {row.times:5} {row.harmed:6} {row.connects:5} {row.frames:6} "
             f"{row.longest_gap_s:6.2f}  {row.defect or 'ok'}",
             flush=True,
         )
-    if options.machine_seconds:
-        defect, rmse_m = run_machine(options.machine_seconds, options.seed)
-        failed += bool(defect)
-        print(f"whole machine, {options.machine_seconds:g} s of all kinds: {defect or 'ok'}, {rmse_m} m off")
-    print(f"{failed} did not come back; {time.monotonic() - began_s:.0f} s, seed {options.seed}")
-    return int(failed > 0)
+    return failed
+
+
+def _keep(name: str, result: dict[str, object]) -> None:
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    KEPT.parent.mkdir(exist_ok=True)
+    KEPT.write_text(json.dumps(kept | {name: result}, indent=1))
+
+
+def _measured(result: dict[str, object]) -> str:
+    """In words, what is not as expected first."""
+    if "skipped" in result:
+        return f"not run: {result['skipped']}"
+    words = [f"**{missed}**" for missed in result.get("missed", [])]
+    if "figures" in result:
+        figures = result["figures"]
+        words += [
+            f"back after {figures['recovery_s']:g} s (`{figures['last']}`)"
+            if math.isfinite(figures["recovery_s"])
+            else "",
+            f"{figures['frames_lost']} frames and {figures['data_lost_s']:g} s lost",
+            f"RMSE {figures['rmse_m'] * 1e3:.0f} mm, at the end {figures['end_m'] * 1e3:.0f} mm",
+            f"{figures['wrong_ok']} poses wrong and `ok`",
+            f"states {', '.join(figures['states'])}",
+            *result["notes"],
+        ]
+    return "; ".join(filter(None, words))
+
+
+def _write_page(results: list[dict[str, object]]) -> None:
+    lines = ["| fault | expected | measured |", "|---|---|---|"]
+    lines += [f"| {one['fault']} | {one['expected']} | {_measured(one)} |" for one in results]
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    after = rest.partition(END)[2]
+    PAGE.write_text("\n".join([before + BEGIN, *lines, END + after]))
 
 
 if __name__ == "__main__":

@@ -150,10 +150,15 @@ class LiveService:
             raise AssertionError(f"{error}; its log:\n{self.log}") from None
 
     @property
-    def libraries(self) -> str:
-        """What its own process has mapped, not that of the mapper."""
+    def pid(self) -> int:
+        """Of its own process, not that of the mapper."""
         assert self._process is not None
-        return Path(f"/proc/{self._process.pid}/maps").read_text()
+        return self._process.pid
+
+    @property
+    def libraries(self) -> str:
+        """What its own process has mapped."""
+        return Path(f"/proc/{self.pid}/maps").read_text()
 
     def signal(self, number: signal.Signals) -> None:
         assert self._process is not None

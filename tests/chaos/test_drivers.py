@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 
-from service.located_yaml import load
-from tests.chaos.campaign import kinds_for, run_one
-from tests.chaos.machine import plan
+from tests.chaos.drivers import run_one
 from tests.drivers.faulty_devices import BENCHES
 
 
@@ -33,10 +31,3 @@ def test_an_error_that_the_link_does_not_catch_is_told():
         assert run_one("broken", "", ["kind: cut"], 7.0, 1).defect.startswith("AttributeError")
     finally:
         del BENCHES["broken"]
-
-
-def test_the_plan_for_the_machine_has_every_kind_on_both_devices():
-    planned = load(plan(60.0, 1)).value["faults"]
-    for device, bench in (("front", "lms100 cola_a"), ("base", "create2")):
-        assert [fault["kind"] for fault in planned if fault["device"] == device] == kinds_for(BENCHES[bench])
-    assert all(fault.get("at_s", 0.0) + fault["for_s"] < 45.0 for fault in planned if "for_s" in fault)

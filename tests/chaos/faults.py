@@ -1,0 +1,242 @@
+"""What can happen to a drive. Each function here makes the `act` of a row, or is its `place`."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.chaos.drive import Drive
+from tests.system.machine import Subscriber, free_port
+
+Act = Callable[[Drive], object]
+Place = Callable[[Path], AbstractContextManager[dict[str, Any]]]  # of the drive's folder -> settings
+
+FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1")
+MEMORY = Path("/sys/fs/cgroup/memory")
+DISK_MB = 300
+ROUTER = """
+import sys, threading, zenoh
+config = zenoh.Config()
+for key, value in (("mode", '"router"'), ("listen/endpoints", f'["{sys.argv[1]}"]'),
+                   ("scouting/multicast/enabled", "false")):
+    config.insert_json5(key, value)
+with zenoh.open(config):
+    print("ready", flush=True)
+    threading.Event().wait()
+"""
+
+
+class CannotBeHadError(Exception):
+    """This machine does not allow that fault; the words say what is missing."""
+
+
+def stopped(role: str, seconds: float) -> Act:
+    def act(drive: Drive) -> None:
+        process = drive.process(role)
+        os.kill(process, signal.SIGSTOP)
+        time.sleep(seconds)
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGCONT)
+
+    return act
+
+
+def killed(role: str, times: int, every_s: float = 2.0) -> Act:
+    def act(drive: Drive) -> None:
+        for k in range(times):
+            time.sleep(every_s if k else 0.0)
+            os.kill(drive.process(role), signal.SIGKILL)
+
+    return act
+
+
+def service_killed(times: int, longest_s: float) -> Act:
+    """At random moments after READY; it is started again each time."""
+
+    def act(drive: Drive) -> None:
+        for up_s in np.random.default_rng(times).uniform(0.0, longest_s, times):
+            time.sleep(up_s)
+            drive.end(signal.SIGKILL)
+            drive.start()
+
+    return act
+
+
+def other_program(seconds: float) -> Act:
+    """It opens the ports of the devices, too, and reads what comes."""
+
+    def act(drive: Drive) -> None:
+        with ExitStack() as stack:
+            for endpoint in drive.endpoints.values():
+                host, _, port = endpoint.rpartition(":")
+                if host:
+                    stack.enter_context(socket.create_connection((host, int(port)), timeout=1.0))
+                else:
+                    file = os.open(endpoint, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                    stack.callback(os.close, file)
+                    with suppress(BlockingIOError):
+                        os.read(file, 65_536)
+            time.sleep(seconds)
+
+    return act
+
+
+@contextmanager
+def disk(folder: Path) -> Iterator[dict[str, Any]]:
+    """A file system of its own for the recordings, which goes read-only where it meets an error."""
+    image, sessions = folder / "disk.img", folder / "sessions"
+    sessions.mkdir()
+    with image.open("wb") as file:
+        file.truncate(DISK_MB << 20)
+    _root("mkfs.ext4", "-q", image)
+    _root("mount", "-o", "loop,errors=remount-ro", image, sessions)
+    try:
+        yield {}
+    finally:
+        _root("umount", sessions)
+
+
+def frozen_disk(seconds: float) -> Act:
+    def act(drive: Drive) -> None:
+        _root("fsfreeze", "--freeze", drive.service.sessions)
+        try:
+            time.sleep(seconds)
+        finally:
+            _root("fsfreeze", "--unfreeze", drive.service.sessions)
+
+    return act
+
+
+def full_disk(seconds: float) -> Act:
+    def act(drive: Drive) -> None:
+        filler = drive.service.sessions / "filler"
+        with filler.open("wb") as file, suppress(OSError):
+            while file.write(b"\0" * 1_000_000):
+                file.flush()
+        time.sleep(seconds)
+        filler.unlink()
+
+    return act
+
+
+def read_only_disk(drive: Drive) -> None:
+    """As ext4 does after an error. It stays so; poses go on."""
+    device = Path(_root("findmnt", "--noheadings", "--output", "SOURCE", drive.service.sessions).strip()).name
+    (Path("/sys/fs/ext4") / device / "trigger_fs_error").write_text("chaos")
+    _poses_come(drive.service.endpoint, 3.0)
+
+
+@contextmanager
+def memory_group(folder: Path) -> Iterator[dict[str, Any]]:
+    group = MEMORY / f"corridor-{folder.name}"
+    try:
+        group.mkdir()
+    except OSError as error:
+        raise CannotBeHadError(f"no control group of memory: {error}") from error
+    try:
+        yield {"group": group}
+    finally:
+        group.rmdir()
+
+
+def less_memory(share: float, seconds: float) -> Act:
+    """A limit below what the service has in use, then none again."""
+
+    def act(drive: Drive) -> None:
+        group: Path = drive.settings["group"]
+        for process in drive.processes():
+            (group / "cgroup.procs").write_text(str(process))
+        resident = sum(_resident_bytes(process) for process in drive.processes())
+        limit = group / "memory.limit_in_bytes"
+        with suppress(OSError):  # busy: it could not take as much away at once
+            limit.write_text(str(round(share * resident)))
+        time.sleep(seconds)
+        limit.write_text("-1")
+
+    return act
+
+
+def _resident_bytes(process: int) -> int:
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@contextmanager
+def wall_clock(folder: Path) -> Iterator[dict[str, Any]]:
+    """Of the service alone, by libfaketime: what the file says is added to it."""
+    if not FAKETIME.exists():
+        raise CannotBeHadError("no libfaketime; apt install libfaketime")
+    (folder / "faketime").write_text("+0")
+    settings = {
+        "FAKETIME_CACHE_DURATION": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        "LD_PRELOAD": str(FAKETIME),
+    }
+    yield {"environment": settings | {"FAKETIME_TIMESTAMP_FILE": str(folder / "faketime")}}
+
+
+def clock_step(seconds: int) -> Act:
+    def act(drive: Drive) -> None:
+        (drive.folder / "faketime").write_text(f"{seconds:+d}")
+
+    return act
+
+
+@contextmanager
+def router(folder: Path) -> Iterator[dict[str, Any]]:
+    """A router of the site, to which the service connects."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    routers = [_router(endpoint)]
+    try:
+        yield {"publishing": {"connect": [endpoint]}, "routers": routers, "endpoint": endpoint}
+    finally:
+        for process in routers:
+            process.kill()
+            process.communicate()
+
+
+def _router(endpoint: str) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen([sys.executable, "-c", ROUTER, endpoint], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    return process
+
+
+def router_gone(seconds: float) -> Act:
+    """Behind it poses come again, too, once it is back."""
+
+    def act(drive: Drive) -> None:
+        endpoint, routers = drive.settings["endpoint"], drive.settings["routers"]
+        _poses_come(endpoint, 3.0)
+        routers[-1].kill()
+        time.sleep(seconds)
+        routers.append(_router(endpoint))
+        began_s = time.monotonic()
+        _poses_come(endpoint, 10.0)
+        drive.notes.append(f"poses behind the router again after {time.monotonic() - began_s:.1f} s")
+
+    return act
+
+
+def _poses_come(endpoint: str, timeout_s: float) -> None:
+    subscriber = Subscriber(endpoint)
+    try:
+        subscriber.wait_for("pose", 20, timeout_s)
+    finally:
+        subscriber.close()
+
+
+def _root(*command: str | Path) -> str:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+    except FileNotFoundError as error:
+        raise CannotBeHadError(f"no {command[0]}") from error
+    except subprocess.CalledProcessError as error:
+        raise CannotBeHadError(f"{command[0]}: {error.stderr.strip()}") from error
