@@ -131,7 +131,7 @@ def read_only_disk(drive: Drive) -> None:
     """As ext4 does after an error. It stays so; poses go on."""
     device = Path(_root("findmnt", "--noheadings", "--output", "SOURCE", drive.service.sessions).strip()).name
     (Path("/sys/fs/ext4") / device / "trigger_fs_error").write_text("chaos")
-    _poses_come(drive.service.endpoint, 3.0)
+    _poses_come(drive.service.endpoint, 10.0)
 
 
 @contextmanager
@@ -214,7 +214,7 @@ def router_gone(seconds: float) -> Act:
 
     def act(drive: Drive) -> None:
         endpoint, routers = drive.settings["endpoint"], drive.settings["routers"]
-        _poses_come(endpoint, 3.0)
+        _poses_come(endpoint, 10.0)
         routers[-1].kill()
         time.sleep(seconds)
         routers.append(_router(endpoint))
