@@ -15,15 +15,17 @@ export class EditLoops {
       accepted: element("ul", { className: "stored loops", tabIndex: 0, "aria-label": "Accepted loops" }),
       refused: element("ul", { className: "stored loops", tabIndex: 0, "aria-label": "Loops not accepted" }),
     };
+    this.headings = { accepted: element("h3", {}, "Accepted, the largest residual first"), refused: element("h3", {}, "Not accepted, the best agreement first") };
     this.card.node.append(element("p", { className: "note" }, "Show draws what both places saw, each in its colour. Walls must coincide."),
-      element("h3", {}, "Accepted, the largest residual first"), this.lists.accepted,
-      element("h3", {}, "Not accepted, the best agreement first"), this.lists.refused);
+      this.headings.accepted, this.lists.accepted, this.headings.refused, this.lists.refused);
   }
 
   put(loops = { accepted: [], refused: [] }) {
     this.loops = loops;
     const accepted = loops.accepted.toSorted((a, b) => b.off_mm - a.off_mm), refused = loops.refused.toSorted((a, b) => b.on_map - a.on_map);
     this.card.node.hidden = accepted.length + refused.length === 0;
+    this.headings.accepted.hidden = this.lists.accepted.hidden = accepted.length === 0;
+    this.headings.refused.hidden = this.lists.refused.hidden = refused.length === 0;
     setText(this.card.aside, `${accepted.length} accepted, ${refused.length} not`);
     this.lists.accepted.replaceChildren(...accepted.slice(0, SHOWN).map((loop) => this.#entry(loop, `Loop ${loop.loop}`,
       element("button", { type: "button", onclick: () => this.#refuse(loop) }, "Refuse\u2026"))));
