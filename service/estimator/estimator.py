@@ -51,7 +51,7 @@ FAULT_NOISE = 1000.0
 GYRO_PAUSE_S = 0.05  # between two samples
 ACCELERATION_S = 0.2  # in which an acceleration fades: a drive reaches its speed in some tenths
 FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
-TURN_M = 0.5  # a turn of a radian shows as much new as so many metres
+NEW_GROUND_M = 0.5  # a turn of a radian shows as much new as so many metres
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 PAUSE_NS = 1_000_000_000  # of odometry; shorter ones are bridged without a word
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
@@ -265,7 +265,8 @@ class Estimator:
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
-            travel_m=math.hypot(x_m - x0_m, y_m - y0_m) + TURN_M * abs(wrap_angle(theta_rad - theta0_rad)),
+            travel_m=math.hypot(x_m - x0_m, y_m - y0_m)
+            + NEW_GROUND_M * abs(wrap_angle(theta_rad - theta0_rad)),
             is_measured=is_measured,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,

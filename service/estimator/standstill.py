@@ -18,7 +18,7 @@ from service.kernels.tracks import Track
 
 # Speed of a vehicle that stands, 1 sigma, and by how many sigmas one that drives is faster; what it brakes.
 STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
-MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0
+MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0  # of a vehicle that stops by itself
 # So long, or so far, odometry stands while the vehicle drives; then it counts only once it moves again.
 STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
 MISSED_SCANS = 5  # and more than STUCK_NS: the laser is silent

@@ -30,7 +30,7 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, find_tile
 
-MIN_COSINE = 0.6  # between the normal of a point and that of its wall
+MIN_BEAM_COSINE = 0.6  # between the normal of a point and that of its wall
 WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map and of the pose
 POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of points as such; they are kept in cells
 # Densities of where a beam ends, 1/m. People, chairs and doors stand where nothing stood. Where the map knows
@@ -167,7 +167,10 @@ def openness(u, v, du, dv, known, number):
     """
     walls, looked, has_wall = known.walls, known.looked, known.has_wall
     cell_m = walls.cell_m
-    first_row, first_column = walls.tiles.origin[0] << TILE_BITS, walls.tiles.origin[1] << TILE_BITS
+    first_row, first_column = (
+        walls.tiles.origin[0] << TILE_BITS,
+        walls.tiles.origin[1] << TILE_BITS,
+    )
     column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
         u / cell_m, v / cell_m, du / cell_m, dv / cell_m
     )
@@ -234,8 +237,8 @@ def weigh_ends(xy, normals, pose, known, at_end):
     count = xy.shape[0]
     front, back, turned = np.empty((count, 6)), np.empty((count, 6)), normals.copy()
     turned[:, :2] *= -1.0
-    find_surfels(xy, normals, pose, known.walls, MIN_COSINE, front)
-    find_surfels(xy, turned, pose, known.walls, MIN_COSINE, back)
+    find_surfels(xy, normals, pose, known.walls, MIN_BEAM_COSINE, front)
+    find_surfels(xy, turned, pose, known.walls, MIN_BEAM_COSINE, back)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     on_wall = ON_WALL / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
     on_point = ON_POINT / (math.sqrt(2.0 * math.pi) * POINT_SIGMA_M * 255.0)

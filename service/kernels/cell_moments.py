@@ -26,9 +26,9 @@ from service.kernels.normals import (
 from service.kernels.surfels import REACH_CELLS
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_slot
 
-TILE_BITS = 4
-TILE_CELLS = 1 << TILE_BITS
-TILE_MASK = TILE_CELLS - 1
+MOMENT_TILE_BITS = 4
+MOMENT_TILE_CELLS = 1 << MOMENT_TILE_BITS
+MOMENT_TILE_MASK = MOMENT_TILE_CELLS - 1
 # Key frames go into the halves by turns: directions by one and by the other have no noise in common.
 HALVES = 2
 # Columns of a half: weights, 1 / noise^2 each; mean from the centre of the cell, m; weighted squares
@@ -44,7 +44,7 @@ RESTART_POINTS = 12.0  # a cell that is no plane with so many points begins anew
 class MomentGrid(NamedTuple):
     """Of one sub-map.
 
-    tiles     TileIndex                             tiles of TILE_CELLS a side
+    tiles     TileIndex                             tiles of MOMENT_TILE_CELLS a side
     moments   (capacity, T, T, HALVES, MOMENTS)  float32
     cell_m    float
     """
@@ -116,12 +116,12 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
         column = math.floor(x * cells_per_m)
         row = math.floor(y * cells_per_m)
-        slot = np.int64(find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS))
+        slot = np.int64(find_tile(grid.tiles, row >> MOMENT_TILE_BITS, column >> MOMENT_TILE_BITS))
         if slot == NO_TILE:
-            slot, used_before = take_slot(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+            slot, used_before = take_slot(grid.tiles, row >> MOMENT_TILE_BITS, column >> MOMENT_TILE_BITS)
             if used_before:
                 moments[slot] = np.float32(0.0)
-        cell = moments[slot, row & TILE_MASK, column & TILE_MASK, half]
+        cell = moments[slot, row & MOMENT_TILE_MASK, column & MOMENT_TILE_MASK, half]
         dx = x - (column + 0.5) * cell_m - cell[MEAN_X]
         dy = y - (row + 0.5) * cell_m - cell[MEAN_Y]
         before = cell[WEIGHT]
@@ -229,12 +229,12 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
         for u in range(-1, 2):
             slot = slot_at(
                 slots,
-                ((row + v) >> TILE_BITS) - first_row,
-                ((column + u) >> TILE_BITS) - first_column,
+                ((row + v) >> MOMENT_TILE_BITS) - first_row,
+                ((column + u) >> MOMENT_TILE_BITS) - first_column,
             )
             if slot == NO_TILE:
                 continue
-            cell = moments[slot, (row + v) & TILE_MASK, (column + u) & TILE_MASK, half]
+            cell = moments[slot, (row + v) & MOMENT_TILE_MASK, (column + u) & MOMENT_TILE_MASK, half]
             if cell[WEIGHT] == 0.0:
                 continue
             mx = u * cell_m + cell[MEAN_X] - dx  # from the point: nothing cancels

@@ -26,7 +26,7 @@ from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 PASSED, BLURRED, HIT = range(
     3
 )  # what a scan saw of a cell: a beam went through, a wall is near, a point in it
-NODES_APART_CELLS = 1.0
+NODES_APART_CELLS = 1.0  # of a contour, at least
 
 
 class LikelihoodLevel(NamedTuple):

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from service.geometry.chi2 import CHI2_99_OF_1, CHI2_99_OF_3
 from service.kernels.acceleration import transition_over
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
@@ -49,8 +50,6 @@ GYRO_SCALE = 0.005  # error of the gyro's scale
 GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
 # Of a step in which odometry stands: what else says that the vehicle does not is to be heard, [30].
 STANDING_M, STANDING_RAD = 0.003, 0.002
-GATE_CHI2 = 11.3  # 99 % of three degrees of freedom: beyond, a measurement widens until it fits
-GATE_CHI2_GYRO = 6.6  # 99 % of one
 MEAN_S = 0.5  # over which the twist is averaged that an error of scale is multiplied by; [25]
 MIN_CHANGE_SIGMAS = 3.0  # a change of speed that noise explains says nothing of a lag; [26]
 
@@ -147,14 +146,14 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
         rows[TURN_SCALE] = dt * tied[2] if knows_way else 0.0
         rows[BIAS] = dt
         residual = state.said[6] - (step[2] if knows_way else way[2])
-        observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, GATE_CHI2_GYRO, correction)
+        observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, CHI2_99_OF_1, correction)
     if knows_way:
         for axis in range(2, -1, -1):
             rows[:] = 0.0
             rows[STEP + axis] = 1.0
             rows[LAG] = -change[axis]
             variance = state.said[4] * state.noise[0] if axis < 2 else state.said[5] * state.noise[1]
-            observe(P, rows, 0.0, variance, gain, GATE_CHI2, correction)
+            observe(P, rows, 0.0, variance, gain, CHI2_99_OF_3, correction)
         for i in range(3):
             of_scale = tied[i] * correction[SCALE if i < 2 else TURN_SCALE]
             correction[TWIST + i] += of_scale

@@ -11,7 +11,7 @@ from service.kernels.likelihood import LikelihoodField, read_field
 from service.kernels.linear3 import copy_matrix, copy_vector, fill_symmetric, solve_3x3
 from service.kernels.pose_information import add_prior
 
-MIN_DAMPING = 1e-6
+MIN_DAMPING = 1e-6  # of Levenberg-Marquardt
 
 
 class LmSettings(NamedTuple):

@@ -8,7 +8,7 @@ from service.kernels.arrays import Bool_1D, Float32_2D, Float64_1D, Float64_2D, 
 from service.kernels.compiled import kernel
 from service.kernels.linear3 import copy_matrix, solve_3x3
 from service.kernels.match import MatchSettings
-from service.kernels.occupancy import TILE_BITS, TILE_MASK, OccupancyGrid
+from service.kernels.occupancy import GRID_TILE_BITS, GRID_TILE_MASK, OccupancyGrid
 from service.kernels.pose_information import wrap
 from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_normal_equations
@@ -59,9 +59,9 @@ def fill_unknown(field, first_row, first_column, grid, likelihood):
         slot = NO_TILE
         for q in range(field.shape[1]):
             column = first_column + q
-            if q == 0 or column & TILE_MASK == 0:
-                slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
-            if slot == NO_TILE or grid.evidence[slot, row & TILE_MASK, column & TILE_MASK] == 0:
+            if q == 0 or column & GRID_TILE_MASK == 0:
+                slot = find_tile(grid.tiles, row >> GRID_TILE_BITS, column >> GRID_TILE_BITS)
+            if slot == NO_TILE or grid.evidence[slot, row & GRID_TILE_MASK, column & GRID_TILE_MASK] == 0:
                 field[r, q] = max(field[r, q], np.float32(likelihood))
 
 
@@ -144,10 +144,12 @@ def share_in_free_space(xy, pose, grid, free):
         any_known = False
         for v in range(-1, 2):
             for u in range(-1, 2):
-                slot = find_tile(grid.tiles, (row + v) >> TILE_BITS, (column + u) >> TILE_BITS)
+                slot = find_tile(grid.tiles, (row + v) >> GRID_TILE_BITS, (column + u) >> GRID_TILE_BITS)
                 value = np.int64(0)
                 if slot != NO_TILE:
-                    value = np.int64(grid.evidence[slot, (row + v) & TILE_MASK, (column + u) & TILE_MASK])
+                    value = np.int64(
+                        grid.evidence[slot, (row + v) & GRID_TILE_MASK, (column + u) & GRID_TILE_MASK]
+                    )
                 any_known = any_known or value != 0
                 all_free = all_free and value != 0 and value <= free
         known += any_known

@@ -11,7 +11,7 @@ from service.kernels.arrays import Float64_1D, Float64_2D, Int32_2D, UInt8_2D
 from service.kernels.compiled import inner_kernel, seldom_kernel
 from service.kernels.rays import begin_ray
 
-UNKNOWN, FREE, WALL = 0, 1, 2
+CELL_UNKNOWN, CELL_FREE, CELL_WALL = 0, 1, 2
 BEHIND_M = 0.3  # a beam that ends so far behind a cell went through it
 MIN_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it
 LONG = 4.0  # times as long as wide: what stands around a cell has a direction
@@ -21,7 +21,7 @@ MAX_VOTES = 200  # of either side; then both are halved, and what is newer count
 class ChangeVotes(NamedTuple):
     """What scans said to the cells of a map. Row 0, column 0 is the cell at (first_row, first_column).
 
-    stored     (H, W) uint8    UNKNOWN, FREE or WALL: what the map says
+    stored     (H, W) uint8    CELL_UNKNOWN, CELL_FREE or CELL_WALL: what the map says
     changed    (H, W) uint8    scans that contradict it
     same       (H, W) uint8    scans that confirm it, since the first that contradicted it
     poses      (H, W) uint8    poses from which it was contradicted
@@ -95,8 +95,12 @@ def _weigh_end(row, column, votes, moment):
     is_free = True
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
-            is_free = is_free and votes.stored[r, q] == FREE
-            if votes.stored[r, q] == WALL and votes.changed[r, q] > 0 and votes.passed[r, q] != moment.scan:
+            is_free = is_free and votes.stored[r, q] == CELL_FREE
+            if (
+                votes.stored[r, q] == CELL_WALL
+                and votes.changed[r, q] > 0
+                and votes.passed[r, q] != moment.scan
+            ):
                 votes.passed[r, q] = moment.scan
                 _add_vote(votes.same, votes.changed, r, q)
     if is_free and votes.passed[row, column] != moment.scan:
@@ -115,11 +119,13 @@ def _weigh_way(u, v, du, dv, far_m, votes, moment):
     for _ in range(steps):
         if 1 <= row < height - 1 and 1 <= column < width - 1 and votes.passed[row, column] != moment.scan:
             stored = votes.stored[row, column]
-            if (stored == WALL or votes.changed[row, column] > 0) and not _is_hit(row, column, votes, moment):
-                if stored == FREE:
+            if (stored == CELL_WALL or votes.changed[row, column] > 0) and not _is_hit(
+                row, column, votes, moment
+            ):
+                if stored == CELL_FREE:
                     votes.passed[row, column] = moment.scan
                     _add_vote(votes.same, votes.changed, row, column)
-                elif stored == WALL and _crosses(row, column, du, dv, votes):
+                elif stored == CELL_WALL and _crosses(row, column, du, dv, votes):
                     votes.passed[row, column] = moment.scan
                     _contradict(row, column, votes, moment)
         is_column = next_column < next_row
@@ -146,7 +152,7 @@ def _crosses(row, column, du, dv, votes):
     count = sx = sy = xx = xy = yy = 0.0
     for r in range(max(row - 2, 0), min(row + 3, height)):
         for q in range(max(column - 2, 0), min(column + 3, width)):
-            if votes.stored[r, q] == WALL:
+            if votes.stored[r, q] == CELL_WALL:
                 x, y = float(q - column), float(r - row)
                 count += 1.0
                 sx += x

@@ -14,7 +14,7 @@ BEAMS_EACH_SIDE, MAX_BEAMS_EACH_SIDE = 4, 32  # of a window
 GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 3.5
 # Beams that graze a wall hit it in steps so long, each longer than the one before by at most so much.
 MAX_STEP_M, MAX_GROWTH = 1.0, 1.5
-IN_LINE_SIGMAS = 3.0
+IN_LINE_SIGMAS = 3.0  # a point that far off two others is not in line with them
 THICK_SIGMAS = 2.0  # of its spread: a piece thicker than noise by more is no plane
 ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so well
 MAX_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough

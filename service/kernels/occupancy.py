@@ -10,9 +10,9 @@ from service.kernels.compiled import inner_kernel, kernel, seldom_kernel
 from service.kernels.rays import begin_ray
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
-TILE_BITS = 6
-TILE_CELLS = 1 << TILE_BITS
-TILE_MASK = TILE_CELLS - 1
+GRID_TILE_BITS = 6
+GRID_TILE_CELLS = 1 << GRID_TILE_BITS
+GRID_TILE_MASK = GRID_TILE_CELLS - 1
 
 
 class OccupancyGrid(NamedTuple):
@@ -65,7 +65,9 @@ def weigh_cell(old, amount, evidence):
 @inner_kernel
 def cell_in_tiles(slot, row, column):
     """Number of a cell among those of all tiles, one after the other; row and column in the map."""
-    return (slot << 2 * TILE_BITS) | ((row & TILE_MASK) << TILE_BITS) | (column & TILE_MASK)
+    return (
+        (slot << 2 * GRID_TILE_BITS) | ((row & GRID_TILE_MASK) << GRID_TILE_BITS) | (column & GRID_TILE_MASK)
+    )
 
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, OccupancyGrid, Evidence, float, np.uint16)
@@ -99,9 +101,9 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
         ends[i, 1] = (pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / cell_m
         column = math.floor(ends[i, 0])
         row = math.floor(ends[i, 1])
-        if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
-            tile_row = row >> TILE_BITS
-            tile_column = column >> TILE_BITS
+        if row >> GRID_TILE_BITS != tile_row or column >> GRID_TILE_BITS != tile_column:
+            tile_row = row >> GRID_TILE_BITS
+            tile_column = column >> GRID_TILE_BITS
             slot = np.int64(touch_tile(grid, tile_row, tile_column))
         k = cell_in_tiles(slot, row, column)
         if touched[k] != scan_number:
@@ -113,7 +115,7 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
                 changed[slot] = np.uint8(1)
     u = (pose[0] + c * sensor_xy_m[0] - s * sensor_xy_m[1]) / cell_m
     v = (pose[1] + s * sensor_xy_m[0] + c * sensor_xy_m[1]) / cell_m
-    touch_tile(grid, math.floor(v) >> TILE_BITS, math.floor(u) >> TILE_BITS)
+    touch_tile(grid, math.floor(v) >> GRID_TILE_BITS, math.floor(u) >> GRID_TILE_BITS)
     for i in range(count):
         du = ends[i, 0] - u
         dv = ends[i, 1] - v
@@ -122,9 +124,9 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
             u, v, shrink * du, shrink * dv
         )
         for _ in range(steps):
-            if row >> TILE_BITS != tile_row or column >> TILE_BITS != tile_column:
-                tile_row = row >> TILE_BITS
-                tile_column = column >> TILE_BITS
+            if row >> GRID_TILE_BITS != tile_row or column >> GRID_TILE_BITS != tile_column:
+                tile_row = row >> GRID_TILE_BITS
+                tile_column = column >> GRID_TILE_BITS
                 slot = np.int64(touch_tile(grid, tile_row, tile_column))
             k = cell_in_tiles(slot, row, column)
             if touched[k] != scan_number:
@@ -145,10 +147,10 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
 @inner_kernel
 def evidence_at(grid, row, column):
     """Evidence of a cell, 0 where no tile is."""
-    slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
+    slot = find_tile(grid.tiles, row >> GRID_TILE_BITS, column >> GRID_TILE_BITS)
     if slot == NO_TILE:
         return np.int64(0)
-    return np.int64(grid.evidence[slot, row & TILE_MASK, column & TILE_MASK])
+    return np.int64(grid.evidence[slot, row & GRID_TILE_MASK, column & GRID_TILE_MASK])
 
 
 @kernel(Float64_2D, Float64_1D, OccupancyGrid)
@@ -218,8 +220,8 @@ def write_tiles(tile_row, tile_column, evidence, grid):
     for k in range(tile_row.shape[0]):
         slot = touch_tile(grid, tile_row[k], tile_column[k])
         kept[tile_row[k] - grid.tiles.origin[0], tile_column[k] - grid.tiles.origin[1]] = 1
-        for row in range(TILE_CELLS):
-            for column in range(TILE_CELLS):
+        for row in range(GRID_TILE_CELLS):
+            for column in range(GRID_TILE_CELLS):
                 if grid.evidence[slot, row, column] != evidence[k, row, column]:
                     grid.evidence[slot, row, column] = evidence[k, row, column]
                     grid.changed[slot] = np.uint8(1)
@@ -228,8 +230,8 @@ def write_tiles(tile_row, tile_column, evidence, grid):
             slot = slots[i, j]
             if slot == NO_TILE or kept[i, j] == 1:
                 continue
-            for row in range(TILE_CELLS):
-                for column in range(TILE_CELLS):
+            for row in range(GRID_TILE_CELLS):
+                for column in range(GRID_TILE_CELLS):
                     if grid.evidence[slot, row, column] != 0:
                         grid.evidence[slot, row, column] = np.int8(0)
                         grid.changed[slot] = np.uint8(1)

@@ -25,7 +25,7 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, find_tile
 
-MIN_COSINE = 0.1  # of the incidence: beams that graze more say nothing of a range
+MIN_INCIDENCE_COSINE = 0.1  # of the incidence: beams that graze more say nothing of a range
 
 
 @inner_kernel
@@ -134,7 +134,7 @@ def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m,
         y = xy_base[i, 1] - sensor_xy_m[1]
         range_m = math.sqrt(x * x + y * y)
         cosine = -(J[0] * (c * x - s * y) + J[1] * (s * x + c * y)) / range_m
-        if cosine < MIN_COSINE:
+        if cosine < MIN_INCIDENCE_COSINE:
             continue
         # At the range of the wall, not of the point: those that are short by chance are no sort of points.
         at = max(0.0, range_m + e / cosine) / node_m

@@ -11,7 +11,7 @@ from service.kernels.ordering import kth_smallest
 MAX_NEIGHBOURS = 21
 CONCENTRATION_STEPS = 4
 CHI2_975 = 7.378  # of two degrees of freedom: what lies beyond is an outlier
-CHI2_MEDIAN = 1.386
+CHI2_MEDIAN = 1.386  # of two degrees of freedom
 MIN_VARIANCE_M2 = 1e-12  # keeps a perfect line from having no covariance
 
 

@@ -13,8 +13,8 @@ from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
 NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
-WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
-MIN_NOISE, MAX_NOISE = 0.25, 1e6
+NOISE_WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
+MIN_NOISE, MAX_NOISE = 0.25, 1e6  # factors on the configured variance, [18]
 # Speeds then change by 0.14 m/s and 0.63 rad/s within a second, 1 sigma: a turn begins more suddenly.
 MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 
@@ -61,7 +61,7 @@ def learn_noise(state, information, settings):
     Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
     """
     w = state.window
-    if w[12] < WINDOW_M and w[13] < WINDOW_S:
+    if w[12] < NOISE_WINDOW_M and w[13] < WINDOW_S:
         return
     bounded = information.copy()
     for i in range(3):
@@ -102,7 +102,7 @@ def learn_motion(state, settings):
         state.motion_noise[:] = 1.0
         return
     lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)
-    moved = min(w[12] / WINDOW_M, 1.0)
+    moved = min(w[12] / NOISE_WINDOW_M, 1.0)
     for i in range(3):
         if i == 2 and w[10] > 0.0:
             state.motion_noise[i] = 1.0

@@ -21,7 +21,7 @@ COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
 COSINES, LASERS = 5, 3
 COLUMNS = COSINES + LASERS
 SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel begins the other one
-MAX_AROUND = 18  # surfels in 3 x 3 cells
+SURFELS_AROUND = 18  # surfels in 3 x 3 cells
 NOWHERE = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # surfels farther than this from a point say nothing of the wall beside it
 PARTS = 2  # cells of a finer grid along the edge of a whole cell; [32]
@@ -66,7 +66,7 @@ def nothing_around(count):
     around = Around(
         np.empty((count, 2), np.int64),
         np.empty((count, 2), np.int64),
-        np.empty((4 * count + MAX_AROUND, 5)),
+        np.empty((4 * count + SURFELS_AROUND, 5)),
         np.empty(1, np.int64),
     )
     forget_around(around)
@@ -282,7 +282,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
                 first = near_span[i, 0]
                 end = first + near_span[i, 1]
             else:
-                if used + MAX_AROUND > near_surfels.shape[0]:  # full
+                if used + SURFELS_AROUND > near_surfels.shape[0]:  # full
                     forget_around(around)
                     used = 0
                 first = end = used

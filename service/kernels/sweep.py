@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
+from service.geometry.chi2 import CHI2_99_OF_1
 from service.kernels.acceleration import transition_over
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.estimator import GATE_CHI2_GYRO, GYRO_SCALE, move_axes
+from service.kernels.estimator import GYRO_SCALE, move_axes
 from service.kernels.filter_state import (
     ACCELERATION,
     MAP,
@@ -56,7 +57,7 @@ def gain_of(expected, measured, variance):
     total = expected + variance
     if expected <= 0.0:
         return 0.0
-    return expected / total * min(1.0, GATE_CHI2_GYRO * total / max(measured * measured, 1e-12))
+    return expected / total * min(1.0, CHI2_99_OF_1 * total / max(measured * measured, 1e-12))
 
 
 @inner_kernel
@@ -157,7 +158,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
             if knows_way:  # where both speak and contradict each other, the gyro may be dead
                 apart = turned - said_rad[k]
                 both = of_gyro + variance[k, 1]
-                kept *= min(1.0, GATE_CHI2_GYRO * both / max(apart * apart, 1e-12))
+                kept *= min(1.0, CHI2_99_OF_1 * both / max(apart * apart, 1e-12))
             off[k, 2] += kept * (turned - off[k, 2])
     for k in range(count):
         t = begin_s + (end_s - begin_s) * k / (count - 1)

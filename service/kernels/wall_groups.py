@@ -7,7 +7,7 @@ from service.kernels.compiled import kernel
 from service.kernels.normals import ROUGH_WEIGHT
 
 ACROSS_M, ACROSS_SIGMAS = 0.06, 3.0  # how far off its line a point of a wall lies at most
-MIN_COSINE = 0.97  # between the normal of a point and that of its wall
+MIN_WALL_COSINE = 0.97  # between the normal of a point and that of its wall
 REACHES_M = (1.0, 4.0, math.inf)  # about its first point, in which a wall is fitted, each from the one before
 THING_M = 0.3  # about its first point: rough points so near are one thing
 
@@ -46,7 +46,7 @@ def group_by_wall(xy, normals, sigma_m, group):
                 dx, dy = xy[j, 0] - x, xy[j, 1] - y
                 if (
                     abs(nx * dx + ny * dy) >= max(ACROSS_M, ACROSS_SIGMAS * sigma_m[j])
-                    or nx * normals[j, 0] + ny * normals[j, 1] < MIN_COSINE
+                    or nx * normals[j, 0] + ny * normals[j, 1] < MIN_WALL_COSINE
                     or math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]) >= reach_m
                 ):
                     continue
@@ -61,7 +61,7 @@ def group_by_wall(xy, normals, sigma_m, group):
                 px, py = -math.sin(along), math.cos(along)
                 if px * nx + py * ny < 0.0:
                     px, py = -px, -py
-                if px * nx + py * ny > MIN_COSINE:
+                if px * nx + py * ny > MIN_WALL_COSINE:
                     x, y, nx, ny = x + mx, y + my, px, py
         group[i] = groups
         groups += 1

@@ -12,7 +12,7 @@ from service.geometry.poses import Floats
 
 Ints = npt.NDArray[np.int64]
 
-WALL, ERASED, ERASED_TO_FREE, ERASED_AS_SEEN = 0, 1, 2, 3
+DRAWN_WALL, ERASED, ERASED_TO_FREE, ERASED_AS_SEEN = 0, 1, 2, 3
 BECOMES = {"as_seen": ERASED_AS_SEEN, "unknown": ERASED, "free": ERASED_TO_FREE}  # what is erased
 PREFIX = "by_hand_"  # of the names in a file
 
@@ -20,7 +20,9 @@ PREFIX = "by_hand_"  # of the names in a file
 class Drawing(NamedTuple):
     """One wall, or one area that was erased."""
 
-    kind: int  # WALL, ERASED (unknown), ERASED_TO_FREE, ERASED_AS_SEEN (by beams that pass; else unknown)
+    kind: (
+        int  # DRAWN_WALL, ERASED (unknown), ERASED_TO_FREE, ERASED_AS_SEEN (by beams that pass; else unknown)
+    )
     until: int  # of an area: it takes away what the key frames before this one drew
     corners_map: Floats  # (C, 2) m
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 
 from service.geometry.poses import Floats
-from service.mapper.by_hand import ERASED, ERASED_TO_FREE, WALL, ByHand, Drawing
+from service.mapper.by_hand import DRAWN_WALL, ERASED, ERASED_TO_FREE, ByHand, Drawing
 from service.mapper.components import AreaToErase, ScanToRender, ToRender, WallToRender
 
 
@@ -11,9 +11,11 @@ def walls_of(by_hand: ByHand, map_poses: Floats) -> list[WallToRender]:
     """The walls, with the key frames at (N, 3), without what was erased of each later."""
     drawings = by_hand.drawings(map_poses)
     return [
-        WallToRender(drawing.corners_map, [later.corners_map for later in drawings[k:] if later.kind != WALL])
+        WallToRender(
+            drawing.corners_map, [later.corners_map for later in drawings[k:] if later.kind != DRAWN_WALL]
+        )
         for k, drawing in enumerate(drawings)
-        if drawing.kind == WALL
+        if drawing.kind == DRAWN_WALL
     ]
 
 

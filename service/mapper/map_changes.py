@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.se2 import SE2
-from service.kernels.map_changes import FREE, UNKNOWN, WALL, ChangeVotes, Moment, weigh_changes
+from service.kernels.map_changes import CELL_FREE, CELL_UNKNOWN, CELL_WALL, ChangeVotes, Moment, weigh_changes
 from service.mapper.components import Points, RenderedMap
 from service.outputs import FREE as GRID_FREE
 from service.outputs import OCCUPIED as GRID_OCCUPIED
@@ -16,11 +16,11 @@ from service.outputs import Grid
 Rows = npt.NDArray[np.int64]
 COARSER = 2  # cells of the map along an edge of one of these: 0.1 m
 WALL_EVIDENCE, FREE_EVIDENCE = 13, -20  # log-odds in steps of 0.05: 66 %; and two beams passed
-FARTHEST_M = 12.0
-STEP_M, STEP_RAD = 0.3, 0.2  # from one pose to the next that counts as another
-USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000
+FARTHEST_M = 12.0  # of a return that is asked
+CHANGE_STEP_M, CHANGE_STEP_RAD = 0.3, 0.2  # from one pose to the next that counts as another
+USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000  # scans between these are not asked
 MIN_POSES, MIN_VOTES, MIN_MS = 3, 5, 1000  # that contradict the map before a cell is told
-MIN_SHARE = 0.8  # of the scans that spoke of a cell since then
+MIN_CHANGED_SHARE = 0.8  # of the scans that spoke of a cell since then
 MIN_CELLS = 4  # together: one alone is the rim of something that stands where it was
 NOTHING_CHANGED = Grid(0, COARSER * 0.05, 0.0, 0.0, np.empty((0, 0), np.int8))
 
@@ -107,7 +107,7 @@ class ChangeWatch:
             is_far = pose_map_base.is_step_from(pose, USED_EVERY_M, USED_EVERY_RAD)
             if not is_far and stamp_ns - used_ns < USED_EVERY_NS:
                 return
-        if self._counted is None or pose_map_base.is_step_from(self._counted, STEP_M, STEP_RAD):
+        if self._counted is None or pose_map_base.is_step_from(self._counted, CHANGE_STEP_M, CHANGE_STEP_RAD):
             self._counted = pose_map_base
             self._poses += 1
         self._used = pose_map_base, stamp_ns
@@ -130,11 +130,11 @@ class ChangeWatch:
         is_sure = (
             (changed >= MIN_VOTES)
             & (votes.last_ms.ravel()[at] - votes.first_ms.ravel()[at] >= MIN_MS)
-            & (changed >= MIN_SHARE * (changed + same))
+            & (changed >= MIN_CHANGED_SHARE * (changed + same))
         )
         at, changed = at[is_sure], changed[is_sure]
         row, column = np.divmod(at, votes.stored.shape[1])
-        is_new = votes.stored.ravel()[at] == FREE
+        is_new = votes.stored.ravel()[at] == CELL_FREE
         is_told = np.zeros(len(at), np.bool_)
         for alike in (is_new, ~is_new):
             is_told[alike] = group_sizes(row[alike], column[alike]) >= MIN_CELLS
@@ -152,7 +152,7 @@ class ChangeWatch:
 
 
 def _stored(shown: RenderedMap) -> tuple[npt.NDArray[np.uint8], int, int]:
-    """UNKNOWN, FREE or WALL of each coarser cell, and the row and column of the first of them."""
+    """What each coarser cell is (CELL_UNKNOWN ...), and the row and column of the first of them."""
     edge = shown.evidence.shape[1]
     low_row, low_column = int(shown.tile_row.min()), int(shown.tile_column.min())
     height = (int(shown.tile_row.max()) - low_row + 1) * edge
@@ -162,9 +162,9 @@ def _stored(shown: RenderedMap) -> tuple[npt.NDArray[np.uint8], int, int]:
         r, q = (int(row) - low_row) * edge, (int(column) - low_column) * edge
         fine[r : r + edge, q : q + edge] = evidence
     blocks = fine.reshape(height // COARSER, COARSER, width // COARSER, COARSER)
-    stored = np.full((height // COARSER, width // COARSER), UNKNOWN, np.uint8)
-    stored[(blocks <= FREE_EVIDENCE).all(axis=(1, 3))] = FREE
-    stored[(blocks >= WALL_EVIDENCE).any(axis=(1, 3))] = WALL
+    stored = np.full((height // COARSER, width // COARSER), CELL_UNKNOWN, np.uint8)
+    stored[(blocks <= FREE_EVIDENCE).all(axis=(1, 3))] = CELL_FREE
+    stored[(blocks >= WALL_EVIDENCE).any(axis=(1, 3))] = CELL_WALL
     return stored, low_row * edge // COARSER, low_column * edge // COARSER
 
 

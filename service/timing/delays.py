@@ -14,7 +14,7 @@ import numpy.typing as npt
 MAX_AHEAD_NS = 50_000_000  # of the log: two computers that keep each other's time
 MAX_LATENCY_NS = 1_000_000_000  # from a measurement to its log time
 MAX_CHANGE_NS = 250_000_000  # of the delay, from the first half of the messages to the second
-MIN_SHARE = 0.6  # of the messages, whose delays agree
+MIN_AGREEING_SHARE = 0.6  # of the messages, whose delays agree
 MIN_ORDINARY = 0.3  # of the messages, where the newest are: the others were stamped by a clock that was set
 MIN_MESSAGES = 3
 FASTEST_SHARE = 0.05  # of the delays are passed over in search of the fastest: single stamps may be ahead
@@ -65,11 +65,11 @@ def clock_of(stamp_ns: Sequence[int], log_ns: Sequence[int]) -> Clock:
 def _verdict(stamps: Stamps, logs: Stamps, near: Stamps, is_kept: bool) -> Verdict:
     """near: delays that agree, in their order; is_kept: they are those of the clock of the log."""
     count = len(stamps)
-    if count >= MIN_MESSAGES and len(np.unique(stamps)) <= MIN_SHARE * count < len(np.unique(logs)):
+    if count >= MIN_MESSAGES and len(np.unique(stamps)) <= MIN_AGREEING_SHARE * count < len(np.unique(logs)):
         return "coarse"
     if is_kept:
         return "ordinary"
-    if count < MIN_MESSAGES or len(near) < MIN_SHARE * count or _changes(near):
+    if count < MIN_MESSAGES or len(near) < MIN_AGREEING_SHARE * count or _changes(near):
         return "inconsistent"
     return "ordinary" if is_ordinary(_middle(near)) else "offset"
 

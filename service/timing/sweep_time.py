@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 
 from drivers.frames import LaserScan
 
-TOLERANCE = 0.1  # of two durations that are the same: motors, rounded fields
+DURATION_TOLERANCE = 0.1  # of two durations that are the same: motors, rounded fields
 SHORTEST_TURN_S = 0.009  # no planar laser turns more than 100 times a second
 MAX_SWEEPS = 1.05  # of the period: a mirror that swings measures all the time
 # Lasers of which logs have other scan_times than their turn: degrees from beam to beam -> s that a turn takes
 # by the fields, for SICK LMS2xx (75 Hz; a scan of 0.5 deg is of two turns, of 0.25 deg of four) and LMS1xx
 # (25 and 50 Hz).
 _LMS2XX = {1.0: (1 / 75,), 0.5: (1 / 75, 2 / 75), 0.25: (1 / 75, 4 / 75)}
-_LMS2XX_BEAMS = frozenset({101, 180, 181, 201, 360, 361, 401})
-_LMS1XX = {0.5: (1 / 25, 1 / 50), 0.25: (1 / 25,)}
+_LMS2XX_BEAMS = frozenset({101, 180, 181, 201, 360, 361, 401})  # of an LMS2xx, for each of its fields of view
+_LMS1XX = {0.5: (1 / 25, 1 / 50), 0.25: (1 / 25,)}  # step deg -> s a turn, by the data sheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def sweep_ns(scan: LaserScan) -> int:
 def agree_by_themselves(scan: LaserScan) -> bool:
     """Whether the fields of one scan leave no question, whatever the period of the scans is."""
     turn, told_s = turn_s(scan), scan.scan_period_ns * 1e-9
-    if turn == 0.0 or (_is_known_laser(scan) and turn <= told_s * (1 + TOLERANCE)):
+    if turn == 0.0 or (_is_known_laser(scan) and turn <= told_s * (1 + DURATION_TOLERANCE)):
         return True
     return turn >= SHORTEST_TURN_S and _are_same(turn, told_s)
 
@@ -69,7 +69,9 @@ def agree_by_themselves(scan: LaserScan) -> bool:
 def judge(scan: LaserScan, period_s: float | None) -> SweepTime:
     """period_s: from one scan to the next, as measured; None: unknown."""
     turn, told_s = turn_s(scan), scan.scan_period_ns * 1e-9
-    if turn == 0.0 or (_is_known_laser(scan) and (period_s is None or turn <= period_s * (1 + TOLERANCE))):
+    if turn == 0.0 or (
+        _is_known_laser(scan) and (period_s is None or turn <= period_s * (1 + DURATION_TOLERANCE))
+    ):
         return BELIEVED
     period = period_s or told_s
     if period == 0.0:
@@ -123,7 +125,7 @@ def _share(scan: LaserScan) -> float:
 
 
 def _are_same(one_s: float, other_s: float) -> bool:
-    return abs(one_s - other_s) <= TOLERANCE * max(one_s, other_s)
+    return abs(one_s - other_s) <= DURATION_TOLERANCE * max(one_s, other_s)
 
 
 def _is_known_laser(scan: LaserScan) -> bool:

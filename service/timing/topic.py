@@ -34,7 +34,7 @@ PACE_MESSAGES = 20  # at the beginning and at the end, by whose fastest delays a
 MAX_DRIFT_NS = 200_000_000
 EVEN_STEPS, EVEN = 10, 0.2  # log times from message to message, and by which share of them they differ
 MAX_USUAL_DELAY_NS = 250_000_000  # of the fastest messages, to the log
-SAME_TURN = 0.1
+SAME_TURN = 0.1  # relative difference of two sweep times that are one laser's
 MIN_LAG_S, LAG_SIGMAS = 0.045, 5.0  # by the rates of turn; less the motion model finds by itself
 
 FAR, LATE, SAME = "with a stamp far from those around it", "out of order", "with the stamp of the one before"

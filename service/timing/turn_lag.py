@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-MAX_LAG_S, STEP_S = 1.2, 0.03
+MAX_LAG_S, STEP_S = 1.2, 0.03  # lags that are tried
 LONGEST_GAP_S = 0.6  # between two scans
 SCANS, SAMPLES = 400, 8192  # the newest count
 FIRST_JUDGED, MAX_BETWEEN = 40, 1600  # scans; judged at twice as many each time, at last each so many
 MIN_PAIRS = 25
 MIN_RATE_RADPS = 0.05  # standard deviation of the rate of turn: below, nothing tells the lag
-MIN_CORRELATION = 0.9
+MIN_CORRELATION = 0.9  # of both rates of turn, for a lag to be known
 MAX_UNEXPLAINED = 0.35  # of the variance that a lag of 0 leaves unexplained: an offset explains the rest
 SAME_LAG_S = 0.05  # by each half of the turns
 SAME_ERRORS = 4.0  # scans whose headings have the same error

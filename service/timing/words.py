@@ -2,7 +2,7 @@
 
 import re
 
-DAY_S = 86_400.0
+DAY_S = 86_400.0  # above, a time is given in days, too
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?")  # and not the 2 of a sensor called front_2
 
 

@@ -23,7 +23,7 @@ PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
     ),
     ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
     ("dynamic-object filter", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
-    ("weight by static score", {DYNAMIC_FILTER: {"MIN_WEIGHT": 1.0}}),
+    ("weight by static score", {DYNAMIC_FILTER: {"MIN_NEW_WEIGHT": 1.0}}),
     ("ray-cast removal", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
     ("refusal of points in free space", {DYNAMIC_FILTER: {"FREE_S": 0.0}}),
     ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),

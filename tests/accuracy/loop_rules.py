@@ -115,9 +115,9 @@ RULES = (
         f"{GRAPH}.model.candidate_submap",
         {"cloud_with_noise": lambda xy, normals, _: cloud_with_noise(xy, normals, LMS100.sigma_m)},
     ),
-    Rule("unknown ground neutral", f"{GRAPH}.model.candidate_submap", {"UNKNOWN_LIKELIHOOD": 0.0}),
+    Rule("unknown ground neutral", f"{GRAPH}.model.candidate_submap", {"LOOP_UNKNOWN_LIKELIHOOD": 0.0}),
     Rule("points in free space count", f"{GRAPH}.loops.loop_back_end", {"MAX_AGAINST": 2.0}),
-    Rule("least inlier ratio", f"{GRAPH}.loops.loop_back_end", {"MIN_SHARE": 0.0}),
+    Rule("least inlier ratio", f"{GRAPH}.loops.loop_back_end", {"MIN_SHARE_ON_MAP": 0.0}),
     Rule("contradicted loops disabled", f"{GRAPH}.loops.loop_back_end", {"CONTRADICTION_CHI2": math.inf}),
     Rule(
         "tolerance that grows with the path",

@@ -49,7 +49,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "unknown ground neutral in the loop search",
         "service.mapper.graph.model.candidate_submap",
-        {"UNKNOWN_LIKELIHOOD": 0.0},
+        {"LOOP_UNKNOWN_LIKELIHOOD": 0.0},
     ),
     (
         "motion within a sweep ([23])",

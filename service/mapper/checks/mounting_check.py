@@ -3,10 +3,10 @@
 A mounting that is wrong by some degrees cannot be seen in that laser's own map: it agrees with itself. Taken
 for right it tears the map of the others. So a laser that joins others is aligned with their map first, with
 no say in pose and map, until its offset from the configured mounting is known. The offset is estimated by
-least squares over scans; the mounting is expected to be right within TOLERANCE. In a map that has just begun
-a search may put a scan somewhere else, turned by 90 degrees in a room: a scan that contradicts the others has
-less weight, as in odometry_mounting. A corridor looks the same ahead and behind: whether the laser looks the
-other way is decided by what contradicts either of the two on known ground.
+least squares over scans; the mounting is expected to be right within MOUNTING_TOLERANCE. In a map that has
+just begun a search may put a scan somewhere else, turned by 90 degrees in a room: a scan that contradicts the
+others has less weight, as in odometry_mounting. A corridor looks the same ahead and behind: whether the laser
+looks the other way is decided by what contradicts either of the two on known ground.
 """
 
 import math
@@ -15,14 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from service.estimator.motion import Matrix, Measurement, Prediction
-from service.geometry.chi2 import CHI2_999_OF_3
+from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_3
 from service.geometry.se2 import SE2
 from service.mapper.checks.stamp_check import SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
-TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: how well people measure a mounting
+MOUNTING_TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: as people measure it
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
-MEDIAN_CHI2 = 2.37  # of three degrees of freedom
 ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
 BATCH_SCANS = 25  # after which an offset is judged
 MIN_ADVANTAGE = 0.1  # of looking one way over the other: agreement with known ground
@@ -97,7 +96,7 @@ class MountingCheck:
         self._advantage += float(np.mean(self._advantages))
         if abs(self._advantage) < MIN_ADVANTAGE:  # ahead and behind look alike so far
             return
-        chi2 = float(self._offset @ np.linalg.solve(covariance + TOLERANCE, self._offset))
+        chi2 = float(self._offset @ np.linalg.solve(covariance + MOUNTING_TOLERANCE, self._offset))
         self.is_right = self._advantage > 0.0 and chi2 <= CHI2_999_OF_3
         self.fault = NO_REASON if self.is_right else self._fault_of()
 
@@ -120,7 +119,7 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
     weighed       (K, 3)      its offset, times that
     """
     inverse = np.linalg.pinv(information, hermitian=True)
-    prior = 1e-3 * np.linalg.inv(TOLERANCE)
+    prior = 1e-3 * np.linalg.inv(MOUNTING_TOLERANCE)
     counts = np.ones(len(weighed))
     offset, covariance = np.zeros(3), prior
     for _ in range(4):
@@ -128,6 +127,6 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
         offset = covariance @ (counts @ weighed)
         off = information @ offset - weighed
         chi2 = SAME_ERRORS * np.einsum("ki,kij,kj->k", off, inverse, off)
-        excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
+        excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_3, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     return offset, covariance

@@ -17,26 +17,25 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
-from service.geometry.chi2 import CHI2_999_OF_3
+from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_2
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.checks.mounting_check import ROBUST_CHI2
 from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
-STEP_M, STEP_RAD = 0.4, 0.15  # one of both ends a step
+MOUNTING_STEP_M, MOUNTING_STEP_RAD = 0.4, 0.15  # one of both ends a step
 MIN_TURN_RAD = 0.1  # of a step that tells where the laser sits: in less, noise of headings looks the same
 LONGEST_STEP_NS = 3_000_000_000
-LONGEST_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
+MAX_SAMPLE_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
 SAMPLES = 512  # of odometry that are kept
 STEPS = 200  # the newest count: 80 m and more
 JUDGED_EACH = 25  # steps
 # Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
-MATCH_M, WALK_M, TURN_M = 0.01, 0.02, 0.02
-MEDIAN_CHI2 = math.log(4.0)  # of two degrees of freedom
+MATCH_M, WALK_M, TURN_NOISE_M = 0.01, 0.02, 0.02
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
 MIN_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
 MIN_SCALE, MAX_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
-TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: how well people know axle and mounting
+AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: as people know axle and mounting
 KNOWN_SIGMA_M = 1.0  # of the point the vehicle turns around: a way without turns does not show it
 
 
@@ -76,7 +75,7 @@ class OdometryMounting:
             return
         matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
         way_m = max(math.hypot(matched.x_m, matched.y_m), math.hypot(driven.x_m, driven.y_m))
-        if way_m < STEP_M and abs(matched.theta_rad) < STEP_RAD:
+        if way_m < MOUNTING_STEP_M and abs(matched.theta_rad) < MOUNTING_STEP_RAD:
             return
         self._last = stamp_ns, pose_odom_base, odometry
         self._steps.append(
@@ -96,7 +95,7 @@ class OdometryMounting:
         newest_first = reversed(self._samples)
         for (after_ns, after), (before_ns, before) in pairwise(newest_first):
             if before_ns <= stamp_ns <= after_ns:
-                if after_ns - before_ns > LONGEST_GAP_NS:
+                if after_ns - before_ns > MAX_SAMPLE_GAP_NS:
                     return None
                 share = (stamp_ns - before_ns) / (after_ns - before_ns)
                 turn_rad = wrap_angle(after.theta_rad - before.theta_rad)
@@ -123,7 +122,7 @@ def fault_of(steps: Floats) -> Reason:
     if found is None:
         return NO_REASON
     offset, covariance = found
-    if float(offset @ np.linalg.solve(covariance + TOLERANCE, offset)) <= CHI2_999_OF_3:
+    if float(offset @ np.linalg.solve(covariance + AXLE_TOLERANCE, offset)) <= CHI2_999_OF_3:
         return NO_REASON
     axle = SE2(*offset.tolist()).inverse()
     yaw_deg = math.degrees(axle.theta_rad)
@@ -163,7 +162,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale
     jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
     way_m = np.hypot(driven[:, 0], driven[:, 1])
-    weight = 1.0 / (MATCH_M**2 + WALK_M**2 * way_m + (TURN_M * turn) ** 2)
+    weight = 1.0 / (MATCH_M**2 + WALK_M**2 * way_m + (TURN_NOISE_M * turn) ** 2)
     counts, excess = np.ones(len(steps)), 1.0
     unknown, covariance = np.zeros(4), np.eye(4)
     for _ in range(4):
@@ -171,7 +170,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
         covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + WEAK_PRIOR_INFORMATION)
         unknown = covariance @ np.einsum("k,kia,ki->a", w, jacobian, driven)
         chi2 = weight * ((jacobian @ unknown - driven) ** 2).sum(axis=1)
-        excess = max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
+        excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_2, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     inverse_scale = math.hypot(unknown[0], unknown[1])
     if not MIN_SCALE <= inverse_scale <= MAX_SCALE:

@@ -18,7 +18,7 @@ from service.geometry.chi2 import CHI2_999_OF_1
 from service.geometry.se2 import wrap_angle
 from service.outputs import NO_REASON, Reason
 
-LONGEST_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
+MAX_SCAN_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
 MIN_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
 SCANS = 400  # the newest count
 SAME_ERRORS = 20.0  # scans that see the same errors of the map
@@ -40,14 +40,14 @@ class StampCheck:
 
     def add(self, stamp_ns: int, heading_rad: float) -> None:
         """A scan of the laser, where it lies on the map."""
-        if self._other is not None and stamp_ns - self._other[0] <= LONGEST_GAP_NS:
+        if self._other is not None and stamp_ns - self._other[0] <= MAX_SCAN_GAP_NS:
             self._waiting.append((stamp_ns, heading_rad))
 
     def add_other(self, stamp_ns: int, heading_rad: float) -> None:
         """A scan of the other laser; in the order of stamps."""
         before, self._other = self._other, (stamp_ns, heading_rad)
         waiting, self._waiting = self._waiting, []
-        if before is None or stamp_ns - before[0] > LONGEST_GAP_NS:
+        if before is None or stamp_ns - before[0] > MAX_SCAN_GAP_NS:
             return
         rate_radps = wrap_angle(heading_rad - before[1]) / ((stamp_ns - before[0]) * 1e-9)
         for at_ns, of_rad in waiting:

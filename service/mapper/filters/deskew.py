@@ -18,7 +18,7 @@ from service.kernels.sweep import bend_returns
 from service.mapper.components import Points
 
 NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
-MIN_NOISE_M = 0.003
+MIN_NOISE_M = 0.003  # of a range: no laser of the supported ones is better
 UNKNOWN_NOISE_M = 0.03  # of a laser that has shown none yet
 
 

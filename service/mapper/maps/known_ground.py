@@ -8,19 +8,19 @@ from service.kernels.occupancy import Evidence, count_overlap
 from service.mapper.components import Overlap, Points
 from service.mapper.maps.occupancy import Canvas
 
-CELL_M = 0.10
+CELL_M = 0.10  # of the grid that counts hits and beams
 FREE_RANGE_M = 20.0  # beams clear cells up to here
 # What stands is known at once, as in maps that remember walls alone. Beams of three scans through a cell take
 # away what one end point said, those of 16 what any number did.
 EVIDENCE = Evidence(hit=3, miss=-1, least=-1, most=15)
-POOL_TILES = 16_384  # 200 MB of address space: 0.67 km2
+KNOWN_GROUND_POOL_TILES = 16_384  # 200 MB of address space: 0.67 km2
 
 
 class KnownGround:
     """Occupancy in cells of 10 cm, in the odom frame. Filled with the scans that a map is filled with."""
 
     def __init__(self) -> None:
-        self._canvas = Canvas(EVIDENCE, FREE_RANGE_M, CELL_M, POOL_TILES)
+        self._canvas = Canvas(EVIDENCE, FREE_RANGE_M, CELL_M, KNOWN_GROUND_POOL_TILES)
 
     def insert(self, points: Points, pose: SE2) -> None:
         sensor = points.sensor_base

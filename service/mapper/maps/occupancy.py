@@ -13,9 +13,9 @@ from service.geometry.grid import TileRange
 from service.geometry.polygons import Cells, cells_along, cells_inside, centres_of, is_inside
 from service.geometry.se2 import SE2
 from service.kernels.occupancy import (
-    TILE_BITS,
-    TILE_CELLS,
-    TILE_MASK,
+    GRID_TILE_BITS,
+    GRID_TILE_CELLS,
+    GRID_TILE_MASK,
     Evidence,
     OccupancyGrid,
     to_per_cent,
@@ -34,7 +34,7 @@ from service.mapper.components import (
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.outputs import UNKNOWN, TileUpdate
 
-POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is seen costs memory
+OCCUPANCY_POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is seen costs memory
 
 
 class OccupancyConfig(Section):
@@ -65,15 +65,15 @@ class Canvas:
     """Evidence in tiles, and how scans get there."""
 
     def __init__(
-        self, evidence: Evidence, free_range_m: float, cell_m: float, capacity: int = POOL_TILES
+        self, evidence: Evidence, free_range_m: float, cell_m: float, capacity: int = OCCUPANCY_POOL_TILES
     ) -> None:
         self._evidence = evidence
         self._free_range_m = free_range_m
         self._cell_m = cell_m
         self.pool = TilePool(
             (
-                Layer((TILE_CELLS, TILE_CELLS), np.int8),
-                Layer((TILE_CELLS, TILE_CELLS), np.uint16),
+                Layer((GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8),
+                Layer((GRID_TILE_CELLS, GRID_TILE_CELLS), np.uint16),
                 Layer((), np.uint8),
             ),
             capacity,
@@ -87,7 +87,7 @@ class Canvas:
             return
         sensor = np.array(sensor_xy_m)
         reach_m = max(reach_of(xy_base), reach_of(sensor.reshape(1, 2)))
-        self.tiles.cover_around((pose.x_m, pose.y_m), reach_m, self._cell_m, TILE_BITS)
+        self.tiles.cover_around((pose.x_m, pose.y_m), reach_m, self._cell_m, GRID_TILE_BITS)
         self._scan_number = self._scan_number % 65_535 + 1
         trace_scan(
             xy_base,
@@ -128,7 +128,7 @@ class Canvas:
             self.tiles.cover(TileRange(row, column, row, column))
             slot = self._slot_of(row, column)
             evidence, _, changed = self.pool.arrays
-            at = slot, cells[:, 0] & TILE_MASK, cells[:, 1] & TILE_MASK
+            at = slot, cells[:, 0] & GRID_TILE_MASK, cells[:, 1] & GRID_TILE_MASK
             if (evidence[at] != value).any():
                 evidence[at] = value
                 changed[slot] = 1
@@ -201,7 +201,7 @@ def cells_of_wall(wall: WallToRender, cell_m: float) -> Cells:
 
 def _by_tile(cells: Cells) -> _CellsByTile:
     cells = np.unique(cells, axis=0)
-    tiles, tile_of = np.unique(cells >> TILE_BITS, axis=0, return_inverse=True)
+    tiles, tile_of = np.unique(cells >> GRID_TILE_BITS, axis=0, return_inverse=True)
     return [(row, column, cells[tile_of.ravel() == k]) for k, (row, column) in enumerate(tiles.tolist())]
 
 
@@ -224,13 +224,13 @@ class OccupancyRenderer:
     def render_part(self, drawn: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
         whole = self.render(drawn)
         cells = cells_inside(corners_map, self.cell_m)
-        low = cells.min(axis=0) >> TILE_BITS
-        rows, columns = (cells.max(axis=0) >> TILE_BITS) - low + 1
-        inside = np.zeros((rows * TILE_CELLS, columns * TILE_CELLS), np.bool_)
-        inside[tuple((cells - (low << TILE_BITS)).T)] = True
-        by_tile = inside.reshape(rows, TILE_CELLS, columns, TILE_CELLS).swapaxes(1, 2)
+        low = cells.min(axis=0) >> GRID_TILE_BITS
+        rows, columns = (cells.max(axis=0) >> GRID_TILE_BITS) - low + 1
+        inside = np.zeros((rows * GRID_TILE_CELLS, columns * GRID_TILE_CELLS), np.bool_)
+        inside[tuple((cells - (low << GRID_TILE_BITS)).T)] = True
+        by_tile = inside.reshape(rows, GRID_TILE_CELLS, columns, GRID_TILE_CELLS).swapaxes(1, 2)
         row, column = np.nonzero(by_tile.any(axis=(2, 3)))
-        evidence = np.zeros((rows, columns, TILE_CELLS, TILE_CELLS), np.int8)
+        evidence = np.zeros((rows, columns, GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8)
         at = np.column_stack((whole.tile_row, whole.tile_column)) - low
         is_near = ((at >= 0) & (at < (rows, columns))).all(axis=1)
         evidence[tuple(at[is_near].T)] = whole.evidence[is_near]
@@ -246,8 +246,8 @@ def rendered_of(tiles: Sequence[TileUpdate], walls: Iterable[WallToRender] = ())
     Raises ValueError where they are not of this size.
     """
     fine = [tile for tile in tiles if tile.level == 0]
-    if any(tile.cells.shape != (TILE_CELLS, TILE_CELLS) for tile in fine):
-        raise ValueError(f"tiles of {fine[0].cells.shape} cells; this map has {TILE_CELLS} x {TILE_CELLS}")
+    if any(tile.cells.shape != (GRID_TILE_CELLS, GRID_TILE_CELLS) for tile in fine):
+        raise ValueError(f"tiles of {fine[0].cells.shape} cells; this map has {GRID_TILE_CELLS} a side")
     most = EVIDENCE.most
     steps = np.arange(-most, most + 1)
     per_cent = np.floor(100.0 / (1.0 + np.exp(-STEP_LOG_ODDS * steps)) + 0.5).astype(np.int64)
@@ -255,7 +255,7 @@ def rendered_of(tiles: Sequence[TileUpdate], walls: Iterable[WallToRender] = ())
     for step, shown in sorted(zip(steps.tolist(), per_cent.tolist(), strict=True), key=lambda s: -abs(s[0])):
         if step:
             evidence_of[shown] = step
-    cells = np.array([tile.cells for tile in fine], np.int8).reshape(-1, TILE_CELLS, TILE_CELLS)
+    cells = np.array([tile.cells for tile in fine], np.int8).reshape(-1, GRID_TILE_CELLS, GRID_TILE_CELLS)
     evidence = np.where(cells < 0, 0, evidence_of[np.maximum(cells, 0)]).astype(np.int8)
     row = np.array([tile.iy for tile in fine], np.int64)
     column = np.array([tile.ix for tile in fine], np.int64)
@@ -312,7 +312,7 @@ class OccupancyTiles:
                 break
             changed[slot] = 0
             before = self._shown.get(slot)
-            cells = np.full((TILE_CELLS,) * 2, UNKNOWN, np.int8) if before is None else before.copy()
+            cells = np.full((GRID_TILE_CELLS,) * 2, UNKNOWN, np.int8) if before is None else before.copy()
             if not to_per_cent(evidence[slot], STEP_LOG_ODDS, cells):
                 continue
             cells.setflags(write=False)
@@ -330,7 +330,7 @@ class OccupancyTiles:
         evidence, _touched, _changed = self._canvas.pool.arrays
         tiles: list[TileUpdate] = []
         for row, column, slot in self._canvas.tiles.tiles():
-            cells = np.full((TILE_CELLS,) * 2, UNKNOWN, np.int8)
+            cells = np.full((GRID_TILE_CELLS,) * 2, UNKNOWN, np.int8)
             if to_per_cent(evidence[slot], STEP_LOG_ODDS, cells):
                 cells.setflags(write=False)
                 tiles.append(TileUpdate(0, column, row, len(tiles) + 1, self._cell_m, cells))

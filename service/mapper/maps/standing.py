@@ -5,7 +5,7 @@ import numpy as np
 from service.mapper.components import Standing
 from service.outputs import UNKNOWN, Grid, MapperOutput
 
-REACH_M = 40.0  # so far around the vehicle; at 10 cm a cell, 640 000 of them at most
+SHOWN_REACH_M = 40.0  # so far around the vehicle; at 10 cm a cell, 640 000 of them at most
 
 
 def draw_standing(standing: Standing, newest: MapperOutput) -> Grid | None:
@@ -16,7 +16,7 @@ def draw_standing(standing: Standing, newest: MapperOutput) -> Grid | None:
     x_m = newest.pose_map_odom.x_m + c * standing.xy_odom[:, 0] - s * standing.xy_odom[:, 1]
     y_m = newest.pose_map_odom.y_m + s * standing.xy_odom[:, 0] + c * standing.xy_odom[:, 1]
     vehicle = newest.pose_map_base
-    near = (np.abs(x_m - vehicle.x_m) < REACH_M) & (np.abs(y_m - vehicle.y_m) < REACH_M)
+    near = (np.abs(x_m - vehicle.x_m) < SHOWN_REACH_M) & (np.abs(y_m - vehicle.y_m) < SHOWN_REACH_M)
     if not near.any():
         return None
     column = np.floor(x_m[near] / standing.cell_m).astype(np.int64)

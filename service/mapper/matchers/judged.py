@@ -33,9 +33,9 @@ Matrix = npt.NDArray[np.float64]
 
 FOUND_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
 
-MIN_COVARIANCE = 1e-12 * np.eye(3)
+MIN_COVARIANCE = 1e-12 * np.eye(3)  # of a search: its pose is compared with the prediction alone
 CONFIRM_S = 0.1  # from a find to the search that is to confirm it
-MAX_WIDENING = 16.0
+MAX_WIDENING = 16.0  # of the first window, after searches in vain
 MAX_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = Reason(
     "prediction_stands",

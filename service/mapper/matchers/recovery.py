@@ -15,7 +15,7 @@ WIDE_RAD, WIDE_STEP_RAD = 2.0, 0.04  # a window wider than the one is searched i
 GAIN = 0.08  # so much more must lie on the map where a search leads
 REST_S = 0.5  # between two searches of the whole window
 LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
-MOST = (8.0, math.pi)
+MOST = (8.0, math.pi)  # m, rad: the same at most
 FIRST = (2.0, 1.6)  # of a scan that is lost though the prediction is good
 SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
 

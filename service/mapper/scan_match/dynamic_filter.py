@@ -7,7 +7,7 @@ from service.kernels.static_score import StaticScoreSettings
 
 TICK_S = 0.05  # in which it is counted how long something stands
 FREE_S = 0.25  # what comes into a free cell must stay so long: a person of 0.3 m has left it by then
-MIN_WEIGHT = 0.1  # of a thing just come, where one that stands has 1: enough where nothing else is in view
+MIN_NEW_WEIGHT = 0.1  # of a thing just come, of one that stands 1: enough where nothing else is in view
 MAX_GAIN = 2.0  # weights that fell on average are raised again, so much at most: few points are not many
 BEAM_STEP = 3  # every third beam is followed, at each key frame another third
 
@@ -26,7 +26,7 @@ class DynamicFilterConfig(Section):
         return StaticScoreSettings(
             ticks_in(self.enough_s),
             ticks_in(FREE_S),
-            MIN_WEIGHT,
+            MIN_NEW_WEIGHT,
             MAX_GAIN,
             self.behind_m,
             BEAM_STEP,

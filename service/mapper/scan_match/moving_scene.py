@@ -34,7 +34,7 @@ from service.mapper.scan_match.steady_motion import SteadyMotion
 from service.mapper.scan_match.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
 
-WINDOW_NS, WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
+WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
 USUAL = EstimatorConfig()  # how vehicles move, and odometry errs, before anything is learnt
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
@@ -45,7 +45,7 @@ BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measureme
 MOVING_NATS, STILL_NATS = 5.0, -5.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls: with less, their evidence is none
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
-ON_WALL_M = 0.05
+ON_WALL_M = 0.05  # a return this near to a static wall lies on it
 MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
 # Between two scans: after more, the vehicle may be elsewhere as well as the scene have moved.
 MAX_UNSEEN_S = 1.0
@@ -108,7 +108,7 @@ class Reckoning:
         )
         steps.append(newest)
         while len(steps) > 2 and (
-            stamp_ns - steps[1].stamp_ns > WINDOW_NS or newest.travel_m - steps[1].travel_m > WINDOW_M
+            stamp_ns - steps[1].stamp_ns > WINDOW_NS or newest.travel_m - steps[1].travel_m > PATH_WINDOW_M
         ):
             steps.popleft()
         return _conflict(steps[0], newest)

@@ -5,9 +5,9 @@ import numpy.typing as npt
 
 from service.kernels.cell_moments import (
     HALVES,
+    MOMENT_TILE_BITS,
+    MOMENT_TILE_CELLS,
     MOMENTS,
-    TILE_BITS,
-    TILE_CELLS,
     MomentGrid,
     add_to_moments,
     direct_by_moments,
@@ -18,13 +18,14 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 
 Matrix = npt.NDArray[np.float64]
 
-POOL_TILES = 65_536  # 1.2 GB of address space: a laser that sees 200 m all around
+NARROW_WALL_POOL_TILES = 65_536  # 1.2 GB of address space: a laser that sees 200 m all around
 FOR_THE_MAP, FOR_THE_MATCH = range(HALVES)  # directions of its surfels, of the scan that is matched to them
 
 
 def narrow_wall_pool() -> TilePool:
     """For all sub-maps of a session."""
-    return TilePool((Layer((TILE_CELLS, TILE_CELLS, HALVES, MOMENTS), np.float32),), POOL_TILES)
+    shape = (MOMENT_TILE_CELLS, MOMENT_TILE_CELLS, HALVES, MOMENTS)
+    return TilePool((Layer(shape, np.float32),), NARROW_WALL_POOL_TILES)
 
 
 class NarrowWalls:
@@ -46,7 +47,7 @@ class NarrowWalls:
         half = self._next_half.get(points.scan.sensor, 0)
         self._next_half[points.scan.sensor] = (half + 1) % HALVES
         reach_m = reach_of(points.xy_base)
-        self._tiles.cover_around((float(pose[0]), float(pose[1])), reach_m, self._cell_m, TILE_BITS)
+        self._tiles.cover_around((float(pose[0]), float(pose[1])), reach_m, self._cell_m, MOMENT_TILE_BITS)
         add_to_moments(
             points.xy_base,
             _sensor_xy_m(points),

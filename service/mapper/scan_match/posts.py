@@ -13,7 +13,7 @@ Matrix = npt.NDArray[np.float64]
 
 # Share of the points on posts: in a wood 0.73 and more. With fewer, walls are in view, which fix the pose
 # better.
-MIN_SHARE = 0.7
+MIN_POST_SHARE = 0.7
 MAX_WIDTH_M = 0.6  # of a post
 MIN_STEP_M = 0.3  # by so much lies what is beside a post farther away
 CENTROID = math.pi / 4.0  # of the radius: the points seen of a circle lie in front of its middle by so much
@@ -61,7 +61,7 @@ def posts_of(points: Points) -> Posts | None:
         return None
     sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
     gap, step_rad = points.usual_gap, points.spacing_rad
-    bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_SHARE)
+    bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_POST_SHARE)
     is_possible, most_missing = look_for_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
     if not is_possible:
         return None  # as below, in a twentieth of the time: so it is with nearly every scan
@@ -75,7 +75,7 @@ def posts_of(points: Points) -> Posts | None:
     spacing_m = step_rad * mean_m
     width_m = ((points.beam[end - 1] - points.beam[begin]) / gap + 1.0) * spacing_m
     is_narrow = width_m <= MAX_WIDTH_M
-    if (end - begin)[is_narrow].sum() < MIN_SHARE * count:
+    if (end - begin)[is_narrow].sum() < MIN_POST_SHARE * count:
         return None
     # what is beside it: the point next to it, or nothing in reach
     before = (begin > 0) & ~is_apart[begin - 1]
@@ -86,7 +86,7 @@ def posts_of(points: Points) -> Posts | None:
     is_post = is_narrow & is_before & is_after & is_inside
     is_on_post = np.repeat(is_post, end - begin)
     which = np.flatnonzero(is_post)
-    if np.count_nonzero(is_on_post) < max(MIN_SHARE * count, 1):
+    if np.count_nonzero(is_on_post) < max(MIN_POST_SHARE * count, 1):
         return None
     begin, end, spacing_m = begin[which], end[which], spacing_m[which]
     of_each = (end - begin).astype(np.float64)

@@ -12,7 +12,7 @@ from service.mapper.checks.stamp_check import SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.scan_match.submaps import Submap
 
-NODE_M, NODES = 0.5, 41
+NODE_M, NODES = 0.5, 41  # the curve of the bias over range: 0 to 20 m
 SIGMA_M, SMOOTH_M = 0.01, 0.5  # of the curve before anything is learnt: its size, and how fast it changes
 OFFSET_SIGMA_M = 0.02  # of what all ranges are too long by, before anything is learnt
 # What is learnt of it changes the map where it is so much and so many sigmas: each time all walls are moved.

@@ -40,11 +40,11 @@ from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.walls import walls_of
 
 FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
-COUNT_LIMIT = 1000.0  # points of one laser that a surfel stands for at most: it forgets what was moved
+SURFEL_COUNT_LIMIT = 1000.0  # points of one laser that a surfel stands for at most: it forgets what was moved
 SURFEL_SIGMA_M = 0.01  # of the points that surfels count in: a unit alone, no pose depends on it
 FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
 FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
-POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+SUBMAP_POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
@@ -180,7 +180,9 @@ class Submap:
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         for surfels in (grid, self.fine_grid()):
             for xy, directions in walls:
-                insert_surfels(xy, directions, pose_vector, surfels, COUNT_LIMIT, point_count, sensor, laser)
+                insert_surfels(
+                    xy, directions, pose_vector, surfels, SURFEL_COUNT_LIMIT, point_count, sensor, laser
+                )
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
         self.scan_count += 1
 
@@ -269,7 +271,7 @@ class SurfelSubmaps:
                 Layer((TILE_CELLS, TILE_CELLS), np.uint16),
                 Layer((TILE_CELLS, TILE_CELLS, 2), np.uint16),
             ),
-            POOL_TILES,
+            SUBMAP_POOL_TILES,
         )
         no_field = Layer((1, 1), np.float32)
         fine = Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32)

@@ -55,14 +55,14 @@ Matrix = npt.NDArray[np.float64]
 
 INLIER_M = 0.10  # a point this near to its surfel lies on the map
 ITERATIONS, DESKEW_ROUNDS = 15, 8
-SETTLED_M, SETTLED_RAD = 5e-4, 1e-4
+SETTLED_M, SETTLED_RAD = 5e-4, 1e-4  # a smaller step ends the alignment
 NEAR = 10.0  # times that, on surfels of whole cells: finer ones align from there
 COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
 COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
 SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
 CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
 MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
-MAX_REPEATS = 100.0
+MAX_REPEATS = 100.0  # scans that share one noise of the map, for a vehicle that stands
 GAUSSIAN = 1e9  # degrees of freedom of an error that is never far larger than usual
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is taken

@@ -8,7 +8,7 @@ import numpy as np
 
 from service.errors import InputError
 from service.geometry import poses as se2
-from service.mapper.by_hand import WALL
+from service.mapper.by_hand import DRAWN_WALL
 from service.mapper.graph.edit.merging import Merged, MergeError, merge_graphs
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
@@ -45,8 +45,8 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
             "sessions_and_pieces": len(np.unique(graph.piece)),
             "refused_loops": len(graph.refused.ends),
             "pairs": len(graph.by_hand.pair_ends),
-            "walls": int((graph.by_hand.kind == WALL).sum()),
-            "areas_erased": int((graph.by_hand.kind != WALL).sum()),
+            "walls": int((graph.by_hand.kind == DRAWN_WALL).sum()),
+            "areas_erased": int((graph.by_hand.kind != DRAWN_WALL).sum()),
             "stretches": stretches(graph),
             "way_m": round(float(np.hypot(*np.diff(graph.map[:, :2], axis=0).T).sum()), 1),
         }

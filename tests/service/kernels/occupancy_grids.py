@@ -1,6 +1,6 @@
 import numpy as np
 
-from service.kernels.occupancy import TILE_CELLS, OccupancyGrid
+from service.kernels.occupancy import GRID_TILE_CELLS, OccupancyGrid
 from service.kernels.tiles import NO_TILE, TileIndex
 
 
@@ -15,7 +15,7 @@ def empty_tiles() -> TileIndex:
 
 
 def empty_occupancy(cell_m: float) -> OccupancyGrid:
-    shape = (16, TILE_CELLS, TILE_CELLS)
+    shape = (16, GRID_TILE_CELLS, GRID_TILE_CELLS)
     return OccupancyGrid(
         empty_tiles(), np.zeros(shape, np.int8), np.zeros(shape, np.uint16), np.zeros(16, np.uint8), cell_m
     )

@@ -6,9 +6,9 @@ import pytest
 from service.kernels.cell_moments import (
     HALVES,
     MIN_POINTS,
+    MOMENT_TILE_CELLS,
     MOMENTS,
     RESTART_POINTS,
-    TILE_CELLS,
     WEIGHT,
     MomentGrid,
     add_to_moments,
@@ -32,7 +32,7 @@ def empty_moments(tiles_each_way: int = 8, used_slots: int = 0) -> MomentGrid:
         np.arange(capacity, dtype=np.int32),
         np.array([used_slots, used_slots], np.int64),
     )
-    moments = np.zeros((capacity, TILE_CELLS, TILE_CELLS, HALVES, MOMENTS), np.float32)
+    moments = np.zeros((capacity, MOMENT_TILE_CELLS, MOMENT_TILE_CELLS, HALVES, MOMENTS), np.float32)
     moments[:used_slots] = 9.0
     return MomentGrid(index, moments, 0.1)
 

@@ -18,9 +18,10 @@ def whole_field(grid: SurfelGrid) -> np.ndarray:
     tiles = grid.tiles.slots
     field = np.zeros((tiles.shape[0] * TILE_CELLS, tiles.shape[1] * TILE_CELLS), np.float32)
     for row, column in np.argwhere(tiles >= 0):
-        field[row << TILE_BITS : (row + 1) << TILE_BITS, column << TILE_BITS : (column + 1) << TILE_BITS] = (
-            grid.field[tiles[row, column]]
-        )
+        field[
+            row << TILE_BITS : (row + 1) << TILE_BITS,
+            column << TILE_BITS : (column + 1) << TILE_BITS,
+        ] = grid.field[tiles[row, column]]
     return field
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.kernels.occupancy import (
-    TILE_BITS,
-    TILE_CELLS,
+    GRID_TILE_BITS,
+    GRID_TILE_CELLS,
     Evidence,
     OccupancyGrid,
     count_overlap,
@@ -16,16 +16,17 @@ from tests.service.kernels.occupancy_grids import empty_occupancy
 
 EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
 CELL_M = 0.05
-HALF = 2 * TILE_CELLS
+HALF = 2 * GRID_TILE_CELLS
 
 
 def cells_of(grid: OccupancyGrid) -> np.ndarray:
     """evidence[row + HALF, column + HALF]."""
     cells = np.zeros((2 * HALF, 2 * HALF), int)
     for row, column in np.argwhere(grid.tiles.slots >= 0):
-        cells[row << TILE_BITS : (row + 1) << TILE_BITS, column << TILE_BITS : (column + 1) << TILE_BITS] = (
-            grid.evidence[grid.tiles.slots[row, column]]
-        )
+        cells[
+            row << GRID_TILE_BITS : (row + 1) << GRID_TILE_BITS,
+            column << GRID_TILE_BITS : (column + 1) << GRID_TILE_BITS,
+        ] = grid.evidence[grid.tiles.slots[row, column]]
     return cells
 
 

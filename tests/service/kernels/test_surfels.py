@@ -6,11 +6,11 @@ import pytest
 from service.kernels import surfels, tiles
 from service.kernels.surfels import (
     COSINES,
-    MAX_AROUND,
     MEAN_X,
     MEAN_Y,
     REACH_CELLS,
     ROUND_SHARE,
+    SURFELS_AROUND,
     TILE_BITS,
     TILE_MASK,
     SurfelGrid,
@@ -268,7 +268,7 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
     xy = np.column_stack([np.linspace(-1.0, 1.0, 300), 0.5 + rng.normal(0.0, 0.02, 300)])
     normals = np.tile([0.0, -1.0, 1.0], (300, 1))
     insert_surfels(xy, normals, POSE, grid, 1000.0, 1.0, np.zeros(2), -1)
-    around = nothing_around(len(xy))._replace(surfels=np.empty((MAX_AROUND + rows, 5)))
+    around = nothing_around(len(xy))._replace(surfels=np.empty((SURFELS_AROUND + rows, 5)))
     for off in ((0.0, 0.0, 0.0), (0.004, -0.003, 0.001), (0.15, 0.02, 0.01), (0.004, -0.003, 0.001)):
         found, again = np.full((300, 6), np.nan), np.full((300, 6), np.nan)
         find_surfels(xy, normals, POSE + off, grid, 0.6, found)

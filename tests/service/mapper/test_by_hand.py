@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.mapper.by_hand import ERASED, WALL, ByHand, Drawing
+from service.mapper.by_hand import DRAWN_WALL, ERASED, ByHand, Drawing
 from service.mapper.components import AreaToErase, ScanToRender, WallToRender
 from service.mapper.drawn_by_hand import among_scans, walls_of
 from service.mapper.maps.occupancy import cells_of_wall
@@ -20,7 +20,9 @@ AREA = np.array([(4.0, 1.0), (6.0, 1.0), (6.0, 2.0)])
 
 @pytest.fixture
 def drawn() -> ByHand:
-    by_hand = ByHand().and_drawn(Drawing(WALL, 4, LINE), POSES).and_drawn(Drawing(ERASED, 4, AREA), POSES)
+    by_hand = (
+        ByHand().and_drawn(Drawing(DRAWN_WALL, 4, LINE), POSES).and_drawn(Drawing(ERASED, 4, AREA), POSES)
+    )
     return by_hand.and_paired((0, 2), np.array([(1.0, 0.0), (-9.0, 0.0)]))
 
 
@@ -64,7 +66,7 @@ def test_areas_come_behind_the_scans_they_were_erased_from_and_walls_at_last(dra
 
 
 def test_a_wall_is_gone_where_an_area_was_erased_after_it_and_only_then(drawn):
-    (wall,) = walls_of(drawn.and_drawn(Drawing(WALL, 4, LINE), POSES), POSES)[1:]
+    (wall,) = walls_of(drawn.and_drawn(Drawing(DRAWN_WALL, 4, LINE), POSES), POSES)[1:]
     assert len(cells_of_wall(wall, 0.1)) > 20
     over = np.array([(8.0, 1.0), (10.0, 1.0), (10.0, 3.0), (8.0, 3.0)])
     (wall,) = walls_of(drawn.and_drawn(Drawing(ERASED, 4, over), POSES), POSES)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.kernels.map_changes import FREE
+from service.kernels.map_changes import CELL_FREE
 from service.mapper.components import RenderedMap
 from service.mapper.map_changes import (
     MIN_CELLS,
+    MIN_CHANGED_SHARE,
     MIN_MS,
     MIN_POSES,
-    MIN_SHARE,
     MIN_VOTES,
     ChangeWatch,
     MapChanges,
@@ -166,11 +166,11 @@ def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:
     return {
         at
         for at in np.ndindex(votes.stored.shape)
-        if (votes.stored[at] == FREE) == is_new
+        if (votes.stored[at] == CELL_FREE) == is_new
         and votes.poses[at] >= MIN_POSES
         and votes.changed[at] >= MIN_VOTES
         and votes.last_ms[at] - votes.first_ms[at] >= MIN_MS
-        and int(votes.changed[at]) >= MIN_SHARE * (int(votes.changed[at]) + int(votes.same[at]))
+        and int(votes.changed[at]) >= MIN_CHANGED_SHARE * (int(votes.changed[at]) + int(votes.same[at]))
     }
 
 

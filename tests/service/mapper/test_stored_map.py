@@ -10,7 +10,7 @@ import pytest
 from drivers.frames import Frame, LaserScan
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.by_hand import ERASED, WALL
+from service.mapper.by_hand import DRAWN_WALL, ERASED
 from service.mapper.components import FinishedGraph, GraphRequestError, WallToRender
 from service.mapper.graph.edit.editing import with_area_erased, with_wall
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
@@ -154,7 +154,7 @@ def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(fi
     saved = mapper.finish().update.saved
     assert shown_at(mapper.tiles(), at) == 97
     assert saved is not None
-    assert saved.by_hand.kind.tolist() == [WALL, ERASED]
+    assert saved.by_hand.kind.tolist() == [DRAWN_WALL, ERASED]
     assert saved.by_hand.until.tolist() == [0, len(graph)]
 
 

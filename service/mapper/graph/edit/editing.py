@@ -12,7 +12,7 @@ from drivers.counted import counted
 from service.geometry import poses as se2
 from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
-from service.mapper.by_hand import BECOMES, WALL, Drawing
+from service.mapper.by_hand import BECOMES, DRAWN_WALL, Drawing
 from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.edit_requests import Becomes, EditError
 from service.mapper.graph.gnss.anchoring import Anchoring
@@ -40,7 +40,7 @@ class Solved:
 
 def with_wall(graph: SavedGraph, corners_map: Floats) -> SavedGraph:
     """With a wall through (C, 2) m of the map, C > 1."""
-    return replace(graph, by_hand=graph.by_hand.and_drawn(Drawing(WALL, 0, corners_map), graph.map))
+    return replace(graph, by_hand=graph.by_hand.and_drawn(Drawing(DRAWN_WALL, 0, corners_map), graph.map))
 
 
 def with_area_erased(

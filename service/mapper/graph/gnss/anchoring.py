@@ -26,13 +26,13 @@ from service.mapper.graph.model.pose_graph import Edges
 FAR_M = 1000.0  # a fix farther from the others than the way driven and this is on another part of the earth
 FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a vehicle that is not flat
 MIN_FIXES = 6  # accepted, for a reference
-MIN_SHARE = 0.5  # of the fixes kept, accepted: else it is they that contradict
+MIN_ACCEPTED_SHARE = 0.5  # of the fixes kept, accepted: else it is they that contradict
 MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the map's direction is not known: the way was too short
 MORE_FIXES = (5, 0.05)  # asked anew when so many came, and such a share of them
 MAX_S = 10.0  # that a fix counts for, however long the pause before it was
-NEWEST = 40  # fixes that are asked whether the map is still where it should be
+NEWEST_FIXES = 40  # fixes that are asked whether the map is still where it should be
 SOLVE_AT_M = 0.5  # what they must be off by together, to be worth a solution, and one sigma
-KERNEL_WIDTH = 3.0  # Cauchy, in sigmas
+FIX_KERNEL_SIGMAS = 3.0  # Cauchy, in sigmas
 
 
 class Anchoring:
@@ -90,7 +90,7 @@ class Anchoring:
         turned = se2.adjoint(consensus.pose_odom_enu)
         of_map = turned @ consensus.covariance @ turned.T  # of pose_enu_odom, in the axes of odom
         yaw_sigma_rad = math.sqrt(of_map[2, 2])
-        is_vague = accepted < MIN_SHARE * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
+        is_vague = accepted < MIN_ACCEPTED_SHARE * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
         if accepted < MIN_FIXES or (self.reference is None and is_vague):
             return False  # a reference that there is stays, with the fixes that it has
         self.counts["fixes_anchoring"] = accepted
@@ -125,7 +125,7 @@ class Anchoring:
             antenna,
             self._enu(self._frame, used),
             self._covariances(used) * self._repeats(used)[:, None, None],
-            KERNEL_WIDTH,
+            FIX_KERNEL_SIGMAS,
         )
 
     @property
@@ -155,7 +155,7 @@ class Anchoring:
         used = self._among[self._consensus.is_accepted]
         if not self._in_map <= set(used.tolist()):
             return True
-        used = used[-NEWEST:]
+        used = used[-NEWEST_FIXES:]
         keyframe, antenna = self._points(keyframes, used)
         there = se2.points_seen(self.pose_map_enu, se2.points_from(keyframes.map[keyframe], antenna))
         mean_m = float(np.hypot(*(self._enu(self._frame, used) - there).mean(axis=0)))

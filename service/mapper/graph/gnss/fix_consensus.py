@@ -14,16 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
+from service.geometry.chi2 import CHI2_99_OF_2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.pose_graph import Edges, Ints, PoseGraph, SolverConfig
 from service.mapper.graph.model.pose_graph_solver import solve
 
-GATE_CHI2 = 9.21  # of 2 degrees of freedom, 1 in 100: a fix that is farther off than it says is not accepted
 HEADING_SIGMA_RAD = 100.0  # of a fix: it says nothing of the heading
-MIN_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
+MIN_EDGE_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
 CORRELATED_S = 120.0  # fixes of so long make one measurement: twice the time in which errors change
 JUMP_M = 1.5  # errors do not change by more from fix to fix, besides JUMP_SIGMAS: satellites are seen anew
-JUMP_SIGMAS = 0.5
+JUMP_SIGMAS = 0.5  # of the worse of both fixes, besides JUMP_M
 STRETCH_SIGMAS = 1.5  # the mean of a stretch between two jumps is off by no more than this
 LARGEST_STRETCH = 0.5  # of all fixes: a larger one is what the others are judged by
 ROUNDS = 6
@@ -132,9 +132,9 @@ def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.N
     poses = solve(_graph(way, poses, weight), QUICK).poses
     chi2 = _chi2(way, poses)
     worst = float(chi2[is_candidate].max())
-    if worst <= GATE_CHI2:
+    if worst <= CHI2_99_OF_2:
         return is_candidate, poses
-    mu = max(GATE_CHI2 / (2.0 * worst - GATE_CHI2), 1e-4)
+    mu = max(CHI2_99_OF_2 / (2.0 * worst - CHI2_99_OF_2), 1e-4)
     while True:
         weight = is_candidate * _weights(chi2, mu)
         if weight.sum() < 2.0:
@@ -149,14 +149,14 @@ def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.N
 
 def _weights(chi2: Floats, mu: float) -> Floats:
     """Eq. 14 of the source."""
-    low, high = mu / (mu + 1.0) * GATE_CHI2, (mu + 1.0) / mu * GATE_CHI2
-    between = np.sqrt(GATE_CHI2 * mu * (mu + 1.0) / np.maximum(chi2, 1e-12)) - mu
+    low, high = mu / (mu + 1.0) * CHI2_99_OF_2, (mu + 1.0) / mu * CHI2_99_OF_2
+    between = np.sqrt(CHI2_99_OF_2 * mu * (mu + 1.0) / np.maximum(chi2, 1e-12)) - mu
     return np.where(chi2 <= low, 1.0, np.where(chi2 >= high, 0.0, between))
 
 
 def _graph(way: FixedWay, poses: Floats, weight: Floats) -> PoseGraph:
     count = len(way.odom)
-    used = np.flatnonzero(weight > MIN_WEIGHT)
+    used = np.flatnonzero(weight > MIN_EDGE_WEIGHT)
     heading = poses[used, 2] - poses[-1, 2]
     covariance = way.covariance[used] * (way.repeats[used] / weight[used])[:, None, None]
     fixes = fix_edges(count, used, heading, way.antenna[used], way.enu[used], covariance, 0.0)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
 
-MAX_SIGMA_M = 10.0  # of the worse direction: a fix that says it is worse anchors nothing
+MAX_FIX_SIGMA_M = 10.0  # of the worse direction: a fix that says it is worse anchors nothing
 MAX_GAP_NS = 1_000_000_000  # between two scans that a fix lies between: nobody knows the way in a longer one
 REMEMBERED_NS = 5_000_000_000  # of scans: a fix comes later than the scans of its moment
 MAX_WAITING = 256  # fixes for a scan to come
@@ -151,7 +151,7 @@ def _fault(fix: GnssFix) -> str:
     if not (0.0 < east < math.inf and 0.0 < north < math.inf and cross * cross < east * north):
         return "fixes_without_covariance"
     larger = 0.5 * (east + north) + math.hypot(0.5 * (east - north), cross)  # eigenvalue
-    return "fixes_too_poor" if larger > MAX_SIGMA_M**2 else ""
+    return "fixes_too_poor" if larger > MAX_FIX_SIGMA_M**2 else ""
 
 
 def _between(a: _Scan, b: _Scan, stamp_ns: int) -> SE2:

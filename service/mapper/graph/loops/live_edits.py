@@ -11,7 +11,7 @@ from drivers.counted import counted
 from service.geometry import poses as se2
 from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
-from service.mapper.by_hand import BECOMES, WALL, ByHand, Drawing, pairs_of
+from service.mapper.by_hand import BECOMES, DRAWN_WALL, ByHand, Drawing, pairs_of
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import (
     AddPairs,
@@ -82,7 +82,7 @@ class LiveEdits:
                 made = self._erase(np.array(change.corners), BECOMES[change.becomes], is_known, before)
             case Wall():
                 line = np.array(change.corners)
-                self._draw(Drawing(WALL, 0, line), is_known)
+                self._draw(Drawing(DRAWN_WALL, 0, line), is_known)
                 made = Made(wall_words(line), before, False, _around(line))
             case Cut():
                 made = self._cut(change, is_known, before, loops)

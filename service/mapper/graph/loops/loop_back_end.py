@@ -30,7 +30,7 @@ from service.mapper.graph.loops.stored_graph import (
     stored_loops,
     to_render,
 )
-from service.mapper.graph.model.candidate_submap import MIN_SCORE, CandidateSubmap, cloud_of
+from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, CandidateSubmap, cloud_of
 from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.graph.model.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
@@ -46,12 +46,12 @@ from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_S
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 from service.mapper.walls import walls_of
 
-WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
+LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
 MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
 FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
 MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
-MIN_SHARE = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
+MIN_SHARE_ON_MAP = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
 MAX_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
@@ -284,7 +284,7 @@ class LoopBackEnd:
         cloud = cloud_of(keyframes, [last], last)
         expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
         fit = submap.align(cloud, expected)
-        is_near = math.dist(fit.pose[:2], expected[:2]) < WINDOW_M
+        is_near = math.dist(fit.pose[:2], expected[:2]) < LOOP_WINDOW_M
         agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MAX_AGAINST
         if self._placement.seen(float(keyframes.way_m[last]), agrees):
             self._take_back(int(keyframes.piece[last]))
@@ -309,7 +309,7 @@ class LoopBackEnd:
         reference = members[len(members) // 2]
         length_m = lengths_from(self.keyframes, self._loops, reference)
         if window is None:
-            reach_m = np.minimum(WINDOW_M + DRIFTS[0] * config.drift * length_m, MAX_WINDOW_M)
+            reach_m = np.minimum(LOOP_WINDOW_M + DRIFTS[0] * config.drift * length_m, MAX_WINDOW_M)
             reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MAX_WINDOW_RAD)
         else:
             reach_m, reach_rad = np.full(keyframes.count, window[0]), np.full(keyframes.count, window[1])
@@ -328,7 +328,7 @@ class LoopBackEnd:
                 cloud = cloud_of(keyframes, members, reference)
             guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
             reach = float(reach_m[k]), float(reach_rad[k])
-            pose = submap.search(cloud, guess, *reach, MIN_SCORE)
+            pose = submap.search(cloud, guess, *reach, MIN_LOOP_SCORE)
             if pose is None:
                 continue
             fit = submap.align_about(cloud, pose, guess, *reach)
@@ -346,7 +346,7 @@ class LoopBackEnd:
         return found
 
     def _is_good(self, fit: Fit) -> bool:
-        return fit.share >= MIN_SHARE * float(np.median(self.keyframes.score))
+        return fit.share >= MIN_SHARE_ON_MAP * float(np.median(self.keyframes.score))
 
     def _submap_about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""

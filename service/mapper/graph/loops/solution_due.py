@@ -12,7 +12,7 @@ from service.mapper.graph.model.loops import WITHIN_M, Loop, as_edges, disagreem
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.pose_graph import edge_chi2
 
-NEWEST = 20  # loops that are asked
+NEWEST_LOOPS = 20  # loops that are asked
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
 # Of way with loops that agree with the map: each moves it by less than is worth a solution, but an error
 # that grows lap by lap is found by all of them together.
@@ -34,7 +34,7 @@ class SolutionDue:
         """Whether one of the newest of these loops would move the map by more than it is itself unsure of, or
         SOLVE_EVERY_M were driven since the newest solution.
         """
-        loops, way_m = loops[-NEWEST:], keyframes.way_m
+        loops, way_m = loops[-NEWEST_LOOPS:], keyframes.way_m
         if way_m[-1] - self._solved_m >= SOLVE_EVERY_M and any(
             way_m[loop.to] > self._solved_m for loop in loops
         ):

@@ -15,7 +15,7 @@ from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import (
     CELL_M,
-    POOL_TILES,
+    CLOUD_POOL_TILES,
     Fit,
     PointCloud,
     SurfelSet,
@@ -27,15 +27,15 @@ from service.mapper.maps.occupancy import EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 
-FIELD_SIGMA_M = 0.12
-LEVELS = 7
-REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
-FREE = -20  # two misses and no hit
-SEARCH_POINTS = 200
+LOOP_FIELD_SIGMA_M = 0.12  # spread of a point in the field of a candidate: a cell and what drift is left
+LOOP_SEARCH_LEVELS = 7
+LOOP_REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
+FREE_EVIDENCE = -20  # two misses and no hit
+LOOP_SEARCH_POINTS = 200
 # Of a point on ground that the sub-map has not seen, which says nothing: somewhat less than that of one on a
 # wall, so that ground that is known wins.
-UNKNOWN_LIKELIHOOD = 0.7
-MIN_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
+LOOP_UNKNOWN_LIKELIHOOD = 0.7
+MIN_LOOP_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
 # [22] Squared sigmas of chance in what walls say of a loop: of the loops along 30 m of a corridor, one each
 # 2 m, the largest counts.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
@@ -54,7 +54,7 @@ def cloud_of(
     )
 
 
-def seen_by(keyframes: KeyframeList, k: int, reach_m: float = REACH_M) -> PointCloud:
+def seen_by(keyframes: KeyframeList, k: int, reach_m: float = LOOP_REACH_M) -> PointCloud:
     """The points of a key frame that are asked, in its own frame."""
     kept = keyframes.thinned[k]
     near = (kept.xy_base * kept.xy_base).sum(axis=1) < reach_m * reach_m
@@ -79,9 +79,9 @@ class CandidateSubmap:
         poses = keyframes.odom if poses is None else poses
         self.reference = reference
         self.members = list(members)
-        cells = (occupancy.TILE_CELLS,) * 2
+        cells = (occupancy.GRID_TILE_CELLS,) * 2
         self._space = TileMap(
-            TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
+            TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), CLOUD_POOL_TILES)
         )
         self._pyramid: MaxPyramid | None = None
         self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
@@ -110,7 +110,7 @@ class CandidateSubmap:
         if not len(cloud.xy) or not len(self._xy):
             return None
         window = window_around(pose, (reach_m, reach_rad), self.pyramid(), step_rad)
-        found = search_branch_and_bound(thinned(cloud.xy, SEARCH_POINTS), self.pyramid(), window, least)
+        found = search_branch_and_bound(thinned(cloud.xy, LOOP_SEARCH_POINTS), self.pyramid(), window, least)
         return found.pose if found.score >= least else None
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
@@ -142,28 +142,28 @@ class CandidateSubmap:
 
     def against(self, cloud: PointCloud, pose: Floats) -> float:
         """Share of the points that would lie in free space of the place, 0..1."""
-        return float(share_in_free_space(cloud.xy, pose, self._free(), FREE))
+        return float(share_in_free_space(cloud.xy, pose, self._free(), FREE_EVIDENCE))
 
     def pyramid(self) -> MaxPyramid:
         if self._pyramid is None:
-            pad = padding_cells(LEVELS)
+            pad = padding_cells(LOOP_SEARCH_LEVELS)
             low = np.floor(self._xy.min(axis=0) / CELL_M).astype(np.int64) - 2 - pad
             high = np.floor(self._xy.max(axis=0) / CELL_M).astype(np.int64) + 3
-            levels = np.zeros((LEVELS, high[1] - low[1], high[0] - low[0]), np.float32)
+            levels = np.zeros((LOOP_SEARCH_LEVELS, high[1] - low[1], high[0] - low[0]), np.float32)
             row, column = int(low[1]), int(low[0])
-            splat_field(self._xy, row, column, CELL_M, FIELD_SIGMA_M, levels[0])
-            fill_unknown(levels[0], row, column, self._free(), UNKNOWN_LIKELIHOOD)
-            pool_levels(levels, UNKNOWN_LIKELIHOOD)
-            self._pyramid = MaxPyramid(levels, row, column, UNKNOWN_LIKELIHOOD, 0.0, 1.0, CELL_M)
+            splat_field(self._xy, row, column, CELL_M, LOOP_FIELD_SIGMA_M, levels[0])
+            fill_unknown(levels[0], row, column, self._free(), LOOP_UNKNOWN_LIKELIHOOD)
+            pool_levels(levels, LOOP_UNKNOWN_LIKELIHOOD)
+            self._pyramid = MaxPyramid(levels, row, column, LOOP_UNKNOWN_LIKELIHOOD, 0.0, 1.0, CELL_M)
         return self._pyramid
 
     def _trace(self) -> None:
-        cover(self._space, occupancy.TILE_BITS, np.concatenate((self._xy, self._sensors)))
+        cover(self._space, occupancy.GRID_TILE_BITS, np.concatenate((self._xy, self._sensors)))
         for number in range(0, len(self._clouds), TRACED_EVERY):
             cloud, sensor = self._clouds[number], self._sensors[number]
             if len(cloud.xy):
                 trace_scan(
-                    cloud.xy, sensor, np.zeros(3), self._free(), EVIDENCE, REACH_M, np.uint16(number + 1)
+                    cloud.xy, sensor, np.zeros(3), self._free(), EVIDENCE, LOOP_REACH_M, np.uint16(number + 1)
                 )
 
     def _free(self) -> OccupancyGrid:

@@ -10,7 +10,7 @@ from service.mapper.graph.model.pose_graph import PoseGraph, SolverConfig, beari
 
 HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
 ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
-MIN_RANGE_M = 1.0  # a point nearer than this is seen by the helper
+MIN_FACTOR_RANGE_M = 1.0  # a point nearer than this is seen by the helper
 
 
 def solve_held(
@@ -75,7 +75,7 @@ def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGr
         strict=True,
     ):
         seer = of
-        if np.hypot(*xy) < MIN_RANGE_M:  # bearing and range say nothing at the pose itself
+        if np.hypot(*xy) < MIN_FACTOR_RANGE_M:  # bearing and range say nothing at the pose itself
             xy = np.add(xy, (ASIDE_M, 0.0))
             seer = helpers.get(of, -1)
             if seer < 0:

@@ -16,7 +16,7 @@ from service.mapper.graph.model.pose_graph import Edges, PoseGraph
 from service.mapper.graph.model.pose_graph_solver import covariance_of
 from service.mapper.known_pose import KnownPose
 
-MIN_SHARE = 1e-12  # of the largest variance of a step: above what rounding leaves of the smallest one
+MIN_VARIANCE_SHARE = 1e-12  # of the largest variance of a step: above what rounding leaves
 
 
 def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
@@ -33,7 +33,7 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
     for k in np.flatnonzero(is_known)[::-1].tolist():
         of, to = edges.of[k], edges.to[k]
         variances, axes = np.linalg.eigh(known[to] - back[k] @ known[of] @ back[k].T)
-        added = (axes * np.maximum(variances, max(variances[-1] * MIN_SHARE, 0.0))) @ axes.T
+        added = (axes * np.maximum(variances, max(variances[-1] * MIN_VARIANCE_SHARE, 0.0))) @ axes.T
         known[of] = there[k] @ (known[to] - added) @ there[k].T
         edges.covariance[k] = added + MIN_COVARIANCE
     edges.covariance[is_unknown] = UNKNOWN_COVARIANCE

@@ -14,7 +14,7 @@ from service.mapper.graph.model.pose_graph import Edges
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and sweeps leave open at best
 # 1/m^2, 1/rad^2: where walls say nothing, and many loops do not, either
 OPEN_INFORMATION = np.diag([1e-4, 1e-4, 1e-2])
-KERNEL_WIDTH = 2.0  # sigmas
+LOOP_KERNEL_SIGMAS = 2.0  # sigmas
 WITHIN_M = 30.0  # way within which loops that say the same lie
 
 
@@ -62,7 +62,7 @@ def as_edges(loops: Sequence[Loop]) -> Edges:
         np.array([loop.to for loop in loops], np.int64),
         np.array([loop.measured for loop in loops]),
         np.array([loop.covariance for loop in loops]),
-        np.full(len(loops), KERNEL_WIDTH),
+        np.full(len(loops), LOOP_KERNEL_SIGMAS),
     )
 
 

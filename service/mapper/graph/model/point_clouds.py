@@ -17,9 +17,9 @@ from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
-CELL_M = 0.10
-COUNT_LIMIT = 50.0
-POOL_TILES = 4096
+CELL_M = 0.10  # of the surfels of key frames
+CLOUD_COUNT_LIMIT = 50.0  # points that a surfel of key frames stands for at most
+CLOUD_POOL_TILES = 4096
 UNIT_SIGMA_M = 0.012  # of the points that surfels count in
 SIGMA_STEP_M = 0.001  # noise is told apart by this
 BLOCK_CELLS = 10.0  # a side of the square whose cells stand together: normals beside each other share noise
@@ -45,7 +45,7 @@ SETTINGS = MatchSettings(
     settled_rad=0.0001,
     degrees_of_freedom=STUDENT,
 )
-NO_FIELD: npt.NDArray[np.float32] = np.zeros((POOL_TILES, 1, 1), np.float32)  # nothing reads it here
+NO_FIELD: npt.NDArray[np.float32] = np.zeros((CLOUD_POOL_TILES, 1, 1), np.float32)  # nothing reads it here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,7 @@ class SurfelSet:
 
     def __init__(self, cloud: PointCloud | None = None) -> None:
         cells = (surfels.TILE_CELLS,) * 2 + (2, 5)
-        self._tiles = TileMap(TilePool((Layer(cells, np.float32),), POOL_TILES))
+        self._tiles = TileMap(TilePool((Layer(cells, np.float32),), CLOUD_POOL_TILES))
         if cloud is not None:
             self.insert(cloud)
 
@@ -120,7 +120,7 @@ class SurfelSet:
                     cloud.normals[of],
                     np.zeros(3),
                     self.grid(),
-                    COUNT_LIMIT,
+                    CLOUD_COUNT_LIMIT,
                     point_count,
                     np.zeros(2),
                     -1,

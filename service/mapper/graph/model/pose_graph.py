@@ -16,7 +16,7 @@ from service.errors import CorridorError
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 
-MIN_RANGE_M = 1e-3  # of a bearing in a g2o file
+MIN_BEARING_RANGE_M = 1e-3  # of a bearing in a g2o file
 
 Ints = npt.NDArray[np.int64]
 
@@ -145,11 +145,11 @@ def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | No
 def bearing_range(xy: Floats, covariance: Floats) -> tuple[float, float, Floats]:
     """Bearing rad and range m of a point (2,) m, and their covariance (2, 2) by that of the point.
 
-    A point nearer than MIN_RANGE_M, which has no bearing, is taken for one straight ahead at MIN_RANGE_M.
+    A point nearer than MIN_BEARING_RANGE_M has no bearing: it is taken for one straight ahead, so far away.
     """
     range_m = float(np.hypot(*xy))
-    if range_m < MIN_RANGE_M:
-        xy, range_m = np.array([MIN_RANGE_M, 0.0]), MIN_RANGE_M
+    if range_m < MIN_BEARING_RANGE_M:
+        xy, range_m = np.array([MIN_BEARING_RANGE_M, 0.0]), MIN_BEARING_RANGE_M
     to_polar = np.array([[-xy[1] / range_m, xy[0] / range_m], [xy[0], xy[1]]]) / range_m
     return float(np.arctan2(xy[1], xy[0])), range_m, to_polar @ covariance @ to_polar.T
 

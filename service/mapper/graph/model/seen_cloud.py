@@ -16,7 +16,7 @@ from service.mapper.graph.model.point_clouds import PointCloud, joined
 # Walls far off tell places apart that are alike nearby. There a heading that is off by 0.04 deg moves a
 # point by the noise of a wall.
 WEIGHED_M = 30.0
-SAME_WALL_M = 0.2  # edge of a cell in which key frames see the same
+SEEN_CELL_M = 0.2  # edge of a cell in which key frames see the same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +53,7 @@ def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) 
 
 def _shares(xy: Floats, keyframe: np.ndarray) -> Floats:
     """(N,) one over how many key frames have seen something in the cell of each point."""
-    _, cell = np.unique(np.floor(xy / SAME_WALL_M).astype(np.int64), axis=0, return_inverse=True)
+    _, cell = np.unique(np.floor(xy / SEEN_CELL_M).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     several = int(keyframe.max(initial=0)) + 1
     seen = np.unique(cell * several + keyframe)

@@ -11,7 +11,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.components import FoundOnce, PossiblePlace
 from service.mapper.graph.model.candidate_submap import (
-    MIN_SCORE,
+    MIN_LOOP_SCORE,
     CandidateSubmap,
     cloud_of,
 )
@@ -39,7 +39,7 @@ from service.mapper.graph.relocalise.place_search import (
 )
 from service.mapper.known_pose import KnownPose, covariance_added
 
-AROUND_M, MAX_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
+AROUND_M, MAX_KEYFRAMES_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MAX_QUERY = 12  # key frames of a piece that are looked for together
 MAX_STANDING = 3  # of them, besides the first, of one spot, which see the same
 # Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
@@ -228,8 +228,8 @@ class DetachedSearch:
         """What key frames of all passes have seen around a pose (3,) of the map."""
         keyframes = self._keyframes
         away_m = np.hypot(*(keyframes.map[known, :2] - pose[:2]).T)
-        nearest = known[np.argsort(away_m, kind="stable")[:MAX_AROUND]]
-        near = nearest[np.sort(away_m)[:MAX_AROUND] <= max(AROUND_M, float(away_m.min()))]
+        nearest = known[np.argsort(away_m, kind="stable")[:MAX_KEYFRAMES_AROUND]]
+        near = nearest[np.sort(away_m)[:MAX_KEYFRAMES_AROUND] <= max(AROUND_M, float(away_m.min()))]
         return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
 
     def _map_of(self, known: npt.NDArray[np.int64]) -> KnownMap:
@@ -372,7 +372,7 @@ class DetachedSearch:
         submap = self._around(known, at)
         cloud = cloud_of(keyframes, own.tolist(), reference)
         guess = se2.between(keyframes.map[submap.reference], at)
-        pose = submap.search(cloud, guess, *EXPECTED_REACH, MIN_SCORE)
+        pose = submap.search(cloud, guess, *EXPECTED_REACH, MIN_LOOP_SCORE)
         loop = None if pose is None else self._loop_at(submap, cloud, pose, reference)[1]
         self._tries -= 1
         if loop is None:

@@ -34,11 +34,11 @@ from service.kernels.loops import splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.kernels.surfels import SurfelGrid
 from service.kernels.tiles import NO_TILE
-from service.mapper.graph.model.candidate_submap import FIELD_SIGMA_M, REACH_M, seen_by
+from service.mapper.graph.model.candidate_submap import LOOP_FIELD_SIGMA_M, LOOP_REACH_M, seen_by
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import (
     CELL_M,
-    POOL_TILES,
+    CLOUD_POOL_TILES,
     Fit,
     PointCloud,
     SurfelSet,
@@ -50,13 +50,13 @@ from service.mapper.maps.occupancy import EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 
-COARSE_CELL_M, LEVELS = 0.2, 5  # blocks of 3.2 m, of which one place each is a candidate
-HEADINGS = 210  # 0.03 rad apart: 0.22 m at REACH_M, a cell
-SEARCH_POINTS = 80
+COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, of which one place each is a candidate
+HEADINGS = 210  # 0.03 rad apart: 0.22 m at LOOP_REACH_M, a cell
+MAP_SEARCH_POINTS = 80
 # Of a point where something may stand that the map has not seen, as on the back of a wall: it says nothing.
 # Free ground contradicts, and scores 0.
-UNKNOWN_LIKELIHOOD = 0.5
-MIN_SCORE = 0.45  # mean likelihood of the points
+MAP_UNKNOWN_LIKELIHOOD = 0.5
+MIN_PLACE_SCORE = 0.45  # mean likelihood of the points
 BEHIND = 0.2  # a place whose score is so far behind the best is no candidate
 MAX_CANDIDATES = 240
 REFINED = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
@@ -117,17 +117,17 @@ class KnownMap:
         """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
         MAX_CANDIDATES.
         """
-        near = np.flatnonzero((cloud.xy**2).sum(axis=1) < REACH_M**2)
-        near = near[:: max(1, len(near) // SEARCH_POINTS)]
+        near = np.flatnonzero((cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2)
+        near = near[:: max(1, len(near) // MAP_SEARCH_POINTS)]
         xy, normals = cloud.xy[near], cloud.normals[near]
-        places, _ = search_facing(xy, normals, self._facing, HEADINGS, MIN_SCORE, BEHIND)
+        places, _ = search_facing(xy, normals, self._facing, HEADINGS, MIN_PLACE_SCORE, BEHIND)
         order = np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]
         return list(places[order, :3])
 
     def align(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
         """The cloud aligned with all walls there are, from a candidate. least: as of weigh."""
         window = window_around(near, REFINED[:2], self._field, REFINED[2])
-        near = (seen.cloud.xy**2).sum(axis=1) < REACH_M**2
+        near = (seen.cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2
         thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
         found = search_branch_and_bound(thin, self._field, window, -math.inf)
         return self._aligned(seen, found.pose, least)
@@ -231,14 +231,14 @@ def _one_of_each_cell(cloud: PointCloud) -> PointCloud:
 
 
 def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:
-    block = 1 << (LEVELS - 1)
+    block = 1 << (MAP_SEARCH_LEVELS - 1)
     low = np.floor(cloud.xy.min(axis=0) / COARSE_CELL_M).astype(np.int64) - 1 - block
     high = np.floor(cloud.xy.max(axis=0) / COARSE_CELL_M).astype(np.int64) + 2 + block
     columns, rows = (-(-(high - low) // block) * block).tolist()
-    levels = np.zeros((LAYERS, LEVELS, rows, columns), np.uint8)
+    levels = np.zeros((LAYERS, MAP_SEARCH_LEVELS, rows, columns), np.uint8)
     pyramid = FacingPyramid(levels, int(low[1]), int(low[0]), COARSE_CELL_M)
-    splat_facing(cloud.xy, cloud.normals, pyramid, FIELD_SIGMA_M)
-    unknown = np.uint8(FULL * UNKNOWN_LIKELIHOOD) * ~_is_free(ground, pyramid)
+    splat_facing(cloud.xy, cloud.normals, pyramid, LOOP_FIELD_SIGMA_M)
+    unknown = np.uint8(FULL * MAP_UNKNOWN_LIKELIHOOD) * ~_is_free(ground, pyramid)
     np.maximum(levels[:, 0], unknown, out=levels[:, 0])
     for layer in levels:
         pool_levels(layer, 0.0)
@@ -250,7 +250,7 @@ def _is_free(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bo
     rows, columns = pyramid.levels.shape[2:]
     times = round(COARSE_CELL_M / CELL_M)
     free = np.zeros((times * rows, times * columns), np.bool_)
-    edge = occupancy.TILE_CELLS
+    edge = occupancy.GRID_TILE_CELLS
     for i, j in np.argwhere(ground.tiles.slots != NO_TILE).tolist():
         row = (i + int(ground.tiles.origin[0])) * edge - times * pyramid.first_row
         column = (j + int(ground.tiles.origin[1])) * edge - times * pyramid.first_column
@@ -268,18 +268,18 @@ def _field(cloud: PointCloud) -> MaxPyramid:
     low = np.floor(cloud.xy.min(axis=0) / CELL_M).astype(np.int64) - 2
     high = np.floor(cloud.xy.max(axis=0) / CELL_M).astype(np.int64) + 3
     levels = np.zeros((1, high[1] - low[1], high[0] - low[0]), np.float32)
-    splat_field(cloud.xy, int(low[1]), int(low[0]), CELL_M, FIELD_SIGMA_M, levels[0])
+    splat_field(cloud.xy, int(low[1]), int(low[0]), CELL_M, LOOP_FIELD_SIGMA_M, levels[0])
     return MaxPyramid(levels, int(low[1]), int(low[0]), 0.0, 0.0, 1.0, CELL_M)
 
 
 def _ground(
     keyframes: KeyframeList, known: npt.NDArray[np.int64], clouds: list[PointCloud], xy: Floats
 ) -> OccupancyGrid:
-    cells = (occupancy.TILE_CELLS,) * 2
+    cells = (occupancy.GRID_TILE_CELLS,) * 2
     tiles = TileMap(
-        TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), POOL_TILES)
+        TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), CLOUD_POOL_TILES)
     )
-    cover(tiles, occupancy.TILE_BITS, np.concatenate((xy, keyframes.map[known, :2])))
+    cover(tiles, occupancy.GRID_TILE_BITS, np.concatenate((xy, keyframes.map[known, :2])))
     evidence, touched, changed = tiles.pool.arrays
     ground = OccupancyGrid(tiles.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
     for number in range(0, len(known), TRACED_EVERY):
@@ -287,7 +287,7 @@ def _ground(
         sensor = _sensor_of(keyframes, int(known[number]))
         if len(ends):
             scan_number = np.uint16(number // TRACED_EVERY % 65_535 + 1)
-            trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, REACH_M, scan_number)
+            trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, LOOP_REACH_M, scan_number)
     return ground
 
 

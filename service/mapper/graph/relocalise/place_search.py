@@ -11,7 +11,7 @@ from service.geometry.poses import Floats
 from service.mapper.graph.model.seen_cloud import SeenCloud
 from service.mapper.graph.relocalise.known_map import Aligned, KnownMap
 
-SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1
+SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses that mean one room
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses of one place may differ by so much where it is known well
 MAX_REFINED = 12  # of the places that candidates lead to
 BEHIND_NATS = 100.0  # so far behind the likeliest a place is not refined

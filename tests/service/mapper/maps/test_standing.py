@@ -5,7 +5,7 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import KnowsStanding, Standing
-from service.mapper.maps.standing import REACH_M, draw_standing
+from service.mapper.maps.standing import SHOWN_REACH_M, draw_standing
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
@@ -45,7 +45,7 @@ def test_it_lies_in_the_map_where_the_loops_put_it() -> None:
 
 
 def test_what_is_far_from_the_vehicle_is_left_out() -> None:
-    xy_odom = np.array([(100.0, 0.05), (100.0 + REACH_M + 1.0, 0.05), (0.0, 0.0)])
+    xy_odom = np.array([(100.0, 0.05), (100.0 + SHOWN_REACH_M + 1.0, 0.05), (0.0, 0.0)])
     drawn = draw_standing(Standing(xy_odom, np.ones(3), 0.1), newest(SE2(99.0, 0.0, 0.0)))
     assert drawn is not None
     assert drawn.cells.shape == (1, 1)

@@ -6,7 +6,7 @@ import pytest
 
 from service.cli import main
 from service.errors import InputError
-from service.mapper.by_hand import WALL, ByHand, Drawing
+from service.mapper.by_hand import DRAWN_WALL, ByHand, Drawing
 from service.mapstore.files import save_map
 from service.offline.maps.work import map_info, map_merge, map_verify
 from tests.service.mapstore.graphs import graph_of
@@ -29,7 +29,7 @@ def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
     graph = graph_of(6)
     at_s = np.array([10.0, 11.0, 12.5, 100.0, 101.0, 102.0])
     graph = replace(graph, stamp_ns=(at_s * 1e9).astype(np.int64), piece=np.array([3, 3, 3, 1, 1, 1]))
-    graph = replace(graph, by_hand=ByHand().and_drawn(Drawing(WALL, 0, np.eye(2)), graph.map))
+    graph = replace(graph, by_hand=ByHand().and_drawn(Drawing(DRAWN_WALL, 0, np.eye(2)), graph.map))
     save_map(tmp_path, TILES, 1, graph=graph)
     told = map_info(tmp_path)
     assert told["walls"] == 1

@@ -11,7 +11,7 @@ from service.geometry.se2 import SE2
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.graph.model import candidate_submap
-from service.mapper.graph.model.candidate_submap import MIN_SCORE, CandidateSubmap, cloud_of
+from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, CandidateSubmap, cloud_of
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.graph.model.loops import loop_of
 from service.mapper.graph.model.point_clouds import PointCloud, SurfelSet, cloud_with_noise, joined
@@ -87,7 +87,7 @@ def found_m(keyframes: KeyframeList, last: int) -> float:
     """How far along the corridor they are found from where they are."""
     submap, cloud, true = places_of(keyframes, last)
     guess = true + np.array([OFF_M, 0.0, 0.0])
-    pose = submap.search(cloud, guess, WINDOW_M, 0.06, MIN_SCORE)
+    pose = submap.search(cloud, guess, WINDOW_M, 0.06, MIN_LOOP_SCORE)
     assert pose is not None
     return float(submap.align(cloud, pose).pose[0] - true[0])
 
@@ -104,7 +104,7 @@ def test_points_on_ground_that_was_not_seen_would_drag_it_along(
     out_and_back: KeyframeList, monkeypatch: pytest.MonkeyPatch
 ):
     """Counted against a place, unknown ground puts the two passes on top of each other."""
-    monkeypatch.setattr(candidate_submap, "UNKNOWN_LIKELIHOOD", 0.0)
+    monkeypatch.setattr(candidate_submap, "LOOP_UNKNOWN_LIKELIHOOD", 0.0)
     off_m = [found_m(out_and_back, last) for last in BACK]
     assert max(map(abs, off_m)) > 0.1, off_m
 

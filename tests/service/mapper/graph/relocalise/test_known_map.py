@@ -22,7 +22,7 @@ from service.mapper.graph.relocalise.detached_search import (
     CandidatePose,
     DetachedSearch,
 )
-from service.mapper.graph.relocalise.known_map import MAX_OF_WALL, UNKNOWN_LIKELIHOOD, KnownMap, Weight
+from service.mapper.graph.relocalise.known_map import MAP_UNKNOWN_LIKELIHOOD, MAX_OF_WALL, KnownMap, Weight
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.drives import cast
 
@@ -236,10 +236,10 @@ def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_gr
         row, column = math.floor(y_m / facing.cell_m), math.floor(x_m / facing.cell_m)
         return facing.levels[:, 0, row - facing.first_row, column - facing.first_column]
 
-    assert set(likelihoods(15.0, 2.0)) == {int(255 * UNKNOWN_LIKELIHOOD)}  # between the rooms
+    assert set(likelihoods(15.0, 2.0)) == {int(255 * MAP_UNKNOWN_LIKELIHOOD)}  # between the rooms
     assert set(likelihoods(3.0, 2.0)) == {0}
     wall = likelihoods(3.0, 0.05)  # by the way that it faces; of its back the map knows nothing
-    assert (wall.min(), wall.max()) == (int(255 * UNKNOWN_LIKELIHOOD), 255)
+    assert (wall.min(), wall.max()) == (int(255 * MAP_UNKNOWN_LIKELIHOOD), 255)
 
 
 def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
