@@ -33,7 +33,7 @@ MOMENT_TILE_MASK = MOMENT_TILE_CELLS - 1
 HALVES = 2
 # Columns of a half: weights, 1 / noise^2 each; mean from the centre of the cell, m; weighted squares
 # about it; squares of the beams' directions, which noise adds to those. Their trace counts the points.
-WEIGHT, MEAN_X, MEAN_Y, XX, XY, YY, NOISE_XX, NOISE_XY, NOISE_YY = range(9)
+WEIGHT, MOMENT_MEAN_X, MOMENT_MEAN_Y, XX, XY, YY, NOISE_XX, NOISE_XY, NOISE_YY = range(9)
 MOMENTS = 9
 MIN_POINTS = 6.0  # that a direction is taken from
 MAX_POINTS = 200.0  # then a half counts half: it forgets
@@ -122,13 +122,13 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
             if used_before:
                 moments[slot] = np.float32(0.0)
         cell = moments[slot, row & MOMENT_TILE_MASK, column & MOMENT_TILE_MASK, half]
-        dx = x - (column + 0.5) * cell_m - cell[MEAN_X]
-        dy = y - (row + 0.5) * cell_m - cell[MEAN_Y]
+        dx = x - (column + 0.5) * cell_m - cell[MOMENT_MEAN_X]
+        dy = y - (row + 0.5) * cell_m - cell[MOMENT_MEAN_Y]
         before = cell[WEIGHT]
         share = own / (before + own)
         cell[WEIGHT] = before + own
-        cell[MEAN_X] += dx * share
-        cell[MEAN_Y] += dy * share
+        cell[MOMENT_MEAN_X] += dx * share
+        cell[MOMENT_MEAN_Y] += dy * share
         cell[XX] += before * share * dx * dx
         cell[XY] += before * share * dx * dy
         cell[YY] += before * share * dy * dy
@@ -146,7 +146,7 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
                 cell[:] = 0.0
             elif count > MAX_POINTS:
                 for k in range(MOMENTS):
-                    if k != MEAN_X and k != MEAN_Y:
+                    if k != MOMENT_MEAN_X and k != MOMENT_MEAN_Y:
                         cell[k] *= np.float32(0.5)
 
 
@@ -163,8 +163,8 @@ def plane_near(pooled):
     its direction; and the variance of the points along it, m^2.
     """
     w = pooled[WEIGHT]
-    wx = pooled[MEAN_X]
-    wy = pooled[MEAN_Y]
+    wx = pooled[MOMENT_MEAN_X]
+    wy = pooled[MOMENT_MEAN_Y]
     count = pooled[NOISE_XX] + pooled[NOISE_YY]
     nx, ny, across, expected, along = normal_of(
         pooled[XX] - wx * wx / w,
@@ -194,7 +194,7 @@ def is_within(nx, ny, along_m2, pooled, ux, uy, noise_m2):
     pooled     (9,)    from pool_cells
     ux, uy     float   unit vector to the sensor: noise brings points along the beam from one wall to another
     """
-    beside_m = abs(ny * pooled[MEAN_X] - nx * pooled[MEAN_Y]) / pooled[WEIGHT]
+    beside_m = abs(ny * pooled[MOMENT_MEAN_X] - nx * pooled[MOMENT_MEAN_Y]) / pooled[WEIGHT]
     half_m = math.sqrt(3.0 * max(along_m2, 0.0))
     return beside_m <= half_m - math.sqrt(most_off_m2(ny * ux - nx * uy, noise_m2))
 
@@ -209,7 +209,7 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
     noise_m2      float   square of the noise of a range
     only_planes   bool    cells alone that by themselves are a plane on which the point lies; else all, by
                           their distance from the point
-    pooled        (9,) float64   out: columns as in a cell; MEAN_X, MEAN_Y are weighted sums
+    pooled        (9,) float64   out: columns as in a cell; MOMENT_MEAN_X, MOMENT_MEAN_Y are weighted sums
     Returns how many points they are of.
     """
     moments = grid.moments
@@ -237,8 +237,8 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
             cell = moments[slot, (row + v) & MOMENT_TILE_MASK, (column + u) & MOMENT_TILE_MASK, half]
             if cell[WEIGHT] == 0.0:
                 continue
-            mx = u * cell_m + cell[MEAN_X] - dx  # from the point: nothing cancels
-            my = v * cell_m + cell[MEAN_Y] - dy
+            mx = u * cell_m + cell[MOMENT_MEAN_X] - dx  # from the point: nothing cancels
+            my = v * cell_m + cell[MOMENT_MEAN_Y] - dy
             near = 1.0 - (mx * mx + my * my) * per_square_reach
             if near <= 0.0:
                 continue
@@ -260,8 +260,8 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
                     continue
             n = near * cell[WEIGHT]
             pooled[WEIGHT] += n
-            pooled[MEAN_X] += n * mx
-            pooled[MEAN_Y] += n * my
+            pooled[MOMENT_MEAN_X] += n * mx
+            pooled[MOMENT_MEAN_Y] += n * my
             pooled[XX] += near * cell[XX] + n * mx * mx
             pooled[XY] += near * cell[XY] + n * mx * my
             pooled[YY] += near * cell[YY] + n * my * my
@@ -317,7 +317,7 @@ def direct_by_moments(
         if not knows_direction:
             continue
         cosine = nx * ux + ny * uy
-        off_m = (nx * pooled[MEAN_X] + ny * pooled[MEAN_Y]) / pooled[WEIGHT]
+        off_m = (nx * pooled[MOMENT_MEAN_X] + ny * pooled[MOMENT_MEAN_Y]) / pooled[WEIGHT]
         if off_m * off_m > most_off_m2(cosine, noise_m2):
             normals[i, 2] = weight_off_plane
             continue

@@ -17,7 +17,7 @@ DIRECTIONS = 16  # in which walls face; a wall counts in the two beside its own,
 ANY = DIRECTIONS  # layer of what has no direction: posts, legs, leaves
 LAYERS = DIRECTIONS + 1
 SECTORS = 8  # of headings: the best of a block is kept for each, for rivals of one spot differ by half turns
-FULL = 255  # of a cell in which a wall lies
+FULL_BYTE = 255  # of a cell in which a wall lies
 
 
 class FacingPyramid(NamedTuple):
@@ -62,7 +62,7 @@ def splat_facing(xy, normals, pyramid, sigma_m):
             for u in range(column - 1, column + 2):
                 q = u - pyramid.first_column
                 dx = max(u * cell_m - xy[i, 0], xy[i, 0] - (u + 1) * cell_m, 0.0)
-                value = np.uint8(FULL * math.exp(scale * (dx * dx + dy * dy)))
+                value = np.uint8(FULL_BYTE * math.exp(scale * (dx * dx + dy * dy)))
                 levels[ANY, 0, r, q] = max(levels[ANY, 0, r, q], value)
                 if is_wall:
                     for beside in range(-1, 2):
@@ -120,7 +120,7 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
     size = 1 << top
     rows, columns = levels.shape[2] // size, levels.shape[3] // size
     blocks = rows * columns
-    unit = FULL * count
+    unit = FULL_BYTE * count
     floor = np.int64(least_score * unit)
     margin = np.int64(behind * unit)
 

@@ -9,7 +9,7 @@ from service.kernels.compiled import kernel
 
 # Rows of the 15 error states: position, velocity, attitude, biases of accelerometer and gyroscope.
 POSITION, VELOCITY, ATTITUDE, FORCE_BIAS, RATE_BIAS = 0, 3, 6, 9, 12
-STATES = 15
+STRAPDOWN_STATES = 15
 
 
 @kernel(Float64_1D, Float64_2D)

@@ -11,7 +11,7 @@ from service.geometry.poses import Floats
 
 Ints = npt.NDArray[np.int64]
 
-TOO_FEW_POINTS, IN_FREE_SPACE, ALONE, CONTRADICTED, BY_HAND, TOO_FAR = range(6)
+TOO_FEW_POINTS, IN_FREE_SPACE, NOT_SUPPORTED, CONTRADICTED, BY_HAND, TOO_FAR = range(6)
 WORDS = (
     "too few of its points lie on the map",
     "too many of its points lie where the map knows that nothing stands",

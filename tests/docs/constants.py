@@ -13,8 +13,10 @@ INTRODUCTION = """\
 
 Numbers of the default profile that no setting changes: limits, noise, sizes. The settings
 are in [configuration](configuration.md). `.venv/bin/python -m tests.docs.constants` writes this page from the
-code; a test compares them. Without a meaning stand counts and codes that their name explains.
+code; a test compares them. Counts and codes whose name says all are left out.
 
+| file | constant | value | meaning |
+|---|---|---|---|
 """
 
 
@@ -36,11 +38,12 @@ def constants_by_file() -> dict[str, list[Constant]]:
 
 
 def page() -> str:
-    parts = [INTRODUCTION.rstrip("\n")]
-    for file, constants in constants_by_file().items():
-        rows = [f"| `{one.name}` | `{one.value}` | {one.meaning} |" for one in constants]
-        parts.append("\n".join([f"\n## {file}\n", "| constant | value | meaning |", "|---|---|---|", *rows]))
-    return "\n".join(parts) + "\n"
+    return INTRODUCTION + "".join(
+        f"| {file} | `{one.name}` | `{one.value}` | {one.meaning} |\n"
+        for file, constants in constants_by_file().items()
+        for one in constants
+        if one.meaning
+    )
 
 
 def _constants_of(path: Path) -> Iterator[Constant]:

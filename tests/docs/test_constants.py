@@ -4,7 +4,9 @@ import re
 
 from tests.docs.constants import PAGE, constants_by_file, page
 
-COUNT_OR_CODE = re.compile(r"-?\d+|[A-Z_0-9 <+*-]+|(range|slice|np\.empty|Grid|\w*Config|frozenset)\(.*")
+COUNT_OR_CODE = re.compile(
+    r"-?\d+|[A-Z_0-9 <+*-]+|(range|slice|np\.empty|Grid|\w*Config|\w*Settings|frozenset)\(.*"
+)
 
 
 def test_the_page_of_constants_is_that_of_the_code():

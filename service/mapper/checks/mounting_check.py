@@ -17,7 +17,7 @@ import numpy as np
 from service.estimator.motion import Matrix, Measurement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_3
 from service.geometry.se2 import SE2
-from service.mapper.checks.stamp_check import SAME_ERRORS
+from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 MOUNTING_TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: as people measure it
@@ -62,8 +62,8 @@ class MountingCheck:
         information and e where the scan alone lies; so I e is found without inverting I.
         """
         off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
-        self._information.append(measured.information / SAME_ERRORS)
-        self._weighed.append(np.linalg.inv(measured.covariance) @ off / SAME_ERRORS)
+        self._information.append(measured.information / SCANS_WITH_SAME_ERRORS)
+        self._weighed.append(np.linalg.inv(measured.covariance) @ off / SCANS_WITH_SAME_ERRORS)
         self._advantages.append(MIN_ADVANTAGE if advantage is None else advantage)
         if len(self._weighed) == BATCH_SCANS:
             self._judge()
@@ -126,7 +126,7 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
         covariance = np.linalg.inv(np.einsum("k,kij->ij", counts, information) + prior)
         offset = covariance @ (counts @ weighed)
         off = information @ offset - weighed
-        chi2 = SAME_ERRORS * np.einsum("ki,kij,kj->k", off, inverse, off)
+        chi2 = SCANS_WITH_SAME_ERRORS * np.einsum("ki,kij,kj->k", off, inverse, off)
         excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_3, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     return offset, covariance

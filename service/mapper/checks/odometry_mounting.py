@@ -27,7 +27,7 @@ MOUNTING_STEP_M, MOUNTING_STEP_RAD = 0.4, 0.15  # one of both ends a step
 MIN_TURN_RAD = 0.1  # of a step that tells where the laser sits: in less, noise of headings looks the same
 LONGEST_STEP_NS = 3_000_000_000
 MAX_SAMPLE_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
-SAMPLES = 512  # of odometry that are kept
+SAMPLES_KEPT = 512  # of odometry that are kept
 STEPS = 200  # the newest count: 80 m and more
 JUDGED_EACH = 25  # steps
 # Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
@@ -44,7 +44,7 @@ class OdometryMounting:
 
     def __init__(self) -> None:
         self.fault = NO_REASON
-        self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES)
+        self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES_KEPT)
         self._waiting: tuple[int, SE2] | None = None  # a pose that is newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry

@@ -21,7 +21,7 @@ from service.outputs import NO_REASON, Reason
 MAX_SCAN_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
 MIN_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
 SCANS = 400  # the newest count
-SAME_ERRORS = 20.0  # scans that see the same errors of the map
+SCANS_WITH_SAME_ERRORS = 20.0  # scans that see the same errors of the map
 JUDGED_EACH = 25  # scans
 TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
 KNOWN_S = 0.002  # sigma from which on stamps that go together are cleared of a fault
@@ -85,7 +85,7 @@ def lag_of(scans: npt.NDArray[np.float64]) -> tuple[float, float]:
         return 0.0, math.inf
     slope = float(rate @ off) / spread
     noise = (off - slope * rate) ** 2 + MIN_NOISE_RAD**2
-    return -slope, math.sqrt(SAME_ERRORS * float(rate**2 @ noise)) / spread
+    return -slope, math.sqrt(SCANS_WITH_SAME_ERRORS * float(rate**2 @ noise)) / spread
 
 
 class StampChecks:

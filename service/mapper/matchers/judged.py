@@ -31,7 +31,7 @@ from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
-FOUND_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
+SEARCHED_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
 
 MIN_COVARIANCE = 1e-12 * np.eye(3)  # of a search: its pose is compared with the prediction alone
 CONFIRM_S = 0.1  # from a find to the search that is to confirm it
@@ -213,7 +213,7 @@ class JudgedMatching:
         )
         start = aligner.search(points, local_map, predicted.pose_odom_base, (reach_m, reach_rad))
         if start is not None:
-            there = replace(predicted, pose_odom_base=start, local_covariance=FOUND_COVARIANCE)
+            there = replace(predicted, pose_odom_base=start, local_covariance=SEARCHED_COVARIANCE)
             aligned = aligner.align(points, there, local_map, is_found=True)
             verdict = self._judged(aligned, predicted, local_map, is_found=True)
             if verdict.state != "lost" and verdict.inlier_ratio >= ratio + GAIN:

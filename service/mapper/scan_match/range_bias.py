@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from service.kernels.match import MatchSettings
 from service.kernels.range_bias import see_bias, shorten_ranges
-from service.mapper.checks.stamp_check import SAME_ERRORS
+from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.scan_match.submaps import Submap
 
@@ -98,11 +98,11 @@ class RangeBias:
         grid = submap.grid()
         see_bias(points.xy_base, normals, pose, sensor, laser, grid, settings, NODE_M, information, weighted)
         weighted -= information[:, NODES] * learnt.offset_left_m
-        learnt.information += information / SAME_ERRORS
+        learnt.information += information / SCANS_WITH_SAME_ERRORS
         of_offset = np.zeros(NODES + 1)
         of_offset[NODES] = 1.0
         step_m, column = np.linalg.solve(
-            learnt.information, np.column_stack((weighted / SAME_ERRORS, of_offset))
+            learnt.information, np.column_stack((weighted / SCANS_WITH_SAME_ERRORS, of_offset))
         ).T
         learnt.curve_m += step_m[:NODES]
         learnt.offset_left_m += float(step_m[NODES])

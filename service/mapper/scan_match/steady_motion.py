@@ -4,7 +4,7 @@ from collections import deque
 
 from service.geometry.se2 import SE2
 
-MIN_STEP_NS, MAX_STEP_NS = 20_000_000, 1_000_000_000  # between poses that tell the motion
+MIN_STEP_NS, MAX_STEADY_STEP_NS = 20_000_000, 1_000_000_000  # between poses that tell the motion
 
 
 class SteadyMotion:
@@ -31,7 +31,7 @@ class SteadyMotion:
             return None
         (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
         step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
-        if not (MIN_STEP_NS <= step_ns <= MAX_STEP_NS and 0 < ahead_ns <= MAX_STEP_NS):
+        if not (MIN_STEP_NS <= step_ns <= MAX_STEADY_STEP_NS and 0 < ahead_ns <= MAX_STEADY_STEP_NS):
             return None
         steps = ahead_ns / step_ns
         forward_m, left_m, turn_rad = (before.inverse() @ last).log()

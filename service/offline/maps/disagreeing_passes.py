@@ -11,13 +11,13 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.loops.loop_back_end import AGREE_M, AGREE_RAD
 from service.mapper.graph.model.loops import WITHIN_M
-from service.mapper.refused_loops import ALONE, CONTRADICTED, TOO_FAR, WORDS
+from service.mapper.refused_loops import CONTRADICTED, NOT_SUPPORTED, TOO_FAR, WORDS
 from service.mapper.saved_graph import SavedGraph
 
 MAX_PROPOSED = 20
 POINTS = 3  # of a proposal: two fix place and heading, the third shows whether they do
 COUNTERPART_M = 0.1  # from a point of the later pass to one that the earlier key frame saw
-_FITS = (ALONE, CONTRADICTED, TOO_FAR)  # reasons that leave the alignment itself in no doubt
+_FITS = (NOT_SUPPORTED, CONTRADICTED, TOO_FAR)  # reasons that leave the alignment itself in no doubt
 
 
 class _Spot(NamedTuple):

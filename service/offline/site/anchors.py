@@ -9,7 +9,7 @@ from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.graph.gnss.anchoring import KERNEL_WIDTH, Anchoring
+from service.mapper.graph.gnss.anchoring import FIX_KERNEL_SIGMAS, Anchoring
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import Edges
 
@@ -52,7 +52,7 @@ class StoredAnchors(Anchoring):
             to,
             np.array([self._in_frame(one) for one in anchors]),
             np.eye(3) * (sigmas**2)[:, None],
-            np.full(len(to), KERNEL_WIDTH),
+            np.full(len(to), FIX_KERNEL_SIGMAS),
         )
 
     def solved(self, pose_map_enu: Floats) -> None:

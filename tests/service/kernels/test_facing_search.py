@@ -5,7 +5,14 @@ import pytest
 
 from service.kernels import facing_search
 from service.kernels.branch_and_bound import pool_levels
-from service.kernels.facing_search import FULL, LAYERS, SECTORS, FacingPyramid, search_facing, splat_facing
+from service.kernels.facing_search import (
+    FULL_BYTE,
+    LAYERS,
+    SECTORS,
+    FacingPyramid,
+    search_facing,
+    splat_facing,
+)
 from tests.service.kernels.inner import from_python
 
 facing_sum = from_python(facing_search.facing_sum)
@@ -71,7 +78,7 @@ def asked_one_by_one(xy, normals, pyramid) -> dict[tuple[int, int], float]:
         for row in range(rows):
             for column in range(columns):
                 own = (row // BLOCK * (columns // BLOCK) + column // BLOCK, k * SECTORS // HEADINGS)
-                score = facing_sum(cells, pyramid.levels, 0, row, column) / (FULL * len(xy))
+                score = facing_sum(cells, pyramid.levels, 0, row, column) / (FULL_BYTE * len(xy))
                 best[own] = max(best.get(own, 0.0), score)
     return best
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from service.kernels.strapdown import STATES, rotation_of, strapdown_step
+from service.kernels.strapdown import STRAPDOWN_STATES, rotation_of, strapdown_step
 
 UP = np.array([0.0, 0.0, -9.81])
 DOWN_FROM_UP = np.diag([1.0, -1.0, -1.0])  # pi about x: forward-left-up to forward-right-down
@@ -15,8 +15,8 @@ DOWN_FROM_UP = np.diag([1.0, -1.0, -1.0])  # pi about x: forward-left-up to forw
 
 def navigate(start, samples, time_s, gravity=UP):
     position, velocity, rotation = (part.copy() for part in start)
-    whole = np.eye(STATES)
-    step = np.empty((STATES, STATES))
+    whole = np.eye(STRAPDOWN_STATES)
+    step = np.empty((STRAPDOWN_STATES, STRAPDOWN_STATES))
     for force, rate in samples:
         strapdown_step(position, velocity, rotation, force, rate, gravity, time_s, step)
         whole = step @ whole
@@ -75,7 +75,7 @@ def test_transition_is_the_exponential_of_its_slope():  # B10
     start = a_start(noise)
     force, rate = np.array([0.5, -0.3, 9.7]), np.array([0.02, 0.01, 1.0])
     *_, phi = navigate(start, [(force, rate)], 0.005)
-    exact = expm(phi - np.eye(STATES))
+    exact = expm(phi - np.eye(STRAPDOWN_STATES))
     np.testing.assert_allclose(phi, exact, atol=0.5 * (9.81 * 0.005**2) + 1e-6)
     assert np.abs(phi - exact).max() > 1e-5  # the two are not the same thing
 
@@ -88,8 +88,8 @@ def test_errors_go_on_as_the_transition_says():  # B6 B7 B8
     position, velocity, rotation, whole = navigate(start, samples, 0.005)
     assert whole.shape == (15, 15)
     small = 1e-6
-    for state in range(STATES):
-        push = np.zeros(STATES)
+    for state in range(STRAPDOWN_STATES):
+        push = np.zeros(STRAPDOWN_STATES)
         push[state] = small
         moved = (
             start[0] + push[:3],

@@ -17,9 +17,9 @@ from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from service.mapper.saved_graph import SavedGraph
 
 ASKED_EVERY_M = 4.0  # of the second's way
-AGREE_M, AGREE_RAD = 0.5, 0.05  # two finds say the same, where both lie within AGREE_WAY_M of way
+MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two finds agree, both within AGREE_WAY_M of path
 AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
-MIN_AGREEING = 3
+MIN_MERGE_LOOPS = 3
 QUERY = 6  # key frames of a place that are looked for, where not everywhere is asked
 MAX_MISSES = 8  # of places far apart; where a quarter of the second overlaps, one in ten sessions has so many
 SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # every 8th place from these on, one series after the other
@@ -121,7 +121,7 @@ def find_second(
     enough   end the search once so many places agree and no more than half as many say otherwise, or the
              first MAX_MISSES are found nowhere; None: ask everywhere
 
-    Raises MergeError where fewer than MIN_AGREEING agree.
+    Raises MergeError where fewer than MIN_MERGE_LOOPS agree.
     """
     keyframes = KeyframeList(both)
     search = DetachedSearch(config, keyframes)
@@ -146,10 +146,10 @@ def find_second(
                 break
     found.sort(key=lambda one: one[0])
     agreeing = _agreeing(keyframes, found)
-    if len(agreeing) < MIN_AGREEING:
+    if len(agreeing) < MIN_MERGE_LOOPS:
         raise MergeError(
             f"{len(found)} places of the second map look like places of the first, and {len(agreeing)} of "
-            f"them agree (at least {MIN_AGREEING}): the maps overlap too little"
+            f"them agree (at least {MIN_MERGE_LOOPS}): the maps overlap too little"
         )
     middle = agreeing[len(agreeing) // 2][1]
     return middle, len(agreeing)
@@ -187,6 +187,6 @@ def _agree(place: Floats, a: Floats, b: Floats, apart_m: float) -> bool:
     """Whether two poses of the second's frame put a place (3,) of it at the same spot."""
     away = se2.between(se2.compose(a, place), se2.compose(b, place))
     return bool(
-        np.hypot(away[0], away[1]) <= AGREE_M + AGREE_GROWTH * apart_m
-        and abs(away[2]) <= AGREE_RAD + 0.05 * AGREE_GROWTH * apart_m
+        np.hypot(away[0], away[1]) <= MERGED_WITHIN_M + AGREE_GROWTH * apart_m
+        and abs(away[2]) <= MERGED_WITHIN_RAD + 0.05 * AGREE_GROWTH * apart_m
     )

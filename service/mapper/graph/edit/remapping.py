@@ -16,7 +16,7 @@ from service.mapper.graph.loops.stored_graph import ANCHOR_COVARIANCE
 from service.mapper.graph.model.keyframe_list import SESSION_APART_M
 from service.mapper.saved_graph import SavedGraph
 
-MIN_POINTS = 20  # of a key frame in the area, for it to be kept
+MIN_KEYFRAME_POINTS = 20  # of a key frame in the area, for it to be kept
 _PER_FRAME = [
     "stamp_ns",
     "odom",
@@ -69,7 +69,7 @@ def with_area_driven_again(
     of, xy_map = _points(session)
     is_new = (of >= first) & ~session.is_lost[of] & is_inside(xy_map, corners_map)
     counts = np.bincount(of[is_new], minlength=len(session))
-    kept = np.flatnonzero(counts >= MIN_POINTS)
+    kept = np.flatnonzero(counts >= MIN_KEYFRAME_POINTS)
     if not len(kept):
         raise EditError(
             "the drive saw nothing of the area: it was not found in the map there, or passed elsewhere"

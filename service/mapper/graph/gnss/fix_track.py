@@ -11,7 +11,7 @@ from service.geometry.se2 import SE2
 MAX_FIX_SIGMA_M = 10.0  # of the worse direction: a fix that says it is worse anchors nothing
 MAX_GAP_NS = 1_000_000_000  # between two scans that a fix lies between: nobody knows the way in a longer one
 REMEMBERED_NS = 5_000_000_000  # of scans: a fix comes later than the scans of its moment
-MAX_WAITING = 256  # fixes for a scan to come
+MAX_FIXES_WAITING = 256  # fixes for a scan to come
 SPACING_M = 5.0  # between two fixes that are kept: the next one says hardly more, and standing says nothing
 FROZEN_M = 1.0  # way over which no receiver gives one position to the last digit
 
@@ -71,7 +71,7 @@ class FixTrack:
         if fix.stamp_ns <= self._last_ns:
             return "fixes_out_of_order"
         self._last_ns = fix.stamp_ns
-        if len(self._waiting) == MAX_WAITING:
+        if len(self._waiting) == MAX_FIXES_WAITING:
             self._waiting.popleft()
             self._counts["fixes_without_scans"] += 1
         self._waiting.append((fix, antenna_xy_m))

@@ -42,7 +42,14 @@ from service.mapper.graph.model.pose_graph import Edges, PoseGraph, edge_chi2, t
 from service.mapper.graph.model.pose_graph_solver import solve
 from service.mapper.graph.model.refusals import Refusals
 from service.mapper.graph.relocalise.detached_search import MAX_STANDING, DetachedSearch
-from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
+from service.mapper.refused_loops import (
+    BY_HAND,
+    CONTRADICTED,
+    IN_FREE_SPACE,
+    NOT_SUPPORTED,
+    TOO_FAR,
+    TOO_FEW_POINTS,
+)
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 from service.mapper.walls import walls_of
 
@@ -265,7 +272,7 @@ class LoopBackEnd:
         self._prove()
         for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
-            self._refusals.add([found], ALONE)
+            self._refusals.add([found], NOT_SUPPORTED)
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
@@ -468,7 +475,7 @@ class LoopBackEnd:
                     done.add(spot)
                     new.append(loop)
         self._candidates += new
-        self._refusals.add(new, ALONE)
+        self._refusals.add(new, NOT_SUPPORTED)
         for loop in new:
             if loop not in self._loops:
                 self._accept(loop)

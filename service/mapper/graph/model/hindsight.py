@@ -8,7 +8,7 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.odometry_edges import (
-    MIN_COVARIANCE,
+    MIN_EDGE_COVARIANCE,
     UNKNOWN_COVARIANCE,
     matched_steps,
 )
@@ -35,7 +35,7 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
         variances, axes = np.linalg.eigh(known[to] - back[k] @ known[of] @ back[k].T)
         added = (axes * np.maximum(variances, max(variances[-1] * MIN_VARIANCE_SHARE, 0.0))) @ axes.T
         known[of] = there[k] @ (known[to] - added) @ there[k].T
-        edges.covariance[k] = added + MIN_COVARIANCE
+        edges.covariance[k] = added + MIN_EDGE_COVARIANCE
     edges.covariance[is_unknown] = UNKNOWN_COVARIANCE
     return edges
 

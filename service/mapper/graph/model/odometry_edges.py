@@ -17,7 +17,7 @@ UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody k
 # ... into a piece, where no scan was missing, so that nobody carried the vehicle; added to the motion model's
 PIECE_COVARIANCE = np.diag([1.0, 1.0, 0.01])
 AWAY_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
-MIN_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
+MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
 DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
 
@@ -59,7 +59,7 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     then, now = keyframes.motion_covariance[edges.of], keyframes.motion_covariance[edges.to]
     said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_piece | is_by_motion)
     covariance[said] = covariance_added(then[said], now[said], edges.measured[said])
-    covariance[said] += MIN_COVARIANCE if is_by_motion else STEP_FLOOR
+    covariance[said] += MIN_EDGE_COVARIANCE if is_by_motion else STEP_FLOOR
     # What was not matched cannot be a wrong match.
     covariance += np.where((said & is_lost)[:, None, None], 0.0, _doubt(keyframes))
     covariance[is_into_piece] += PIECE_COVARIANCE

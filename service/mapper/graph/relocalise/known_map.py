@@ -23,7 +23,7 @@ from service.kernels.beam_likelihood import (
 from service.kernels.branch_and_bound import MaxPyramid, pool_levels, search_branch_and_bound
 from service.kernels.facing_search import (
     DIRECTIONS,
-    FULL,
+    FULL_BYTE,
     LAYERS,
     FacingPyramid,
     search_facing,
@@ -68,7 +68,7 @@ ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map ha
 # Nats that one wall or thing says at most. Buildings consist of straight walls, on new ground, too: the beams
 # that end on one of them say one thing, where it stands. Walls that face the same way are so far apart.
 WALLS_APART_M = 2.0
-MAX_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))
+MAX_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
 TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
 
@@ -238,7 +238,7 @@ def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:
     levels = np.zeros((LAYERS, MAP_SEARCH_LEVELS, rows, columns), np.uint8)
     pyramid = FacingPyramid(levels, int(low[1]), int(low[0]), COARSE_CELL_M)
     splat_facing(cloud.xy, cloud.normals, pyramid, LOOP_FIELD_SIGMA_M)
-    unknown = np.uint8(FULL * MAP_UNKNOWN_LIKELIHOOD) * ~_is_free(ground, pyramid)
+    unknown = np.uint8(FULL_BYTE * MAP_UNKNOWN_LIKELIHOOD) * ~_is_free(ground, pyramid)
     np.maximum(levels[:, 0], unknown, out=levels[:, 0])
     for layer in levels:
         pool_levels(layer, 0.0)

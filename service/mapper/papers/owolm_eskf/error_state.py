@@ -15,7 +15,7 @@ from service.kernels.strapdown import (
     FORCE_BIAS,
     POSITION,
     RATE_BIAS,
-    STATES,
+    STRAPDOWN_STATES,
     VELOCITY,
     rotation_of,
     strapdown_step,
@@ -54,15 +54,17 @@ class ErrorStateFilter:
         self._arm_m = arm_m
         self._gravity = np.array([0.0, 0.0, -gravity_mps2])
         force, rate, force_walk, rate_walk = densities**2
-        self._noise_per_s = np.zeros(STATES)  # diagonal of G W G^T: rotations leave equal axes alone
+        self._noise_per_s = np.zeros(
+            STRAPDOWN_STATES
+        )  # diagonal of G W G^T: rotations leave equal axes alone
         self._noise_per_s[VELOCITY:ATTITUDE] = force
         self._noise_per_s[ATTITUDE:FORCE_BIAS] = rate
         self._noise_per_s[FORCE_BIAS:RATE_BIAS] = force_walk
         self._noise_per_s[RATE_BIAS:] = rate_walk
-        self.covariance: Array = np.zeros((STATES, STATES))
-        self._transition = np.eye(STATES)
-        self._noise = np.zeros((STATES, STATES))
-        self._step = np.empty((STATES, STATES))
+        self.covariance: Array = np.zeros((STRAPDOWN_STATES, STRAPDOWN_STATES))
+        self._transition = np.eye(STRAPDOWN_STATES)
+        self._noise = np.zeros((STRAPDOWN_STATES, STRAPDOWN_STATES))
+        self._step = np.empty((STRAPDOWN_STATES, STRAPDOWN_STATES))
 
     @property
     def yaw_rad(self) -> float:
@@ -124,7 +126,7 @@ class ErrorStateFilter:
         speed = np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], 0.0])
         self.velocity_mps = speed + np.cross([0.0, 0.0, twist[2]], arm)
 
-        transition = np.eye(STATES)
+        transition = np.eye(STRAPDOWN_STATES)
         swept = way + arm - before @ self._arm_m  # a wrong heading turns the way of the IMU
         transition[VELOCITY:ATTITUDE, :] = 0.0
         if is_measured:
@@ -144,8 +146,8 @@ class ErrorStateFilter:
     def settle(self) -> None:
         """Let the covariance catch up with the steps taken."""
         self.covariance = self._transition @ self.covariance @ self._transition.T + self._noise
-        self._transition = np.eye(STATES)
-        self._noise = np.zeros((STATES, STATES))
+        self._transition = np.eye(STRAPDOWN_STATES)
+        self._noise = np.zeros((STRAPDOWN_STATES, STRAPDOWN_STATES))
 
     def pose_covariance(self) -> Array:
         """(3, 3) of x, y, yaw of the base, in its own axes."""
@@ -171,7 +173,7 @@ class ErrorStateFilter:
         """Wheels: speed of the base forward and left."""
         believed = self.base_velocity(rate_radps)
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        rows = np.zeros((2, STATES))
+        rows = np.zeros((2, STRAPDOWN_STATES))
         rows[:, VELOCITY : VELOCITY + 2] = [[c, s], [-s, c]]
         z = np.array([believed[0] - speed_mps[0], believed[1] - speed_mps[1]])
         rows[0, ATTITUDE + 2], rows[1, ATTITUDE + 2] = believed[1], -believed[0]
@@ -179,7 +181,7 @@ class ErrorStateFilter:
 
     def observe_floor(self, sigma_m: float, sigma_mps: float) -> None:
         """The vehicle stays on its floor: neither height nor climb. A planar laser sees neither."""
-        rows = np.zeros((2, STATES))
+        rows = np.zeros((2, STRAPDOWN_STATES))
         rows[0, POSITION + 2] = 1.0
         rows[1, VELOCITY + 2] = 1.0
         z = np.array([self.position_m[2] - self._arm_m[2], self.velocity_mps[2]])
@@ -188,7 +190,7 @@ class ErrorStateFilter:
     def pose_rows(self) -> Array:
         """H of x, y and yaw of the base: (3, 15). Yaw is the heading of the body's x axis seen from above."""
         rotation = self.rotation
-        rows = np.zeros((3, STATES))
+        rows = np.zeros((3, STRAPDOWN_STATES))
         rows[0, POSITION] = rows[1, POSITION + 1] = 1.0
         rows[:2, ATTITUDE:FORCE_BIAS] = cross_matrix(rotation @ self._arm_m)[:2]
         level = rotation[0, 0] ** 2 + rotation[1, 0] ** 2
@@ -215,7 +217,7 @@ class ErrorStateFilter:
     def _gather(self, transition: Array, noise: Array) -> None:
         self._transition = transition @ self._transition
         self._noise = transition @ self._noise @ transition.T
-        self._noise.flat[:: STATES + 1] += noise
+        self._noise.flat[:: STRAPDOWN_STATES + 1] += noise
 
     def _of_base(self, covariance: Array) -> Array:
         rows = self.pose_rows()
@@ -227,7 +229,7 @@ class ErrorStateFilter:
         """Kalman update in Joseph's form, then the error is taken out of the state (eq. 16)."""
         across = self.covariance @ rows.T
         gain = across @ np.linalg.inv(rows @ across + covariance)
-        rest = np.eye(STATES) - gain @ rows
+        rest = np.eye(STRAPDOWN_STATES) - gain @ rows
         updated = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
         self.covariance = 0.5 * (updated + updated.T)
         error = (gain @ z[:, None])[:, 0]

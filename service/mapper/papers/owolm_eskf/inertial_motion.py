@@ -10,7 +10,7 @@ from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
 from service.estimator.motion import Measurement, Motion, Prediction
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY
+from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STRAPDOWN_STATES, VELOCITY
 from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter
 from service.mapper.papers.owolm_eskf.filter_pair import FilterPair
 from service.mapper.papers.owolm_eskf.inertial_track import InertialTrack
@@ -245,7 +245,7 @@ class InertialMotion:
                 ]
             ),
         )
-        sigma = np.zeros(STATES)
+        sigma = np.zeros(STRAPDOWN_STATES)
         sigma[VELOCITY : VELOCITY + 2] = config.first_speed_mps
         sigma[ATTITUDE : ATTITUDE + 2] = config.tilt_sigma_rad
         sigma[FORCE_BIAS:RATE_BIAS] = config.force_bias_mps2

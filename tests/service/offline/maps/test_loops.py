@@ -14,7 +14,7 @@ from service.mapper.graph.loops.loop_batches import Batch
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.refusals import MAX_REFUSED, Refusals
-from service.mapper.refused_loops import ALONE, BY_HAND, CONTRADICTED, WORDS
+from service.mapper.refused_loops import BY_HAND, CONTRADICTED, NOT_SUPPORTED, WORDS
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
 from service.offline.maps.loops import as_pairs, map_loops
@@ -66,7 +66,7 @@ def test_without_company_each_loop_is_told_to_be_alone(tmp_path):
     save_map(tmp_path, TILES, 1, graph=saved_of(1.4, LoopsConfig(consensus_span_m=1000.0)))
     told = map_loops(tmp_path)
     assert told["accepted"] == []
-    assert [loop["why"] for loop in told["refused"]].count(WORDS[ALONE]) > 3
+    assert [loop["why"] for loop in told["refused"]].count(WORDS[NOT_SUPPORTED]) > 3
 
 
 def test_no_loop_is_reported_twice(graph):
@@ -110,7 +110,7 @@ def test_a_graph_of_before_tells_what_it_has(graph):
 def test_refusals_do_not_fill_memory():
     refusals = Refusals()
     for k in range(MAX_REFUSED + 5):
-        refusals.add([Loop(k, k + 100, np.zeros(3), np.eye(3), 0.5)], ALONE)
+        refusals.add([Loop(k, k + 100, np.zeros(3), np.eye(3), 0.5)], NOT_SUPPORTED)
     assert refusals.arrays([]).ends[0].tolist() == [5, 105]
     assert len(refusals.arrays([]).ends) == MAX_REFUSED
 

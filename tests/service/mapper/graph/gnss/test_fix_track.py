@@ -7,7 +7,7 @@ import pytest
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.graph.gnss.fix_track import MAX_WAITING, REMEMBERED_NS, FixTrack
+from service.mapper.graph.gnss.fix_track import MAX_FIXES_WAITING, REMEMBERED_NS, FixTrack
 
 GOOD = GnssFix("imu", 150_000_000, 0, 0, 60.161, 24.546, 51.7, (4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0))
 NAN = math.nan
@@ -95,9 +95,9 @@ def test_a_fix_whose_way_no_one_knows_is_counted(scans):
 
 def test_memory_is_bounded_while_nothing_moves_and_while_no_scan_comes():
     track = FixTrack()
-    for k in range(3 * MAX_WAITING):
+    for k in range(3 * MAX_FIXES_WAITING):
         track.add_fix(replace(GOOD, stamp_ns=k, latitude_deg=60.0 + 1e-7 * k), (0.0, 0.0))
-    assert track.take_counts() == {"fixes_without_scans": 2 * MAX_WAITING}
+    assert track.take_counts() == {"fixes_without_scans": 2 * MAX_FIXES_WAITING}
     track = FixTrack()
     for k in range(2000):
         track.add_scan(k * 10**8, SE2(), 0)

@@ -17,7 +17,7 @@ from service.mapper.graph.model.keyframe_list import (
 from service.mapper.graph.model.odometry_edges import (
     LOST_COVARIANCE,
     MAX_DOUBT,
-    MIN_COVARIANCE,
+    MIN_EDGE_COVARIANCE,
     PIECE_COVARIANCE,
     STEP_FLOOR,
     UNKNOWN_COVARIANCE,
@@ -88,7 +88,7 @@ def test_a_way_without_scans_is_doubted_by_its_length_beyond_two_steps(ahead_m: 
 
 def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
     found = edges(by_motion=True, motion_covariance=None).covariance
-    usual = np.diag(np.full(3, 1e-6)) + MIN_COVARIANCE
+    usual = np.diag(np.full(3, 1e-6)) + MIN_EDGE_COVARIANCE
     np.testing.assert_allclose(found[[0, -1]][:, 0, 0], usual[0, 0], rtol=1e-6)
     np.testing.assert_allclose(found[ODD - 1], SOUND)
     np.testing.assert_allclose(found[ODD], SOUND)

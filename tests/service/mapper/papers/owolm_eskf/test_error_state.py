@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STATES, VELOCITY, rotation_of
+from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STRAPDOWN_STATES, VELOCITY, rotation_of
 from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter
 
 DENSITIES = np.array([0.003, 0.001, 0.001, 0.0001])
@@ -28,7 +28,7 @@ class Flight:
     def __init__(self, seed: int, arm_m: np.ndarray | None = None) -> None:
         self.noise = np.random.default_rng(seed)
         self.arm_m = np.zeros(3) if arm_m is None else arm_m
-        first = FIRST_SIGMA * self.noise.standard_normal(STATES)
+        first = FIRST_SIGMA * self.noise.standard_normal(STRAPDOWN_STATES)
         self.filter = ErrorStateFilter(self.arm_m, 9.81, DENSITIES)
         self.filter.covariance = np.diag(FIRST_SIGMA**2)
         self.rotation = Rotation.from_rotvec(-first[ATTITUDE:FORCE_BIAS]).as_matrix()
@@ -98,7 +98,7 @@ def test_the_error_lies_within_its_covariance_over_100_runs():  # B7 B11 B12 B13
         away = flight.base().inverse() @ flight.filter.pose
         apart = np.array([away.x_m, away.y_m, away.theta_rad])
         pose.append(apart @ np.linalg.solve(flight.filter.pose_covariance(), apart))
-    for nees, states in ((full, STATES), (pose, 3)):
+    for nees, states in ((full, STRAPDOWN_STATES), (pose, 3)):
         low, high = chi2.ppf([0.025, 0.975], runs * states) / runs
         assert low < np.mean(nees) < high, (states, np.mean(nees), low, high)
 
@@ -106,7 +106,7 @@ def test_the_error_lies_within_its_covariance_over_100_runs():  # B7 B11 B12 B13
 def test_steps_gathered_give_the_covariance_of_step_by_step():  # B10 B11
     flight = Flight(1)
     one_by_one = flight.filter.covariance.copy()
-    noise_per_s = np.zeros(STATES)
+    noise_per_s = np.zeros(STRAPDOWN_STATES)
     noise_per_s[VELOCITY:] = np.repeat(DENSITIES**2, 3)
     for k in range(STEPS_PER_SCAN):
         flight.step(k * IMU_S)
@@ -118,7 +118,7 @@ def test_steps_gathered_give_the_covariance_of_step_by_step():  # B10 B11
 
 def test_noise_spreads_equally_in_all_directions():  # B8: G W G^T of rotations is the diagonal of W
     rotation = Rotation.from_euler("zyx", [1.0, 0.2, -0.1]).as_matrix()
-    G = np.zeros((STATES, 6))  # noqa: N806 - as in eq. 8
+    G = np.zeros((STRAPDOWN_STATES, 6))  # noqa: N806 - as in eq. 8
     G[VELOCITY:ATTITUDE, :3] = rotation
     G[ATTITUDE:FORCE_BIAS, 3:] = -rotation
     W = block_diag(0.003**2 * np.eye(3), 0.001**2 * np.eye(3))  # noqa: N806
@@ -133,7 +133,7 @@ def test_the_measurement_looks_at_three_of_fifteen_with_an_arm():  # B9 B12
     filter_ = ErrorStateFilter(np.array([0.4, 0.2, 0.0]), 9.81, DENSITIES)
     filter_.rotation = Rotation.from_euler("zyx", [0.7, 0.1, -0.05]).as_matrix()
     rows, before = filter_.pose_rows(), filter_.pose
-    assert rows.shape == (3, STATES)
+    assert rows.shape == (3, STRAPDOWN_STATES)
     small = 1e-6
     position, rotation = filter_.position_m.copy(), filter_.rotation.copy()
     for state in range(9):
@@ -202,7 +202,7 @@ def test_200_hz_costs_a_small_part_of_a_core():  # B13
 
 def test_prediction_and_update_are_those_of_filterpy_to_the_bit():
     flight = Flight(3, np.array([0.2, -0.1, 0.3]))
-    oracle = KalmanFilter(dim_x=STATES, dim_z=3)
+    oracle = KalmanFilter(dim_x=STRAPDOWN_STATES, dim_z=3)
     for scan in range(20):
         for step in range(STEPS_PER_SCAN):
             flight.step((scan * STEPS_PER_SCAN + step) * IMU_S)
@@ -218,7 +218,7 @@ def test_prediction_and_update_are_those_of_filterpy_to_the_bit():
         before, pose = (tested.position_m, tested.rate_bias), tested.pose
         turned = wrap_angle(pose.theta_rad - matched.theta_rad)
         z = [pose.x_m - matched.x_m, pose.y_m - matched.y_m, turned]
-        oracle.x = np.zeros((STATES, 1))
+        oracle.x = np.zeros((STRAPDOWN_STATES, 1))
         oracle.update(np.array([z]).T, R=turn @ np.diag(MATCH_SIGMA**2) @ turn.T, H=rows)
         tested.observe_pose(matched, np.diag(MATCH_SIGMA**2))
         assert np.array_equal(tested.covariance, 0.5 * (oracle.P + oracle.P.T))
