@@ -17,7 +17,7 @@ MAX_SWEEPS = 1.05  # of the period: a mirror that swings measures all the time
 # (25 and 50 Hz).
 _LMS2XX = {1.0: (1 / 75,), 0.5: (1 / 75, 2 / 75), 0.25: (1 / 75, 4 / 75)}
 _LMS2XX_BEAMS = frozenset({101, 180, 181, 201, 360, 361, 401})  # of an LMS2xx, for each of its fields of view
-_LMS1XX = {0.5: (1 / 25, 1 / 50), 0.25: (1 / 25,)}  # step deg -> s a turn, by the data sheet
+_LMS1XX = {0.5: (1 / 25, 1 / 50), 0.25: (1 / 25,)}  # step deg -> s a turn, as specified
 
 
 @dataclass(frozen=True, slots=True)

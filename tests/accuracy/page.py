@@ -1,4 +1,4 @@
-"""docs/performance.md: one section a scenario; a run of some of them replaces only theirs.
+"""build/performance.md: one section a scenario; a run of some of them replaces only theirs.
 
 Sections that no scenario writes stay, behind the others.
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 from tests.papers import report
 from tests.papers.report import Section
 
-PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
+PAGE = Path(__file__).parents[2] / "build" / "performance.md"
 HEAD = """# Performance of the profile `corridor`
 
 `make bench BENCH_ARGS="--only accuracy"` writes this page; `--scenario NAME` runs one scenario, `--seeds 1`
