@@ -60,7 +60,7 @@ class DialogueRunner(Generic[RequestT, AnswerT]):
         request, self._unsent = self._unsent, None
         if request is not None:
             self.awaited, self.asked_ns = request, now_ns
-            self.wait_anew(now_ns)
+            self.wait_again(now_ns)
         return request
 
     def answer(self, answer: AnswerT, now_ns: int) -> None:
@@ -68,7 +68,7 @@ class DialogueRunner(Generic[RequestT, AnswerT]):
         assert self.awaited is not None
         self._advance(answer, now_ns)
 
-    def wait_anew(self, now_ns: int) -> None:
+    def wait_again(self, now_ns: int) -> None:
         """Begin the time-out of `awaited` again: the device has said that the answer follows."""
         assert self.awaited is not None
         self._deadline_ns = now_ns + round(self.awaited.timeout_s * 1e9)

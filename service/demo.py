@@ -123,12 +123,12 @@ def demo(
         warm_up(progress=kernels)
     log.info("starting the fake devices in the world %s", options.world or DEFAULT_WORLD)
     truth = options.out / "truth.txt"
-    is_told = False
+    is_reported = False
 
     def look(service: Service) -> None:
-        nonlocal is_told
-        if page is not None and not is_told and (address := service.places.get("web", "")):
-            is_told = True
+        nonlocal is_reported
+        if page is not None and not is_reported and (address := service.places.get("web", "")):
+            is_reported = True
             say(f"The map, live: {address}#token={page.token}\n")
         watch(service)
 

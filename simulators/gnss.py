@@ -32,13 +32,13 @@ class Reflection:
 
 @dataclass(frozen=True, slots=True)
 class GnssModel:
-    """lasting_sigma_m, noise_sigma_m: each axis. told_sigma_m is what the receiver claims."""
+    """lasting_sigma_m, noise_sigma_m: each axis. reported_sigma_m is what the receiver claims."""
 
     rate_hz: float = 4.0
     lasting_sigma_m: float = 1.5
     correlation_s: float = 45.0
     noise_sigma_m: float = 0.05
-    told_sigma_m: float = 2.0
+    reported_sigma_m: float = 2.0
     height_sigma: float = 1.5  # times the error in the plane
     delay_s: float = 0.1  # from measuring to arriving
     reflections: Sequence[Reflection] = ()
@@ -83,7 +83,10 @@ class Receiver:
         latitude_deg, longitude_deg, height_m = self.origin.from_enu(
             np.array([at.x_m + off[0], at.y_m + off[1], up_m])
         )
-        plane, up = self.model.told_sigma_m**2, (self.model.height_sigma * self.model.told_sigma_m) ** 2
+        plane, up = (
+            self.model.reported_sigma_m**2,
+            (self.model.height_sigma * self.model.reported_sigma_m) ** 2,
+        )
         return GnssFix(
             sensor,
             stamp_ns,

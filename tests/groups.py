@@ -143,7 +143,7 @@ def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
     """Run them; 0 where all passed, 1 where one did not."""
     folder.mkdir(exist_ok=True)
     say(f"{len(groups)} groups of tests side by side, {EXPECTED}; their words: {folder}/<group>.log")
-    began_s = told_s = time.monotonic()
+    began_s = reported_s = time.monotonic()
     running = [Running(group, folder) for group in groups]
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
@@ -154,13 +154,13 @@ def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
                 if one.wait(0.0) and not one.told:
                     one.told = True
                     say(one.end())
-            if time.monotonic() - told_s >= TELL_S:
-                told_s = time.monotonic()
+            if time.monotonic() - reported_s >= TELL_S:
+                reported_s = time.monotonic()
                 for line in (line for one in running for line in one.new_failures()):
                     say(line)
                 shares = ", ".join(f"{o.group.name} {o.percent} %" for o in running if not o.told)
                 if shares:
-                    say(f"{told_s - began_s:4.0f} s: {shares}")
+                    say(f"{reported_s - began_s:4.0f} s: {shares}")
     finally:
         for one in running:
             if one.process.poll() is None:

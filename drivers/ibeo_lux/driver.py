@@ -205,10 +205,10 @@ class IbeoLuxSession:
         return self._shown(self._errors)
 
     def _shown(self, told: dict[str, int]) -> list[str]:
-        return [text for text, told_ns in told.items() if self._is_shown(told_ns)]
+        return [text for text, reported_ns in told.items() if self._is_shown(reported_ns)]
 
-    def _is_shown(self, told_ns: int) -> bool:
-        return told_ns >= (self._now_ns or 0) - REPORT_SHOWN_NS
+    def _is_shown(self, reported_ns: int) -> bool:
+        return reported_ns >= (self._now_ns or 0) - REPORT_SHOWN_NS
 
     def _set_status(self) -> None:
         state = self._dialogue.phase if self._last is None else "streaming"

@@ -202,7 +202,7 @@ class IrobotCreateSession:
         """Integrate the counts since the last reading; (m, rad), zeros where they are implausible."""
         counts = (frame.values[PacketId.LEFT_ENCODER], frame.values[PacketId.RIGHT_ENCODER])
         reading = Reading(*counts, stamp_ns)
-        if self._was_silent and self._read is not None and _began_anew(self._read, reading):
+        if self._was_silent and self._read is not None and _started_over(self._read, reading):
             self.counters["robot_resets"] += 1
             self._read = self._doubtful = None
         self._was_silent = False
@@ -272,7 +272,7 @@ def _reach_m(since: Reading, arrived_ns: int) -> float:
     return REACH_MARGIN * FASTEST_MPS * (arrived_ns - since.stamp_ns + REACH_SLACK_NS) * 1e-9
 
 
-def _began_anew(before: Reading, now: Reading) -> bool:
+def _started_over(before: Reading, now: Reading) -> bool:
     """Whether the robot was reset in the silence between the two: not all of them send a banner then.
 
     One that did roll to where both counters are near 0 is taken for one that was reset: its way is not

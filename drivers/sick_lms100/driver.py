@@ -128,7 +128,7 @@ class Lms100Session:
         if asked is None or (telegram.kind != "sFA" and telegram.name != asked.request.name):
             self.counters["answers_not_asked_for"] += 1
         elif telegram.kind == "sMA":  # accepted, the answer follows
-            self._runner.wait_anew(now_ns)
+            self._runner.wait_again(now_ns)
         elif telegram.kind == "sFA" or telegram.kind in ANSWERS:
             self._runner.answer(telegram, now_ns)
             self._choose_dialect()

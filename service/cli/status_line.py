@@ -27,20 +27,20 @@ class StatusLine:
         self,
         stream: TextIO,
         monotonic_s: Callable[[], float] = time.monotonic,
-        is_told_elsewhere: bool = "NOTIFY_SOCKET" in os.environ,
+        is_reported_elsewhere: bool = "NOTIFY_SOCKET" in os.environ,
     ) -> None:
-        """is_told_elsewhere   systemd shows the status: no lines then in the journal"""
+        """is_reported_elsewhere   systemd shows the status: no lines then in the journal"""
         self._stream = stream
         self._monotonic_s = monotonic_s
         self._terminal = stream.isatty()
-        self._is_told_elsewhere = is_told_elsewhere
+        self._is_reported_elsewhere = is_reported_elsewhere
         self._began_s = self._due_s = monotonic_s()
         self._is_ready = False
         self._shown = ""
 
     def __call__(self, service: "Service") -> None:
         now_s = self._monotonic_s()
-        if now_s < self._due_s or (self._is_told_elsewhere and not self._terminal):
+        if now_s < self._due_s or (self._is_reported_elsewhere and not self._terminal):
             return
         self._due_s = now_s + (REDRAW_S if self._terminal else PLAIN_S)
         words = self._words(service, now_s)

@@ -174,7 +174,7 @@ class Estimator:
         )
         self._odometry, self._gyro = _Samples(5), _Samples(2)
         self._gyro_rate = 0.0
-        self._jump_told_ns = 0  # not again before
+        self._jump_reported_ns = 0  # not again before
         self._still = Standstill()
         self._is_unwitnessed = False  # as in Standstill, since the last scan
         self._consistent = ConsistentCovariance()
@@ -404,7 +404,7 @@ class Estimator:
             else:
                 # What was driven while it was stuck it has not counted, or has: nobody knows.
                 is_dead = self._still.is_stuck or self._still.is_unwitnessed
-                if is_dead or self._has_begun_anew(sample, last):
+                if is_dead or self._has_restarted(sample, last):
                     self._begin_odometry()
                 self._still = Standstill(has_moved=True)
         self._odometry.append(sample.stamp_ns, value)
@@ -415,7 +415,7 @@ class Estimator:
         self._odometry.forget()
         self.filter.last_odom[7] = 0.0
 
-    def _has_begun_anew(self, sample: OdometrySample, last: int) -> bool:
+    def _has_restarted(self, sample: OdometrySample, last: int) -> bool:
         """Whether odometry has jumped since the sample before, as when the base's computer restarts.
 
         What was driven between the two nobody knows: there odometry counts as silent.
@@ -427,8 +427,8 @@ class Estimator:
         within_s = max(elapsed_s, MIN_ELAPSED_S)
         if jump_m <= MAX_SPEED_MPS * within_s and jump_rad <= MAX_TURN_RADPS * within_s:
             return False
-        if sample.stamp_ns >= self._jump_told_ns:
-            self._jump_told_ns = sample.stamp_ns + TELL_AGAIN_NS
+        if sample.stamp_ns >= self._jump_reported_ns:
+            self._jump_reported_ns = sample.stamp_ns + TELL_AGAIN_NS
             log.warning(
                 "%s: odometry jumps by %.1f m and %.0f deg within %.3f s (expected at most %.0f m/s and "
                 "%.0f rad/s); it counts as begun anew. Has the base restarted?",

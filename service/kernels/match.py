@@ -218,8 +218,8 @@ def align_on_surfels(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
         )
         weight_here = prior_weight_at(pose, prior.pose, prior_information, settings.degrees_of_freedom)
-        is_doubted = inliers < doubt_inlier_ratio * used or weight_here < MIN_PRIOR_WEIGHT
-        if is_doubted and 0 < k < settings.iterations and halvings < MAX_HALVINGS:
+        is_in_doubt = inliers < doubt_inlier_ratio * used or weight_here < MIN_PRIOR_WEIGHT
+        if is_in_doubt and 0 < k < settings.iterations and halvings < MAX_HALVINGS:
             before = cost_at(
                 xy_base, normals, last, prior, prior_information, grid, settings, least_count, around, found
             )
@@ -248,7 +248,7 @@ def align_on_surfels(
             break
         for i in range(3):
             pose[i] -= step[i]
-        near = 1.0 if is_doubted else enough
+        near = 1.0 if is_in_doubt else enough
         if (
             math.hypot(step[0], step[1]) < near * settings.settled_m
             and abs(step[2]) < near * settings.settled_rad

@@ -329,7 +329,7 @@ class KnownMap(LocalMap, Protocol):
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
         """What the points of a scan, (N, 2) m in the base frame, meet at a pose in odom."""
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Be empty, and begin with the next scan."""
 
 

@@ -56,7 +56,7 @@ class Evidence:
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
     behind      returns clearly behind walls of the map, on ground that it does not know; None: not counted
-    is_doubted  a scan has contradicted this map since one lay on it: new ground proves nothing then, and
+    is_in_doubt  a scan has contradicted this map since one lay on it: new ground proves nothing then, and
                 walls that should be seen from there count
     """
 
@@ -69,7 +69,7 @@ class Evidence:
     is_far: bool
     weakest: tuple[float, float] = (0.0, 0.0)
     behind: float | None = None
-    is_doubted: bool = False
+    is_in_doubt: bool = False
 
     @property
     def inlier_ratio(self) -> float:
@@ -168,11 +168,11 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
     # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
     is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
     least_on_map = max(MIN_KNOWN * evidence.used, MIN_RETURNS)
-    can_contradict = evidence.behind is not None and not evidence.is_doubted
+    can_contradict = evidence.behind is not None and not evidence.is_in_doubt
     if is_carried and can_contradict and evidence.on_map < least_on_map:
         return _on_unknown_ground(evidence)
     known = evidence.on_map + evidence.in_free
-    if evidence.is_doubted:
+    if evidence.is_in_doubt:
         known += evidence.behind or 0.0
     agreement = evidence.on_map / known if known else 0.0
     if known and agreement < (MIN_AGREEMENT_FAR if evidence.is_far else MIN_AGREEMENT):

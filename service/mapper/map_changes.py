@@ -135,19 +135,19 @@ class ChangeWatch:
         at, changed = at[is_sure], changed[is_sure]
         row, column = np.divmod(at, votes.stored.shape[1])
         is_new = votes.stored.ravel()[at] == CELL_FREE
-        is_told = np.zeros(len(at), np.bool_)
+        is_reported = np.zeros(len(at), np.bool_)
         for alike in (is_new, ~is_new):
-            is_told[alike] = group_sizes(row[alike], column[alike]) >= MIN_CELLS
-        at, row, column = at[is_told], row[is_told], column[is_told]
+            is_reported[alike] = group_sizes(row[alike], column[alike]) >= MIN_CELLS
+        at, row, column = at[is_reported], row[is_reported], column[is_reported]
         began_ns = self._began_ns or 0
         cells = np.column_stack((column + votes.first_column, row + votes.first_row)).astype(np.float64)
         return MapChanges(
             votes.cell_m,
             (cells + 0.5) * votes.cell_m,
-            is_new[is_told],
+            is_new[is_reported],
             began_ns + votes.first_ms.ravel()[at].astype(np.int64) * 1_000_000,
             began_ns + votes.last_ms.ravel()[at].astype(np.int64) * 1_000_000,
-            changed[is_told],
+            changed[is_reported],
         )
 
 

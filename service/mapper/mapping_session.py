@@ -88,7 +88,7 @@ class FrameMapper(Protocol):
     geo_reference: GeoReference | None
     saved: SavedGraph | KeptGraph | None
     graph_picture: GraphPicture | None
-    changes_told: MapChanges | None
+    changes_reported: MapChanges | None
     edited: list[EditAnswer]
     is_localizing: bool
 
@@ -227,9 +227,9 @@ class MappingSession:
         return self._mapper.map_changes
 
     @property
-    def changes_told(self) -> MapChanges | None:
+    def changes_reported(self) -> MapChanges | None:
         """map_changes as they were some seconds ago; to ask for them costs nothing."""
-        return self._mapper.changes_told
+        return self._mapper.changes_reported
 
     @property
     def is_localizing(self) -> bool:

@@ -31,7 +31,7 @@ from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 
 MAX_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
-CHANGES_TOLD_NS = 5_000_000_000  # between two counts of the cells that have changed
+CHANGES_REPORTED_NS = 5_000_000_000  # between two counts of the cells that have changed
 POINT_ARRAYS = ("xy_base", "xy_raw", "beam_time_s", "beam")  # of Points
 
 
@@ -58,8 +58,8 @@ class Mapper(Generic[ReadableMap]):
         told of how that map has changed; None: nothing is.
         """
         self._changes = changes
-        self._changes_told_ns = 0
-        self.changes_told: MapChanges | None = None  # as of some seconds ago, see map_changes
+        self._changes_reported_ns = 0
+        self.changes_reported: MapChanges | None = None  # as of some seconds ago, see map_changes
         self.components = components
         self._localisation = Localisation(placed)
         self.is_localizing = is_localizing
@@ -255,11 +255,11 @@ class Mapper(Generic[ReadableMap]):
         return match
 
     def _tell_changes(self, changes: ChangeWatch, at_ns: int) -> None:
-        if at_ns - self._changes_told_ns < CHANGES_TOLD_NS:
+        if at_ns - self._changes_reported_ns < CHANGES_REPORTED_NS:
             return
-        self._changes_told_ns = at_ns
-        self.changes_told = changes.changes()
-        is_new = self.changes_told.is_new
+        self._changes_reported_ns = at_ns
+        self.changes_reported = changes.changes()
+        is_new = self.changes_reported.is_new
         self.counters["changed_cells_new"] = int(is_new.sum())
         self.counters["changed_cells_gone"] = int((~is_new).sum())
 

@@ -59,7 +59,7 @@ class TileStore:
 
     @property
     def number(self) -> int:
-        """Counts the maps: rises with each `begin_anew` that had something to empty."""
+        """Counts the maps: rises with each `start_over` that had something to empty."""
         return self._number
 
     @property
@@ -128,7 +128,7 @@ class TileStore:
             newer = self._newer(version)
         return _by_version(newer)
 
-    def begin_anew(self) -> list[TileUpdate]:
+    def start_over(self) -> list[TileUpdate]:
         """Empty the map, and give its tiles back as they are now: unknown, with new versions.
 
         The map as it was waits for `take`. Tiles of the next map need versions above `version`.

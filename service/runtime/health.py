@@ -125,7 +125,7 @@ class HealthReport:
         self._mapping_config = mapping
         self._scan_rate = RateMeter()
         self._states = dict.fromkeys(links, "connecting")
-        self._mapping_state_told, self._mapping_told_ns = "waiting", 0
+        self._mapping_state_reported, self._mapping_reported_ns = "waiting", 0
         self._gnss_health = GnssHealth()
         self._restarted_ns: deque[int] = deque()  # when the mapper was, host monotonic
         self._restarts = 0  # in all, at the last update
@@ -207,12 +207,12 @@ class HealthReport:
         Between ok, degraded and overloaded it changes at most each LINE_NS, to what it is then.
         """
         state, reason = self.mapping_state
-        if state == self._mapping_state_told:
+        if state == self._mapping_state_reported:
             return None
-        is_passing = {state, self._mapping_state_told} <= _PASSING
-        if is_passing and self._now_ns - self._mapping_told_ns < LINE_NS:
+        is_passing = {state, self._mapping_state_reported} <= _PASSING
+        if is_passing and self._now_ns - self._mapping_reported_ns < LINE_NS:
             return None
-        self._mapping_state_told, self._mapping_told_ns = state, self._now_ns
+        self._mapping_state_reported, self._mapping_reported_ns = state, self._now_ns
         return state, reason
 
     def _mapping(self) -> Status:

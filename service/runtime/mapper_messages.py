@@ -264,7 +264,7 @@ class Status:
     time_warnings: tuple[str, ...] = ()  # what is wrong with stamps and time fields, a sentence each
 
 
-# Told to the MapperListener.
+# Reported to the MapperListener.
 Heard = (
     Mapped
     | PassedOver

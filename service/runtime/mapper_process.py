@@ -38,7 +38,7 @@ from service.mapstore.graph_files import GraphFolder
 from service.mapstore.patch_files import PatchFiles
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
-from service.runtime.early_mapper import SOCKET, TOLD
+from service.runtime.early_mapper import REPORTED, SOCKET
 from service.runtime.mapper_messages import (
     BackEndDied,
     CanCopy,
@@ -119,7 +119,7 @@ class MapperProcess:
             prepare_map=prepare_map,
             prepare_profile=prepare_profile,
         )
-        self._told_can_copy = self._can_copy
+        self._reported_can_copy = self._can_copy
         self._items: deque[Item] = deque()
         self._is_finishing = False
         self._copied_number = -1
@@ -134,8 +134,8 @@ class MapperProcess:
             while self._items or not self._is_finishing:
                 self._hear(0.0 if self._items or self._loop.has_tiles else IDLE_S)
                 self._take_up_to_scan()
-                if self._can_copy != self._told_can_copy:
-                    self._told_can_copy = self._can_copy
+                if self._can_copy != self._reported_can_copy:
+                    self._reported_can_copy = self._can_copy
                     self._send(CanCopy(self._can_copy))
                 self._loop.keep_up(is_idle=not self._items)
                 self._load_seldom()
@@ -273,9 +273,9 @@ def _progress(channel: Channel) -> KernelProgress:
     return KernelProgress(tell)
 
 
-def _told() -> MappingConfig | None:
+def _reported() -> MappingConfig | None:
     """What an EarlyMapper says that will be mapped; None: nothing, or what no config may say."""
-    if TOLD not in sys.argv:
+    if REPORTED not in sys.argv:
         return None
     try:
         return mapping_config(json.loads(sys.stdin.read()))
@@ -294,7 +294,7 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)  # ingest hears them, and says when it is over
     folder = Path(sys.argv[1])
     try:
-        told = _told()
+        told = _reported()
         channel = connect(folder)
         channel.send(Hello(os.getpid(), 0, is_standby=False))
         left: list[Job] = []

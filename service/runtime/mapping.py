@@ -108,10 +108,10 @@ class MappingLoop:
         self._monotonic_ns = monotonic_ns
         self._tiles_due_ns = self._status_due_ns = self._standing_due_ns = 0
         self._standing_stamp_ns = 0  # of the newest scan in what was drawn last
-        self._told_graph: Any = None  # the newest checkpoint that ingest knows of
+        self._reported_graph: Any = None  # the newest checkpoint that ingest knows of
         self._shown_graph: GraphPicture | None = None  # the newest that ingest has
         self._shown_changes: MapChanges | None = None  # likewise
-        self._told_refused: tuple[float, float, float] | None = None
+        self._reported_refused: tuple[float, float, float] | None = None
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
         self._decided = Decisions({}, frozenset(), frozenset())
@@ -139,9 +139,9 @@ class MappingLoop:
                 self._give_up_edits("the map has ended before the change was made")
             self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
         elif isinstance(item, LoadItem):
-            self._begin_anew(item, partial(self._prepare_map, item.folder, item.version))
+            self._start_over(item, partial(self._prepare_map, item.folder, item.version))
         elif isinstance(item, SwitchItem):
-            self._begin_anew(item, partial(self._prepare_profile, item.mapping))
+            self._start_over(item, partial(self._prepare_profile, item.mapping))
         elif isinstance(item, GraphItem):
             answer = self._request(item)
             if answer is None:
@@ -181,8 +181,8 @@ class MappingLoop:
 
     def _tell_graph(self) -> None:
         kept = self.mapper.saved
-        if kept is not self._told_graph and isinstance(kept, KeptGraph):
-            self._told_graph = kept
+        if kept is not self._reported_graph and isinstance(kept, KeptGraph):
+            self._reported_graph = kept
             self._send(GraphKept(*kept))
 
     def _show_graph(self) -> None:
@@ -193,7 +193,7 @@ class MappingLoop:
 
     def _show_changes(self) -> None:
         """Where other cells are told than before; nothing where nobody watches."""
-        told, shown = self.mapper.changes_told, self._shown_changes
+        told, shown = self.mapper.changes_reported, self._shown_changes
         if told is shown or not self.is_up_to_date:
             return
         self._shown_changes = told
@@ -250,8 +250,8 @@ class MappingLoop:
             self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
             self._tell_graph()
         refused = self.mapper.pose_refused
-        if refused != self._told_refused:
-            self._told_refused = refused
+        if refused != self._reported_refused:
+            self._reported_refused = refused
             if refused is not None:
                 self._tell(item.number, PoseRefused(item.log_ns, *refused))
 
@@ -339,7 +339,7 @@ class MappingLoop:
                 raise MapperError(item.number, words)
         return output
 
-    def _begin_anew(self, item: LoadItem | SwitchItem, prepare: Callable[[], None]) -> None:
+    def _start_over(self, item: LoadItem | SwitchItem, prepare: Callable[[], None]) -> None:
         """The map before stays where what the next one needs cannot be had."""
         self.hand_over_tiles()  # they are of the map before
         try:

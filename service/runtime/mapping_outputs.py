@@ -135,7 +135,7 @@ class MappingOutputs:
         Number of the old one in the TileStore; None where it had no tile.
         """
         ended = self._tiles.number
-        emptied = self._tiles.begin_anew()
+        emptied = self._tiles.start_over()
         if emptied:
             self._put_tiles(emptied, self._map_stamp_ns)
         self._began_version = self._tiles.version

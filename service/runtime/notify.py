@@ -21,7 +21,7 @@ class Notifier:
         self._socket: socket.socket | None = None
         self.watchdog_s = _watchdog_s(environment)  # ping at least this often; None: no watchdog
         self._address = environment.get("NOTIFY_SOCKET", "")
-        self._is_told = False  # that it is gone, since it was last there
+        self._is_reported = False  # that it is gone, since it was last there
         if self._address:
             self._connect()
 
@@ -48,7 +48,7 @@ class Notifier:
         assert self._socket is not None
         try:
             self._socket.send(line.encode())
-            self._is_told = False
+            self._is_reported = False
         except TimeoutError:
             log.warning("systemd does not take %s", line)  # its queue is full
         except OSError as error:
@@ -81,8 +81,8 @@ class Notifier:
             self._socket = None
 
     def _tell(self, words: str) -> None:
-        log.log(logging.DEBUG if self._is_told else logging.WARNING, "%s; it is tried again", words)
-        self._is_told = True
+        log.log(logging.DEBUG if self._is_reported else logging.WARNING, "%s; it is tried again", words)
+        self._is_reported = True
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:

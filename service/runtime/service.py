@@ -286,7 +286,7 @@ class Service:
         """Start the mapper's process, which compiles or loads the kernels; systemd hears that it goes on."""
         self._notifier.status("compiling kernels")
         self._notifier.need_more_time(WARM_UP_MORE_S)
-        began_s = asked_s = told_s = time.monotonic()
+        began_s = asked_s = reported_s = time.monotonic()
         self._link.start()
         self._mapping = self._workers.start("mapping", self._link.run)
         warm_up_encoding()
@@ -298,9 +298,9 @@ class Service:
             if time.monotonic() - asked_s >= WARM_UP_ASK_S:
                 asked_s = time.monotonic()
                 self._notifier.need_more_time(WARM_UP_MORE_S)
-            if time.monotonic() - told_s >= WARM_UP_TELL_S:
-                told_s = time.monotonic()
-                self._notifier.status(self._link.kernels or f"loading kernels, {told_s - began_s:.0f} s")
+            if time.monotonic() - reported_s >= WARM_UP_TELL_S:
+                reported_s = time.monotonic()
+                self._notifier.status(self._link.kernels or f"loading kernels, {reported_s - began_s:.0f} s")
         log.info("mapper ready after %.1f s", time.monotonic() - began_s)
         return True
 

@@ -60,34 +60,34 @@ def sweep_ns(scan: LaserScan) -> int:
 
 def agree_by_themselves(scan: LaserScan) -> bool:
     """Whether the fields of one scan leave no question, whatever the period of the scans is."""
-    turn, told_s = turn_s(scan), scan.scan_period_ns * 1e-9
-    if turn == 0.0 or (_is_known_laser(scan) and turn <= told_s * (1 + DURATION_TOLERANCE)):
+    turn, reported_s = turn_s(scan), scan.scan_period_ns * 1e-9
+    if turn == 0.0 or (_is_known_laser(scan) and turn <= reported_s * (1 + DURATION_TOLERANCE)):
         return True
-    return turn >= SHORTEST_TURN_S and _are_same(turn, told_s)
+    return turn >= SHORTEST_TURN_S and _are_same(turn, reported_s)
 
 
 def judge(scan: LaserScan, period_s: float | None) -> SweepTime:
     """period_s: from one scan to the next, as measured; None: unknown."""
-    turn, told_s = turn_s(scan), scan.scan_period_ns * 1e-9
+    turn, reported_s = turn_s(scan), scan.scan_period_ns * 1e-9
     if turn == 0.0 or (
         _is_known_laser(scan) and (period_s is None or turn <= period_s * (1 + DURATION_TOLERANCE))
     ):
         return BELIEVED
-    period = period_s or told_s
+    period = period_s or reported_s
     if period == 0.0:
         return SweepTime(0.0, None, f"{_figures(scan)}, and nothing tells the period; {_INSTANT}")
     sweep_s = sweep_ns(scan) * 1e-9
     what = f"{_figures(scan)}; scans come each {_time(period)}"
     if _are_same(turn, period):
-        if told_s == 0.0 or _are_same(told_s, period):
+        if reported_s == 0.0 or _are_same(reported_s, period):
             return BELIEVED
         return SweepTime(None, period, f"{what}, so scan_time is wrong and the measured period is used")
     if turn > period and abs(sweep_s / period - 1.0) <= MAX_SWEEPS - 1.0:
-        if _are_same(turn, told_s):
+        if _are_same(turn, reported_s):
             return BELIEVED  # sectors of a turn, each a message
         return SweepTime(None, None, f"{what}, which the sweep of {_time(sweep_s)} fills though {_FILLS}")
-    is_told = _are_same(turn, told_s) or told_s == 0.0
-    if SHORTEST_TURN_S <= turn < period and is_told:
+    is_reported = _are_same(turn, reported_s) or reported_s == 0.0
+    if SHORTEST_TURN_S <= turn < period and is_reported:
         return SweepTime(None, None, f"{what}: {_LEFT_OUT}")
     used = f"a turn in {_time(period)} is used (time_increment {_time(period * _share(scan))})"
     return SweepTime(period, period, f"{what}: time_increment cannot be true, and {used}. {_ASK}")

@@ -54,7 +54,7 @@ GRAPH_PERIOD_NS = 2_000_000_000  # at most 25 kB
 KEPT_ROWS = 600  # ten minutes
 MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
-UNTOLD = (
+UNREPORTED = (
     APPLY_RESULT,
     "scan_passed_over",
     "frame_refused",
@@ -167,7 +167,7 @@ class LiveView:
                 self.unreadable += 1
         for event in came.events:
             words = decode_event(event.payload)
-            if any(f'"{name}"' in words for name in UNTOLD):
+            if any(f'"{name}"' in words for name in UNREPORTED):
                 continue
             text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=words)
             self._events.append(text)

@@ -248,10 +248,10 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
     return near, far
 
 
-def is_told(pieces: DetachedSearch, true: Floats) -> bool:
+def is_reported(pieces: DetachedSearch, true: Floats) -> bool:
     """Whether the true place is one of two that are told, and neither is clearly likelier."""
-    is_told = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
-    return is_told and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER
+    is_reported = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
+    return is_reported and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER
 
 
 def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
@@ -288,7 +288,7 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
         if is_placed and math.isnan(found_s):
             found_s = 1e-9 * (output.stamp_ns - frames[0].stamp_ns)
     pieces = back_ends[0].pieces
-    is_alike = not is_placed and is_told(pieces, true)
+    is_alike = not is_placed and is_reported(pieces, true)
     elsewhere = not is_placed and not is_alike and pieces.ahead_of_others(true) <= 0.0
     mapper.graph.close()
     is_right = is_placed and not is_wrong

@@ -7,7 +7,7 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.profiles import BeginIn
-from tests.accuracy.relocalisation import Known, Look, Looks, is_told, look
+from tests.accuracy.relocalisation import Known, Look, Looks, is_reported, look
 from tests.service.mapper.graph.relocalise.test_known_map import (
     APART_M,
     STOOD,
@@ -53,15 +53,15 @@ def test_of_two_places_that_are_alike_the_true_one_is_reported():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     search, _ = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
     truth = np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])
-    assert is_told(search, truth)
-    assert is_told(search, truth + np.array([APART_M, 0.0, 0.0]))
-    assert not is_told(search, truth + np.array([0.5 * APART_M, 0.0, 0.0]))
+    assert is_reported(search, truth)
+    assert is_reported(search, truth + np.array([APART_M, 0.0, 0.0]))
+    assert not is_reported(search, truth + np.array([0.5 * APART_M, 0.0, 0.0]))
 
 
 def test_of_two_places_of_which_one_has_a_pillar_none_is_reported():
     keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
     search, _ = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise))
-    assert not is_told(search, np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad]))
+    assert not is_reported(search, np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad]))
 
 
 def test_rows_count_each_start_once():

@@ -84,7 +84,7 @@ def bare_corridor(seeds: Sequence[int]) -> Section:
             ends.append(1e3 * done.end_error[0])
             alone.append(1e3 * wheels_m)
             ratios.append(done.end_error[0] / wheels_m)
-            told.append(100.0 * _told_share(done))
+            told.append(100.0 * _reported_share(done))
         rows += [
             Row(
                 "", f"{what}: error at the end / that of the odometry", ratios, "times", at_most=1.0, digits=2
@@ -185,7 +185,7 @@ def _wheels_end_m(drive: Drive) -> float:
     return math.hypot(away.x_m, away.y_m)
 
 
-def _told_share(done: Run) -> float:
+def _reported_share(done: Run) -> float:
     """Of the scans: degraded, with a reason that names the direction."""
     told = [output.state == "degraded" and "position along" in output.reason for output in done.outputs]
     return float(np.mean(told))

@@ -222,7 +222,7 @@ def test_all_shows_all_of_the_map(still, scene):
 
 
 def test_a_reset_clears_map_and_path(page, scene, live):
-    scene.store.begin_anew()
+    scene.store.start_over()
     page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0")
     page.wait_for("return !document.getElementById('empty').hidden")
 
@@ -292,7 +292,7 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
         assert page.pixel(1.05, 2.05) == [110, 168, 255]
     finally:
         page.resize(DESKTOP)
-    scene.store.begin_anew()
+    scene.store.start_over()
     page.wait_for("return !corridor.view.standing.isKnown")
 
 
@@ -312,7 +312,7 @@ def test_what_is_not_as_the_stored_map_says_is_a_layer(page, scene, live):
     assert page.pixel(-0.85, 1.15) == [190, 24, 93]
     assert page.pixel(0.15, 1.25) == [3, 105, 161]
     assert page.pixel(-0.45, 1.15) == FREE
-    scene.store.begin_anew()
+    scene.store.start_over()
     page.wait_for("return document.getElementById('layer-stored').parentElement.hidden")
 
 

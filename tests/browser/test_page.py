@@ -262,7 +262,7 @@ def test_it_comes_back_after_the_service_was_started_again(page, serve, scene, l
     page.wait_for_text("state", "no connection")
     assert page.element("information-old").is_displayed()
     assert "All of this is of" in page.text("information-old")
-    scene.store.begin_anew()
+    scene.store.start_over()
     again = serve(listen=f"127.0.0.1:{port}")
     page.wait_for("const r = corridor.report(); return r.isOpen && r.runId !== arguments[0]", before)
     page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0 && r.mayControl")

@@ -77,7 +77,7 @@ def test_a_pause_sends_nothing_until_it_is_over():
 def test_an_answer_that_was_announced_may_take_its_time_out_again():
     runner, sent = runner_of(Ask("who"), Ask("where"))
     runner.tick(0)
-    runner.wait_anew(S - 1)
+    runner.wait_again(S - 1)
     assert runner.tick(S) is None
     runner.answer("me", 2 * S - 2)
     assert sent == ["me"]

@@ -124,11 +124,11 @@ def cycles_from_a_corner(profile: str, what: Drive) -> Iterator[Cycle]:
         imu = []
 
 
-def twist_told(twist: Sequence[float]) -> str:
+def twist_reported(twist: Sequence[float]) -> str:
     return f"{twist[0]:.3f} m/s forward, {twist[1]:+.3f} m/s left, {math.degrees(twist[2]):+.2f} °/s"
 
 
-def sigmas_told(covariance: Array) -> str:
+def sigmas_reported(covariance: Array) -> str:
     x, y, theta = np.sqrt(np.diag(covariance))
     return f"{1000.0 * x:.1f} mm forward, {1000.0 * y:.1f} mm left, {math.degrees(theta):.3f}°"
 
@@ -167,7 +167,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
         ("scan", f"{len(points.xy_base)} of {len(scan.range_m)} beams returned between 0.5 and 20 m", ""),
         (
             "velocity estimate",
-            f"that of the scan before: {twist_told(predicted.twist_base)}; the pose follows",
+            f"that of the scan before: {twist_reported(predicted.twist_base)}; the pose follows",
             cycle.off(predicted.pose_odom_base),
         ),
         (
@@ -191,7 +191,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
         )
     for number, call in zip(reversed(range(local_map.level_count)), levels, strict=True):
         pose, twist = call.changed[-3], call.changed[-2]
-        learns = "; speed " + twist_told(twist) if number == 0 else ""
+        learns = "; speed " + twist_reported(twist) if number == 0 else ""
         boxes.append(
             (
                 f"optimise, cells of {100.0 * call.given[7].cell_m:g} cm",
@@ -209,7 +209,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
         (
             "transformed scan",
             f"deskewed anew, {1000.0 * moved:.1f} mm at most; {match.inlier_ratio:.0%} lies on the map; "
-            f"known to {sigmas_told(motion.covariance)}",
+            f"known to {sigmas_reported(motion.covariance)}",
             cycle.off(motion.pose_odom_base),
         ),
         (
@@ -279,7 +279,7 @@ def owolm_boxes(cycle: Cycle, seed: int) -> tuple[Boxes, tuple[str, str]] | None
         (
             "mechanisation, prediction",
             f"{len(cycle.imu)} IMU samples in {1000.0 * predicted.elapsed_s:.0f} ms; "
-            f"{twist_told(predicted.twist_base)}; known to {sigmas_told(predicted.local_covariance)}",
+            f"{twist_reported(predicted.twist_base)}; known to {sigmas_reported(predicted.local_covariance)}",
             cycle.off(predicted.pose_odom_base),
         ),
         (
@@ -318,12 +318,12 @@ def owolm_boxes(cycle: Cycle, seed: int) -> tuple[Boxes, tuple[str, str]] | None
     boxes += [
         (
             "fusion",
-            f"the scan alone is known to {sigmas_told(measured.covariance)}; of the "
+            f"the scan alone is known to {sigmas_reported(measured.covariance)}; of the "
             f"{1000.0 * math.hypot(innovation.x_m, innovation.y_m):.1f} mm and "
             f"{math.degrees(abs(innovation.theta_rad)):.3f}° that it says the filter takes "
             f"{1000.0 * math.hypot(taken.x_m, taken.y_m):.1f} mm and "
             f"{math.degrees(abs(taken.theta_rad)):.3f}°; then, by walls alone, "
-            f"{sigmas_told(motion.covariance)}",
+            f"{sigmas_reported(motion.covariance)}",
             cycle.off(motion.pose_odom_base),
         ),
         (

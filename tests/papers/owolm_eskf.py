@@ -17,7 +17,7 @@ from service.mapper.profiles import mapping_config
 from simulators.worlds.corridors import corridor100
 from simulators.worlds.library import library, library_check_points, library_structure
 from tests.papers.owolm_pictures import draw_maps, draw_overlay, draw_segments
-from tests.papers.recorded import error_row, scored, scored_anew
+from tests.papers.recorded import error_row, rescored, scored
 from tests.papers.report import Row, Section, told
 from tests.papers.true_poses import true_scans
 from tests.simulated import UTM30LX_40HZ, Drive, Imu, Run, Wheels, begun_beside, drive, phase_m, run
@@ -286,7 +286,7 @@ def _shares(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothin
         ("near an axis: 30°", "NEAR_AXIS_RAD", math.radians(30.0)),
     ):
         with patch.object(across_walls, constant, value):
-            found = [scored_anew("owolm_eskf", world) for world in ("fgi_s1", "corridor100d_s1")]
+            found = [rescored("owolm_eskf", world) for world in ("fgi_s1", "corridor100d_s1")]
         errors = " | ".join("" if one is None else f"{one.error_m:.3f} m" for one in found)
         lines.append(f"| {name} | {errors} |")
     return Section(

@@ -40,10 +40,10 @@ def scored(profile: str, name: str, settings: dict[str, Any] | None = None) -> S
 
 @cache
 def _scored(profile: str, name: str, settings: str) -> Score | None:
-    return scored_anew(profile, name, settings)
+    return rescored(profile, name, settings)
 
 
-def scored_anew(profile: str, name: str, settings: str = "{}") -> Score | None:
+def rescored(profile: str, name: str, settings: str = "{}") -> Score | None:
     """Replayed, whatever was scored before; settings as JSON."""
     folder = SHARED / ("datasets" if name in RELATIONS else "worlds") / name
     recording = folder / f"{name}.mcap"

@@ -231,10 +231,10 @@ def hours(seeds: Sequence[int]) -> Section:
     """D8: two hours in a process of its own; half an hour of a core."""
     command = [sys.executable, "-m", "tests.papers.submap_hours", str(seeds[0])]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
-    return hours_told(json.loads(done.stdout), seeds[0])
+    return hours_reported(json.loads(done.stdout), seeds[0])
 
 
-def hours_told(found: Mapping[str, Any], seed: int) -> Section:
+def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
     """found: what the process has said of each ten minutes, and of the graph at the end."""
     first, last = found["told"][0], found["told"][-1]
     lines = ["| minutes | way | sub-maps | resident memory | pose off by |", "|---|---|---|---|---|"]

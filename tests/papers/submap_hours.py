@@ -28,7 +28,7 @@ from tests.simulated import (
 )
 
 HOURS_S = 7200.0
-TOLD_S = 600.0
+REPORTED_S = 600.0
 CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)
 
 
@@ -61,7 +61,10 @@ def main(seed: int, seconds: float) -> None:
             at_s = time.thread_time()
             mapper.apply_result()
             worked_s += time.thread_time() - at_s
-        if output is None or output.stamp_ns * 1e-9 < TOLD_S * (len(told) + 1) - 1.5 * CART.period_ns * 1e-9:
+        if (
+            output is None
+            or output.stamp_ns * 1e-9 < REPORTED_S * (len(told) + 1) - 1.5 * CART.period_ns * 1e-9
+        ):
             continue
         off = (first.inverse() @ ride.pose(output.stamp_ns)).inverse() @ output.pose_map_base
         told.append(

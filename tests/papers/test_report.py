@@ -31,15 +31,15 @@ def test_on_the_pages_every_missed_bound_has_its_cause():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told_so"),
+    ("arguments", "reported_so"),
     [
         (["--seeds", "0"], "--seeds 0 --first-seed 11: there must be one seed at least"),
         (["--only", "imle", "--scenario", "lobby"], "--scenario lobby: known here are room,"),
     ],
 )
-def test_what_cannot_be_run_is_refused_before_anything_is(arguments, told_so, capsys, monkeypatch):
+def test_what_cannot_be_run_is_refused_before_anything_is(arguments, reported_so, capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["python -m tests.papers", *arguments])
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 2
-    assert told_so in capsys.readouterr().err
+    assert reported_so in capsys.readouterr().err

@@ -348,8 +348,8 @@ def test_power_cut_costs_stream_and_clock_and_a_command_half_heard():
 def test_clock_that_jumps_shows(seconds):
     bench = Bench(replace(USB, clock_start_ms=5_000_000))
     bench.device.jump_clock(seconds)
-    told_ms = int(read_info(ReplyDecoder().receive_data(bench.say("II"))[0])["TIME"], 16)
-    assert told_ms == 5_000_001 + seconds * 1000
+    reported_ms = int(read_info(ReplyDecoder().receive_data(bench.say("II"))[0])["TIME"], 16)
+    assert reported_ms == 5_000_001 + seconds * 1000
 
 
 def test_spoilt_checksum_costs_one_line_and_an_echo_has_none():

@@ -343,8 +343,8 @@ def test_clock_that_jumps_shows_in_stamps_and_calendar(seconds):
     (later_ns, after), *_ = bench.scans(100)[-1:]
     passed_us = (later_ns - at_ns) / 1000 + seconds * 1e6
     assert after.sent_us - before.sent_us == pytest.approx(passed_us, abs=150)
-    told_s = [t.time.minute * 60 + t.time.second + t.time.microsecond / 1e6 for t in (before, after)]
-    assert told_s[1] - told_s[0] == pytest.approx(passed_us / 1e6, abs=0.025)
+    reported_s = [t.time.minute * 60 + t.time.second + t.time.microsecond / 1e6 for t in (before, after)]
+    assert reported_s[1] - reported_s[0] == pytest.approx(passed_us / 1e6, abs=0.025)
 
 
 def test_spoilt_checksum_is_noticed_in_binary_and_there_is_none_in_text():

@@ -20,7 +20,7 @@ def test_a_drive_with_two_profiles(live_service: LiveService, subscribe: Callabl
     folders = Path(switched["folder_before"]), Path(switched["folder"])
     assert (switched["profile"], folders[1]) == ("imle", Path(f"{folders[0]}_2"))
     subscriber.wait_for("pose", 50)
-    subscriber.wait_until(lambda: profile_told(subscriber) == "imle")
+    subscriber.wait_until(lambda: profile_reported(subscriber) == "imle")
     assert (
         "the profile imle cannot begin in a stored map"
         in (subscriber.ask("load_map", map=folders[0].name)["error"])
@@ -53,6 +53,6 @@ def ask_until_done(subscriber: Subscriber, **request: str) -> dict[str, str]:
     return told
 
 
-def profile_told(subscriber: Subscriber) -> str:
+def profile_reported(subscriber: Subscriber) -> str:
     statuses = decode_diagnostics(subscriber.heard["health"][-1][1])
     return next(status.values["profile"] for status in statuses if status.name == "mapping")

@@ -84,8 +84,8 @@ class SensorChecks:
         and map; None: it takes part.
         """
         mounting = self._lasers[sensor].mounting
-        is_doubted = not mounting.is_right or self._stamps.fault_of(sensor)
-        if not mounting.fault and not (is_doubted and self._confirmed_by_another(sensor, at_ns)):
+        is_in_doubt = not mounting.is_right or self._stamps.fault_of(sensor)
+        if not mounting.fault and not (is_in_doubt and self._confirmed_by_another(sensor, at_ns)):
             return None
         self._counters[f"scans_compared_{sensor}"] += 1
         return mounting.where_to_look(predicted, self._stamps.late_s(sensor))

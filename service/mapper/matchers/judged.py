@@ -41,7 +41,7 @@ STANDS = Reason(
     "prediction_stands",
     "the scan fits where the prediction is, and nowhere beside it; the prediction holds it",
 )
-ANEW_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
+RESTART_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
 UNCONFIRMED = Reason(
     "unconfirmed",
     "the scan fits the map at a place that the prediction allows; a second scan has to confirm it",
@@ -88,7 +88,7 @@ class JudgedMatching:
     What little lies on the map does not say where: on new ground the prediction stands, if it was measured
     and nothing contradicts it. A search in vain makes the next twice as wide. A find that is far from the
     prediction is a hypothesis, since rooms look alike: the next one must say the same. A vehicle that has
-    measured ANEW_M of way without being found is on ground that the map does not show, or shows wrong; the
+    measured RESTART_M of way without being found is on ground that the map does not show, or shows wrong; the
     map begins anew where the prediction is.
     """
 
@@ -114,8 +114,8 @@ class JudgedMatching:
         if local_map.is_empty:
             return begun(points, predicted)
         match = self._placed(points, predicted, local_map, aligner)
-        if match.state == "lost" and self._begins_anew(points, predicted):
-            local_map.begin_anew()
+        if match.state == "lost" and self._starts_over(points, predicted):
+            local_map.start_over()
             words = f"{match.reason}; not relocalised over {self._lost_way_m:.0f} m: a new map begins here"
             match = Match(predicted, points, match.inlier_ratio, "degraded", Reason("new_map", words))
         self._is_lost = match.state == "lost"
@@ -228,12 +228,12 @@ class JudgedMatching:
     def _is_confirmed(self, aligned: Aligned, predicted: Prediction) -> bool:
         return self._confirmation.confirms(aligned.measured.pose_odom_base, predicted.pose_odom_base)
 
-    def _begins_anew(self, points: Points, predicted: Prediction) -> bool:
+    def _starts_over(self, points: Points, predicted: Prediction) -> bool:
         """Whether a lost vehicle has come far enough, and sees what stands: noise fits no scan before."""
         if predicted.is_measured:
             self._lost_way_m += predicted.travel_m
         before, self._before = self._before, (points, predicted.pose_odom_base)
-        if before is None or self._lost_way_m < ANEW_M:
+        if before is None or self._lost_way_m < RESTART_M:
             return False
         seen = KnownGround()
         seen.insert(*before)

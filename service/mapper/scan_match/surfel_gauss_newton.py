@@ -328,7 +328,7 @@ class SurfelGaussNewton:
             is_measured=attempt.predicted.is_measured,
             is_far=is_far,
             behind=behind,
-            is_doubted=self._gap is not None,
+            is_in_doubt=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
 

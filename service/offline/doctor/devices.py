@@ -135,7 +135,7 @@ def _judge(
     if seen.frames:
         return verdict.streaming(kind, config, seen)
     heard = bytes(seen.first_bytes)
-    if heard and (identity := told_identity(kind, config, seen)) and seen.error is None:
+    if heard and (identity := reported_identity(kind, config, seen)) and seen.error is None:
         return [verdict.slow(config, seen, identity)]
     if _is_known(kind, config, seen):
         return [verdict.refused(config, seen)]
@@ -147,13 +147,13 @@ def _judge(
     if not heard:
         for other in kind.advice.other_settings(config):
             answer = _probe(kind, other.config, patience.other_settings_s, 0.0, stop, until_answered=True)
-            if answer.frames or told_identity(kind, other.config, answer):
+            if answer.frames or reported_identity(kind, other.config, answer):
                 return [verdict.other_settings(config, seen, other.words, answer)]
         return [verdict.silent(kind, config, seen)]
     return [verdict.stranger(config, seen, isinstance(wire, PortWire))]
 
 
-def told_identity(kind: SensorKind, config: Any, seen: Probe) -> dict[str, str]:
+def reported_identity(kind: SensorKind, config: Any, seen: Probe) -> dict[str, str]:
     """What the device itself has added to the identity that a session begins with."""
     at_first = kind.session_maker(config)().identity
     return {key: text for key, text in seen.identity.items() if at_first.get(key) != text}
@@ -162,7 +162,7 @@ def told_identity(kind: SensorKind, config: Any, seen: Probe) -> dict[str, str]:
 def _is_known(kind: SensorKind, config: Any, seen: Probe) -> bool:
     """Whether a device of this type is there, though it gives no frames."""
     heard = bytes(seen.first_bytes)
-    return bool(told_identity(kind, config, seen) or kind.advice.recognise(heard))
+    return bool(reported_identity(kind, config, seen) or kind.advice.recognise(heard))
 
 
 def _other_bauds(kind: SensorKind, config: Any) -> list[int]:

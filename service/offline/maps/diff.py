@@ -48,7 +48,7 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
         "cells_changed": counts.changed,
     }
     if before.graph is not None and after.graph is not None:
-        told |= _graph_told(before.graph, after.graph)
+        told |= _graph_reported(before.graph, after.graph)
     if out is not None:
         if out.suffix != ".png":
             raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
@@ -73,7 +73,7 @@ def _name(named: Named, stored: StoredMap) -> str:
     return f"{named[0]}@{stored.number}"
 
 
-def _graph_told(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
+def _graph_reported(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
     _, in_before, in_after = np.intersect1d(before.stamp_ns, after.stamp_ns, return_indices=True)
     off = se2.between(before.map[in_before], after.map[in_after])
     off_m, off_rad = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])

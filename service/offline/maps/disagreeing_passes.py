@@ -50,7 +50,7 @@ def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:
         )
         if is_new and len(points := _points(graph, spot)) and len(told) < MAX_PROPOSED:
             proposed.append(spot)
-            told.append(_told(graph, spot, points))
+            told.append(_reported(graph, spot, points))
     return told
 
 
@@ -101,7 +101,7 @@ def _seen(graph: SavedGraph, k: int) -> Floats:
     return graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
 
 
-def _told(graph: SavedGraph, spot: _Spot, points: Floats) -> dict[str, Any]:
+def _reported(graph: SavedGraph, spot: _Spot, points: Floats) -> dict[str, Any]:
     return {
         "keyframes": [spot.of, spot.to],
         "points": np.round(points, 4).tolist(),

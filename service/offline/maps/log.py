@@ -14,7 +14,7 @@ def map_log(folder: Path) -> dict[str, Any]:
     return {
         "map": str(folder),
         "current": current,
-        "versions": [_told(version, version.number == current) for version in versions],
+        "versions": [_reported(version, version.number == current) for version in versions],
         "problems": problems,
     }
 
@@ -32,7 +32,7 @@ def utc(unix_ns: int) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(unix_ns / 1e9))
 
 
-def _told(version: Version, is_current: bool) -> dict[str, Any]:
+def _reported(version: Version, is_current: bool) -> dict[str, Any]:
     edit, about = version.edit, version.about
     return {
         "version": version.number,

@@ -40,10 +40,10 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
 def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Those that hold it together, and those that were measured and are not accepted."""
     refused = graph.refused
-    accepted = _told(
+    accepted = _reported(
         graph, graph.loop_ends, graph.loop_measured, graph.loop_score, graph.loop_points, graph.loop_against
     )
-    not_accepted = _told(
+    not_accepted = _reported(
         graph, refused.ends, refused.measured, refused.score, refused.points, refused.against
     )
     return (
@@ -107,7 +107,7 @@ def _cells(loop: dict[str, Any]) -> list[str]:
     ]
 
 
-def _told(
+def _reported(
     graph: SavedGraph, ends: np.ndarray, measured: Floats, on_map: Floats, points: np.ndarray, in_free: Floats
 ) -> list[dict[str, Any]]:
     off = se2.between(measured, se2.between(graph.map[ends[:, 0]], graph.map[ends[:, 1]]))

@@ -108,7 +108,7 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
             ) from error
         assert isinstance(merged.result.saved, SavedGraph)
         graph = merged.result.saved
-        steps.append(_told(folder, merged))
+        steps.append(_reported(folder, merged))
     if merged.result.rendered_map is not None:
         shown.replace_by(merged.result.rendered_map, ())
     about = {**stored[0].about, "merged_from": ", ".join(str(folder) for folder in folders)}
@@ -131,7 +131,7 @@ def _pose_between(pair: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _told(folder: Path, merged: Merged) -> dict[str, Any]:
+def _reported(folder: Path, merged: Merged) -> dict[str, Any]:
     pose = merged.pose_first_second
     return {
         "map": str(folder),

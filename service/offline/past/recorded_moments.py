@@ -46,7 +46,7 @@ from service.mapstore.tiles import tiles_of_grid
 from service.offline.past.moments import STALE_NS, Moment, thinned
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
 from service.recording.opening import name_of, open_recording
-from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNTOLD
+from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNREPORTED
 from service.web.series import MAX_ROWS, PERIOD_S, FigureRows, Row
 
 TOPICS = {
@@ -206,7 +206,7 @@ class RecordedMoments:
         what = told.get("event") if isinstance(told, dict) else None
         if what in NEW_MAP:
             self._new_map_log_ns.append(message.log_ns)
-        if what not in UNTOLD:
+        if what not in UNREPORTED:
             self._events.append((message.log_ns, message.stamp_ns / 1e9, text))
 
     def _mountings(self, at_ns: int) -> tuple[Mapping[str, SE2], frozenset[str]]:

@@ -216,7 +216,7 @@ class ReplayPage:
         self._shown.take(self._mapper.tiles())
         self._show_graph()
         self.server.put_ready({STANDING: encode_standing(self._mapper.standing())})
-        self._show_changes(self._mapper.changes_told)
+        self._show_changes(self._mapper.changes_reported)
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, MIN_REST * (now_s - began_s))
 

@@ -81,10 +81,10 @@ class Pace:
         if self._is_free:
             return
         with self._changed:
-            is_told = before_waiting is None
+            is_reported = before_waiting is None
             while (wait_s := self._wait_s(log_ns)) != 0.0:
-                if not is_told and before_waiting is not None:
-                    is_told = True
+                if not is_reported and before_waiting is not None:
+                    is_reported = True
                     before_waiting()
                 else:
                     self._changed.wait(wait_s)

@@ -113,7 +113,7 @@ class ReplayRun:
                         self._finish_map()
                     self._mapper.carry_out(step.action)
                 case LoadMap() | SwitchProfile():
-                    self._begin_anew(step)
+                    self._start_over(step)
                 case ApplyResult():
                     if self._setup.is_as_live:
                         self._mapper.apply_result()
@@ -138,7 +138,7 @@ class ReplayRun:
             present, self._setup.poses_base_sensor, self._times, new_patch_store=PatchFiles, begin_in=begin
         )
 
-    def _begin_anew(self, step: LoadMap | SwitchProfile) -> None:
+    def _start_over(self, step: LoadMap | SwitchProfile) -> None:
         self._finish_map()
         if isinstance(step, LoadMap):
             self._begins[:] = [begin_in(Path(step.folder), self._switches.present, step.version)]

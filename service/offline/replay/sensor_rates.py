@@ -27,10 +27,10 @@ class SensorRates:
         (how many intervals have more than GAP_PERIODS of these) and "longest_gaps", in the order of time:
         [begin in s since begin_ns, length in s] each.
         """
-        return {name: _told(np.array(stamps), begin_ns) for name, stamps in sorted(self._stamps_ns.items())}
+        return {name: _gaps(np.array(stamps), begin_ns) for name, stamps in sorted(self._stamps_ns.items())}
 
 
-def _told(stamps_ns: np.ndarray, begin_ns: int) -> dict[str, Any]:
+def _gaps(stamps_ns: np.ndarray, begin_ns: int) -> dict[str, Any]:
     at_ns = np.unique(stamps_ns)
     told: dict[str, Any] = {"frames": len(stamps_ns), "rate_hz": None, "gaps": 0, "longest_gaps": []}
     if len(at_ns) < 2:

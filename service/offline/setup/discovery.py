@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from drivers.transport import SerialTransport
 from drivers.wires import is_host
 from service.errors import UsageError
-from service.offline.doctor.devices import told_identity
+from service.offline.doctor.devices import reported_identity
 from service.offline.doctor.probe import listen, probe
 from service.offline.doctor.protocol_identification import describe, recognise_sensor
 from service.sensor_kinds import SENSOR_KINDS
@@ -139,7 +139,7 @@ def _ask_for(
         stop,
         until_answered=True,
     )
-    identity = told_identity(kind, config, seen)
+    identity = reported_identity(kind, config, seen)
     if shown := kind.advice.settings_of(identity):  # of another model it may have been refused, and is known
         settings = {**settings, **shown}
         config = kind.config.model_validate({"name": str(wire), **where, **settings})

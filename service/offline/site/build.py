@@ -64,7 +64,7 @@ def site_build(
     if len(site.members) > len(old):
         number = _save(site, out)
         write_paths(out, site, {one.name: one.result for one in given})
-    return _told(site, left_out, out, number, len(site.members) - len(old))
+    return _report(site, left_out, out, number, len(site.members) - len(old))
 
 
 def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
@@ -160,7 +160,9 @@ def _save(site: Site, out: Path) -> int:
     return number
 
 
-def _told(site: Site, left_out: Mapping[str, LeftOut], out: Path, number: int, added: int) -> dict[str, Any]:
+def _report(
+    site: Site, left_out: Mapping[str, LeftOut], out: Path, number: int, added: int
+) -> dict[str, Any]:
     graph, ends = site.graph, site.members_of_loops()
     is_across = ends[:, 0] != ends[:, 1]
     seen = se2.between(graph.map[graph.loop_ends[:, 0]], graph.map[graph.loop_ends[:, 1]])

@@ -67,7 +67,7 @@ def test_on_a_terminal_the_line_is_drawn_again_in_its_place():
 
 def test_elsewhere_it_is_a_line_of_the_log_now_and_then(caplog: pytest.LogCaptureFixture):
     pipe, clock = io.StringIO(), Clock()
-    line = StatusLine(pipe, clock, is_told_elsewhere=False)
+    line = StatusLine(pipe, clock, is_reported_elsewhere=False)
     with caplog.at_level(logging.INFO):
         for _ in range(25):
             line(service())
@@ -79,7 +79,7 @@ def test_elsewhere_it_is_a_line_of_the_log_now_and_then(caplog: pytest.LogCaptur
 
 def test_where_systemd_shows_the_status_no_line_goes_to_the_journal(caplog: pytest.LogCaptureFixture):
     with caplog.at_level(logging.INFO):
-        StatusLine(io.StringIO(), Clock(), is_told_elsewhere=True)(service())
+        StatusLine(io.StringIO(), Clock(), is_reported_elsewhere=True)(service())
     assert caplog.messages == []
 
 

@@ -49,7 +49,7 @@ def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> 
         ({"used": 100, "on_map": 5, "in_free": 8}, "lost"),
         ({"on_map": 15, "behind": 400}, "degraded"),  # a door that opened: the rest of the room is there
         ({"is_measured": False}, "lost"),
-        ({"is_doubted": True}, "lost"),
+        ({"is_in_doubt": True}, "lost"),
         ({"is_far": True}, "lost"),
         ({"prior": (0.6, 0.01)}, "lost"),
         ({"prior": (0.05, 0.5)}, "lost"),
@@ -65,8 +65,8 @@ def test_odometry_carries_the_pose_onto_ground_of_which_nothing_is_known(
 def test_once_a_scan_has_contradicted_the_map_walls_that_should_be_seen_count() -> None:
     back = replace(GOOD, on_map=170, in_free=70, behind=230)  # carried 5 m along a corridor of an office
     assert state(back) == "degraded"
-    assert state(back, is_doubted=True) == "lost"
-    assert state(back, behind=90, is_doubted=True) == "degraded"
+    assert state(back, is_in_doubt=True) == "lost"
+    assert state(back, behind=90, is_in_doubt=True) == "degraded"
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_once_a_scan_has_contradicted_the_map_walls_that_should_be_seen_count() 
         ({"used": 60, "on_map": 25}, "ok"),
         ({"used": 45, "on_map": 19}, "degraded"),  # returns that confirm no place
         ({"is_measured": False}, "degraded"),
-        ({"is_doubted": True}, "degraded"),
+        ({"is_in_doubt": True}, "degraded"),
         ({"prior": (0.6, 0.01)}, "degraded"),
         ({"sigma": (0.16, 0.01)}, "degraded"),
         ({"weakest": (0.2, 0.0)}, "degraded"),
@@ -137,7 +137,7 @@ def test_a_pose_that_is_known_badly_is_no_good_one(sigma: tuple[float, float], e
         ({"weakest": (0.05, 0.0)}, "lost"),  # the walls fix the position, and it is not known all the same
         ({"is_measured": False}, "degraded"),
         ({"is_far": True}, "lost"),
-        ({"is_doubted": True}, "lost"),
+        ({"is_in_doubt": True}, "lost"),
         ({"in_free": 91}, "lost"),
         ({"sigma": (1.4, 0.36)}, "lost"),
     ],

@@ -37,7 +37,7 @@ def test_the_size_of_the_map_is_that_of_its_finest_level_without_maps_before():
     assert (store.finest_count, store.extent_m) == (0, (0.0, 0.0))
     store.update([tile(-1, 0, 1), tile(2, 0, 2), tile(9, 9, 3, level=1)])
     assert (store.finest_count, store.extent_m) == (2, (4 * EDGE * CELL_M, EDGE * CELL_M))
-    store.begin_anew()
+    store.start_over()
     assert (store.finest_count, store.extent_m) == (0, (0.0, 0.0))
 
 
@@ -128,7 +128,7 @@ def test_updates_and_pictures_from_two_threads_end_in_the_same_map():
 def test_an_emptied_map_is_unknown_tiles_with_new_versions_for_those_who_hold_the_old():
     store = TileStore()
     store.update([tile(0, 0, 5), tile(3, -2, 6), tile(0, 0, 2, level=1)])
-    emptied = store.begin_anew()
+    emptied = store.start_over()
     assert [(t.level, t.ix, t.iy, t.version) for t in emptied] == [(1, 0, 0, 7), (0, 0, 0, 8), (0, 3, -2, 9)]
     assert all((t.cells == UNKNOWN).all() and not t.cells.flags.writeable for t in emptied)
     assert [t.version for t in store.since(0)] == [7, 8, 9]
@@ -141,7 +141,7 @@ def test_the_picture_of_an_emptied_map_is_one_unknown_tile_and_the_next_map_does
     store = TileStore()
     store.update([tile(k, 5, k + 1, value=100) for k in range(9)])
     assert store.grid() is not None
-    store.begin_anew()
+    store.start_over()
     blank = store.grid()
     assert blank is not None
     assert (blank.version, blank.x_min_m, blank.y_min_m, blank.cells.shape) == (18, 0.0, 0.0, (EDGE, EDGE))
@@ -155,11 +155,11 @@ def test_the_picture_of_an_emptied_map_is_one_unknown_tile_and_the_next_map_does
 
 def test_maps_are_handed_out_whole_one_after_another():
     store = TileStore()
-    assert store.begin_anew() == []
+    assert store.start_over() == []
     assert store.number == 1
     store.update([tile(0, 0, 1, value=100), tile(1, 0, 2, value=100)])
-    store.begin_anew()
-    store.begin_anew()  # nothing to empty
+    store.start_over()
+    store.start_over()  # nothing to empty
     store.update([tile(0, 0, 5, value=50)])
     assert store.number == 2
     ended, present = store.take()
@@ -174,7 +174,7 @@ def test_a_map_too_large_for_a_picture_is_no_fault_to_the_next():
     store.update([tile(0, 0, 1), tile(100_000, 100_000, 2)])
     with pytest.raises(StorageError, match="one picture holds at most"):
         store.grid()
-    store.begin_anew()
+    store.start_over()
     store.update([tile(0, 0, 9, value=0)])
     grid = store.grid()
     assert grid is not None
@@ -185,7 +185,7 @@ def test_a_map_keeps_its_place_on_the_earth_when_another_begins():
     store = TileStore()
     store.update([tile(0, 0, 1)])
     store.place(GEO)
-    store.begin_anew()
+    store.start_over()
     store.update([tile(0, 0, 5)])
     (ended,), present = store.take()
     assert ended.geo == GEO
@@ -196,7 +196,7 @@ def test_graph_and_place_of_a_map_that_ends_without_a_tile_are_not_those_of_the_
     store = TileStore()
     store.place(GEO)
     store.keep_graph(Path("graphs/000001"))
-    assert store.begin_anew() == []
+    assert store.start_over() == []
     store.update([tile(0, 0, 1)])
     ended, present = store.take()
     assert ended == []

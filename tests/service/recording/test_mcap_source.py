@@ -352,11 +352,11 @@ def test_what_cannot_be_used_is_reported_by_topic_and_why(foreign):
 
 
 @pytest.mark.parametrize(
-    ("span_deg", "beam_interval_ns", "is_told"),
+    ("span_deg", "beam_interval_ns", "is_reported"),
     [(359.0, 0, True), (359.0, 300_000, False), (180.0, 0, False)],
 )
 def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_reported(
-    foreign, span_deg: float, beam_interval_ns: int, is_told: bool
+    foreign, span_deg: float, beam_interval_ns: int, is_reported: bool
 ):
     beams = 360
     scan = LaserScan(
@@ -366,7 +366,7 @@ def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_reported(
     foreign.add_message("/scan", encode_frame(scan))
     session = open_session(foreign.close())
     assert len(list(session.frames())) == 1
-    if not is_told:
+    if not is_reported:
         assert session.losses == []
         return
     (loss,) = session.losses

@@ -80,7 +80,7 @@ class FakeMapper:
     stands: Grid | None = None
     graph_picture: GraphPicture | None = None
     pose_refused: tuple[float, float, float] | None = None
-    changes_told: MapChanges | None = None
+    changes_reported: MapChanges | None = None
     is_localizing = False
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:

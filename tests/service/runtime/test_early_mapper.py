@@ -31,10 +31,10 @@ def test_what_is_no_file_is_not_read(tmp_path: Path):
     assert mapping_section(Path("/dev/zero")) == {}  # it has no end
 
 
-@pytest.mark.parametrize("is_told", [False, True])
-def test_a_process_that_no_one_takes_over_ends_with_its_folder(is_told: bool):
+@pytest.mark.parametrize("is_reported", [False, True])
+def test_a_process_that_no_one_takes_over_ends_with_its_folder(is_reported: bool):
     with EarlyMapper() as early:
-        if is_told:
+        if is_reported:
             early.tell({"profile": "corridor"})
         folder = early.mapper_socket.folder
         assert folder.exists()

@@ -306,16 +306,18 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
 
 
 @pytest.mark.parametrize(
-    ("state", "told_state", "level"), [("lost", "lost", ERROR), ("degraded", "overloaded", WARNING)]
+    ("state", "reported_state", "level"), [("lost", "lost", ERROR), ("degraded", "overloaded", WARNING)]
 )
-def test_too_little_processor_time_does_not_hide_what_ails_the_pose(state: Any, told_state: str, level: int):
+def test_too_little_processor_time_does_not_hide_a_fault_of_the_pose(
+    state: Any, reported_state: str, level: int
+):
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, state, FEW, 0.2, 1, ())
     made.parts.outputs.overload = lambda: "12 scans in 3.0 s"
     told = status(made, "mapping")
-    assert (told.level, told.values["state"]) == (level, told_state)
+    assert (told.level, told.values["state"]) == (level, reported_state)
     assert told.message == "few beams agree; 12 scans in 3.0 s"
-    assert made.line.startswith(f"mapping {told_state}, ")
+    assert made.line.startswith(f"mapping {reported_state}, ")
 
 
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
@@ -324,22 +326,22 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     outputs.restart_reason = "said nothing for 10 s while 7 items waited"
 
-    def told_at(seconds: int, restarts: int) -> tuple[int, str]:
+    def reported_at(seconds: int, restarts: int) -> tuple[int, str]:
         outputs.restarts, outputs.last_ns = restarts, seconds * S
         made.update(seconds * S, 0)
         told = next(status for status in made.statuses if status.name == "mapping")
         return told.level, told.message
 
-    assert told_at(11, 1) == (OK, "ok")
-    level, words = told_at(20, 3)
+    assert reported_at(11, 1) == (OK, "ok")
+    level, words = reported_at(20, 3)
     assert level == WARNING
     assert words.startswith(
         "the mapper was restarted 3 times in the last minute (expected at most 1); at the last time "
         "its process"
     )
     assert "process said nothing for 10 s while 7 items waited" in words
-    assert told_at(79, 3)[0] == WARNING
-    assert told_at(81, 3) == (OK, "ok")
+    assert reported_at(79, 3)[0] == WARNING
+    assert reported_at(81, 3) == (OK, "ok")
 
 
 def test_a_pose_that_is_not_fresh_is_an_error():

@@ -193,12 +193,12 @@ def test_what_has_changed_is_reported_when_it_is_something_else():
         return [decode_grid(m.payload) for m in outputs.recorded if m.channel == "map/changes"]
 
     assert told() == []  # nobody watches
-    mapper.changes_told = changed([0.25])
+    mapper.changes_reported = changed([0.25])
     (grid,) = told()
     assert (grid.cells.tolist(), grid.x_min_m, grid.cell_m) == ([[100]], pytest.approx(0.2), 0.1)
-    mapper.changes_told = changed([0.25])
+    mapper.changes_reported = changed([0.25])
     assert told() == []  # the same cells
-    mapper.changes_told = changed([0.25, 0.35])
+    mapper.changes_reported = changed([0.25, 0.35])
     (grid,) = told()
     assert grid.cells.tolist() == [[100, 100]]
     session.carry_out("reset_map")
@@ -444,8 +444,8 @@ def test_a_change_by_hand_fails_with_the_graph_or_the_map(monkeypatch: pytest.Mo
         run.link.loop._prepare_map = lambda folder, version: None
         run.intake.request_map("office", 1, 40, lambda answer: None)
 
-    for begin_anew in (load, lambda run: run.request("reset_map")):
+    for start_over in (load, lambda run: run.request("reset_map")):
         slow = GraphWithEdits()
         monkeypatch.setattr(slow, "request", lambda name, payload: None)
-        (answer,) = answers_to_an_edit(slow, begin_anew)
+        (answer,) = answers_to_an_edit(slow, start_over)
         assert "map has ended before" in answer.error

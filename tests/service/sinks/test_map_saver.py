@@ -193,7 +193,7 @@ def test_the_map_before_a_reset_is_saved_whole_and_the_next_goes_beside_it(
     running: Kept, answers: Answers, tmp_path: Path
 ):
     running.tiles.update([tile(1)])
-    running.tiles.begin_anew()
+    running.tiles.start_over()
     running.saver.ask_to_save(answers)
     assert answers.came.acquire(timeout=10.0)
     assert answers.heard == [(None, "")]  # of the present map there is nothing yet
@@ -215,7 +215,7 @@ def test_who_asks_for_a_map_that_ends_before_it_is_saved_hears_where_that_one_is
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
     kept.saver.ask_to_save(answers, name)
-    kept.tiles.begin_anew()
+    kept.tiles.start_over()
     kept.tiles.update([tile(5)])
     kept.saver.flush()
     assert load_map(tmp_path / "map_2").number == 1
@@ -230,7 +230,7 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
     (tmp_path / "map").write_text("in the way")
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
-    kept.tiles.begin_anew()
+    kept.tiles.start_over()
     kept.tiles.update([tile(5)])
     kept.saver.ask_to_save(answers)
     with pytest.raises(StorageError, match="cannot save the map"):
@@ -238,7 +238,7 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
     assert answers.heard[0][0] is None
     assert "cannot save the map" in answers.heard[0][1]
     (tmp_path / "map").unlink()
-    kept.tiles.begin_anew()
+    kept.tiles.start_over()
     kept.saver.flush()
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
     assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [5]
@@ -250,7 +250,7 @@ def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.
     kept = Kept(tmp_path / "map")
     for _ in range(MAX_UNSAVED + 1):
         kept.tiles.update([tile(kept.tiles.version + 1)])
-        kept.tiles.begin_anew()
+        kept.tiles.start_over()
     kept.saver.try_to_save()
     assert "map 1 of this run is not saved" in caplog.text
     assert len(kept.saver._unsaved) == 0  # only the first had something in its way
@@ -372,7 +372,7 @@ def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(tmp
             f"{folder} stays as it is, for the graph of what was mapped since is not put away; a replay of "
             "the recording with --map and --out maps it again",
         )  # fmt: skip
-        tiles.begin_anew()
+        tiles.start_over()
         saver.save()
         assert check_versions(folder)[0] == [1]
     finally:

@@ -17,16 +17,16 @@ MS, S = 1_000_000, 1_000_000_000
 def scan(
     k: int = 0,
     turn_s: float = 0.1,
-    told_s: float = 0.1,
+    reported_s: float = 0.1,
     step_deg: float = 1.5,
     beams: int = 180,
     period_s: float = 0.1,
 ) -> LaserScan:
-    """The k-th. Fields that say a turn of turn_s, with a scan_time of told_s; scans come each period_s."""
+    """The k-th. Fields that say a turn of turn_s, with a scan_time of reported_s; one each period_s."""
     at_ns = round(k * period_s * S) + 3 * MS
     beam_ns = round(turn_s * 1e9 * step_deg / 360.0)
     return LaserScan(
-        "front", at_ns, at_ns + 100 * MS, beam_ns, round(told_s * 1e9), -2.0,
+        "front", at_ns, at_ns + 100 * MS, beam_ns, round(reported_s * 1e9), -2.0,
         math.radians(step_deg), 0.05, 30.0, np.ones(beams, np.float32), NO_INTENSITY,
     )  # fmt: skip
 
@@ -43,11 +43,11 @@ def used(**fields: float) -> tuple[list[LaserScan], list[str]]:
     [0.1 * 1e9, 0.1 / (1.5 / 360.0), 0.1 / 3, 0.1 / 20, 0.1 / 1000],
     ids=["in ns", "equal to scan_time", "a third", "a twentieth", "a thousandth"],
 )
-@pytest.mark.parametrize("told_s", [0.1, 0.0], ids=["with scan_time", "without"])
-def test_a_time_increment_that_cannot_be_true_is_replaced_by_that_of_the_period(turn_s: float, told_s: float):
-    frames, (warning,) = used(turn_s=turn_s, told_s=told_s)
+@pytest.mark.parametrize("reported_s", [0.1, 0.0], ids=["with scan_time", "without"])
+def test_an_impossible_time_increment_is_replaced_by_that_of_the_period(turn_s: float, reported_s: float):
+    frames, (warning,) = used(turn_s=turn_s, reported_s=reported_s)
     assert warning.startswith("/front/scan: time_increment ")
-    if turn_s == 0.1 / 3 and not told_s:
+    if turn_s == 0.1 / 3 and not reported_s:
         assert "either the other turns are left out, or time_increment is wrong" in warning
         return  # nothing tells which
     assert len(frames) == 40
@@ -61,13 +61,19 @@ def test_a_time_increment_that_cannot_be_true_is_replaced_by_that_of_the_period(
     "fields",
     [
         {},
-        {"told_s": 0.0},
+        {"reported_s": 0.0},
         {"turn_s": 0.0},  # an instant, which has its own warning
         {"turn_s": 0.097},  # a motor that turns a little faster
-        {"turn_s": 1 / 75, "told_s": 0.235, "period_s": 0.235, "step_deg": 0.5, "beams": 360},  # LMS2xx
-        {"turn_s": 2 / 75, "told_s": 0.0533, "period_s": 0.0533, "step_deg": 0.5, "beams": 361},
+        {"turn_s": 1 / 75, "reported_s": 0.235, "period_s": 0.235, "step_deg": 0.5, "beams": 360},  # LMS2xx
+        {"turn_s": 2 / 75, "reported_s": 0.0533, "period_s": 0.0533, "step_deg": 0.5, "beams": 361},
         {"turn_s": 1 / 25, "period_s": 0.1, "step_deg": 0.5, "beams": 361},  # LMS1xx, two of five scans
-        {"turn_s": 0.6, "told_s": 0.6, "period_s": 0.1, "step_deg": 1.0, "beams": 60},  # sectors of a turn
+        {
+            "turn_s": 0.6,
+            "reported_s": 0.6,
+            "period_s": 0.1,
+            "step_deg": 1.0,
+            "beams": 60,
+        },  # sectors
     ],
 )
 def test_fields_of_lasers_that_exist_are_believed_without_a_word(fields: dict[str, float]):
@@ -78,7 +84,7 @@ def test_fields_of_lasers_that_exist_are_believed_without_a_word(fields: dict[st
 
 
 def test_turns_that_are_left_out_are_reported_and_believed():
-    frames, (warning,) = used(turn_s=0.1, told_s=0.1, period_s=0.5)
+    frames, (warning,) = used(turn_s=0.1, reported_s=0.1, period_s=0.5)
     assert "scans come each 500 ms: either the other turns are left out" in warning
     assert frames[-1].beam_interval_ns == scan().beam_interval_ns
 
@@ -90,14 +96,14 @@ def test_a_sweep_that_fills_the_period_is_reported_and_believed():
 
 
 def test_a_scan_time_that_is_wrong_by_itself_is_replaced():
-    frames, (warning,) = used(told_s=5.0)
+    frames, (warning,) = used(reported_s=5.0)
     assert "scan_time is wrong" in warning
     assert {frame.scan_period_ns for frame in frames} == {100 * MS}
     assert {frame.beam_interval_ns for frame in frames} == {scan().beam_interval_ns}
 
 
 def test_fields_that_agree_with_each_other_and_not_with_the_period_are_found_when_that_is_known():
-    frames, (warning,) = used(turn_s=0.3, told_s=0.3)
+    frames, (warning,) = used(turn_s=0.3, reported_s=0.3)
     assert "time_increment cannot be true" in warning
     assert frames[-1].beam_interval_ns == scan().beam_interval_ns
 

@@ -112,7 +112,7 @@ def test_changed_tiles_follow_and_a_reset_empties_map_and_path(serve, store):
             store.update([tile(5, -5, 2)])
             payload = await client.next(socket, TILES)
             assert struct.unpack_from("<I", payload, 8) == (1,)
-            store.begin_anew()
+            store.start_over()
             paths = [await client.next(socket, PATH)]
             while struct.unpack_from("<I", paths[-1], 4) != (0,):
                 paths.append(await client.next(socket, PATH))

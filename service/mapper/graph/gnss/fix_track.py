@@ -55,7 +55,7 @@ class FixTrack:
         self._scans: deque[_Scan] = deque()
         self._waiting: deque[tuple[GnssFix, tuple[float, float]]] = deque()
         self._placed: list[PlacedFix] = []
-        self._told: tuple[float, float, SE2] | None = None  # newest position told, and where that began
+        self._reported: tuple[float, float, SE2] | None = None  # newest position told, and where that began
         self._kept: SE2 | None = None  # pose_odom_base of the newest fix that was kept
         self._height_m = 0.0  # of the newest fix that had one
         self._counts: Counter[str] = Counter()
@@ -128,12 +128,12 @@ class FixTrack:
 
     def _says_nothing(self, fix: GnssFix, here: SE2) -> str:
         """The counter of a fix that tells no more than those before; "" if it does."""
-        told = self._told
+        told = self._reported
         if told is not None and told[:2] == (fix.latitude_deg, fix.longitude_deg):
             if _apart_m(told[2], here) > FROZEN_M:
                 return "fixes_frozen"
         else:
-            self._told = (fix.latitude_deg, fix.longitude_deg, here)
+            self._reported = (fix.latitude_deg, fix.longitude_deg, here)
         if self._kept is not None and _apart_m(self._kept, here) < SPACING_M:
             return "fixes_thinned"
         return ""

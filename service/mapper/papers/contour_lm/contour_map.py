@@ -99,9 +99,9 @@ class ContourMap:
             learning.count_blur,
         )
         self._cells = _room_for(FIRST_SCAN_CELLS)
-        self.begin_anew()
+        self.start_over()
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         cells = (TILE_CELLS, TILE_CELLS)
         self._pool = TilePool(
             (

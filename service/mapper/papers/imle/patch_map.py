@@ -82,9 +82,9 @@ class PatchMap:
             values = [math.log(level / BACKGROUND) for level in (HIT, INNER, OUTER)]
         self.levels = np.array([round(code * value / whole) for value in values], np.uint8)
 
-        self.begin_anew()
+        self.start_over()
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         config = self.config
         self.is_empty = True
         self._last: SE2 | None = None  # where the scan drawn last was taken

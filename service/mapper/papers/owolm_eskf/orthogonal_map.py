@@ -88,9 +88,9 @@ class OrthogonalMap:
         along = wide if config.across_only else narrow
         self._sigma_cells = np.array([[wide, wide], [along, narrow], [narrow, along], [narrow, narrow]])
         self.pose_axes_odom = SE2()  # odom in the axes of the building; set by the first scan
-        self.begin_anew()
+        self.start_over()
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         config = self._config
         self._levels = []
         for level in range(config.levels):

@@ -187,7 +187,7 @@ class CountedSubmaps:
         for particle in self.particles:
             particle.pose = np.array([pose.x_m, pose.y_m, pose.theta_rad])
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """The sub-map is closed as it is, and nothing of it drawn into the next."""
         self._broken_off = self._close(self.best, overlap_m=-1.0)
 

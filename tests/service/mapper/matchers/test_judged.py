@@ -11,7 +11,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.judgement import JudgementConfig
 from service.mapper.maps.known_ground import KnownGround
-from service.mapper.matchers.judged import ANEW_M, UNCONFIRMED, Aligned, JudgedMatching
+from service.mapper.matchers.judged import RESTART_M, UNCONFIRMED, Aligned, JudgedMatching
 from tests.service.mapper.maps.points import points_of, square
 
 ORIGIN = SE2()
@@ -22,9 +22,9 @@ class Ground:
     """KnownMap of nothing but known ground."""
 
     def __init__(self) -> None:
-        self.begin_anew()
+        self.start_over()
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         self.is_empty, self._ground = True, KnownGround()
 
     def insert(self, points: Points, match: Match) -> MapChange:
@@ -39,7 +39,7 @@ class Ground:
 
 
 @dataclass
-class Told:
+class Reported:
     """Laying that confirms the prediction, off by what it is told, and finds what it is told."""
 
     off: SE2 = ORIGIN
@@ -76,14 +76,14 @@ def at(points: Points, stamp_s: float) -> Points:
 @pytest.fixture
 def room() -> Ground:
     ground = Ground()
-    begun = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), ground, Told())
+    begun = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), ground, Reported())
     assert (begun.state, begun.inlier_ratio, begun.measured) == ("ok", 1.0, None)
     ground.insert(square(), begun)
     return ground
 
 
 def test_a_matcher_that_confirms_the_prediction_exactly_has_matched(room: Ground) -> None:
-    match = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), room, Told())
+    match = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), room, Reported())
     assert (match.state, match.reason, match.inlier_ratio) == ("ok", "", 1.0)
     assert match.measured is not None
     assert match.measured.pose_odom_base == SE2()
@@ -100,7 +100,7 @@ def test_on_new_ground_the_prediction_stands_if_it_was_measured(
     room: Ground, is_measured: bool, state: str
 ) -> None:
     here = replace(predicted(SE2()), is_measured=is_measured)
-    match = JudgedMatching(JudgementConfig()).match(opened(), here, room, Told(off=SE2(0.05, 0.0, 0.0)))
+    match = JudgedMatching(JudgementConfig()).match(opened(), here, room, Reported(off=SE2(0.05, 0.0, 0.0)))
     assert match.state == state
     assert "returns lie on the map" in match.reason
     assert match.motion.pose_odom_base == SE2()
@@ -109,7 +109,7 @@ def test_on_new_ground_the_prediction_stands_if_it_was_measured(
 
 def test_a_find_far_away_is_believed_when_the_next_says_the_same(room: Ground) -> None:
     matching, away = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0))
-    told = Told(finds=[SE2(), SE2(0.02, 0.01, 0.0)])
+    told = Reported(finds=[SE2(), SE2(0.02, 0.01, 0.0)])
     first = matching.match(at(square(), 1.0), away, room, told)
     assert (first.state, first.measured) == ("lost", None)
     assert matching.match(at(square(), 1.09), away, room, told).state == "lost"  # not searched again yet
@@ -123,7 +123,7 @@ def test_a_find_far_away_is_believed_when_the_next_says_the_same(room: Ground) -
 
 def test_finds_that_do_not_agree_are_not_believed(room: Ground) -> None:
     matching, away = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0))
-    told = Told(finds=[SE2(0.0, 0.0, math.pi / 2), SE2(), SE2(0.0, 0.0, -math.pi / 2)])  # it is a square
+    told = Reported(finds=[SE2(0.0, 0.0, math.pi / 2), SE2(), SE2(0.0, 0.0, -math.pi / 2)])  # it is a square
     for k in range(3):
         assert matching.match(at(square(), 1.0 + k), away, room, told).state == "lost"
 
@@ -132,7 +132,7 @@ def test_finds_that_do_not_agree_are_not_believed(room: Ground) -> None:
 def test_after_lost_scans_two_have_to_agree_where_the_prediction_says_little(
     room: Ground, turned_rad: float, state: str
 ) -> None:
-    matching, told = JudgedMatching(JudgementConfig()), Told()
+    matching, told = JudgedMatching(JudgementConfig()), Reported()
     here = replace(predicted(SE2()), local_covariance=np.diag([0.8**2, 0.8**2, 1.0**2]))
     assert matching.match(at(points_of(square().xy_base[:4]), 1.0), here, room, told).state == "lost"
     first = matching.match(at(square(), 1.1), here, room, told)
@@ -142,7 +142,7 @@ def test_after_lost_scans_two_have_to_agree_where_the_prediction_says_little(
 
 
 def test_a_search_in_vain_makes_the_next_twice_as_wide(room: Ground) -> None:
-    matching, away, told = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Told()
+    matching, away, told = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Reported()
     searched_s = []
     for k in range(26):
         asked = len(told.asked)
@@ -158,12 +158,12 @@ def lost_over(metres: float, room: Ground, scans: list[Points]) -> list[Match]:
     matches = []
     for k in range(1, math.ceil(metres) + 1):
         here = predicted(SE2(3.0, 1.5, 1.0), travel_m=1.0)
-        matches.append(matching.match(at(scans[k % len(scans)], float(k)), here, room, Told()))
+        matches.append(matching.match(at(scans[k % len(scans)], float(k)), here, room, Reported()))
     return matches
 
 
 def test_a_vehicle_that_is_not_found_over_a_long_way_begins_its_map_again(room: Ground) -> None:
-    matches = lost_over(ANEW_M, room, [square()])
+    matches = lost_over(RESTART_M, room, [square()])
     assert [match.state for match in matches[:-1]] == ["lost"] * (len(matches) - 1)
     assert matches[-1].state == "degraded"
     assert "a new map begins here" in matches[-1].reason
@@ -176,12 +176,12 @@ def test_noise_begins_no_map(room: Ground) -> None:
     scans = [
         points_of(square().xy_base * noise.uniform(0.2, 3.0, (len(square().xy_base), 1))) for _ in range(5)
     ]
-    assert {match.state for match in lost_over(3.0 * ANEW_M, room, scans)} == {"lost"}
+    assert {match.state for match in lost_over(3.0 * RESTART_M, room, scans)} == {"lost"}
     assert not room.is_empty
 
 
 def test_too_few_returns_name_the_sensor(room: Ground) -> None:
     few = points_of(square().xy_base[:4])
-    match = JudgedMatching(JudgementConfig()).match(few, predicted(SE2()), room, Told())
+    match = JudgedMatching(JudgementConfig()).match(few, predicted(SE2()), room, Reported())
     assert match.state == "lost"
     assert match.reason.startswith("front: 4 of 4 beams returned (at least 5)")

@@ -29,7 +29,7 @@ from tests.simulated import Drive, Wheels, drives
 
 T0_NS = 1_700_000_000_000_000_000
 SECONDS = 40.0
-RECEIVER = GnssModel(lasting_sigma_m=0.3, told_sigma_m=0.5)
+RECEIVER = GnssModel(lasting_sigma_m=0.3, reported_sigma_m=0.5)
 CONFIG = f"""\
 vehicle: v
 sensors:

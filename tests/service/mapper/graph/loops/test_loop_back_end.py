@@ -351,9 +351,9 @@ def test_where_a_piece_was_found_is_told_from_the_first_find_until_it_is_joined(
     assert back_end.work(Batch(known)).place.found_once is None
     again = piece_after(known, known[5:-5])
     results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
-    is_told = [result.place.found_once is not None for result in results]
-    first, joined = is_told.index(True), [result.joined for result in results].index(1)
-    assert is_told == [first <= k < joined for k in range(len(results))]
+    is_reported = [result.place.found_once is not None for result in results]
+    first, joined = is_reported.index(True), [result.joined for result in results].index(1)
+    assert is_reported == [first <= k < joined for k in range(len(results))]
     for once in (result.place.found_once for result in results[first:joined]):
         assert once is not None
         assert once.piece == 1

@@ -145,7 +145,7 @@ def test_a_scan_is_drawn_after_some_way_or_turn_and_not_before() -> None:
         motion = Motion(SE2(x_m, 0.0, theta_rad), (0.0, 0.0, 0.0), np.eye(3))
         drawn.append(patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe)
     assert drawn == [True, False, False, True, True]
-    patches.begin_anew()
+    patches.start_over()
     assert patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe
 
 

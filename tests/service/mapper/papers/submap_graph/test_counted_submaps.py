@@ -107,7 +107,7 @@ def test_a_map_that_begins_again_closes_its_sub_map_and_draws_nothing_of_it_agai
     submaps = CountedSubmaps(CONFIG)
     for k in range(3):
         drive(submaps, 0.5 * k, k)
-    submaps.begin_anew()
+    submaps.start_over()
     assert submaps.is_empty
     assert submaps.overlap(WALL, SE2(1.0, 0.0, 0.0)) == (0, 0)
     change = drive(submaps, 1.5, 3)
