@@ -21,7 +21,7 @@ MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two finds agree, both within A
 AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
 MIN_MERGE_LOOPS = 3
 QUERY = 6  # key frames of a place that are looked for, where not everywhere is asked
-MAX_MISSES = 8  # of places far apart; where a quarter of the second overlaps, one in ten sessions has so many
+MAX_PLACES_MISSED = 8  # of places far apart; where a quarter of the second overlaps, one in ten sessions has so many
 SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # every 8th place from these on, one series after the other
 
 
@@ -119,7 +119,7 @@ def find_second(
 
     count    key frames of the first, which stand before those of the second
     enough   end the search once so many places agree and no more than half as many say otherwise, or the
-             first MAX_MISSES are found nowhere; None: ask everywhere
+             first MAX_PLACES_MISSED are found nowhere; None: ask everywhere
 
     Raises MergeError where fewer than MIN_MERGE_LOOPS agree.
     """
@@ -131,7 +131,7 @@ def find_second(
     found: list[tuple[int, Floats]] = []  # key frame of the second, and the pose of its frame that it says
     agreeing: list[tuple[int, Floats]] = []
     for number, k in enumerate(asked if enough is None else _spread(asked)):
-        if enough is not None and not found and number >= MAX_MISSES:
+        if enough is not None and not found and number >= MAX_PLACES_MISSED:
             break
         near = own[np.abs(keyframes.way_m[own] - keyframes.way_m[k]) <= 0.5 * config.place_m]
         near = near if enough is None else near[:: max(1, len(near) // QUERY)]
