@@ -21,7 +21,7 @@ MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two finds agree, both within A
 AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
 MIN_MERGE_LOOPS = 3
 QUERY = 6  # key frames of a place that are looked for, where not everywhere is asked
-MAX_PLACES_MISSED = 8  # of places far apart; where a quarter of the second overlaps, one in ten sessions has so many
+MAX_PLACES_MISSED = 8  # far apart; where a quarter of the second overlaps, one in ten sessions has so many
 SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # every 8th place from these on, one series after the other
 
 
