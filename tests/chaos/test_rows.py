@@ -1,11 +1,13 @@
 """Faults of the rows are such as the demo's devices can have."""
 
+from dataclasses import replace
+
 from service.demo import DEVICES
 from simulators.fault_file import Cut, parse_faults
 from simulators.truth import Ride
 from simulators.vehicle import FakeVehicle, parse_devices
 from simulators.worlds import build_world
-from tests.chaos.rows import Live, rows
+from tests.chaos.rows import Live, Wire, rows
 
 
 def test_the_files_of_faults_are_accepted_and_every_boot_order_is_there_once():
@@ -21,3 +23,11 @@ def test_the_files_of_faults_are_accepted_and_every_boot_order_is_there_once():
                 orders.append(tuple(late[for_s] for for_s in sorted(late)))
     assert len(set(orders)) == len(orders) == 120
     assert {len(set(order)) for order in orders} == {5}
+
+
+def test_a_loop_of_the_map_that_began_after_a_silence_does_not_move_the_map_found_again():
+    """The first scan begins a map of its own, the next ones lie on the old map; then a loop joins both."""
+    silence = rows(seed=1, kills=1)["silence"]
+    assert isinstance(silence, Wire)
+    figures, _ = replace(silence, calm_s=3.0).run(1, print)
+    assert (figures.end_m < 0.03, figures.wrong_ok) == (True, 0), figures

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.kernels.loops import thin_points
 from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.edit_requests import ONLY_LOCALISED, EditError, LiveChange
 from service.mapper.graph.gnss.anchoring import Anchoring
@@ -32,7 +31,7 @@ from service.mapper.graph.loops.stored_graph import (
 )
 from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, CandidateSubmap, cloud_of
 from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
-from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, thinned
 from service.mapper.graph.model.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import odometry_edges
@@ -51,7 +50,6 @@ from service.mapper.refused_loops import (
     TOO_FEW_POINTS,
 )
 from service.mapper.saved_graph import KeepGraph, SavedGraph
-from service.mapper.walls import walls_of
 
 LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
@@ -177,7 +175,7 @@ class LoopBackEnd:
         if joined is not None or batch.request:
             self._due.must_draw()
         drawn = self.render() if self._due.take_drawing() else None
-        newest = self.keyframes.correction(-1)
+        newest = self.keyframes.newest_by_piece()
         return Result(len(self._loops), len(self._disabled), joined, newest, known, drawn, edited=edited)
 
     def _set_mode(self, is_localizing: bool) -> Result:
@@ -247,19 +245,8 @@ class LoopBackEnd:
         return piece
 
     def _append(self, frame: KeyFrame) -> None:
-        keyframes, pose = self.keyframes, frame.pose_odom_base
-        odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
-        if keyframes.count > keyframes.stored:
-            odom = se2.compose(keyframes.map[-1], se2.between(keyframes.odom[-1], odom))
-        xy, normals = walls_of(
-            frame.xy_base.astype(np.float64), frame.sensor_xy_m, frame.angle_step_rad, frame.range_sigma_m
-        )
-        kept = np.empty(len(xy), np.bool_)
-        thin_points(xy, self._config.thin_m, kept)
-        thinned = ThinnedScan(
-            xy[kept].astype(np.float32), normals[kept].astype(np.float32), frame.sensor_xy_m
-        )
-        keyframes.append(frame, odom, thinned)
+        keyframes = self.keyframes
+        keyframes.append(frame, keyframes.place_of(frame), thinned(frame, self._config.thin_m))
         if self._is_detached():
             keyframes.forget_one_standing(MAX_STANDING, self._config)
 
@@ -450,7 +437,7 @@ class LoopBackEnd:
         return Result(
             len(self._loops),
             len(self._disabled),
-            newest=corrections[-1],
+            newest=keyframes.newest_by_piece(),
             rendered_map=self.render(),
             all=corrections,
             g2o=to_g2o(self.graph()),

@@ -28,7 +28,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """newest: the newest key frame, if anything moved; all: every one, after the last batch.
+    """newest: as KeyframeList.newest_by_piece, if anything moved; all: every one, after the last batch.
 
     g2o, keyframes   after the last batch: the graph as text, and how many key frames it has
     geo, fixes       where the map lies on the earth, None: that is not known; fixes by what became of them
@@ -37,7 +37,7 @@ class Result:
     loops: int  # that are accepted now
     disabled: int  # that are not any more
     joined: int | None = None  # number of the piece that was found in the rest; None: none
-    newest: Correction | None = None
+    newest: Mapping[int, Correction] = field(default_factory=dict)
     known: KnownPose | None = None  # the newest whose place in the map is known; None: as before
     rendered_map: RenderedMap | None = None
     all: Sequence[Correction] = ()

@@ -16,7 +16,6 @@ from drivers.section import Section
 from service.geometry.se2 import SE2
 from service.mapper.background import NewWorker
 from service.mapper.components import (
-    Correction,
     FinishedGraph,
     GraphRequestError,
     GraphUpdate,
@@ -91,6 +90,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
+        self._piece = 0  # that the newest scan lies in
         self._last_ns = 0
         self._spot: SE2 | None = None  # of the first key frame from where the vehicle stands
         self._standing = 0  # key frames after that one from there
@@ -108,7 +108,7 @@ class LoopClosing(BackgroundGraph[Result]):
         return not self.fault
 
     def add(self, scan: MappedScan) -> SE2:
-        pose = scan.match.motion.pose_odom_base
+        pose, self._piece = scan.match.motion.pose_odom_base, scan.change.piece
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         self._is_unmeasured |= scan.is_way_unknown
         sigma_m, sigma_rad = sigmas_of(scan.prior)
@@ -249,8 +249,9 @@ class LoopClosing(BackgroundGraph[Result]):
         self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:
             self._is_unmeasured = False
-        if result.newest is not None:
-            self._pose_map_odom = _pose_map_odom(result.newest)
+        if result.newest:  # its first is the newest of all: a scan may lie in a piece that began since
+            correction = result.newest.get(self._piece, next(iter(result.newest.values())))
+            self._pose_map_odom = correction.pose_map_base @ correction.pose_odom_base.inverse()
         since = [frame for batch in self._sent for frame in batch] + self._fresh
         is_all = result.rendered_map is not None and result.rendered_map.is_part is None
         drawn = [  # a part leaves them where they are drawn already
@@ -294,7 +295,3 @@ def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool, doubt: tuple
         is_unmeasured=is_unmeasured,
         doubt=doubt,
     )
-
-
-def _pose_map_odom(newest: Correction) -> SE2:
-    return newest.pose_map_base @ newest.pose_odom_base.inverse()

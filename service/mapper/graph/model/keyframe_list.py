@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
+from service.kernels.loops import thin_points
 from service.mapper.by_hand import ByHand
 from service.mapper.components import Correction
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
+from service.mapper.walls import walls_of
 
 NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
 
@@ -50,6 +53,16 @@ class ThinnedScan:
 # Of KeyframeList, one row a key frame
 ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_doubt")
 SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
+
+
+def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
+    """Of each cell one point."""
+    xy, normals = walls_of(
+        frame.xy_base.astype(np.float64), frame.sensor_xy_m, frame.angle_step_rad, frame.range_sigma_m
+    )
+    kept = np.empty(len(xy), np.bool_)
+    thin_points(xy, cell_m, kept)
+    return ThinnedScan(xy[kept].astype(np.float32), normals[kept].astype(np.float32), frame.sensor_xy_m)
 
 
 class KeyframeList:
@@ -169,6 +182,18 @@ class KeyframeList:
         """(N, 2) m^2, rad^2 of each one, as in KeyFrame."""
         return self._doubt[: self.count]
 
+    def place_of(self, frame: KeyFrame) -> Floats:
+        """(3,) where a further one lies, by the odometry since the newest one of its piece; of a piece that
+        begins, since the newest one.
+        """
+        pose = frame.pose_odom_base
+        odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        if self.count == self.stored:
+            return odom
+        same = np.flatnonzero(self.piece[self.stored :] == frame.piece)
+        before = self.stored + int(same[-1]) if len(same) else self.count - 1
+        return se2.compose(self.map[before], se2.between(self.odom[before], odom))
+
     def append(self, frame: KeyFrame, pose_map: Floats, thinned: ThinnedScan) -> None:
         if self.count == len(self._poses):
             for name in ARRAYS:
@@ -211,6 +236,16 @@ class KeyframeList:
             SE2(*self.map[k].tolist()),
             bool(self.piece[k] != self.piece[before]),
         )
+
+    def newest_by_piece(self) -> dict[int, Correction]:
+        """Of the newest one, and of the newest one of another piece: a vehicle may be back in that since."""
+        piece = int(self.piece[-1])
+        newest = {piece: self.correction(self.count - 1)}
+        others = np.flatnonzero(self.piece[self.stored :] != piece)
+        if len(others):
+            k = self.stored + int(others[-1])
+            newest[int(self.piece[k])] = self.correction(k)
+        return newest
 
     def drop(self, first: int, last: int) -> None:
         """Take out the key frames first..last - 1; those behind move up."""

@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList
 from service.mapper.graph.model.loops_config import LoopsConfig
 from tests.service.mapper.graph.relocalise.test_known_map import append
 
@@ -24,3 +27,19 @@ def test_of_one_spot_the_first_and_the_newest_keep_their_points():
 def test_of_a_vehicle_that_creeps_or_turns_one_of_each_step_keeps_its_points():
     assert kept_of([SE2(0.11 * k, 0.0, 0.0) for k in range(16)]) == [0, 3, 6, 9, 12, 13, 14, 15]
     assert kept_of([SE2(0.0, 0.0, 0.08 * k) for k in range(9)]) == [0, 2, 4, 6, 7, 8]
+
+
+def test_a_key_frame_back_in_a_map_is_placed_by_the_newest_of_that_map():
+    """Odometry jumps where a map that began apart is left for the one before."""
+    keyframes, noise = KeyframeList(), np.random.default_rng(1)
+    append(keyframes, WALLS, SE2(1.0, 0.0, 0.0), 0, noise)
+    append(keyframes, WALLS, SE2(2.0, 1.0, 0.5), 1, noise)
+    keyframes.map[:] = (1.0, 0.2, 0.0), (2.0, 0.0, 0.0)
+    newest = keyframes.newest_by_piece()
+    assert list(newest) == [1, 0]  # the first is the newest of all
+    assert newest[0].pose_map_base == SE2(1.0, 0.2, 0.0)
+
+    nothing = np.zeros((0, 2), np.float32)
+    back = KeyFrame(1, SE2(3.0, 0.0, 0.0), np.eye(3), 0, 1.0, False, nothing, (0.0, 0.0), 0.01)
+    assert keyframes.place_of(back) == pytest.approx([3.0, 0.2, 0.0])
+    assert keyframes.place_of(replace(back, piece=2)) == pytest.approx([2.398, -1.357, -0.5], abs=1e-3)
