@@ -64,7 +64,7 @@ def _few_beams_and_questions() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rings, "BEAMS", BEAMS)
         patch.setattr(rings, "STEP_RAD", -2.0 * rings.FIRST_RAD / (BEAMS - 1))
-        patch.setattr(merging, "MAX_MISSES", 2)
+        patch.setattr(merging, "MAX_PLACES_MISSED", 2)
         yield
 
 
