@@ -98,9 +98,8 @@ def test_the_reference_comes_once_the_direction_is_known_and_stays(results: list
     first = known.index(True)
     assert all(known[first:])
     assert 60.0 < 6.0 * first < 250.0  # m: 20 key frames a batch
-    before = [r.newest for r in results[:first]]
-    assert before == [None] * first
-    assert results[first].newest is not None
+    assert not any(r.newest for r in results[:first])
+    assert results[first].newest
     assert {r.geo.origin for r in results[first:] if r.geo} == {results[first].geo.origin}
 
 

@@ -75,7 +75,7 @@ def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_eac
     assert answer.told["done"].startswith("pairs 0 to 2; key frames moved by up to ")
     assert [pair["apart_mm"] < 50.0 for pair in answer.told["pairs"]] == [True] * 3
     assert answer.told["moved_m"] > 0.5
-    assert result.newest is not None
+    assert result.newest
     assert result.rendered_map is not None
     assert seam_m(saved(back_end), TRUTH).max() < 0.1
     _, answer = asked(back_end, what="remove-pair", pair=1)

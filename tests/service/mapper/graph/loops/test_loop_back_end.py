@@ -70,7 +70,7 @@ def test_a_ring_is_closed_and_the_way_bent_back(
     drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in frames]
     assert seam_m(drifted, truth).min() > 0.5
     assert results[len(frames) // (2 * BATCH)].loops == 0
-    corrected_live = next(r for r in results if r.newest is not None)
+    corrected_live = next(r for r in results if r.newest)
     assert corrected_live.loops >= 3
     assert corrected_live.rendered_map is not None
     finished = back_end.work(Batch([], is_last=True))
@@ -130,7 +130,7 @@ def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_again(
     assert not any(result.newest for result in fed(frames)[1])
     monkeypatch.setattr(solution_due, "SOLVE_EVERY_M", 20.0)
     results = fed(frames)[1]
-    solved = [result for result in results if result.newest is not None]
+    solved = [result for result in results if result.newest]
     assert solved
     assert all(result.known is None and result.rendered_map is None for result in solved)
 
@@ -248,7 +248,7 @@ def test_a_lap_that_ends_where_it_began_is_closed_where_the_way_is_known(is_know
 def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[KeyFrame], list[SE2]]):
     frames = ring[0][:100]
     back_end, results = fed(frames)
-    assert all(result.newest is None for result in results)
+    assert all(not result.newest for result in results)
     finished = back_end.work(Batch([], is_last=True))
     for correction in finished.all:
         away = correction.pose_odom_base.inverse() @ correction.pose_map_base
@@ -271,10 +271,10 @@ def test_who_undoes_the_last_loops_gets_the_way_before_them(ring_fed: tuple[byte
     back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
     before = results[-1].loops
     undone = [back_end.work(Batch([], "undo")) for _ in range(before)]
-    *_, result = (one for one in undone if one.newest is not None)
+    *_, result = (one for one in undone if one.newest)
     assert before > result.loops == undone[-1].loops == 0
-    assert result.newest is not None
-    assert result.newest.pose_map_base.x_m == pytest.approx(result.newest.pose_odom_base.x_m, abs=1e-3)
+    (newest,) = result.newest.values()
+    assert newest.pose_map_base.x_m == pytest.approx(newest.pose_odom_base.x_m, abs=1e-3)
 
 
 def test_lost_key_frames_are_neither_looked_for_nor_trusted(ring: tuple[list[KeyFrame], list[SE2]]):
@@ -332,7 +332,7 @@ def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
         if result.joined:
             joined_at.append(k)
             assert result.joined == 1
-            assert result.newest is not None
+            assert result.newest
     assert len(joined_at) == 1  # and not again
     assert (joined_at[0] + 4) * STEP_M >= 4.0
     finished = back_end.work(Batch([], is_last=True))
