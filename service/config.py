@@ -109,13 +109,8 @@ def tf_static(sensors: Mapping[str, Any], unix_ns: int) -> Message:
         if (antenna_m := getattr(sensor, "antenna_m", None)) is not None:
             poses[antenna_of(name)] = SE2(antenna_m[0], antenna_m[1])
             heights_m[antenna_of(name)] = antenna_m[2]
-    return encode_tf_static(
-        poses,
-        unix_ns,
-        unix_ns,
-        heights_m,
-        [name for name, m in mounted.items() if m.upside_down],
-    )
+    upside_down = [name for name, m in mounted.items() if m.upside_down]
+    return encode_tf_static(poses, unix_ns, unix_ns, heights_m, upside_down)
 
 
 def laser_names(sensors: Mapping[str, Any]) -> list[str]:
@@ -330,24 +325,16 @@ class _Reader:
                 owner = owners.setdefault(spelt, name)
                 if owner != name:
                     where = ":".join(map(str, wire))
-                    self._fault(
-                        ("sensors", name, keys[0]),
-                        f"{where} is taken by {owner}; two sensors cannot share a wire",
-                    )
+                    fault = f"{where} is taken by {owner}; two sensors cannot share a wire"
+                    self._fault(("sensors", name, keys[0]), fault)
 
     def _refuse_own_topics(self, sensors: Mapping[str, BaseModel], ros2: Ros2Config) -> None:
         """What goes out must not come in again."""
         for name, sensor in sensors.items():
-            topic = getattr(sensor, "topic", None)
-            if (
-                ros2.enabled
-                and ros2.domain == getattr(sensor, "domain", None)
-                and topic in own_topics(ros2.namespace, sensors)
-            ):
-                self._fault(
-                    ("sensors", name, "topic"),
-                    f"{topic} is published by corridor itself; give publishing.ros2 a namespace",
-                )
+            topic, domain = getattr(sensor, "topic", None), getattr(sensor, "domain", None)
+            if ros2.enabled and ros2.domain == domain and topic in own_topics(ros2.namespace, sensors):
+                fault = f"{topic} is published by corridor itself; give publishing.ros2 a namespace"
+                self._fault(("sensors", name, "topic"), fault)
 
     def _refuse_nowhere_to_begin(self, mapping: MappingConfig, section: object) -> None:
         is_given = isinstance(section, dict) and section.get("load") is not None

@@ -305,12 +305,7 @@ def _add_site(commands: Any) -> None:
         metavar="MAP",
         help="folder of the site's map; what is there already is kept, and the sessions are added",
     )
-    build.add_argument(
-        "--config",
-        type=Path,
-        metavar="CONFIG.yaml",
-        help="map recordings with its sensors and mapping instead of the recorded ones",
-    )
+    build.add_argument("--config", type=Path, metavar="CONFIG.yaml", help="map recordings with it instead")
     _add_engine(build)
     add_choice(build)
 

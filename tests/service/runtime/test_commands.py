@@ -477,9 +477,9 @@ def test_no_one_is_left_waiting_when_the_mapper_does_not_answer(tmp_path: Path, 
 
 def test_events_are_ros_strings(machine: Machine):
     machine.ask("mark", text="x")
-    (session,) = machine.stop()
-    assert {type(m) for m in Recording([session]).messages(["/events"])} == {Message}
-    assert [t.type for t in Recording([session]).topics if t.name == "/events"] == [STRING]
+    recording = Recording(machine.stop())
+    assert {type(m) for m in recording.messages(["/events"])} == {Message}
+    assert [t.type for t in recording.topics if t.name == "/events"] == [STRING]
 
 
 def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_begun(tmp_path: Path):
@@ -497,5 +497,4 @@ def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_
     ):
         assert machine.ask(verb, **request)["error"].startswith(f"{words}: {MAX_ASKED} requests wait for")
     with InUse(tmp_path / "office", "somebody who edits it"):
-        (session,) = machine.stop()
-    assert [event["event"] for event in events(session)] == ["save_map"]
+        assert [event["event"] for event in events(*machine.stop())] == ["save_map"]
