@@ -123,7 +123,7 @@ def _check_recording(session: Path, truth: Path) -> None:
     true = interpolate(np.loadtxt(truth), stamps_ns)
     start = true[0].inverse()
     errors_m = [np.hypot(*_offset(start @ t, p.pose)) for t, p in zip(true, poses, strict=True)]
-    # Of stamps taken while the processor was busy elsewhere a few are off; where scans were passed over, many.
+    # Of stamps taken while the processor was busy elsewhere a few are off; many where scans were passed over.
     assert np.median(errors_m) < (0.1 if too_old else 0.03)
     assert np.hypot(*_offset(true[0], true[-1])) > 1.0  # it really drove
 
