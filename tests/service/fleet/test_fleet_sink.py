@@ -20,11 +20,15 @@ from tests.waiting import wait_until
 VEH1 = "corridor/v1/veh1"
 
 
+def answers(client, key: str = "veh1/cmd/any") -> list[str]:
+    return [reply.ok.payload.to_string() for reply in client.get(f"corridor/v1/{key}", timeout=20.0)]
+
+
 def subscribed(client, key: str) -> Inbox:
     """The router knows of it, and so do vehicles: an answer comes after the declaration."""
     inbox = Inbox()
     client.declare_subscriber(key, inbox)
-    assert list(client.get(f"{VEH1}/cmd/any", timeout=20.0))
+    assert answers(client)
     return inbox
 
 
@@ -95,9 +99,8 @@ def test_commands_come_through_the_router_unless_they_are_switched_off(
             command=lambda verb, payload: Answer(True, verb.encode()),
         )
     client = open_client(endpoint)
-    replies = [list(client.get(f"corridor/v1/{name}/cmd/pause", timeout=20.0)) for name in ("veh1", "veh2")]
-    assert [reply.ok.payload.to_string() for reply in replies[0]] == ["pause"]
-    assert replies[1] == []
+    wait_until(lambda: answers(client, "veh1/cmd/pause") == ["pause"])
+    assert answers(client, "veh2/cmd/pause") == []
 
 
 def test_a_vehicle_without_a_router_waits_for_it_and_ends_at_once(endpoint, start_router, start_vehicle):
@@ -116,7 +119,8 @@ def test_a_lost_link_comes_back_with_what_was_declared(endpoint, start_router, s
     start_router(endpoint)
     wait_until(lambda: sink.health().level == OK)
     assert sink.health().values["links"] == "2"
-    assert [reply.ok.payload.to_string() for reply in open_client(endpoint).get(f"{VEH1}/cmd/any")] == ["{}"]
+    client = open_client(endpoint)
+    wait_until(lambda: answers(client) == ["{}"])
 
 
 def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
@@ -130,10 +134,10 @@ def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
     both = presences(keys)["veh1"]
     assert len(both) == 2
     assert all(str(presence) in second.health().message for presence in both)
-    assert [r.ok.payload.to_string() for r in client.get(f"{VEH1}/cmd/any", timeout=20.0)] == ["first"]
+    assert answers(client) == ["first"]
     first.close()
     wait_until(lambda: is_in_fleet(second))
-    assert [r.ok.payload.to_string() for r in client.get(f"{VEH1}/cmd/any", timeout=20.0)] == ["second"]
+    wait_until(lambda: answers(client) == ["second"])  # once the router knows of its commands
 
 
 def test_over_tls_a_vehicle_shows_its_certificate(start_router, start_vehicle, endpoint, client_of):
