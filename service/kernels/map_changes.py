@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_2D, UInt8_2D
+from service.kernels.beam_likelihood import BEHIND_M
 from service.kernels.compiled import inner_kernel, seldom_kernel
 from service.kernels.rays import begin_ray
 
 CELL_UNKNOWN, CELL_FREE, CELL_WALL = 0, 1, 2
-BEHIND_M = 0.3  # a beam that ends so far behind a cell went through it
 MIN_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it
 LONG = 4.0  # times as long as wide: what stands around a cell has a direction
 MAX_VOTES = 200  # of either side; then both are halved, and what is newer counts more

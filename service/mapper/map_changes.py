@@ -8,6 +8,7 @@ import numpy.typing as npt
 from service.geometry.se2 import SE2
 from service.kernels.map_changes import CELL_FREE, CELL_UNKNOWN, CELL_WALL, ChangeVotes, Moment, weigh_changes
 from service.mapper.components import Points, RenderedMap
+from service.mapper.maps.occupancy import FREE_EVIDENCE
 from service.outputs import FREE as GRID_FREE
 from service.outputs import OCCUPIED as GRID_OCCUPIED
 from service.outputs import UNKNOWN as GRID_UNKNOWN
@@ -15,7 +16,7 @@ from service.outputs import Grid
 
 Rows = npt.NDArray[np.int64]
 COARSER = 2  # cells of the map along an edge of one of these: 0.1 m
-WALL_EVIDENCE, FREE_EVIDENCE = 13, -20  # log-odds in steps of 0.05: 66 %; and two beams passed
+WALL_EVIDENCE = 13  # log-odds in steps of 0.05: 66 %
 FARTHEST_M = 12.0  # of a return that is asked
 CHANGE_STEP_M, CHANGE_STEP_RAD = 0.3, 0.2  # from one pose to the next that counts as another
 USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000  # scans between these are not asked

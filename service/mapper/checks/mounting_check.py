@@ -17,13 +17,12 @@ import numpy as np
 from service.estimator.motion import Matrix, Measurement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_3
 from service.geometry.se2 import SE2
-from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
+from service.mapper.checks.stamp_check import BATCH, SCANS_WITH_SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 MOUNTING_TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: as people measure it
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
 ROBUST_CHI2 = 9.0  # of a scan, or a step, that counts half
-BATCH_SCANS = 25  # after which an offset is judged
 MIN_ADVANTAGE = 0.1  # of looking one way over the other: agreement with known ground
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # the heading, and the position in its best direction
 
@@ -65,14 +64,14 @@ class MountingCheck:
         self._information.append(measured.information / SCANS_WITH_SAME_ERRORS)
         self._weighed.append(np.linalg.inv(measured.covariance) @ off / SCANS_WITH_SAME_ERRORS)
         self._advantages.append(MIN_ADVANTAGE if advantage is None else advantage)
-        if len(self._weighed) == BATCH_SCANS:
+        if len(self._weighed) == BATCH:
             self._judge()
             self._begin_batch()
 
     def miss(self) -> None:
         """A scan that fitted nowhere around."""
         self._missed += 1
-        if self._missed >= BATCH_SCANS:
+        if self._missed >= BATCH:
             self._begin_batch()
             self.fault = Reason(
                 "laser_mounting",

@@ -20,6 +20,7 @@ from drivers.frames import OdometrySample
 from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_2
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.checks.mounting_check import ROBUST_CHI2
+from service.mapper.checks.stamp_check import BATCH
 from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
@@ -29,7 +30,6 @@ LONGEST_STEP_NS = 3_000_000_000
 MAX_SAMPLE_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
 SAMPLES_KEPT = 512  # of odometry that are kept
 STEPS = 200  # the newest count: 80 m and more
-JUDGED_EACH = 25  # steps
 # Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
 MATCH_M, WALK_M, TURN_NOISE_M = 0.01, 0.02, 0.02
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
@@ -82,7 +82,7 @@ class OdometryMounting:
             (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
         )
         self._new += 1
-        if self._new == JUDGED_EACH:
+        if self._new == BATCH:
             self._new = 0
             self.fault = fault_of(np.array(self._steps))
 

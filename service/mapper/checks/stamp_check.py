@@ -21,8 +21,8 @@ from service.outputs import NO_REASON, Reason
 MAX_SCAN_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
 MIN_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
 SCANS = 400  # the newest count
+BATCH = 25  # scans, or steps, after which a check judges
 SCANS_WITH_SAME_ERRORS = 20.0  # scans that see the same errors of the map
-JUDGED_EACH = 25  # scans
 TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
 KNOWN_S = 0.002  # sigma from which on stamps that go together are cleared of a fault
 
@@ -54,7 +54,7 @@ class StampCheck:
             off_rad = wrap_angle(of_rad - before[1]) - rate_radps * (at_ns - before[0]) * 1e-9
             self._scans.append((rate_radps, off_rad))
             self._new += 1
-        if self._new >= JUDGED_EACH:
+        if self._new >= BATCH:
             self._new = 0
             self._judge()
 

@@ -56,6 +56,7 @@ EVIDENCE = Evidence(
     -round(MAX_LOG_ODDS / STEP_LOG_ODDS),
     round(MAX_LOG_ODDS / STEP_LOG_ODDS),
 )
+FREE_EVIDENCE = 2 * EVIDENCE.miss  # two misses and no hit
 SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent: what the most evidence of both signs shows
 NO_CELLS: Cells = np.zeros((0, 2), np.int64)
 DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one

@@ -23,14 +23,13 @@ from service.mapper.graph.model.point_clouds import (
     cover,
     joined,
 )
-from service.mapper.maps.occupancy import EVIDENCE
+from service.mapper.maps.occupancy import EVIDENCE, FREE_EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 
 LOOP_FIELD_SIGMA_M = 0.12  # spread of a point in the field of a candidate: a cell and what drift is left
 LOOP_SEARCH_LEVELS = 7
 LOOP_REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
-FREE_EVIDENCE = -20  # two misses and no hit
 LOOP_SEARCH_POINTS = 200
 # Of a point on ground that the sub-map has not seen, which says nothing: somewhat less than that of one on a
 # wall, so that ground that is known wins.
@@ -41,7 +40,7 @@ MIN_LOOP_SCORE = 0.5  # mean likelihood of the points that a search must reach: 
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
 REACH_SIGMAS = 3.5  # of the drift between two passes, that half a window is: DRIFTS of the back end
 MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
-TRACED_EVERY = 3  # key frames of a place: neighbours see the same free space
+TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 
 
 def cloud_of(

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.poses import Floats
+from service.mapper.graph.model.keyframe_list import SESSION_APART_M
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import GraphPicture
 
@@ -13,7 +14,6 @@ MAX_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out
 MAX_LOOPS = 500  # of each kind
 MAX_BORDERS = 200
 PERIOD_NS = 2_000_000_000  # of the drive, from one picture to the next
-SESSION_APART_M = 100.0  # way that counts between two sessions; see KeyframeList
 
 Ints = npt.NDArray[np.int64]
 

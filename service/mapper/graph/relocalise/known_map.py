@@ -34,7 +34,12 @@ from service.kernels.loops import splat_field
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.kernels.surfels import SurfelGrid
 from service.kernels.tiles import NO_TILE
-from service.mapper.graph.model.candidate_submap import LOOP_FIELD_SIGMA_M, LOOP_REACH_M, seen_by
+from service.mapper.graph.model.candidate_submap import (
+    LOOP_FIELD_SIGMA_M,
+    LOOP_REACH_M,
+    TRACED_EVERY,
+    seen_by,
+)
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import (
     CELL_M,
@@ -69,7 +74,6 @@ ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map ha
 # that end on one of them say one thing, where it stands. Walls that face the same way are so far apart.
 WALLS_APART_M = 2.0
 MAX_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
-TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
 LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.checks.mounting_check import BATCH_SCANS, MountingCheck
+from service.mapper.checks.mounting_check import MountingCheck
+from service.mapper.checks.stamp_check import BATCH
 
 SIGMA = np.diag([0.004, 0.004, math.radians(0.2)])
 TURNED = SE2(0.0, 0.0, math.pi / 2.0)
@@ -33,21 +34,21 @@ def compare(
         covariance = np.linalg.inv(information + np.linalg.inv(looked_for.local_covariance))
         found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
         pose = looked_for.pose_odom_base @ SE2.exp(*found.tolist())
-        advantage = advantages[min(number // BATCH_SCANS, len(advantages) - 1)]
+        advantage = advantages[min(number // BATCH, len(advantages) - 1)]
         check.add(looked_for, Measurement(pose, covariance, information), advantage)
     return check
 
 
 @pytest.mark.parametrize("seen", [np.eye(3), OPEN], ids=["room", "corridor"])
 def test_a_scan_found_turned_by_90_degrees_does_not_accuse_a_right_mounting(seen):
-    offsets = [SE2()] * BATCH_SCANS
+    offsets = [SE2()] * BATCH
     offsets[5] = offsets[14] = TURNED
     check = compare(offsets, seen)
     assert (check.is_right, check.fault) == (True, "")
 
 
 def test_a_mounting_that_is_off_is_measured_beside_such_scans():
-    offsets = [SE2(0.1, -0.05, math.radians(5.0))] * BATCH_SCANS
+    offsets = [SE2(0.1, -0.05, math.radians(5.0))] * BATCH
     offsets[3] = TURNED
     check = compare(offsets)
     assert not check.is_right
@@ -57,25 +58,25 @@ def test_a_mounting_that_is_off_is_measured_beside_such_scans():
 
 
 def test_a_laser_that_is_mounted_turned_by_90_degrees_is_said_to_be():
-    assert compare([TURNED] * BATCH_SCANS).fault.startswith("is off its configured mounting by +90.0 deg")
+    assert compare([TURNED] * BATCH).fault.startswith("is off its configured mounting by +90.0 deg")
 
 
 def test_a_mounting_is_not_judged_while_ahead_and_behind_look_alike():
-    check = compare([SE2()] * BATCH_SCANS * 3, OPEN, [0.02])
+    check = compare([SE2()] * BATCH * 3, OPEN, [0.02])
     assert (check.is_right, check.fault) == (False, "")
-    assert compare([SE2()] * BATCH_SCANS * 3, OPEN, [0.02, 0.12]).is_right
+    assert compare([SE2()] * BATCH * 3, OPEN, [0.02, 0.12]).is_right
 
 
 def test_a_laser_that_looks_the_other_way_is_a_fault_that_one_batch_does_not_clear():
     for advantages in ([-0.3], [-0.3, 0.11]):
-        check = compare([SE2()] * BATCH_SCANS * 2, OPEN, advantages)
+        check = compare([SE2()] * BATCH * 2, OPEN, advantages)
         assert not check.is_right
         assert check.fault.startswith("fits better if it is turned by 180 deg")
 
 
 def test_scans_that_fit_nowhere_around_are_a_fault_too():
     check = compare([])
-    for _ in range(BATCH_SCANS):
+    for _ in range(BATCH):
         assert not check.fault
         check.miss()
     assert check.fault.startswith("does not fit the map of the other lasers")

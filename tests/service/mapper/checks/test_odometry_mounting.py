@@ -11,13 +11,13 @@ import pytest
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.checks.odometry_mounting import (
-    JUDGED_EACH,
     STEPS,
     OdometryMounting,
     fault_of,
     offset_of,
     turns_are_opposed,
 )
+from service.mapper.checks.stamp_check import BATCH
 from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip
@@ -113,24 +113,24 @@ def test_who_was_carried_makes_no_step():
     """A metre to the side, again and again, which odometry does not see: the place was lost each time."""
     check = OdometryMounting()
     check.add_odometry(sample(-1, SE2()))
-    for k in range(4 * JUDGED_EACH):
+    for k in range(4 * BATCH):
         if k % 2 == 0:
             check.interrupt()
         stamp_ns = k * 200_000_000
         check.add_odometry(sample(stamp_ns, SE2(0.5 * k, 0.0, 0.0)))
         check.add_pose(stamp_ns, SE2(0.5 * k, float(k // 2), 0.0))
-    assert len(check._steps) == 2 * JUDGED_EACH
+    assert len(check._steps) == 2 * BATCH
     assert check.fault == ""
 
 
 def test_a_pause_of_odometry_or_scans_makes_no_step():
     check = OdometryMounting()
-    for k in range(2 * JUDGED_EACH):  # a metre to the side in each pause of odometry
+    for k in range(2 * BATCH):  # a metre to the side in each pause of odometry
         stamp_ns = k * 2_000_000_000
         check.add_odometry(sample(stamp_ns, SE2(float(k), 0.0, 0.0)))
         check.add_pose(stamp_ns - 1_000_000_000, SE2(float(k), float(k), 0.0))
     assert check.fault == ""
-    for k in range(16 * JUDGED_EACH):  # and in one of the scans
+    for k in range(16 * BATCH):  # and in one of the scans
         stamp_ns = 1_000_000_000_000 + k * 500_000_000
         check.add_odometry(sample(stamp_ns, SE2(float(k), 0.0, 0.0)))
         if k % 8 == 0:
