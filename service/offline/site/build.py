@@ -55,7 +55,11 @@ def site_build(
             raise next(iter(failed.values()), InputError("; ".join(one.why for one in refused.values())))
         site = _begun(sessions, engine, out, progress)
     else:
-        known = {one.name: left_out[one.name].known for one in sessions if one.name in left_out}
+        known = {
+            one.name: left_out[one.name].known
+            for one in sessions
+            if one.name in left_out and left_out[one.name].digest == one.digest
+        }
         grow(site, sessions, engine, out, progress, known)
     digests = {one.name: one.digest for one in sessions}
     refused |= {name: LeftOut(digests[name], len(site.members), why) for name, why in site.left_out.items()}

@@ -251,3 +251,11 @@ def test_the_command_tells_who_is_in_and_who_is_not(three, drives, capsys):
     table, summary = capsys.readouterr().out.rstrip().rsplit("\n", 1)
     assert "left out: elsewhere: " in table
     assert summary.endswith("3 sessions of the site, 0 of them new; 1 left out: elsewhere")
+
+
+def test_a_drive_that_was_left_out_and_mapped_again_is_looked_for_again(three, tmp_path):
+    out = Path(shutil.copytree(three[0], tmp_path / "map", symlinks=True))
+    store(tmp_path / "elsewhere", driven("d", 9))
+    report = build([tmp_path / "elsewhere"], out)
+    assert names_in(report) == ["a", "b", "c", "elsewhere"]
+    assert report["left_out"] == {}
