@@ -17,12 +17,14 @@ def site(parsed: argparse.Namespace) -> int:
     options = ReplayOptions(config=parsed.config, choice=choice_of(parsed))
     paths = [path_or_url(one) for one in parsed.sessions]
     with engine_of(parsed) as engine, progress("site build") as shown:
-        told = site_build(paths, options, parsed.out, engine, shown)
+        report = site_build(paths, options, parsed.out, engine, shown)
     if parsed.json:
-        print_result(told, as_json=True)
+        print_result(report, as_json=True)
         return 0
-    print_table(site_table(told))
-    for name, why in told["left_out"].items():
+    print_table(site_table(report))
+    for name, why in report["left_out"].items():
         print(f"left out: {name}: {why}")
-    print(summary_of(told))
+    for warning in report["warnings"]:
+        print(f"warning: {warning}")
+    print(summary_of(report))
     return 0

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from drivers.counted import counted
 from service.archive import is_remote
 from service.errors import InputError
 from service.geometry import poses as se2
@@ -12,8 +13,9 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map
-from service.offline.past.result import MAP_FOLDER, map_folder
+from service.offline.past.result import MAP_FOLDER, SUMMARY_FILE, map_folder
 from service.offline.replay.replay import group_sessions, session_name
+from service.recording.opening import is_recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,28 +50,38 @@ class Session:
         return replace(self.graph, map=se2.compose(pose_site_session, self.graph.map))
 
 
-def given_sessions(paths: Sequence[Path], replayed: Path) -> list[Given]:
-    """Results and stored maps as they are; recordings go to folders below `replayed`. A folder stands for the
-    results in it or, where there is none, for the recordings in it. Two of one name are numbered.
+def given_sessions(paths: Sequence[Path], out: Path, replayed: Path) -> tuple[list[Given], list[str]]:
+    """Results and stored maps as they are, without the site's own at `out`; recordings go to folders below
+    `replayed`. A folder stands for the results in it or, where there is none, for the recordings. Two of
+    one name are numbered. And a warning for each folder whose recordings are passed over.
 
     Raises InputError for a folder that may not be read, or without sessions.
     """
     given: list[Given] = []
     recordings: list[Path] = []
+    passed_over = []
     for path in paths:
-        mapped = [] if is_remote(path) or not path.is_dir() else _mapped_in(path)
-        given += [Given(_name_of(one), (), one) for one in mapped]
-        if not mapped:
+        results = [one for one in _results_in(path) if one.resolve() != out.resolve()]
+        given += [Given(_name_of(one), (), one) for one in results]
+        if not results:
             recordings.append(path)
+        elif results != [path] and (count := sum(map(is_recording, path.iterdir()))):
+            beside = f"passed over, beside {counted(len(results), 'result')}"
+            passed_over.append(f"{path}: {counted(count, 'recording')} {beside}; name each to add it")
     for session in group_sessions(recordings) if recordings else []:
         given.append(Given(session_name(session), tuple(session), replayed))
-    return _numbered(given)
+    return _numbered(given), passed_over
 
 
-def _mapped_in(folder: Path) -> list[Path]:
-    if map_folder(folder) is not None:
-        return [folder]
-    return sorted(one for one in folder.iterdir() if one.is_dir() and map_folder(one) is not None)
+def _results_in(path: Path) -> list[Path]:
+    if is_remote(path) or not path.is_dir():
+        return []
+    return [path] if _is_result(path) else sorted(filter(_is_result, path.iterdir()))
+
+
+def _is_result(path: Path) -> bool:
+    """One without a map is left out with the reason, as it is loaded."""
+    return map_folder(path) is not None or (path / SUMMARY_FILE).is_file()
 
 
 def _name_of(result: Path) -> str:

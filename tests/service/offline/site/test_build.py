@@ -1,5 +1,6 @@
 """One map of several drives: drives round a ring of corridors, each in a map frame of its own."""
 
+import json
 import math
 import shutil
 from collections.abc import Iterator, Sequence
@@ -24,7 +25,7 @@ from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map, save_map
 from service.offline.cluster.engines import Ended, in_turn
-from service.offline.cluster.tasks import AnyTask
+from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.trajectory import read_tum
 from service.offline.site.build import site_build
@@ -110,8 +111,8 @@ def true_pose(k: int) -> SE2:
     return rings.round_the_ring(k * rings.STEP_M)
 
 
-def names_in(told: dict[str, Any]) -> list[str]:
-    return [one["session"] for one in told["sessions"]]
+def names_in(report: dict[str, Any]) -> list[str]:
+    return [one["session"] for one in report["sessions"]]
 
 
 def errors_m(out: Path, names: Sequence[str]) -> np.ndarray:
@@ -130,18 +131,18 @@ def three(drives: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
 
 
 def test_all_drives_of_a_place_lie_in_one_frame(three):
-    out, told = three
-    assert names_in(told) == ["a", "b", "c"]
+    out, report = three
+    assert names_in(report) == ["a", "b", "c"]
     off_m = errors_m(out, ("a", "b", "c"))
     assert math.sqrt((off_m**2).mean()) < 0.02
-    assert all(one["loops"] >= 3 and one["residual_mm"] < 100.0 for one in told["sessions"])
+    assert all(one["loops"] >= 3 and one["residual_mm"] < 100.0 for one in report["sessions"])
     assert load_map(out).graph.checked() is not None
 
 
 def test_a_drive_of_another_place_is_left_out_by_its_name(three):
-    _, told = three
-    assert list(told["left_out"]) == ["elsewhere"]
-    assert "overlap too little" in told["left_out"]["elsewhere"]
+    _, report = three
+    assert list(report["left_out"]) == ["elsewhere"]
+    assert "overlap too little" in report["left_out"]["elsewhere"]
 
 
 def test_each_path_is_written_in_the_map_of_the_site(three):
@@ -180,12 +181,12 @@ def grown(two: Path, tmp_path: Path) -> Path:
 
 def test_a_new_drive_is_added_without_doing_the_others_again(grown, drives):
     engine = Counting()
-    told = build([drives], grown, engine)
-    assert sorted(names_in(told)) == ["a", "b", "c", "d"]
-    assert (told["added"], told["version"]) == (2, 2)
+    report = build([drives], grown, engine)
+    assert sorted(names_in(report)) == ["a", "b", "c", "d"]
+    assert (report["added"], report["version"]) == (2, 2)
     assert {task.name for task in engine.done if isinstance(task, Find)} == {"c", "d", "elsewhere"}
     assert not any("0 and 1 " in task.name for task in engine.done if isinstance(task, FindLoops))
-    off_m = errors_m(grown, names_in(told))
+    off_m = errors_m(grown, names_in(report))
     assert math.sqrt((off_m**2).mean()) < 0.02
     idle = Counting()
     again = build([drives], grown, idle)
@@ -215,15 +216,15 @@ def test_a_map_that_is_no_site_is_not_built_upon(drives, tmp_path):
 
 def test_one_drive_counts_once(drives, tmp_path):
     store(tmp_path / "copy_of_a", driven("a", 0))
-    told = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
-    assert names_in(told) == ["a"]
-    assert told["left_out"] == {"copy_of_a": "it is the drive of a, by the stamps of its key frames"}
+    report = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
+    assert names_in(report) == ["a"]
+    assert report["left_out"] == {"copy_of_a": "it is the drive of a, by the stamps of its key frames"}
 
 
 def test_the_most_drives_that_fit_make_the_site(drives, tmp_path):
-    told = build([drives / "elsewhere", drives / "a", drives / "b"], tmp_path / "map")
-    assert names_in(told) == ["a", "b"]
-    assert told["left_out"] == {"elsewhere": "it overlaps with no other session"}
+    report = build([drives / "elsewhere", drives / "a", drives / "b"], tmp_path / "map")
+    assert names_in(report) == ["a", "b"]
+    assert report["left_out"] == {"elsewhere": "it overlaps with no other session"}
 
 
 def test_fixes_place_drives_that_do_not_overlap(tmp_path):
@@ -236,8 +237,8 @@ def test_fixes_place_drives_that_do_not_overlap(tmp_path):
         moved = se2.compose(np.array([frame.x_m, frame.y_m, frame.theta_rad]), part.map)
         pose_enu = SE2(100.0, 50.0, 0.3) @ frame.inverse()
         store(tmp_path / name, replace(part, map=moved), GeoReference(ORIGIN, pose_enu, 0.02, 0.001, 40))
-    told = build([tmp_path / "first", tmp_path / "second"], tmp_path / "map")
-    assert names_in(told) == ["first", "second"]
+    report = build([tmp_path / "first", tmp_path / "second"], tmp_path / "map")
+    assert names_in(report) == ["first", "second"]
     stored = load_map(tmp_path / "map")
     true = np.concatenate((graph.map[:half], graph.map[-half:]))
     assert np.hypot(*(stored.graph.map - true)[:, :2].T).max() < 0.02
@@ -253,9 +254,48 @@ def test_the_command_tells_who_is_in_and_who_is_not(three, drives, capsys):
     assert summary.endswith("3 sessions of the site, 0 of them new; 1 left out: elsewhere")
 
 
+@pytest.mark.parametrize(("share", "warned"), [(0.015, 0), (0.037, 1)])
+def test_a_drive_that_contradicts_another_one_is_named_in_a_warning(grown, drives, capsys, share, warned):
+    graph = load_map(grown).graph
+    is_across = (graph.loop_ends < COUNT).any(axis=1) & (graph.loop_ends >= COUNT).any(axis=1)
+    store(grown, replace(graph, loop_against=np.where(is_across, share, 0.0)))
+    command = ["site", "build", str(drives / "a"), "--out", str(grown)]
+    assert main([*command, "--json"]) == 0
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert len(warnings) == warned
+    assert main(command) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("warning: ")] == [f"warning: {one}" for one in warnings]
+    assert lines[-1].endswith("; 1 warning") == bool(warned)
+    assert not warned or "b: at its loops to a, 3.7 % of the points" in warnings[0]
+
+
 def test_a_drive_that_was_left_out_and_mapped_again_is_looked_for_again(three, tmp_path):
     out = Path(shutil.copytree(three[0], tmp_path / "map", symlinks=True))
     store(tmp_path / "elsewhere", driven("d", 9))
     report = build([tmp_path / "elsewhere"], out)
     assert names_in(report) == ["a", "b", "c", "elsewhere"]
     assert report["left_out"] == {}
+
+
+def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
+    (tmp_path / "a").symlink_to(drives / "a")
+    (tmp_path / "later.mcap").touch()
+    (tmp_path / "parked").mkdir()
+    (tmp_path / "parked" / "summary.json").write_text("{}")
+    build([drives / "a"], tmp_path / "site")
+    report = build([tmp_path], tmp_path / "site")
+    assert (names_in(report), report["added"]) == (["a"], 0)
+    assert "stored no map" in report["left_out"]["parked"]
+    assert "1 recording passed over, beside 2 results" in report["warnings"][0]
+
+
+def test_warnings_of_the_replays_are_those_of_the_build(tmp_path):
+    def replayed(tasks: Sequence[Any]) -> Ended:
+        for k, task in enumerate(tasks):
+            store(task.folder / "map", driven("a", 0))
+            yield k, Done({"warnings": ["3 scans dropped"]}, {})
+
+    (tmp_path / "drive.mcap").touch()
+    report = build([tmp_path / "drive.mcap"], tmp_path / "map", replayed)
+    assert report["warnings"] == ["drive: 3 scans dropped"]
