@@ -145,7 +145,7 @@ def _page(parsed: argparse.Namespace) -> int:
 
 
 def _pull(parsed: argparse.Namespace) -> int:
-    from service.fleet.asking import for_each
+    from service.fleet.asking import for_each, namesakes
     from service.fleet.pull import Pulled, pull
     from service.fleet.vehicles import connected, present
 
@@ -154,6 +154,7 @@ def _pull(parsed: argparse.Namespace) -> int:
     limit = None if parsed.limit_mb_s is None else parsed.limit_mb_s * 1e6
     sizes: dict[str, tuple[int, int]] = {}
     with connected(_site(parsed)) as session, progress("recordings") as shown:
+        here = present(session)
 
         def fetch(vehicle: str) -> Pulled:
             def come(done: int, total: int) -> None:
@@ -161,9 +162,15 @@ def _pull(parsed: argparse.Namespace) -> int:
                 all_done, all_bytes = (sum(column) for column in zip(*list(sizes.values()), strict=True))
                 shown(all_done / all_bytes, "recordings", f"{all_done / 1e6:.0f} MB")
 
+            if (why := namesakes(here.get(vehicle, ()))) is not None:
+                raise why
             return pull(session, vehicle, parsed.out, limit, come)
 
-        results = for_each(parsed.vehicles or list(present(session)), fetch)
+        results = for_each(parsed.vehicles or list(here), fetch)
+    if not results:
+        log.warning(
+            "no vehicle at this router, nothing is fetched; expected one at least, see fleet status"
+        )
     print_result({"vehicles": {one: _result(result) for one, result in results.items()}}, parsed.json)
     return next((one.exit_code for one in results.values() if isinstance(one, CorridorError)), 0)
 

@@ -9,6 +9,7 @@ import zenoh
 
 from service.errors import CorridorError, StorageError
 from service.publishing.keys import vehicle_key
+from service.publishing.uplink import Presence
 
 ANSWER_S = 30.0  # a checksum of a recording of 1 GB, on a slow disk
 AT_ONCE = 16  # vehicles
@@ -52,7 +53,7 @@ def ask_json(
 
 
 def for_each(vehicles: Sequence[str], work: Callable[[str], ResultT]) -> dict[str, ResultT | CorridorError]:
-    """What `work` gives of each vehicle, or why it failed; AT_ONCE at the same time."""
+    """What `work` gives of each vehicle, or why it failed; AT_ONCE at the same time, each once."""
 
     def attempt(vehicle: str) -> ResultT | CorridorError:
         try:
@@ -60,8 +61,18 @@ def for_each(vehicles: Sequence[str], work: Callable[[str], ResultT]) -> dict[st
         except CorridorError as error:
             return error
 
+    once = list(dict.fromkeys(vehicles))
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        return dict(zip(vehicles, pool.map(attempt, vehicles), strict=True))
+        return dict(zip(once, pool.map(attempt, once), strict=True))
+
+
+def namesakes(sessions: Sequence[Presence]) -> RefusedError | None:
+    """Why none of two vehicles by one name is asked: which of them answers is chance. None: there is one."""
+    if len(sessions) < 2:
+        return None
+    return RefusedError(
+        f"two vehicles by this name: {'; '.join(map(str, sessions))}; give one of them another name"
+    )
 
 
 def _refusal(body: bytes) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from service.errors import CorridorError, InputError, UsageError
-from service.fleet.asking import RefusedError, ask, ask_json, for_each
+from service.fleet.asking import RefusedError, ask, ask_json, for_each, namesakes
 from service.fleet.vehicles import present, read_vehicles
 from service.mapstore.files import load_map, version_folder
 from service.mapstore.manifest import MANIFEST, read_manifest
@@ -71,7 +71,7 @@ def push(
     begun = for_each(vehicles, lambda vehicle: _load(session, vehicle, name, f"push-{again}"))
     failed = {one: why for one, why in begun.items() if isinstance(why, CorridorError)}
     if not failed:
-        return [Pushed(vehicle, "active") for vehicle in vehicles]
+        return [Pushed(vehicle, "active") for vehicle in begun]
 
     def back(vehicle: str) -> None:
         why, answer = failed.get(vehicle), begun[vehicle]
@@ -92,9 +92,8 @@ def _ready(session: zenoh.Session, vehicles: Sequence[str]) -> dict[str, str | C
     here = present(session)
     ready: dict[str, str | CorridorError] = {}
     for vehicle in read_vehicles(session, vehicles):
-        sessions = here.get(vehicle.name, [])
-        if len(sessions) > 1:
-            ready[vehicle.name] = RefusedError(f"two vehicles by this name: {'; '.join(map(str, sessions))}")
+        if (why := namesakes(here.get(vehicle.name, ()))) is not None:
+            ready[vehicle.name] = why
         elif vehicle.state == "silent":
             ready[vehicle.name] = RefusedError("it does not answer")
         else:

@@ -45,6 +45,14 @@ def endpoint() -> str:
 
 
 @pytest.fixture
+def site_file(tmp_path, endpoint) -> str:
+    """For --site."""
+    path = tmp_path / "site.yaml"
+    path.write_text(f"publishing: {{connect: [{endpoint}]}}\n")
+    return str(path)
+
+
+@pytest.fixture
 def router(start_router, endpoint) -> zenoh.Session:
     return start_router(endpoint)
 

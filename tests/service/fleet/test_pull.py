@@ -11,8 +11,10 @@ from service.errors import InputError, StorageError
 from service.fleet import pull as pull_module
 from service.fleet.asking import RefusedError, ask
 from service.fleet.pull import JOURNAL_FILE, pull
+from service.fleet.vehicles import present
 from service.sinks.fleet_files import PART_BYTES, RECORDINGS
 from tests.service.cli.test_commands import code_of
+from tests.waiting import wait_until
 
 SIZES = {"veh1_20261121T101500Z_0002.mcap": 10, "veh1_20261121T101500Z_0001.mcap": 2 * PART_BYTES + 7}
 
@@ -119,13 +121,35 @@ def test_viewers_fetch_nothing(endpoint, start_router, start_vehicle, recordings
     assert pull(client_of(secured, "operator"), "veh1", tmp_path / "out").fetched
 
 
-def test_the_command_says_what_it_fetched(vehicle, endpoint, tmp_path, capsys):
-    site = tmp_path / "site.yaml"
-    site.write_text(f"publishing: {{connect: [{endpoint}]}}\n")
+def test_of_two_vehicles_by_one_name_nothing_is_fetched(
+    vehicle, endpoint, start_vehicle, site_file, open_client, tmp_path, capsys
+):
+    start_vehicle(endpoint, waits=False)
+    client = open_client(endpoint)
+    wait_until(lambda: len(present(client).get("veh1", ())) == 2)
+    out = tmp_path / "out"
+    assert code_of(["fleet", "pull", "veh1", "--site", site_file, "--out", str(out), "--json"]) == 1
+    assert "two vehicles by this name" in json.loads(capsys.readouterr().out)["vehicles"]["veh1"]["error"]
+    assert not out.exists()
+
+
+def test_a_router_without_vehicles_is_a_warning(router, site_file, tmp_path, capsys):
+    assert code_of(["fleet", "pull", "--site", site_file, "--out", str(tmp_path / "out")]) == 0
+    assert "no vehicle at this router" in capsys.readouterr().err
+
+
+def test_a_vehicle_that_is_named_twice_is_asked_once(vehicle, endpoint, site_file, tmp_path, capsys):
+    command = ["fleet", "pull", "veh1", "veh1", "--site", site_file, "--out", str(tmp_path / "out"), "--json"]
+    assert code_of(command) == 0
+    fetched = json.loads(capsys.readouterr().out)["vehicles"]["veh1"]
+    assert fetched["bytes"] == sum(SIZES.values())
+
+
+def test_the_command_says_what_it_fetched(vehicle, site_file, tmp_path, capsys):
     out = str(tmp_path / "out")
-    assert code_of(["fleet", "pull", "--site", str(site), "--out", out, "--json"]) == 0
+    assert code_of(["fleet", "pull", "--site", site_file, "--out", out, "--json"]) == 0
     fetched = json.loads(capsys.readouterr().out)["vehicles"]["veh1"]["fetched"]
     assert fetched == sorted(SIZES)
     sums = [hashlib.sha256((tmp_path / "out/veh1" / name).read_bytes()).hexdigest() for name in fetched]
     assert len(set(sums)) == 2
-    assert code_of(["fleet", "pull", "veh7", "--site", str(site), "--out", out]) == 74
+    assert code_of(["fleet", "pull", "veh7", "--site", site_file, "--out", out]) == 74

@@ -149,10 +149,8 @@ def test_viewers_bring_nothing(endpoint, start_router, start_vehicle, client_of,
         ask(client_of(secured, "viewer"), "veh1", f"{MAPS}/site/{MANIFEST}?offset=0", b"{}")
 
 
-def test_the_command_says_what_became_of_it(machines, endpoint, site_map, tmp_path, capsys):
-    site = tmp_path / "site.yaml"
-    site.write_text(f"publishing: {{connect: [{endpoint}]}}\n")
-    command = ["fleet", "push", "--site", str(site), f"{site_map}@1", *NAMES]
+def test_the_command_says_what_became_of_it(machines, site_file, site_map, capsys):
+    command = ["fleet", "push", "--site", site_file, f"{site_map}@1", *NAMES]
     assert code_of(command) == 0
     assert capsys.readouterr().out == "veh1: active\nveh2: active\n"
     assert code_of([*command, "veh3", "--json"]) == 1

@@ -22,15 +22,8 @@ from tests.service.test_encoding_outputs import OUTPUT
 from tests.waiting import wait_until
 
 
-@pytest.fixture
-def client_file(tmp_path, endpoint) -> str:
-    path = tmp_path / "site.yaml"
-    path.write_text(f"publishing: {{connect: [{endpoint}]}}\n")
-    return str(path)
-
-
-def vehicles_at(capsys, client_file, *names: str) -> tuple[int, dict[str, dict]]:
-    code = code_of(["fleet", "status", "--site", client_file, "--json", *names])
+def vehicles_at(capsys, site_file, *names: str) -> tuple[int, dict[str, dict]]:
+    code = code_of(["fleet", "status", "--site", site_file, "--json", *names])
     return code, {one["name"]: one for one in json.loads(capsys.readouterr().out)["vehicles"]}
 
 
@@ -42,14 +35,14 @@ def put_health(sink, client, state: str = "ok") -> None:
 
 
 def test_status_lists_each_vehicle_with_what_it_says_of_itself(
-    endpoint, router, start_vehicle, open_client, client_file, capsys
+    endpoint, router, start_vehicle, open_client, site_file, capsys
 ):
     client = open_client(endpoint)
     for name in ("veh2", "veh1"):
         sink = start_vehicle(endpoint, name)
         sink.put(encode_pose(OUTPUT, 1))
         put_health(sink, client)
-    code, vehicles = vehicles_at(capsys, client_file)
+    code, vehicles = vehicles_at(capsys, site_file)
     assert (code, list(vehicles)) == (0, ["veh1", "veh2"])
     veh1 = vehicles["veh1"]
     assert (veh1["state"], veh1["map"], veh1["map_version"]) == ("ok", "site", 7)
@@ -57,32 +50,32 @@ def test_status_lists_each_vehicle_with_what_it_says_of_itself(
     pose = OUTPUT.pose_map_base
     assert veh1["x_m"] == pytest.approx(pose.x_m, abs=1e-3)
     assert len(veh1["sessions"]) == 1
-    assert code_of(["fleet", "status", "--site", client_file]) == 0
+    assert code_of(["fleet", "status", "--site", site_file]) == 0
     assert "veh1: ok | x " in capsys.readouterr().out
 
 
 def test_a_vehicle_that_is_lost_or_not_there_makes_the_exit_code_1(
-    endpoint, router, start_vehicle, open_client, client_file, capsys
+    endpoint, router, start_vehicle, open_client, site_file, capsys
 ):
     put_health(start_vehicle(endpoint), open_client(endpoint), "lost")
-    assert vehicles_at(capsys, client_file)[0] == 1
-    code, vehicles = vehicles_at(capsys, client_file, "veh9")
+    assert vehicles_at(capsys, site_file)[0] == 1
+    code, vehicles = vehicles_at(capsys, site_file, "veh9")
     assert (code, list(vehicles), vehicles["veh9"]["state"]) == (1, ["veh9"], "silent")
 
 
 def test_two_vehicles_by_one_name_make_the_exit_code_1_and_both_are_named(
-    endpoint, router, start_vehicle, open_client, client_file, capsys
+    endpoint, router, start_vehicle, open_client, site_file, capsys
 ):
     client = open_client(endpoint)
     put_health(start_vehicle(endpoint), client)
     start_vehicle(endpoint, waits=False)
     wait_until(lambda: len(list(client.liveliness().get(PRESENCES, timeout=20.0))) == 2)
-    code, vehicles = vehicles_at(capsys, client_file)
+    code, vehicles = vehicles_at(capsys, site_file)
     assert (code, len(vehicles["veh1"]["sessions"])) == (1, 2)
 
 
-def test_status_without_a_router_is_an_error_of_the_network(client_file, capsys):
-    assert code_of(["fleet", "status", "--site", client_file]) == StorageError.exit_code
+def test_status_without_a_router_is_an_error_of_the_network(site_file, capsys):
+    assert code_of(["fleet", "status", "--site", site_file]) == StorageError.exit_code
     assert "no router at" in capsys.readouterr().err
 
 
@@ -120,7 +113,7 @@ def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_veh
     assert [one.state for one in seen if one.sessions] == ["ok", "lost"]
 
 
-def test_the_router_runs_until_it_is_told_to_end(tmp_path, endpoint, start_vehicle):
+def test_the_router_runs_until_sigterm(tmp_path, endpoint, start_vehicle):
     path = tmp_path / "router.yaml"
     path.write_text(f"publishing: {{listen: [{endpoint}]}}\n")
     command = [sys.executable, "-m", "service", "fleet", "router", str(path), "--json"]
