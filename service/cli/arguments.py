@@ -3,12 +3,13 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 from service.cli.choices import PROFILES, WORLDS, OneOf
 from service.cli.fleet import add_fleet
 from service.cli.map_arguments import add_maps
 from service.cli.map_names import map_and_version
+from service.cli.numbers import port, positive, positive_int, rate
 from service.cli.recordings import add_choice
 from service.cli.security import add_security
 from service.cli.version import ShowVersion
@@ -19,8 +20,6 @@ Results go to stdout, progress and logs to stderr."""
 RECORDINGS = (
     ".mcap, .bag of ROS 1, .db3 or the folder of a ROS 2 bag; each also packed (.zstd, .gz, .bz2, .xz, .lz4)"
 )
-MOST = 1e9  # seconds, or times real time: a slip of the finger
-Number = TypeVar("Number", int, float)
 FORMATS = ("pgm", "png", "geotiff", "svg", "dxf", "geojson", "kml", "tum", "csv", "g2o", "ply", "pcd")
 
 
@@ -81,7 +80,7 @@ def _add_run(commands: Any) -> None:
 
 def _add_demo(commands: Any) -> None:
     demo = _add(commands, "demo", "fake devices and the service on this machine, until Ctrl-C")
-    demo.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds")
+    demo.add_argument("--seconds", type=positive, metavar="S", help="end after S seconds")
     demo.add_argument(
         "--world",
         type=OneOf("world", WORLDS),
@@ -91,13 +90,13 @@ def _add_demo(commands: Any) -> None:
     _add_profile(demo, "mapping profile (default: corridor)")
     demo.add_argument(
         "--port",
-        type=_port,
+        type=port,
         metavar="N",
         help="TCP port of 127.0.0.1 at which Zenoh listens (default: 7447, any free one where that is taken)",
     )
     demo.add_argument(
         "--web-port",
-        type=_port,
+        type=port,
         metavar="N",
         help="TCP port of 127.0.0.1 for the operator's page (default: 8080, or any free one)",
     )
@@ -139,7 +138,7 @@ def _add_replay(commands: Any) -> None:
     )
     replay.add_argument(
         "--rate",
-        type=_rate,
+        type=rate,
         default=0.0,
         metavar="max|N",
         help="N times real time, or as fast as it goes (default: max)",
@@ -272,8 +271,8 @@ def _add_tune(commands: Any) -> None:
     tune.add_argument(
         "--config", type=Path, metavar="CONFIG.yaml", help="the present settings (default: the recorded ones)"
     )
-    tune.add_argument("--trials", type=_positive_int, default=30, metavar="N", help="default: 30")
-    tune.add_argument("--seed", type=_positive_int, default=1, metavar="N", help="of the search (default: 1)")
+    tune.add_argument("--trials", type=positive_int, default=30, metavar="N", help="default: 30")
+    tune.add_argument("--seed", type=positive_int, default=1, metavar="N", help="of the search (default: 1)")
     tune.add_argument(
         "--all", action="store_true", help="search on all sessions (default: every second one is held out)"
     )
@@ -358,7 +357,7 @@ def _add_check_and_doctor(commands: Any) -> None:
     doctor.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
     doctor.add_argument(
         "--seconds",
-        type=_positive,
+        type=positive,
         metavar="S",
         help="measure each device so long once it streams (default: 3)",
     )
@@ -390,7 +389,7 @@ def _add_init(commands: Any) -> None:
         help="sessions and maps go below it (default: /var/lib/corridor)",
     )
     init.add_argument(
-        "--seconds", type=_positive, default=8.0, metavar="S", help="for each type's answer (default: 8)"
+        "--seconds", type=positive, default=8.0, metavar="S", help="for each type's answer (default: 8)"
     )
 
 
@@ -432,7 +431,7 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
-        type=_positive_int,
+        type=positive_int,
         metavar="N",
         help="so many sessions at the same time, each in a process of this machine",
     )
@@ -455,43 +454,3 @@ def _add_listen(parser: argparse.ArgumentParser) -> None:
 
 def _add_no_web(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-web", action="store_true", help="serve no operator's page")
-
-
-def _positive(text: str) -> float:
-    value = _number(text, float)
-    if not 0.0 < value < MOST:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0 and below {MOST:.0e}")
-    return value
-
-
-def _positive_int(text: str) -> int:
-    value = _number(text, int)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
-
-
-def _port(text: str) -> int:
-    value = _number(text, int)
-    if not 1 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"{text} is no port; 1 to 65535")
-    return value
-
-
-def _number(text: str, kind: type[Number]) -> Number:
-    """Without it argparse would name the function that failed."""
-    try:
-        return kind(text)
-    except ValueError as error:
-        what = "whole number" if kind is int else "number"
-        raise argparse.ArgumentTypeError(f"{text!r} is no {what}") from error
-
-
-def _rate(text: str) -> float:
-    """0 stands for as fast as it goes."""
-    if text == "max":
-        return 0.0
-    try:
-        return _positive(text)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"{error}; give one, or max") from error
