@@ -115,12 +115,8 @@ def _bring(session: zenoh.Session, vehicle: str, source: Path, name: str) -> Non
         channel = f"{MAPS}/{name}/{file}"
         content = (source / file).read_bytes()
         at = min(int(ask_json(session, vehicle, channel)["bytes"]), len(content))
-        while at < len(content) or not content:
-            part = content[at : at + MAP_PART_BYTES]
-            ask(session, vehicle, f"{channel}?offset={at}", part)
-            at += len(part)
-            if not content:
-                break
+        for offset in range(at, max(len(content), 1), MAP_PART_BYTES):  # an empty file, too, is one part
+            ask(session, vehicle, f"{channel}?offset={offset}", content[offset : offset + MAP_PART_BYTES])
     if ask_json(session, vehicle, f"{MAPS}/{name}?commit=1")["files"] != expected:
         raise RefusedError(f"{vehicle}: what came is not what was sent")
 

@@ -2,7 +2,6 @@
 
 import json
 import resource
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -31,8 +30,4 @@ def zenohd_config(config: PublishingConfig) -> str:
         for parent in parents:
             part = part.setdefault(parent, {})
         part[name] = value
-    return json.dumps(nested, indent=1, default=_plain) + "\n"
-
-
-def _plain(value: object) -> object:
-    return str(value) if isinstance(value, Path) else value
+    return json.dumps(nested, indent=1, default=str) + "\n"

@@ -11,12 +11,11 @@ from typing import Any
 import zenoh
 
 from drivers.rmw_zenoh import Attachment
-from drivers.zenoh_config import zenoh_config
 from service.encoding import ERROR, WARNING, decode_diagnostics, decode_pose
-from service.errors import InputError, StorageError
+from service.errors import InputError
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT, vehicle_key
-from service.publishing.uplink import PRESENCES, Presence, connection_settings, presences
+from service.publishing.uplink import PRESENCES, Presence, open_client, presences
 
 LOCAL = "tcp/127.0.0.1:7447"
 ANSWER_S = 5.0  # a vehicle has so long to answer
@@ -30,14 +29,7 @@ def connected(config: PublishingConfig | None) -> Iterator[zenoh.Session]:
     Raises StorageError where it does not answer.
     """
     config = config or PublishingConfig()
-    endpoints = config.connect or (LOCAL,)
-    try:
-        session = zenoh.open(
-            zenoh_config(connection_settings(config.model_copy(update={"connect": endpoints})))
-        )
-    except zenoh.ZError as error:
-        reason = str(error).partition(" at /")[0]
-        raise StorageError(f"no router at {', '.join(endpoints)}: {reason}") from error
+    session = open_client(config.model_copy(update={"connect": config.connect or (LOCAL,)}))
     try:
         yield session
     finally:

@@ -3,7 +3,7 @@
 import os
 import socket
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,9 +21,14 @@ HEALTH_JITTER_S = 0.3  # it comes each second, a little early or late: that is n
 _BYTES_ACKED_AT = 120  # of struct tcp_info in linux/tcp.h: bytes_acked, bytes_received
 
 
-def connection_settings(config: PublishingConfig) -> dict[str, object]:
-    """Of a client of the routers in `config.connect`. Raises StorageError as link_settings."""
-    return {
+def open_client(config: PublishingConfig, further: Mapping[str, object] = {}) -> zenoh.Session:
+    """Connected to one of the routers in `config.connect`; a lost link comes back by itself.
+
+    further   settings of Zenoh, by path
+
+    Raises StorageError where none answers in time, or as link_settings.
+    """
+    settings = {
         "mode": "client",
         "connect/endpoints": config.connect,
         "connect/timeout_ms": CONNECT_MS,
@@ -38,28 +43,28 @@ def connection_settings(config: PublishingConfig) -> dict[str, object]:
         "transport/shared_memory/enabled": False,
         "transport/unicast/compression/enabled": True,  # tiles to a tenth, where the router does so, too
         **(link_settings(config.secured) if config.secured is not None else {}),
-    }
-
-
-def open_uplink(config: PublishingConfig) -> zenoh.Session:
-    """Connected to one of the routers; a lost link comes back by itself.
-
-    Zenoh lets through what `config.fleet` allows a second. Raises StorageError where none answers in time.
-    """
-    health_s = 1.0 / config.fleet.health_hz - HEALTH_JITTER_S
-    limits_hz = {"pose": config.fleet.pose_hz, "health": 1.0 / health_s}
-    rules = [{"key_expr": f"{ROOT}/*/{channel}", "freq": hz} for channel, hz in limits_hz.items()]
-    settings = {
-        **connection_settings(config),
-        "downsampling": [{"id": "fleet", "flows": ["egress"], "messages": ["put"], "rules": rules}],
-        # A pose that finds the link busy is dropped at once: the mapper puts it.
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        **further,
     }
     try:
         return zenoh.open(zenoh_config(settings))
     except zenoh.ZError as error:
         reason = str(error).partition(" at /")[0]
         raise StorageError(f"no router at {', '.join(config.connect)}: {reason}") from error
+
+
+def open_uplink(config: PublishingConfig) -> zenoh.Session:
+    """Of a vehicle: Zenoh lets through what `config.fleet` allows a second. Raises as open_client."""
+    health_s = 1.0 / config.fleet.health_hz - HEALTH_JITTER_S
+    limits_hz = {"pose": config.fleet.pose_hz, "health": 1.0 / health_s}
+    rules = [{"key_expr": f"{ROOT}/*/{channel}", "freq": hz} for channel, hz in limits_hz.items()]
+    return open_client(
+        config,
+        {
+            "downsampling": [{"id": "fleet", "flows": ["egress"], "messages": ["put"], "rules": rules}],
+            # A pose that finds the link busy is dropped at once: the mapper puts it.
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        },
+    )
 
 
 @dataclass(frozen=True, slots=True, order=True)
