@@ -12,51 +12,52 @@ from service.mapstore.graph_files import read_graph, write_graph
 from service.offline.cluster.tasks import Done
 
 ENOUGH = 4  # places of a session that say the same of where it lies
-EVERY_M = 4.0  # of the way a loop to each other session; within one the mapper looks every 2 m
+EVERY_M = 4.0  # along the path a loop to each other session; within one the mapper looks every 2 m
 
 
 @dataclass(frozen=True, slots=True)
-class Find:
-    """Where the second lies in the first: outcome `pose_first_second` [x m, y m, theta rad] and `finds`, or
-    `why` it is not found. Both are folders that keep_graph wrote.
-    """
+class _OfTwo:
+    """first, second   folders that keep_graph wrote"""
 
     name: str
     first: Path
     second: Path
     program: str
 
+    def graphs(self) -> tuple[SavedGraph, int]:
+        """Both in one, and how many key frames the first has. Raises InputError."""
+        first, second = (
+            read_graph(folder, [path.name for path in folder.iterdir()])
+            for folder in (self.first, self.second)
+        )
+        return together(first, second), len(first)
+
+
+class Find(_OfTwo):
+    """Where the second lies in the first: outcome `pose_first_second` [x m, y m, theta rad], or `why` it is
+    not found.
+    """
+
     def work(self) -> Done:
-        first = kept_graph(self.first)
-        both = together(first, kept_graph(self.second))
         try:
-            pose, finds = find_second(both, len(first), LoopsConfig(), ENOUGH)
+            pose, _ = find_second(*self.graphs(), LoopsConfig(), ENOUGH)
         except MergeError as error:
             return Done({"why": str(error)}, {})
-        return Done({"pose_first_second": pose.tolist(), "finds": finds}, {})
+        return Done({"pose_first_second": pose.tolist()}, {})
 
 
-@dataclass(frozen=True, slots=True)
-class FindLoops:
+class FindLoops(_OfTwo):
     """Loops from the first to the second, accepted as in the mapper: outcome `loops`, their key frames
-    counted in either graph. The second lies about
-    where it is in the map frame of the first: 1.5 m, 0.2 rad.
+    counted in either graph. The second lies about where it is in the map frame of the first: 1.5 m, 0.2 rad.
     """
 
-    name: str
-    first: Path
-    second: Path
-    program: str
-
     def work(self) -> Done:
-        first = kept_graph(self.first)
-        back_end = LoopBackEnd(
-            LoopsConfig(search_every_m=EVERY_M), None, together(first, kept_graph(self.second))
-        )
-        back_end.begin_session_at(len(first), is_across=True)
+        both, count = self.graphs()
+        back_end = LoopBackEnd(LoopsConfig(search_every_m=EVERY_M), None, both)
+        back_end.begin_session_at(count, is_across=True)
         back_end.work(Batch([], is_last=True))
-        across = [loop for loop in back_end.loops if loop.of < len(first) <= loop.to]
-        return Done({"loops": [replace(loop, to=loop.to - len(first)) for loop in across]}, {})
+        across = [loop for loop in back_end.loops if loop.of < count <= loop.to]
+        return Done({"loops": [replace(loop, to=loop.to - count) for loop in across]}, {})
 
 
 def keep_graph(graph: SavedGraph, folder: Path) -> Path:
@@ -64,8 +65,3 @@ def keep_graph(graph: SavedGraph, folder: Path) -> Path:
     folder.mkdir()
     write_graph(folder, graph, None)
     return folder
-
-
-def kept_graph(folder: Path) -> SavedGraph:
-    """Raises InputError."""
-    return read_graph(folder, [path.name for path in folder.iterdir()])
