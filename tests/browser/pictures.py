@@ -433,9 +433,9 @@ def main() -> None:
         with driving(server, office.outputs, office.seen):
             page.open(server.address, "t")
             page.wait_for(
-                "const r = corridor.report(); return r.mayControl && r.health && r.sensors.length === 2"
+                "const r = corridor.report();"
+                "return r.mayControl && r.sensors.length === 2 && 'rear' in (r.health?.latency_ms ?? {})"
             )
-            page.wait_for("return corridor.report().rows > 3")
             take(page, "desktop-light", "information", DESKTOP, False)
             page.element("fit").click()
             take(page, "desktop-dark", "control", DESKTOP, True)
