@@ -3,7 +3,9 @@
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 from service.mapstore.files import save_map
 from service.mapstore.graph_files import GRAPH_FILE
 from service.mapstore.links import CURRENT
+from service.offline.past.view import View
 from tests.browser.scene import Scene
 from tests.service.offline.conftest import bent, folder  # noqa: F401 - fixtures
 from tests.service.sinks.test_map_saver import tile
@@ -41,6 +44,7 @@ ARGUMENTS = (  # for root, without a graphics card; and nothing of its own on th
     "--disable-features=SpareRendererForSitePerProcess",
 )
 DESKTOP, PHONE = (1280, 800), (390, 844)
+WIDE_CARDS = "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidth > c.clientWidth)"
 
 
 class Page:
@@ -83,6 +87,30 @@ class Page:
     def pointer(self) -> ActionChains:
         """Moves at once; selenium's own quarter of a second sends and draws a dozen places on the way."""
         return ActionChains(self.driver, duration=0)
+
+    def texts(self, selector: str) -> list[str]:
+        """Of all elements that it selects."""
+        return list(
+            self.run(
+                "return [...document.querySelectorAll(arguments[0])].map((e) => e.textContent)", selector
+            )
+        )
+
+    def press(self, label: str) -> None:
+        """The button with that accessible name."""
+        self.driver.find_element("css selector", f'[aria-label="{label}"]').click()
+
+    def answer(self, choice: str = "yes") -> None:
+        """Wait for a question, and press one of its buttons."""
+        is_open = "document.getElementById('confirm').open"
+        self.wait_for(f"return {is_open}")
+        self.element(f"confirm-{choice}").click()
+        self.wait_for(f"return !{is_open}")
+
+    def redraw(self) -> None:
+        """Have the map drawn again, and wait for that."""
+        before = self.run("corridor.view.invalidate(); return corridor.view.frames")
+        self.wait_for("return corridor.view.frames > arguments[0]", before)
 
     def choose(self, area: str) -> None:
         self.element(f"tab-{area}").click()
@@ -183,12 +211,18 @@ def stores(root: Path) -> dict[str, Path]:
     return {"session": root / "sessions", "map": root / "maps"}
 
 
-def begin_live(server: Any, scene: Scene, page: Page) -> None:
-    """The scene's second 1, open in the browser with the token."""
+def begin_live(server: Any, scene: Scene, page: Page, token: str = TOKEN, verbs: Sequence[str] = ()) -> None:
+    """The scene's second 1, open in the browser; with these verbs instead of the server's own."""
     for message in scene.messages(1.0):
         server.put(message)
-    page.open(server.address, TOKEN)
-    page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.pose && r.health && r.mayControl")
+    page.open(server.address, token)
+    page.wait_for(
+        "const r = corridor.report();"
+        "return r.tiles > 0 && r.pose && r.health && r.mayControl === arguments[0]",
+        token == TOKEN,
+    )
+    if verbs:
+        page.run("corridor.connection.on.verbs({verbs: arguments[0]})", verbs)
 
 
 @pytest.fixture
@@ -226,11 +260,76 @@ def still(share: Callable[..., Page], still_server: Any) -> Page:
 
 
 @pytest.fixture
-def axe() -> str:
-    """axe-core's source, which judges a page's accessibility."""
+def opened(page: Page) -> Iterator[Callable[..., View]]:
+    """Opens a stored map on the page, its area Edit shown; closes it again."""
+    with ExitStack() as stack:
+
+        def open_one(source: Path, version: int = 1) -> View:
+            view = stack.enter_context(closing(View(source, "127.0.0.1:0")))
+            open_view(page, view, version)
+            return view
+
+        yield open_one
+
+
+def open_view(page: Page, view: View, version: int = 1) -> None:
+    page.open(view.address)
+    page.wait_for(
+        "const r = corridor.report(); return r.tiles > 0 && r.mayControl && r.health"
+        " && corridor.edit.version === arguments[0]",
+        version,
+    )
+    page.choose("edit")
+
+
+@pytest.fixture
+def axe() -> Callable[..., None]:
+    """Judges a page in each area, size and scheme: all fits the width, and axe-core finds nothing serious.
+
+    areas    to be chosen; none: the page as it is
+    shown    id of an element that must be displayed
+    """
     if not AXE.is_file():
         pytest.skip("no axe-core; with it: make axe (npm fetches it)")
-    return AXE.read_text(encoding="utf-8")
+    source = AXE.read_text(encoding="utf-8")
+
+    def judge(
+        page: Page,
+        *areas: str,
+        sizes: Sequence[tuple[int, int]] = (DESKTOP, PHONE),
+        schemes: Sequence[bool] = (False, True),
+        shown: str = "",
+    ) -> None:
+        page.run(source)
+        try:
+            for size, is_dark, area in product(sizes, schemes, areas or ("",)):
+                page.resize(size, is_dark)
+                if area:
+                    page.choose(area)
+                case = f"{area} {size}, dark: {is_dark}"
+                assert page.run("return document.documentElement.scrollWidth") <= size[0], case
+                assert page.run(f"return {WIDE_CARDS}.map((c) => c.innerText)") == [], case
+                assert not shown or page.element(shown).is_displayed(), case
+                assert serious_faults(page) == [], case
+        finally:
+            page.resize(DESKTOP)
+        assert page.faults() == []
+
+    return judge
+
+
+def serious_faults(page: Page) -> list[tuple[str, list[str]]]:
+    """What axe calls serious or critical, of what is shown."""
+    result = page.driver.execute_async_script(
+        "axe.run().then((found) => arguments[0](found), (error) => arguments[0]({error: String(error)}))"
+    )
+    assert "error" not in result
+    assert len(result["passes"]) > 10
+    return [
+        (fault["id"], [node["html"] for node in fault["nodes"]])
+        for fault in result["violations"]
+        if fault["impact"] in ("serious", "critical")
+    ]
 
 
 def store_map(in_folder: Path) -> None:

@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import chdir, contextmanager
+from contextlib import chdir, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -48,9 +48,10 @@ from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from simulators.truth import LMS100, UTM30LX, Ride
 from simulators.worlds import build_world
-from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page
+from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page, open_view
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
+from tests.browser.test_panes import choose_places
 from tests.in_background import in_background, started
 from tests.recorded_drive import record
 from tests.service.mapper.graph.loops.rings import HALF_M, LENGTH_M
@@ -125,12 +126,9 @@ def take_replay(page: Page, frames: Sequence[Frame], folder: Path) -> None:
         page.wait_for("return corridor.report().tiles > 0 && corridor.report().pose")
         page.resize(DESKTOP)
         page.element("fit").click()
-        page.wait_for("return corridor.view.frames > arguments[0]", page.run("return corridor.view.frames"))
-        page.driver.save_screenshot(str(IMAGES / "operator-replay.png"))
+        save_picture(page, "replay")
         page.resize(DESKTOP, is_dark=True)
-        for layer in ("standing", "scans"):
-            page.run(f"document.getElementById('layer-{layer}').click()")
-        page.run("document.querySelector('.layers').open = true")
+        switch_layers(page, "standing", "scans")
         pose = page.report()["pose"]
         page.look_at(pose["x_m"], pose["y_m"] + 1.0, 42.0)
         save_picture(page, "static")
@@ -194,46 +192,37 @@ def take_past(page: Page, office: Office, folder: Path) -> None:
 
 def take_loops(page: Page, stored: Path) -> None:
     """Those of the office, the places of one of them on the map."""
-    with chdir(stored.parent):  # the page names the folder as it was given
-        view = View(Path(stored.name), "127.0.0.1:0")
-        try:
-            page.open(view.address)
-            page.wait_for("return corridor.report().tiles > 0 && corridor.edit.version === 1")
-            page.resize(DESKTOP)
-            page.choose("edit")
-            page.run("document.querySelector('.loops button').click()")
-            page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
-            page.run("document.querySelector('.loops').closest('.card').scrollIntoView()")
-            save_picture(page, "loops")
-        finally:
-            view.close()
+    with edited(page, stored):
+        page.run("document.querySelector('.loops button').click()")
+        page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
+        page.run("document.querySelector('.loops').closest('.card').scrollIntoView()")
+        save_picture(page, "loops")
 
 
 def take_edit(page: Page, folder: Path) -> None:
     """A ring of corridors whose second round lies beside the first, before it is mended."""
     bent, k = bent_map(), 6
     save_bent(folder, bent)
-    with chdir(folder.parent):  # the page names the folder as it was given
-        view = View(Path(folder.name), "127.0.0.1:0")
-        try:
-            page.open(view.address)
-            page.wait_for("return corridor.report().tiles > 0 && corridor.edit.version === 1")
-            page.resize(DESKTOP)
-            page.choose("edit")
-            take_pairs(page, bent, k)
-            take_panes(page, bent)
-            take_area(page)
-        finally:
-            view.close()
+    with edited(page, folder):
+        take_pairs(page, bent, k)
+        take_panes(page, bent)
+        take_area(page)
+
+
+@contextmanager
+def edited(page: Page, folder: Path) -> Iterator[None]:
+    """Its stored map, open at the area Edit."""
+    with (
+        chdir(folder.parent),
+        closing(View(Path(folder.name), "127.0.0.1:0")) as view,
+    ):  # named as it is given
+        page.resize(DESKTOP)
+        open_view(page, view)
+        yield
 
 
 def take_pairs(page: Page, bent: BentMap, k: int) -> None:
-    page.run(
-        "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1])",
-        k,
-        k + ROUND,
-    )
-    page.wait_for("const {a, b} = corridor.edit.pairs.places; return a.points.length && b.points.length")
+    choose_places(page, k)
     page.look_at(3.2, 0.4, 110.0)
     page.element("pick-pairs").click()
     for number, pair in enumerate(bent.common_points(k)):
@@ -248,12 +237,7 @@ def take_panes(page: Page, bent: BentMap) -> None:
     """A corner of the ring, seen in both rounds."""
     k, corner = 38, np.array([LENGTH_M + HALF_M, -HALF_M])
     drawn = corner_of_second_round(bent, k, corner)
-    page.run(
-        "const {a, b} = corridor.edit.pairs.places; a.choose(arguments[0]); b.choose(arguments[1])",
-        k,
-        k + ROUND,
-    )
-    page.wait_for("const {a, b} = corridor.edit.pairs.places; return a.points.length && b.points.length")
+    choose_places(page, k)
     page.element("side-by-side").click()
     page.look_at(corner[0] - 1.2, corner[1] + 1.0, 90.0)
     page.run(
@@ -285,6 +269,13 @@ def take_area(page: Page) -> None:
     save_picture(page, "edit-erase")
 
 
+def switch_layers(page: Page, *layers: str) -> None:
+    """On or off; and open or close their list."""
+    page.run("const list = document.querySelector('.layers'); list.open = !list.open")
+    for layer in layers:
+        page.run("document.getElementById(arguments[0]).click()", f"layer-{layer}")
+
+
 def click_at(page: Page, xy_map: Sequence[float]) -> None:
     """A click of the tool that is at work."""
     page.run(
@@ -295,8 +286,7 @@ def click_at(page: Page, xy_map: Sequence[float]) -> None:
 
 
 def save_picture(page: Page, name: str) -> None:
-    before = page.run("corridor.view.invalidate(); return corridor.view.frames")
-    page.wait_for("return corridor.view.frames > arguments[0]", before)
+    page.redraw()
     page.driver.save_screenshot(str(IMAGES / f"operator-{name}.png"))
 
 
@@ -439,13 +429,9 @@ def main() -> None:
             take(page, "desktop-light", "information", DESKTOP, False)
             page.element("fit").click()
             take(page, "desktop-dark", "control", DESKTOP, True)
-            for layer in ("graph", "path"):
-                page.run(f"document.getElementById('layer-{layer}').click()")
-            page.run("document.querySelector('.layers').open = true")
+            switch_layers(page, "graph", "path")
             take(page, "graph", "information", DESKTOP, False)
-            page.run("document.querySelector('.layers').open = false")
-            for layer in ("graph", "path"):
-                page.run(f"document.getElementById('layer-{layer}').click()")
+            switch_layers(page, "graph", "path")
             take(page, "resources", "resources", DESKTOP, False)
             take_live_edit(page)
             take(page, "phone-map", "map", PHONE, False)

@@ -2,18 +2,16 @@
 
 import pytest
 
-from tests.browser.conftest import asked, store_map
-from tests.browser.test_control import put_state
-from tests.browser.test_edit import drag_map, residuals_m
+from tests.browser.conftest import asked, begin_live, store_map
+from tests.browser.test_control import put_health
+from tests.browser.test_edit import optimise, residuals_m
 from tests.browser.test_edit_live import (
-    ERASED,
+    erase,
     map_process,  # noqa: F401 - a fixture
     mapping,  # noqa: F401 - a fixture
-    points_within,
     session,  # noqa: F401 - a fixture
     wait_for_change,
 )
-from tests.service.web.conftest import TOKEN
 
 VERBS = ["save_map", "load_map", "set_mode", "set_pose"]
 
@@ -34,17 +32,12 @@ def presses(page):
 def stocked(page, serve, scene, dispatcher, tmp_path):
     """A page with the token; a map is stored."""
     store_map(tmp_path / "office")
-    server = serve(folders={"session": tmp_path / "none", "map": tmp_path})
-    for message in scene.messages(1.0):
-        server.put(message)
-    page.open(server.address, TOKEN)
-    page.wait_for("const r = corridor.report(); return r.mayControl && r.pose && r.health")
-    page.run("corridor.connection.on.verbs({verbs: arguments[0]})", VERBS)
+    begin_live(serve(folders={"session": tmp_path / "none", "map": tmp_path}), scene, page, verbs=VERBS)
     begin(page)
     return page
 
 
-def test_the_map_is_saved_by_two(stocked, dispatcher):
+def test_saving_the_map_takes_two_presses(stocked, dispatcher):
     stocked.choose("control")
     stocked.element("do-save_map").click()
     stocked.wait_for_answers()
@@ -52,18 +45,18 @@ def test_the_map_is_saved_by_two(stocked, dispatcher):
     assert presses(stocked) == 2
 
 
-def test_a_map_is_loaded_and_localised_in_by_three(stocked, dispatcher):
+def test_loading_a_map_and_localising_in_it_takes_three_presses(stocked, dispatcher):
     stocked.choose("resources")
     stocked.wait_for_text("resources", "office")
-    stocked.driver.find_element("css selector", '[aria-label="Load\u2026 office"]').click()
+    stocked.press("Load\u2026 office")
     stocked.element("confirm-other").click()
     stocked.wait_for_text("notices", "office is loaded.")
     assert asked(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
     assert presses(stocked) == 3
 
 
-def test_the_pose_of_a_lost_vehicle_is_set_by_three(stocked, dispatcher):
-    put_state(stocked, "lost")
+def test_setting_the_pose_of_a_lost_vehicle_takes_three_presses(stocked, dispatcher):
+    put_health(stocked, {"state": "lost"})
     stocked.choose("control")
     stocked.element("do-set_pose").click()
     stocked.pointer().drag_and_drop_by_offset(stocked.element("map"), 0, -60).perform()
@@ -72,18 +65,14 @@ def test_the_pose_of_a_lost_vehicle_is_set_by_three(stocked, dispatcher):
     assert presses(stocked) == 3
 
 
-def test_a_ghost_is_erased_by_three(page, session, mapping):  # noqa: F811
+def test_erasing_a_ghost_takes_three_presses(page, session, mapping):  # noqa: F811
     begin(page)
-    page.look_at(*ERASED.mean(axis=0), 100.0)
     page.choose("edit")
-    page.element("draw-rectangle").click()
-    drag_map(page, *ERASED)
-    wait_for_change(page, "erased 0.6")
-    assert points_within(mapping.graph()) == 0
+    erase(page, mapping)
     assert presses(page) == 3
 
 
-def test_two_passes_that_lie_apart_are_joined_by_five(page, session, mapping, bent):  # noqa: F811
+def test_joining_two_passes_that_lie_apart_takes_five_presses(page, session, mapping, bent):  # noqa: F811
     assert bent.error_m(mapping.graph()) > 0.5
     begin(page)
     page.choose("edit")
@@ -92,9 +81,7 @@ def test_two_passes_that_lie_apart_are_joined_by_five(page, session, mapping, be
     page.driver.find_element("css selector", "#passes button").click()
     page.wait_for("return corridor.edit.pairs.pairs.length === 3")
     assert max(residuals_m(page)) > 0.5
-    page.element("optimise").click()
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
+    optimise(page)
     wait_for_change(page, "pairs 0 to 2; key frames moved by up to ")
     assert bent.error_m(mapping.graph()) < 0.10
     assert max(residuals_m(page)) < 0.05

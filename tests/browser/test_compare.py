@@ -3,28 +3,22 @@
 import pytest
 
 from service.mapstore.files import save_map
-from service.offline.past.view import View
 from tests.browser.conftest import PHONE
 from tests.browser.scene import Scene
-from tests.browser.test_page import serious_faults
 
 EARLY, LATE = Scene(), Scene(half_x_m=7.0)
 
 
 @pytest.fixture
-def versions(page, tmp_path):
+def versions(page, opened, tmp_path):
     save_map(tmp_path, EARLY.tiles(), 1)
     save_map(tmp_path, LATE.tiles(), 2)
-    view = View(tmp_path, "127.0.0.1:0")
-    page.open(view.address)
-    page.wait_for("return corridor.edit.version === 2 && corridor.report().tiles > 0")
-    page.choose("edit")
+    opened(tmp_path, version=2)
     page.run(
         "[...document.querySelectorAll('#edit button')].find((b) => b.textContent === 'Compare').click()"
     )
     page.wait_for("return corridor.view.other !== null")
-    yield page
-    view.close()
+    return page
 
 
 def slide(page, percent):
@@ -55,9 +49,4 @@ def test_the_other_version_is_left_of_the_line_and_the_present_one_right_of_it(v
 
 
 def test_axe_finds_nothing_serious_on_a_phone(axe, versions):
-    versions.resize(PHONE, is_dark=True)
-    versions.choose("map")
-    versions.run(axe)
-    assert versions.run("return document.documentElement.scrollWidth") <= PHONE[0]
-    assert serious_faults(versions) == []
-    assert versions.faults() == []
+    axe(versions, "map", sizes=[PHONE], schemes=[True])

@@ -29,11 +29,9 @@ def test_commands_are_given_with_the_token(control, still_dispatcher):
 def test_a_reset_asks_first(control, still_dispatcher):
     page = control
     page.element("do-reset_map").click()
-    page.element("confirm-no").click()
-    page.wait_for("return !document.getElementById('confirm').open")
+    page.answer("no")
     page.element("do-reset_map").click()
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
+    page.answer()
     page.wait_for_text("notices", "Reset map: done.")
     assert asked(still_dispatcher) == [("reset_map", {})]
 
@@ -58,38 +56,35 @@ def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispat
         "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
         "  press('confirm-no'); press('do-reset_map'); });"
     )  # asked again before the browser has told of the answer
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
+    page.answer()
     page.wait_for_text("notices", "Reset map: done.")
     assert asked(still_dispatcher) == [("reset_map", {})]
 
 
-def put_state(page, state):
+def put_health(page, mapping, recording="stopped"):
+    """mapping    values of that status; recording: the state of that one"""
     page.run(
-        "corridor.connection.on.health({stamp_s: 1, latency_ms: {},"
-        " statuses: [{name: 'mapping', level: 0, message: 'ok', since_s: 0, values: {state: arguments[0]}}]"
-        "})",
-        state,
+        "const status = (name, values) => ({name, level: 0, message: 'ok', since_s: 0, values});"
+        "corridor.connection.on.health({stamp_s: 1, latency_ms: {}, statuses: ["
+        " status('mapping', arguments[0]), status('recording', {state: arguments[1]}),"
+        " status('map', {folder: '/m/office'})]})",
+        {"profile": "corridor", **mapping},
+        recording,
     )
 
 
 def test_a_pose_that_is_known_is_not_set_and_the_page_says_why(control):
-    put_state(control, "ok")
+    put_health(control, {"state": "ok"})
     assert not control.element("do-set_pose").is_enabled()
     assert control.text("pose-words") == "The pose is known. It can be set while the vehicle is lost."
-    put_state(control, "lost")
+    put_health(control, {"state": "lost"})
     assert control.element("do-set_pose").is_enabled()
 
 
 def test_what_another_profile_refuses_is_disabled_with_the_reason(control):
     control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'set_pose', 'save_map', 'edit_map']})")
     for profile, may in (("contour_lm", False), ("corridor", True)):
-        control.run(
-            "const values = {state: 'lost', profile: arguments[0]};"
-            "corridor.connection.on.health({stamp_s: 1, latency_ms: {},"
-            " statuses: [{name: 'mapping', level: 0, message: 'ok', since_s: 0, values}]})",
-            profile,
-        )
+        put_health(control, {"state": "lost", "profile": profile})
         control.choose("control")
         enabled = [control.element(name).is_enabled() for name in ("do-set_mode", "do-set_pose")]
         assert enabled == [may, may]
@@ -102,12 +97,7 @@ def test_what_another_profile_refuses_is_disabled_with_the_reason(control):
 def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control, still_dispatcher):
     control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'save_map', 'edit_map']})")
     for mode, wanted in (("mapping", "localization"), ("localization", "mapping")):
-        control.run(
-            "corridor.connection.on.health({stamp_s: 1, latency_ms: {}, statuses: ["
-            " {name: 'mapping', level: 0, message: 'ok', since_s: 0,"
-            "  values: {state: 'ok', mode: arguments[0]}}]})",
-            mode,
-        )
+        put_health(control, {"state": "ok", "mode": mode})
         control.choose("control")
         control.element("do-set_mode").click()
         control.wait_for_answers()
@@ -127,7 +117,7 @@ def test_cards_without_a_command_and_resources_without_a_store_are_not_shown(sti
 
 def test_the_pose_is_set_by_dragging(control, still_dispatcher):
     page = control
-    put_state(page, "lost")
+    put_health(page, {"state": "lost"})
     page.look_at(1.0, 2.0, 40.0)
     page.element("do-set_pose").click()
     canvas = page.element("map")

@@ -1,7 +1,5 @@
 """A stored map edited with the mouse, and with keys alone: from the click to the version on disk."""
 
-import itertools
-
 import numpy as np
 import pytest
 from selenium.common.exceptions import TimeoutException
@@ -13,8 +11,7 @@ from service.mapstore.files import load_map, save_map
 from service.offline.maps import edit as map_edit
 from service.offline.past.view import View
 from service.offline.score.trajectory import write_tum
-from tests.browser.conftest import DESKTOP, PHONE
-from tests.browser.test_page import serious_faults
+from tests.browser.conftest import open_view
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.bent_maps import ROUND, graph_in, save_bent
 from tests.service.offline.maps.test_edit import cell
@@ -22,29 +19,6 @@ from tests.service.offline.maps.test_edit import cell
 EDITED_WITHIN_S = 60.0  # a solution and a drawing on a machine that has more to do
 PAIRED = (6, 22)  # key frames of the first round
 CABINET = np.array([(9.9, 9.5), (11.6, 9.5), (11.6, 9.9), (9.9, 9.9)])  # around the front of one; seen once
-
-
-def open_view(page, view):
-    """Its first version, with the area Edit shown."""
-    page.open(view.address)
-    page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.mayControl && r.health")
-    page.wait_for("return corridor.edit.version === 1")
-    page.choose("edit")
-
-
-@pytest.fixture
-def opened(page):
-    """Opens a stored map on the page; closes it again."""
-    views = []
-
-    def open_one(source):
-        views.append(View(source, "127.0.0.1:0"))
-        open_view(page, views[-1])
-        return views[-1]
-
-    yield open_one
-    for view in views:
-        view.close()
 
 
 @pytest.fixture
@@ -120,8 +94,7 @@ def pick_pairs(page, bent, k):
 def optimise(page):
     """With pairs that are more than 0.5 m apart, which is asked about."""
     page.element("optimise").click()
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
+    page.answer()
 
 
 def wait_for_version(page, number):
@@ -142,9 +115,7 @@ def residuals_m(page):
 
 def drawn(page):
     """The canvas, as text."""
-    before = page.run("return corridor.view.frames")
-    page.run("corridor.view.invalidate()")
-    page.wait_for("return corridor.view.frames > arguments[0]", before)
+    page.redraw()
     return page.run("return document.getElementById('map').toDataURL()")
 
 
@@ -188,14 +159,14 @@ def test_a_new_pair_and_one_of_the_map_are_removed(page, view, folder, bent):
     for points in 3 * (first, second):
         click_map(page, *points)
     assert page.text("optimise") == "Optimise with 3 new"
-    page.driver.find_element("css selector", "[aria-label='Remove New 1']").click()
+    page.press("Remove New 1")
     page.element("optimise").click()  # 0.5 m apart at most: nothing is asked
     wait_for_version(page, 2)
     assert len(graph_in(folder).by_hand.pair_ends) == 2
-    page.driver.find_element("css selector", "[aria-label='Remove Pair 0']").click()
+    page.press("Remove Pair 0")
     wait_for_version(page, 3)
     assert len(graph_in(folder).by_hand.pair_ends) == 1
-    page.driver.find_element("css selector", "[aria-label='Remove Pair 0']").click()
+    page.press("Remove Pair 0")
     page.wait_for_text("edit-note", "2 parts of the map would hang together by nothing")
     assert load_map(folder).number == 3
 
@@ -276,13 +247,11 @@ def test_an_area_by_corners_is_whole_at_its_first_corner_and_a_no_changes_nothin
     page.element("draw-area").click()
     for corner in (*CABINET, CABINET[0]):
         click_map(page, *corner)
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-no").click()
-    page.wait_for("return !document.getElementById('confirm').open")
+    page.answer("no")
     assert load_map(folder).number == 1
     assert page.text("draw-words") == "4 corners, 0.68 m\u00b2"
     page.element("erase").click()
-    page.element("confirm-yes").click()
+    page.answer()
     wait_for_version(page, 2)
     stored = load_map(folder)
     assert (stored.edit.who, stored.edit.what) == ("ada", "erase")
@@ -313,17 +282,17 @@ def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
     assert page.element("cut-from").get_attribute("value") == "3.00"
     assert page.text("cut-words") == "In it: 11 key frames."
     page.element("cut").click()
-    page.element("confirm-yes").click()
+    page.answer()
     page.wait_for_text("edit-note", "hang together by nothing")
     assert load_map(folder).number == 1
     page.element("cut-bridge").click()
     page.element("cut").click()
-    page.element("confirm-yes").click()
+    page.answer()
     wait_for_version(page, 2)
     assert len(graph_in(folder)) == len(bent.graph) - 11
 
 
-def test_what_came_of_a_change_is_said_when_the_next_one_can_be_made(page, view):
+def test_the_result_of_a_change_is_shown_once_the_next_one_can_be_made(page, view):
     """Who reads it may click at once; a click on what is still disabled would be lost."""
     page.run(
         "const ask = corridor.connection.command.bind(corridor.connection);"
@@ -383,7 +352,7 @@ def test_what_somebody_else_changed_is_seen_and_not_written_over(page, view, fol
     page.wait_for("return corridor.edit.version === 2")
     assert "bob" in page.text("versions")
     page.driver.find_element("xpath", "//button[text()='Go back to version 1\u2026']").click()
-    page.element("confirm-yes").click()
+    page.answer()
     wait_for_version(page, 3)
     assert load_map(folder).edit.restores == 1
 
@@ -457,16 +426,4 @@ def test_axe_finds_nothing_serious_in_the_area_edit(axe, page, view):
         PAIRED[0] + ROUND,
     )
     wait_for_version(page, 2)
-    page.run(axe)
-    try:
-        for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):
-            page.resize(size, is_dark)
-            page.choose("edit")
-            assert page.run("return document.documentElement.scrollWidth") <= size[0]
-            wide = (
-                "[...document.querySelectorAll('#edit .card')].filter((c) => c.scrollWidth > c.clientWidth)"
-            )
-            assert page.run(f"return {wide}.map((c) => c.innerText)") == []
-            assert serious_faults(page) == [], f"{size}, dark: {is_dark}"
-    finally:
-        page.resize(DESKTOP)
+    axe(page, "edit")

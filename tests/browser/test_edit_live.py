@@ -19,11 +19,9 @@ from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapstore.files import save_map
 from service.publishing.commands import Answer
 from service.web.jobs import SessionMapProcess
-from tests.browser.conftest import PHONE
+from tests.browser.conftest import PHONE, begin_live
 from tests.browser.test_edit import PAIRED, drag_map, optimise, pick_pairs, residuals_m
-from tests.browser.test_page import serious_faults
 from tests.service.offline.maps.bent_maps import graph_in
-from tests.service.web.conftest import TOKEN
 
 VERBS = ["save_map", "edit_map"]
 ERASED = np.array([(9.9, 9.5), (11.6, 9.9)])  # corners of a rectangle about a cabinet, m, map frame
@@ -86,11 +84,7 @@ def session(page, serve, scene, mapping, map_process, monkeypatch):
     maps = mapping.folder.parent
     server = serve(folders={"session": maps / "none", "map": maps})
     monkeypatch.setattr(server, "_answer", mapping.answer)
-    for message in scene.messages(1.0):
-        server.put(message)
-    page.open(server.address, TOKEN)
-    page.wait_for("const r = corridor.report(); return r.mayControl && r.pose && r.tiles > 0")
-    page.run("corridor.connection.on.verbs({verbs: arguments[0]})", VERBS)
+    begin_live(server, scene, page, verbs=VERBS)
     page.choose("edit")
     return server
 
@@ -103,14 +97,19 @@ def points_within(graph):
     return int(is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners).sum())
 
 
-def test_an_area_is_erased_and_brought_back(page, session, mapping):
-    before = points_within(mapping.graph())
-    assert before > 50
+def erase(page, mapping):
+    """The rectangle, by dragging."""
     page.look_at(*ERASED.mean(axis=0), 100.0)
     page.element("draw-rectangle").click()
     drag_map(page, *ERASED)
     wait_for_change(page, "erased 0.6")
     assert points_within(mapping.graph()) == 0
+
+
+def test_an_area_is_erased_and_brought_back(page, session, mapping):
+    before = points_within(mapping.graph())
+    assert before > 50
+    erase(page, mapping)
     assert [verb for verb, _ in mapping.asked] == ["edit_map"]
     assert mapping.asked[0][1]["change"]["becomes"] == "as_seen"
     page.element("edit-undo").click()
@@ -156,8 +155,7 @@ def test_a_bent_map_is_straightened_once_pairs_that_are_far_apart_are_confirmed(
     far = [f"New {k}: {apart_m:.3f} m" for k, apart_m in enumerate(residuals_m(page), 1) if apart_m > 0.5]
     assert far
     assert f": {', '.join(far)}." in question
-    page.element("confirm-no").click()
-    page.wait_for("return !document.getElementById('confirm').open")
+    page.answer("no")
     assert [verb for verb, _ in mapping.asked] == ["save_map"]
     assert len(residuals_m(page)) == 3
     optimise(page)
@@ -187,8 +185,7 @@ def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, b
     assert page.text("cut-words") == "In it: 11 key frames."
     page.element("cut-bridge").click()
     page.element("cut").click()
-    page.wait_for("return document.getElementById('confirm').open")
-    page.element("confirm-yes").click()
+    page.answer()
     wait_for_change(page, "cut 11 key frames out")
     assert int((mapping.graph().point_count == 0).sum()) == 11
 
@@ -205,9 +202,4 @@ def wait_for_change(page, words):
 
 def test_it_fits_a_phone_and_passes_axe(axe, page, session, bent):
     fetch(page, bent)
-    page.run(axe)
-    for is_dark in (False, True):
-        page.resize(PHONE, is_dark)
-        page.choose("edit")
-        assert page.run("return document.documentElement.scrollWidth") <= PHONE[0]
-        assert serious_faults(page) == [], f"dark: {is_dark}"
+    axe(page, "edit", sizes=[PHONE])

@@ -1,34 +1,19 @@
 """The area History: figures, states and events over time, of a running service and of a recording."""
 
-import itertools
-
 import pytest
 
-from service.offline.past.recording_view import RecordingView
-from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.scene import event
-from tests.browser.test_page import serious_faults
-from tests.service.offline.past.past_recordings import DEGRADED_S, MARK_S, RESET_S, write_past
+from tests.browser.test_past import past, recording  # noqa: F401 - fixtures
+from tests.service.offline.past.past_recordings import DEGRADED_S, MARK_S, RESET_S
 
 LINES = "return [...document.querySelectorAll('.timeline .line')].map((line) => line.lastChild.textContent)"
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    view = RecordingView(write_past(tmp_path_factory.mktemp("past")), "127.0.0.1:0")
-    yield view
-    view.close()
-
-
 @pytest.fixture
-def history(share, recording):
-    def open_it(page):
-        page.open(recording.address)
-        page.wait_for("const r = corridor.report(); return r.moment && r.mayControl && r.rows > 5")
-
-    page = share(recording.address, open_it)
-    page.choose("history")
-    return page
+def history(past):  # noqa: F811
+    past.wait_for("return corridor.report().rows > 5")
+    past.choose("history")
+    return past
 
 
 def headings(page):
@@ -98,13 +83,4 @@ def test_a_running_service_adds_a_row_a_second_and_a_click_pins_the_figures_of_t
 
 
 def test_axe_finds_nothing_serious_in_the_area_history(axe, history):
-    history.run(axe)
-    try:
-        for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):
-            history.resize(size, is_dark)
-            history.choose("history")
-            assert history.run("return document.documentElement.scrollWidth") <= size[0]
-            assert serious_faults(history) == [], f"{size}, dark: {is_dark}"
-    finally:
-        history.resize(DESKTOP)
-    assert history.faults() == []
+    axe(history, "history")

@@ -3,8 +3,7 @@
 import pytest
 
 from service.mapstore.files import load_map, save_map
-from service.offline.past.view import View
-from tests.browser.test_page import serious_faults
+from tests.browser.conftest import DESKTOP
 from tests.service.offline.maps.bent_maps import tiles_of
 from tests.service.offline.maps.test_loops import graph  # noqa: F401 - a fixture
 
@@ -15,14 +14,10 @@ LIST = (
 
 
 @pytest.fixture
-def loops(page, graph, tmp_path):  # noqa: F811
+def loops(page, opened, graph, tmp_path):  # noqa: F811
     save_map(tmp_path, tiles_of(graph), 1, graph=graph)
-    view = View(tmp_path, "127.0.0.1:0")
-    page.open(view.address)
-    page.wait_for("return corridor.edit.version === 1 && corridor.report().tiles > 0")
-    page.choose("edit")
-    yield page
-    view.close()
+    opened(tmp_path)
+    return page
 
 
 def press(page, kind, number, words):
@@ -47,16 +42,12 @@ def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(loops, graph, tm
     loops.wait_for(f"{places} return a.points.length > 0 && b.points.length > 0")
     assert loops.run(f"{places} return [a.keyframe, b.keyframe]") == graph.loop_ends[worst].tolist()
     press(loops, "Accepted loops", 0, "Refuse")
-    loops.wait_for("return document.getElementById('confirm').open")
-    loops.element("confirm-yes").click()
+    loops.answer()
     loops.wait_for("return corridor.edit.version === 2 && !corridor.edit.isBusy")
     assert len(load_map(tmp_path).graph.loop_ends) == len(graph.loop_ends) - 1
     refused = loops.run(LIST, "Loops not accepted")
     press(loops, "Loops not accepted", refused.index("taken back by hand"), "Accept")
-    loops.wait_for("return document.getElementById('confirm').open")
-    loops.element("confirm-yes").click()
+    loops.answer()
     loops.wait_for("return corridor.edit.version === 3 && !corridor.edit.isBusy")
     assert len(load_map(tmp_path).graph.by_hand.pair_ends) == 2
-    loops.run(axe)
-    assert serious_faults(loops) == []
-    assert loops.faults() == []
+    axe(loops, sizes=[DESKTOP], schemes=[False])

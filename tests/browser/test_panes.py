@@ -1,7 +1,5 @@
 """Points of two places picked side by side, each in a pane of its own."""
 
-import itertools
-
 import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
@@ -9,14 +7,12 @@ from selenium.webdriver.common.keys import Keys
 from tests.browser.conftest import DESKTOP, PHONE
 from tests.browser.test_edit import (
     PAIRED,
-    opened,  # noqa: F401 - a fixture
     optimise,
     unchanged,  # noqa: F401 - a fixture
     unchanged_view,  # noqa: F401 - a fixture
     view,  # noqa: F401 - a fixture
     wait_for_version,
 )
-from tests.browser.test_page import serious_faults
 from tests.service.offline.maps.bent_maps import ROUND, graph_in
 
 PIXELS_PER_M = 150.0
@@ -150,7 +146,7 @@ def test_the_second_pane_goes_when_it_is_not_wanted(panes):
     assert not page.element("side-by-side").is_enabled()
 
 
-def test_a_place_that_is_chosen_anew_comes_into_its_pane(panes, bent):
+def test_another_place_that_is_chosen_comes_into_its_pane(panes, bent):
     page, k = panes, PAIRED[1]
     choose_places(page, k)
     middle = page.run("const c = corridor.edit.pairs.pane.camera; return [c.x_m, c.y_m]")
@@ -158,14 +154,5 @@ def test_a_place_that_is_chosen_anew_comes_into_its_pane(panes, bent):
 
 
 def test_axe_finds_nothing_serious_in_two_panes(axe, panes):
-    page = panes
-    page.run(axe)
-    try:
-        for size, is_dark in itertools.product((DESKTOP, PHONE), (False, True)):
-            page.resize(size, is_dark)
-            page.run("document.getElementById('tab-map').click()")
-            assert page.run("return document.documentElement.scrollWidth") <= size[0]
-            assert page.element("pane").is_displayed()
-            assert serious_faults(page) == [], f"{size}, dark: {is_dark}"
-    finally:
-        page.resize(DESKTOP)
+    axe(panes, "edit", sizes=[DESKTOP], shown="pane")
+    axe(panes, "map", sizes=[PHONE], shown="pane")

@@ -3,10 +3,9 @@
 import pytest
 
 from service.mapstore.files import save_map
-from service.offline.past.view import View
-from tests.browser.conftest import store_map
+from tests.browser.conftest import begin_live, store_map
 from tests.browser.pictures import VERBS
-from tests.browser.test_edit import opened  # noqa: F401 - a fixture
+from tests.browser.test_control import put_health
 from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import TOKEN
 
@@ -32,17 +31,6 @@ STATES = {  # mapping's values, and those of recording
 }
 
 
-def put_health(page, values, recording):
-    page.run(
-        "const status = (name, values) => ({name, level: 0, message: 'ok', since_s: 0, values});"
-        "corridor.connection.on.health({stamp_s: 1, latency_ms: {}, statuses: ["
-        " status('mapping', arguments[0]), status('recording', {state: arguments[1]}),"
-        " status('map', {folder: '/m/office'})]})",
-        {"profile": "corridor", **values},
-        recording,
-    )
-
-
 @pytest.fixture(scope="module")
 def maps(tmp_path_factory):
     folder = tmp_path_factory.mktemp("maps")
@@ -56,11 +44,7 @@ def stocked(page, serve, scene, maps):
     """A page of a running session with the token; a map and a picture are stored."""
 
     def begin(token=TOKEN):
-        server = serve(folders={"session": maps / "none", "map": maps})
-        for message in scene.messages(1.0):
-            server.put(message)
-        page.open(server.address, token)
-        page.wait_for("const r = corridor.report(); return r.pose && r.health")
+        begin_live(serve(folders={"session": maps / "none", "map": maps}), scene, page, token)
         page.run(
             "corridor.connection.on.hello({run_id: '', vehicle: 'v', verbs: arguments[0], stores: true,"
             " profile: 'corridor', profiles: ['corridor', 'imle']})",
@@ -82,7 +66,7 @@ def silent(page):
     return found
 
 
-def test_whoever_may_not_reads_of_the_token(stocked):
+def test_without_the_token_every_control_names_it_as_the_reason(stocked):
     page = stocked(token="")
     put_health(page, *STATES["well"])
     assert not any(silent(page).values())
@@ -135,21 +119,16 @@ def test_a_map_is_not_loaded_with_a_profile_that_begins_in_none(stocked):
     assert title_of_load(page, "office") == [False, why]
 
 
-def test_a_result_shows_no_empty_card_and_says_nothing_of_what_it_has_not(page, folder):
-    view = View(folder, "127.0.0.1:0")
-    try:
-        page.open(view.address)
-        page.wait_for("const r = corridor.report(); return r.tiles > 0 && r.mayControl && r.health")
-        page.choose("control")
-        titles = (
-            "return [...document.querySelectorAll('#control .card')].filter((c) => c.offsetParent)"
-            ".map((c) => [c.firstChild.firstChild.textContent, c.children.length])"
-        )
-        assert all(count > 1 for _, count in page.run(titles))
-        assert [title for title, _ in page.run(titles)] == ["Access"]
-        assert not page.element("tab-resources").is_displayed()
-        assert not any(silent(page).values())
-        assert page.run("return document.querySelectorAll('.notice').length") == 0
-        assert page.faults() == []
-    finally:
-        view.close()
+def test_a_result_shows_no_empty_card_and_no_area_without_content(page, opened, folder):
+    opened(folder)
+    page.choose("control")
+    titles = (
+        "return [...document.querySelectorAll('#control .card')].filter((c) => c.offsetParent)"
+        ".map((c) => [c.firstChild.firstChild.textContent, c.children.length])"
+    )
+    assert all(count > 1 for _, count in page.run(titles))
+    assert [title for title, _ in page.run(titles)] == ["Access"]
+    assert not page.element("tab-resources").is_displayed()
+    assert not any(silent(page).values())
+    assert page.texts(".notice") == []
+    assert page.faults() == []

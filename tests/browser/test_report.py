@@ -8,7 +8,6 @@ from service.offline.past.result import open_result
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.report import REPORT_FILE, write_report
 from tests.browser.conftest import DESKTOP, PHONE
-from tests.browser.test_page import serious_faults
 from tests.service.offline.replay.test_replay import recorder_in
 
 
@@ -53,9 +52,6 @@ def test_the_path_lies_where_the_map_has_it(report, out):
         assert (cells[1] - middle_y) / pixels_per_m + shown.y_min_m == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("is_dark", [False, True])
-def test_it_is_accessible(axe, report, is_dark):
-    report.resize(DESKTOP, is_dark)
+def test_it_is_accessible(axe, report):
     report.run("document.querySelectorAll('details').forEach(details => { details.open = true; })")
-    report.run(axe)
-    assert serious_faults(report) == []
+    axe(report, sizes=[DESKTOP])
