@@ -15,6 +15,8 @@ ends the service.
 
 import signal
 
+from pydantic import ValidationError
+
 
 class CorridorError(Exception):
     """Base of everything the service raises on purpose."""
@@ -70,6 +72,13 @@ class ConfigError(CorridorError):
     def __reduce__(self) -> tuple[type["ConfigError"], tuple[list[str]]]:
         """For the way from another process: not made of the joined lines, as other exceptions are."""
         return type(self), (self.faults,)
+
+
+def fault_words(error: ValidationError) -> str:
+    """Where the first fault lies and what it is: `path.to.field: words`."""
+    fault = error.errors(include_url=False, include_input=False)[0]
+    words = fault["msg"].removeprefix("Value error, ")
+    return f"{'.'.join(map(str, fault['loc']))}: {words}" if fault["loc"] else words
 
 
 def words_of(error: BaseException) -> str:

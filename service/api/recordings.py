@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from drivers.frames import Frame
-from service.errors import InputError, UsageError
+from service.errors import InputError, UsageError, fault_words
 from service.offline.replay.replay import group_sessions
 from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
@@ -82,5 +82,4 @@ def choice_of(topics: Topics) -> Choice:
     try:
         return Choice.model_validate(topics)
     except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        raise UsageError(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}") from error
+        raise UsageError(fault_words(error)) from error

@@ -34,6 +34,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from drivers.frames import LaserScan
 from drivers.section import Section
 from service.encoding import Pose, Status
+from service.errors import fault_words
 from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, Grid, TileUpdate
 from service.web.series import Row
@@ -91,9 +92,7 @@ def read_asked(text: str) -> Asked:
     try:
         return _ASKED.validate_json(text, strict=True)
     except ValidationError as error:
-        fault = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, fault["loc"]))
-        raise AskedError(f"{where}: {fault['msg']}" if where else fault["msg"]) from error
+        raise AskedError(fault_words(error)) from error
 
 
 def to_json(kind: str, **content: Any) -> str:

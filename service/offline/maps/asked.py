@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from service.errors import InputError
+from service.errors import InputError, fault_words
 from service.mapper.edit_requests import (
     AddPairs,
     Asked,
@@ -101,7 +101,4 @@ def read_as(kind: TypeAdapter[Any], payload: bytes) -> Any:
     try:
         return kind.validate_json(payload)
     except ValidationError as error:
-        fault = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, fault["loc"]))
-        words = fault["msg"].removeprefix("Value error, ")
-        raise InputError(f"{where}: {words}" if where else words) from error
+        raise InputError(fault_words(error)) from error

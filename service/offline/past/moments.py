@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 from drivers.frames import LaserScan
 from drivers.section import Section
 from service.encoding import CHANGES, STANDING, Pose, Status
-from service.errors import CorridorError
+from service.errors import CorridorError, fault_words
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.outputs import GraphPicture, Grid
@@ -107,8 +107,7 @@ class MomentCommands:
             asked = GoToAsked.model_validate_json(payload, strict=True)
             self.go_to(self._moments.first_ns + round(asked.position_s * 1e9))
         except ValidationError as error:
-            fault = error.errors(include_url=False, include_input=False)[0]
-            return refusal(f"{verb}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+            return refusal(f"{verb}: {fault_words(error)}")
         except CorridorError as error:
             return refusal(str(error))
         return Answer(True, json.dumps({"ok": True}).encode())

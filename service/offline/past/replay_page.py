@@ -30,7 +30,7 @@ from service.encoding import (
     encode_pose,
     encode_tf_static,
 )
-from service.errors import InputError
+from service.errors import InputError, fault_words
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
@@ -292,8 +292,7 @@ class ReplayPage:
         try:
             return self._carry_out(verb, payload, self._session.recording.first_log_ns)
         except ValidationError as error:
-            fault = error.errors(include_url=False, include_input=False)[0]
-            return refusal(f"{verb}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}")
+            return refusal(f"{verb}: {fault_words(error)}")
 
     def _carry_out(self, verb: str, payload: bytes, first_ns: int) -> Answer:
         match verb:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from service.errors import InputError
+from service.errors import InputError, fault_words
 from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
@@ -170,8 +170,7 @@ def _checked(summary: Mapping[str, Any], path: Path) -> Summary:
     try:
         return Summary.model_validate(summary)
     except ValidationError as error:
-        fault = error.errors(include_url=False, include_input=False)[0]
-        raise InputError(f"{path}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from error
+        raise InputError(f"{path}: {fault_words(error)}") from error
 
 
 def _loops(graph: SavedGraph) -> list[Loop]:
