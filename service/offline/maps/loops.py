@@ -55,6 +55,12 @@ def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, An
     )
 
 
+def residuals(graph: SavedGraph, ends: np.ndarray, measured: Floats) -> tuple[Floats, Floats]:
+    """(N,) m and (N,) rad between what loops measured, (N, 3), and the map; ends: (N, 2) key frames."""
+    off = se2.between(measured, se2.between(graph.map[ends[:, 0]], graph.map[ends[:, 1]]))
+    return np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+
+
 def as_pairs(graph: SavedGraph, ends: np.ndarray, measured: Floats) -> list[list[list[list[float]]]]:
     """Of each loop two pairs of points of the map, (2, 2, 2) m, that say together what it measured: both lie
     `PAIR_M` from the second key frame, seen as they would be from there and from the first.
@@ -70,18 +76,8 @@ def as_pairs(graph: SavedGraph, ends: np.ndarray, measured: Floats) -> list[list
 
 def loops_table(loops: dict[str, Any]) -> list[list[str]]:
     """Rows of words, heads first."""
-    heads = [
-        "loop",
-        "at x m",
-        "y m",
-        "from s",
-        "back at s",
-        "points",
-        "on map",
-        "in free",
-        "off mm",
-        "off deg",
-    ]
+    heads = ["loop", "at x m", "y m", "from s", "back at s"]
+    heads += ["points", "on map", "in free", "off mm", "off deg"]
     rows = [[*heads, "why not"]]
     for loop in loops["accepted"]:
         rows.append([str(loop["loop"]), *_cells(loop), ""])
@@ -110,7 +106,7 @@ def _cells(loop: dict[str, Any]) -> list[str]:
 def _reported(
     graph: SavedGraph, ends: np.ndarray, measured: Floats, on_map: Floats, points: np.ndarray, in_free: Floats
 ) -> list[dict[str, Any]]:
-    off = se2.between(measured, se2.between(graph.map[ends[:, 0]], graph.map[ends[:, 1]]))
+    off_m, off_rad = residuals(graph, ends, measured)
     seconds = (graph.stamp_ns - graph.stamp_ns.min()) / 1e9
     return [
         {
@@ -122,8 +118,8 @@ def _reported(
             "points": int(points[k]),
             "on_map": round(float(on_map[k]), 3),
             "in_free": None if np.isnan(in_free[k]) else round(float(in_free[k]), 3),
-            "off_mm": round(1e3 * float(np.hypot(off[k, 0], off[k, 1])), 1),
-            "off_deg": round(abs(float(np.degrees(off[k, 2]))), 3),
+            "off_mm": round(1e3 * float(off_m[k]), 1),
+            "off_deg": round(float(np.degrees(off_rad[k])), 3),
         }
         for k, (of, to) in enumerate(ends.tolist())
     ]
