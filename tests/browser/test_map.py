@@ -239,7 +239,7 @@ def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
     live.put(encode_graph(GraphPicture(stamp(1.0), [line], accepted, refused, [border]), stamp(1.0)))
     page.wait_for("return corridor.report().graph.keyFrames === 3")
     assert page.report()["graph"] == {"keyFrames": 3, "accepted": 1, "refused": 2, "borders": 1}
-    words = page.run("return [...document.querySelectorAll('.graph-part')].map((e) => e.textContent)")
+    words = page.texts(".graph-part")
     assert words == ["Key frames: 3", "Loops that hold: 1", "Loops not accepted: 2", "Sub-maps: 1"]
     hide_all_but_the_map(page)
     page.look_at(0.0, 1.0, 400.0)
@@ -265,7 +265,7 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
     hide_all_but_the_map(page)
     page.driver.find_element("css selector", ".layers summary").click()
     page.element("layer-standing").click()
-    assert "Nothing is told" in page.text("parts-standing")
+    assert "Not known now" in page.text("parts-standing")
     cells = np.full((20, 30), -1, np.int8)
     cells[10, 10], cells[10, 20] = 0, 100
     live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "standing"))
@@ -273,7 +273,7 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
     points = [(0.05, 2.05), (1.05, 2.05), (0.05, 2.15), (-1.05, 2.0), (5.0, 2.0)]
     values = page.run("return arguments[0].map((xy) => corridor.view.standing.valueAt(...xy))", points)
     assert values == [0, 100, -1, -1, -1]
-    words = page.run("return [...document.querySelectorAll('.standing-part')].map((e) => e.textContent)")
+    words = page.texts(".standing-part")
     assert words == ["Just come: counts little", "Stands for long: counts in full"]
     page.run("document.querySelector('.layers').open = false")
     page.look_at(0.5, 2.0, 200.0)
@@ -304,7 +304,7 @@ def test_what_is_not_as_the_stored_map_says_is_a_layer(page, scene, live):
     cells[1, 1], cells[2, 11] = 100, 0
     live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "map/changes"))
     page.wait_for("const c = corridor.report().stored; return c.appeared === 1 && c.gone === 1")
-    words = page.run("return [...document.querySelectorAll('.stored-part')].map((e) => e.textContent)")
+    words = page.texts(".stored-part")
     assert words == ["Stands there now: 1 cell", "Is gone: 1 cell"]
     assert page.element("layer-stored").is_selected()
     page.run("document.querySelector('.layers').open = false")
@@ -328,7 +328,7 @@ def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
     cells[20, column], cells[30, column - 10] = 0, 100
     scene.store.update([TileUpdate(0, 2, 0, scene.store.version + 1, CELL_M, cells)])
     page.wait_for("const c = corridor.report().change; return c.appeared === 1 && c.gone === 1")
-    words = page.run("return [...document.querySelectorAll('.change-part')].map((e) => e.textContent)")
+    words = page.texts(".change-part")
     assert words[0].endswith(": 1 cell")
     assert words[1] == "Free since then: 1 cell"
     gone_y_m, new_x_m, new_y_m = 20.5 * CELL_M, wall_x_m - 10 * CELL_M, 30.5 * CELL_M

@@ -80,7 +80,7 @@ export const notice = (text, level = "none", offer = null) => {
     close.before(button);
   }
   close.addEventListener("click", () => node.remove());
-  for (const said of byId("notices").children) if (!offer && said.firstChild.textContent === text) said.remove(); // once is enough
+  for (const shown of byId("notices").children) if (!offer && shown.firstChild.textContent === text) shown.remove(); // once is enough
   byId("notices").append(node);
   if (level !== "error") setTimeout(() => node.remove(), offer ? 4 * NOTICE_MS : NOTICE_MS);
   while (byId("notices").children.length > 4) byId("notices").firstChild.remove();

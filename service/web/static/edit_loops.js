@@ -3,39 +3,40 @@
 import { card, confirmed, element, setText } from "./dom.js";
 import { fixed } from "./format.js";
 
-const SHOWN = 50; // of each kind, the most doubtful accepted ones and the best refused ones first
+const SHOWN = 50; // of each kind
+const KINDS = {
+  accepted: { label: "Accepted loops", heading: "Accepted, the largest residual first", rank: ({ off_mm }) => -off_mm },
+  refused: { label: "Loops not accepted", heading: "Not accepted, the best agreement first", rank: ({ on_map }) => -on_map },
+};
 
 export class EditLoops {
   /** edit: of the area Edit. */
   constructor(edit) {
     this.edit = edit;
-    this.loops = { accepted: [], refused: [] };
-    this.card = card("Loops");
-    this.lists = {
-      accepted: element("ul", { className: "stored loops", tabIndex: 0, "aria-label": "Accepted loops" }),
-      refused: element("ul", { className: "stored loops", tabIndex: 0, "aria-label": "Loops not accepted" }),
-    };
-    this.headings = { accepted: element("h3", {}, "Accepted, the largest residual first"), refused: element("h3", {}, "Not accepted, the best agreement first") };
-    this.card.node.append(element("p", { className: "note" }, "Show draws what both places saw, each in its colour. Walls must coincide."),
-      this.headings.accepted, this.lists.accepted, this.headings.refused, this.lists.refused);
+    this.card = card("Loops", element("p", { className: "note" }, "Show draws what both places saw, each in its colour. Walls must coincide."));
+    this.parts = Object.entries(KINDS).map(([kind, { label, heading, rank }]) => {
+      const list = element("ul", { className: "stored loops", tabIndex: 0, "aria-label": label });
+      const part = element("div", {}, element("h3", {}, heading), list);
+      this.card.node.append(part);
+      return { kind, rank, list, part };
+    });
   }
 
   put(loops = { accepted: [], refused: [] }) {
-    this.loops = loops;
-    const accepted = loops.accepted.toSorted((a, b) => b.off_mm - a.off_mm), refused = loops.refused.toSorted((a, b) => b.on_map - a.on_map);
-    this.card.node.hidden = accepted.length + refused.length === 0;
-    this.headings.accepted.hidden = this.lists.accepted.hidden = accepted.length === 0;
-    this.headings.refused.hidden = this.lists.refused.hidden = refused.length === 0;
-    setText(this.card.aside, `${accepted.length} accepted, ${refused.length} not`);
-    this.lists.accepted.replaceChildren(...accepted.slice(0, SHOWN).map((loop) => this.#entry(loop, `Loop ${loop.loop}`,
-      element("button", { type: "button", onclick: () => this.#refuse(loop) }, "Refuse\u2026"))));
-    this.lists.refused.replaceChildren(...refused.slice(0, SHOWN).map((loop) => this.#entry(loop, loop.why,
-      element("button", { type: "button", onclick: () => this.#accept(loop) }, "Accept\u2026"))));
+    this.card.node.hidden = loops.accepted.length + loops.refused.length === 0;
+    setText(this.card.aside, `${loops.accepted.length} accepted, ${loops.refused.length} not`);
+    for (const { kind, rank, list, part } of this.parts) {
+      part.hidden = loops[kind].length === 0;
+      list.replaceChildren(...loops[kind].toSorted((a, b) => rank(a) - rank(b)).slice(0, SHOWN).map((loop) => this.#entry(loop)));
+    }
   }
 
-  #entry(loop, title, decide) {
-    return element("li", {}, element("p", { className: "stored-name" }, title), element("p", { className: "note" }, evidence(loop)),
-      element("div", { className: "row" }, element("button", { type: "button", onclick: () => this.show(loop) }, "Show"), decide));
+  #entry(loop) {
+    const isAccepted = "loop" in loop;
+    return element("li", {}, element("p", { className: "stored-name" }, isAccepted ? `Loop ${loop.loop}` : loop.why),
+      element("p", { className: "note" }, evidence(loop)),
+      element("div", { className: "row" }, element("button", { type: "button", onclick: () => this.show(loop) }, "Show"),
+        element("button", { type: "button", onclick: () => (isAccepted ? this.#refuse(loop) : this.#accept(loop)) }, isAccepted ? "Refuse\u2026" : "Accept\u2026")));
   }
 
   /** Both places with the points that they saw. */

@@ -173,7 +173,7 @@ export class EditPairs {
     const { pairs } = this, change = pairs.length ? { what: "add-pair", pairs } : { what: "optimize" };
     this.pairs = [];
     this.edit.endTool();
-    if (!await this.edit.change(change, "Optimise")) this.pairs = pairs; // to be mended, not drawn anew
+    if (!await this.edit.change(change, "Optimise")) this.pairs = pairs; // to be corrected, not picked again
     this.update();
     this.edit.view.invalidate();
   }

@@ -39,7 +39,7 @@ export class History {
     root.append(this.timeline.node, ...this.plots.map(({ card: { node } }) => node));
     this.root = root;
     for (const { node } of [this.band, ...this.plots.map(({ plot }) => plot)]) {
-      node.addEventListener("pointermove", (event) => this.#point(event));
+      node.addEventListener("pointermove", (event) => this.#mark(this.#at(event)));
       node.addEventListener("pointerleave", () => this.#mark(this.shown_s ?? null));
       node.addEventListener("click", (event) => this.#choose(this.#at(event)));
     }
@@ -94,8 +94,7 @@ export class History {
     if (this.root.hidden) return;
     const states = this.series.states.map(({ from_s, to_s, state, level }, i, all) => ({ stamp_s: from_s, level,
       words: `${state || "no state known"}${i + 1 < all.length ? `, ${duration(to_s - from_s)}` : ""}` }));
-    const events = eventLines(this.series.events ?? this.events).map(({ stamp_s, words }) => ({ stamp_s, words }));
-    const lines = [...(states.length > 1 || states[0]?.state ? states : []), ...events].sort((a, b) => b.stamp_s - a.stamp_s).slice(0, MAX_EVENTS);
+    const lines = [...(states.length > 1 || states[0]?.state ? states : []), ...eventLines(this.series.events ?? this.events)].sort((a, b) => b.stamp_s - a.stamp_s).slice(0, MAX_EVENTS);
     const listed = JSON.stringify(lines);
     if (listed === this.listed) return; // what is focused stays
     this.listed = listed;
@@ -111,10 +110,6 @@ export class History {
   #at(event) {
     const { span } = this.series, box = event.target.getBoundingClientRect();
     return span && timeAxis(span, box.width).at(event.clientX - box.left);
-  }
-
-  #point(event) {
-    this.#mark(this.#at(event));
   }
 
   #choose(stamp_s) {

@@ -17,7 +17,7 @@ const MAX_SIGMA_MS = 5; // of a clock that is known
 export class Information {
   constructor(root, colourOf) {
     this.colourOf = colourOf;
-    this.stamp_s = null; // of what is told, Unix time
+    this.stamp_s = null; // of the newest health, Unix time
     this.old = element("p", { id: "information-old", role: "status", hidden: true });
     this.isPast = false; // whether moments of a recording are shown
     this.mapping = card("Mapping");
@@ -214,7 +214,7 @@ const clockWords = ({ device_clock_s, clock_sigma_ms }) => {
   return `device clock: ${deviceClock(device_clock_s)}, ${runs} (\u00b1 ${figure(clock_sigma_ms, 1, " ms")})`;
 };
 
-/** All that is told of a sensor or a part, in a row of its own below it, while its name is pressed. */
+/** All values of a sensor or a part, in a row of its own below it, while its name is pressed. */
 class Details {
   constructor(columns, status, ...name) {
     this.text = "";

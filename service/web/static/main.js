@@ -201,7 +201,7 @@ function explainLayers() {
 function explainStanding() {
   const [fresh, full] = [view.colours.standing.fresh, view.colours.standing.full].map((rgba) => `rgb(${rgba.slice(0, 3)})`);
   byId("parts-standing").replaceChildren(...(!view.layers.standing ? []
-    : !view.standing.isKnown ? [element("span", {}, "Nothing is told of it now")]
+    : !view.standing.isKnown ? [element("span", {}, "Not known now")]
       : [explained("Just come: counts little", fresh, "standing-part"), explained("Stands for long: counts in full", full, "standing-part")]));
 }
 

@@ -9,7 +9,7 @@ const RINGS = 4, MARGIN = 12; // pixels
 const NO_RETURN = 0; // in a message, see protocol.py
 
 /** How many beams returned, and how far; lengths in m, null where none did. */
-export const returnsOf = ({ ranges }) => {
+const returnsOf = ({ ranges }) => {
   const found = Array.from(ranges).filter((steps) => steps !== NO_RETURN);
   const far = found.reduce((most, steps) => Math.max(most, steps), 0), near = found.reduce((least, steps) => Math.min(least, steps), Infinity);
   return { beams: ranges.length, returns: found.length, nearest_m: found.length ? near * RANGE_STEP_M : null, farthest_m: found.length ? far * RANGE_STEP_M : null };

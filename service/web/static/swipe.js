@@ -14,11 +14,11 @@ export class Swipe {
     byId("swipe").append(this.words, this.slider, element("button", { type: "button", id: "swipe-end", onclick: () => this.clear() }, "End"));
   }
 
-  /** told: of map_version. */
+  /** The answer to map_version; present: number of the version that is shown. */
   async show({ version, tiles }, present) {
-    const { edge, cell_m, tiles: held } = await decode(Uint8Array.from(atob(tiles), (c) => c.charCodeAt(0)).buffer);
+    const { edge, cell_m, tiles: decoded } = await decode(Uint8Array.from(atob(tiles), (c) => c.charCodeAt(0)).buffer);
     const other = new TileMap();
-    for (const { ix, iy, cells } of held) other.put(ix, iy, edge, cell_m, cells);
+    for (const { ix, iy, cells } of decoded) other.put(ix, iy, edge, cell_m, cells);
     this.view.other = { tiles: other, share: 0.5 };
     this.view.readColours(); // of its tiles, too
     setText(this.words, `Left: version ${version}. Right: ${present}, the present one.`);
