@@ -50,5 +50,5 @@ def test_certificate_and_key_go_together(tmp_path):
     assert both.tls_key == tmp_path / "b.pem"
 
 
-def test_it_is_for_this_machine_alone_unless_told_otherwise():
+def test_the_page_is_served_on_loopback_unless_the_config_says_otherwise():
     assert WebConfig().listen == "127.0.0.1:8080"

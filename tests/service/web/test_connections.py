@@ -76,7 +76,7 @@ def test_of_connections_that_come_all_at_once_few_stay(narrow):
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost:"])
-def test_who_asks_for_nothing_whole_is_let_go_and_a_browser_stays(serve, monkeypatch, said):
+def test_whoever_sends_no_whole_request_is_disconnected_and_a_browser_stays(serve, monkeypatch, said):
     monkeypatch.setattr(connections, "IDLE_S", IDLE_S)
     server = serve()
 

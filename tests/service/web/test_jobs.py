@@ -28,7 +28,7 @@ def pid_of(process):
     return process._process.pid
 
 
-def test_one_process_answers_all_questions_another_follows_its_death_and_ends_at_the_close(process, office):
+def test_one_process_answers_all_questions_and_another_replaces_it_after_its_death(process, office):
     seen = process.ask("look", office, {})
     assert seen["keyframes"] is None
     first = process._process
@@ -46,7 +46,7 @@ def test_one_process_answers_all_questions_another_follows_its_death_and_ends_at
         os.kill(second, 0)
 
 
-def test_one_that_dies_at_a_question_is_told_in_words(process, office, monkeypatch):
+def test_a_process_that_dies_at_a_question_is_reported_in_words(process, office, monkeypatch):
     monkeypatch.setattr("service.web.jobs._gentle", lambda *arguments: ["false"])
     with pytest.raises(ResourceError, match=r"has ended|was ended"):
         process.ask("look", office, {})

@@ -128,7 +128,7 @@ def test_health_says_how_long_a_frame_is_on_its_way(view):
     assert health["latency_ms"] == {"front": pytest.approx(5.0), "rear": pytest.approx(5.0)}
 
 
-def test_figures_are_reported_once_a_second_and_in_full_to_who_comes_late(view, clock):
+def test_figures_are_sent_once_a_second_and_in_full_to_a_late_browser(view, clock):
     scene = Scene()
     told = []
     for k in range(10):
@@ -161,7 +161,7 @@ def test_figures_of_a_run_that_begins_again_take_the_place_of_those_before(view)
     assert len(whole["stamp_s"]) == 2
 
 
-def test_who_comes_late_gets_all_of_it(view):
+def test_a_late_browser_gets_everything(view):
     scene = Scene()
     for message in (*scene.messages(0.0), event('{"event": "start"}', 0.0)):
         view.put(message)
@@ -171,7 +171,7 @@ def test_who_comes_late_gets_all_of_it(view):
     assert texts(later, "event") == texts(now, "event") != []
 
 
-def test_the_path_is_told_to_who_comes_late_and_ends_with_its_map(view):
+def test_a_late_browser_gets_the_path_and_a_map_reset_ends_it(view):
     scene = Scene()
     for seconds in (0.0, 0.01, 1.0, 2.0):  # the second is nearer than 5 cm
         view.put(encode_pose(scene.output(seconds), 1))
@@ -277,7 +277,7 @@ def test_sensors_with_poses_of_their_own_are_not_the_pose(view):
     assert texts(view.due(), "pose") == []
 
 
-def test_a_turn_of_the_mounting_is_reported(view):
+def test_a_turn_of_the_mounting_is_sent(view):
     view.put(encode_tf_static({"front": SE2(0.2, 0.1, 0.5)}, 1, 1))
     (told,) = texts(view.due(), "mountings")
     assert told["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])

@@ -76,7 +76,7 @@ def test_nothing_else_can_be_fetched(serve, path):
     talk(serve(), look)
 
 
-def test_a_new_browser_is_reported_all_of_it(serve, store):
+def test_a_new_browser_gets_everything_that_is_shown(serve, store):
     scene = Scene(store=store)
     scene.map_all()
     server = serve()

@@ -66,7 +66,7 @@ def test_the_points_of_a_key_frame_lie_in_the_map(folder, bent):
     assert "this is of version 7" in Asking(folder).ask("map_keyframe", version=7, keyframe=0)["error"]
 
 
-def test_the_tiles_of_a_version_are_told_as_a_page_reads_them(folder):
+def test_tiles_of_a_version_are_sent_as_the_page_decodes_them(folder):
     asking = Asking(folder)
     before = load_map(folder).tiles
     assert asking.edit(1, "erase", corners=SQUARE, becomes="free")["ok"]

@@ -62,7 +62,7 @@ def test_a_loop_that_the_rest_contradicted_is_reported_with_the_reason(tmp_path,
     assert false["off_mm"] > 1000.0
 
 
-def test_without_company_each_loop_is_told_to_be_alone(tmp_path):
+def test_a_loop_without_another_that_agrees_has_that_as_its_reason(tmp_path):
     save_map(tmp_path, TILES, 1, graph=saved_of(1.4, LoopsConfig(consensus_span_m=1000.0)))
     told = map_loops(tmp_path)
     assert told["accepted"] == []

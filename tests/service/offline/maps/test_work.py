@@ -39,7 +39,7 @@ def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
     assert (second["from_s"], second["to_s"]) == (90.0, 92.0)
 
 
-def test_an_older_version_tells_what_it_held(tmp_path, capsys):
+def test_an_older_version_has_figures_of_its_own(tmp_path, capsys):
     save_map(tmp_path, TILES, 1, graph=graph_of(5))
     save_map(tmp_path, TILES, 2, graph=graph_of(60))
     assert map_info(tmp_path, 1)["keyframes"] == 5
