@@ -12,6 +12,24 @@ export class Camera {
     this.height = 1;
   }
 
+  /** Make a canvas the screen, as large as its place and sharp; device pixels a CSS pixel. */
+  sizeTo(canvas) {
+    const dpr = window.devicePixelRatio || 1;
+    this.width = Math.max(1, canvas.clientWidth);
+    this.height = Math.max(1, canvas.clientHeight);
+    canvas.width = Math.round(this.width * dpr);
+    canvas.height = Math.round(this.height * dpr);
+    return dpr;
+  }
+
+  /** Fill the screen, and draw in metres from now on. */
+  clear(context, ground, dpr) {
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = ground;
+    context.fillRect(0, 0, context.canvas.width, context.canvas.height);
+    this.applyTo(context, dpr);
+  }
+
   toScreen(x_m, y_m) {
     const c = Math.cos(this.rotation_rad), s = Math.sin(this.rotation_rad);
     const dx = x_m - this.x_m, dy = y_m - this.y_m;

@@ -31,6 +31,13 @@ export const NO_TOKEN = "Only with the token: enter it under Control";
 /** A name of a file, which may go on in the next line after each _ only. */
 export const fileName = (name) => name.split(/(?<=_)/).flatMap((part, i) => (i ? [element("wbr"), part] : [part]));
 
+/** Words behind a patch of the colour that they explain. */
+export const swatched = (words, colour, className = "") => {
+  const swatch = element("span", { className: "swatch" });
+  swatch.style.background = colour;
+  return element("span", { className }, swatch, words);
+};
+
 export const card = (title, ...children) => {
   const aside = element("span", { className: "aside" });
   const made = element("section", { className: "card" }, element("h2", {}, title, aside), ...children);

@@ -261,7 +261,7 @@ export class PairTool {
 }
 
 /** A ring about a point, a square about a corner. */
-export const drawAimed = (context, [x, y], isCorner) => {
+const drawAimed = (context, [x, y], isCorner) => {
   context.beginPath();
   if (isCorner) context.rect(x - 8, y - 8, 16, 16);
   else context.arc(x, y, 7, 0, 2 * Math.PI);

@@ -18,7 +18,7 @@ export const seenFrom = ([x_m, y_m, theta_rad], [x, y]) => {
 export const wrapAngle = (rad) => rad - 2 * Math.PI * Math.round(rad / (2 * Math.PI));
 
 /** Between two poses: share 0 gives a, 1 gives b; beyond 1 it goes on as between them. */
-export const interpolate = (a, b, share) => ({
+const interpolate = (a, b, share) => ({
   x_m: a.x_m + share * (b.x_m - a.x_m),
   y_m: a.y_m + share * (b.y_m - a.y_m),
   theta_rad: a.theta_rad + share * wrapAngle(b.theta_rad - a.theta_rad),

@@ -1,6 +1,6 @@
 // The area History: states and events over time, and figures; a click on any of them shows that moment.
 
-import { card, element, setText } from "./dom.js";
+import { card, element, setText, swatched } from "./dom.js";
 import { clockTime, duration } from "./format.js";
 import { eventLines } from "./events.js";
 import { LEVELS } from "./information.js";
@@ -77,7 +77,7 @@ export class History {
     for (const { plot, card: { node }, key } of this.plots) {
       node.hidden = !plot.lines.some(({ name }) => this.series.rows.some(({ figures }) => typeof figures[name] === "number"));
       key.hidden = plot.lines.length < 2;
-      key.replaceChildren(...(key.hidden ? [] : plot.lines.map(({ words, colour: line }) => swatch(words, line))));
+      key.replaceChildren(...(key.hidden ? [] : plot.lines.map(({ words, colour: line }) => swatched(words, `var(${line})`))));
     }
     this.#list();
     this.#mark(this.shown_s ?? null);
@@ -153,9 +153,3 @@ export class History {
     this.band.node.setAttribute("aria-label", `States of the last ${duration(span[1] - span[0])}: ${states.length}, now ${now.state || "not known"}; listed below`);
   }
 }
-
-const swatch = (words, line) => {
-  const node = element("span", { className: "swatch" });
-  node.style.background = `var(${line})`;
-  return element("span", {}, node, words);
-};

@@ -2,7 +2,7 @@
 
 import { Connection } from "./connection.js";
 import { Control } from "./control.js";
-import { byId, element, setText } from "./dom.js";
+import { byId, element, setText, swatched } from "./dom.js";
 import { clockTime, counted, fixed } from "./format.js";
 import { Edit } from "./edit.js";
 import { drawCrossHair } from "./edit_tools.js";
@@ -181,20 +181,14 @@ function compareFromNow() {
   view.invalidate();
 }
 
-function explained(words, colour, className) {
-  const swatch = element("span", { className: "swatch" });
-  swatch.style.background = colour;
-  return element("span", { className }, swatch, words);
-}
-
 function explainLayers() {
   const { counts } = view.graph, { graph } = view.colours;
   const parts = Object.entries(GRAPH_PARTS).filter(([part]) => counts[part] > 0);
-  byId("parts-graph").replaceChildren(...parts.map(([part, words]) => explained(`${words}: ${counts[part]}`, graph[part], "graph-part")));
+  byId("parts-graph").replaceChildren(...parts.map(([part, words]) => swatched(`${words}: ${counts[part]}`, graph[part], "graph-part")));
   explainChange();
   explainStoredChanges();
   explainStanding();
-  byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => explained(sensor, view.colourOf(sensor), "laser")));
+  byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => swatched(sensor, view.colourOf(sensor), "laser")));
 }
 
 /** What its colours mean; what it is told of, only once it is on. */
@@ -202,15 +196,15 @@ function explainStanding() {
   const [fresh, full] = [view.colours.standing.fresh, view.colours.standing.full].map((rgba) => `rgb(${rgba.slice(0, 3)})`);
   byId("parts-standing").replaceChildren(...(!view.layers.standing ? []
     : !view.standing.isKnown ? [element("span", {}, "Not known now")]
-      : [explained("Just come: counts little", fresh, "standing-part"), explained("Stands for long: counts in full", full, "standing-part")]));
+      : [swatched("Just come: counts little", fresh, "standing-part"), swatched("Stands for long: counts in full", full, "standing-part")]));
 }
 
 /** Offered where somebody watches: a vehicle that is only localised in a stored map. */
 function explainStoredChanges() {
   const { isKnown, counts } = view.stored, { change } = view.colours, parts = byId("parts-stored");
   byId("layer-stored").parentElement.hidden = parts.hidden = !isKnown;
-  parts.replaceChildren(explained(`Stands there now: ${counted(counts.appeared, "cell")}`, change.appeared, "stored-part"),
-    explained(`Is gone: ${counted(counts.gone, "cell")}`, change.gone, "stored-part"));
+  parts.replaceChildren(swatched(`Stands there now: ${counted(counts.appeared, "cell")}`, change.appeared, "stored-part"),
+    swatched(`Is gone: ${counted(counts.gone, "cell")}`, change.gone, "stored-part"));
 }
 
 function explainChange() {
@@ -222,8 +216,8 @@ function explainChange() {
   }
   const button = byId("change-now") ?? element("button", { type: "button", id: "change-now", onclick: compareFromNow }, "From now");
   byId("parts-change").replaceChildren(
-    explained(`Occupied since ${clockTime(since / 1000)}: ${counted(counts.appeared, "cell")}`, change.appeared, "change-part"),
-    explained(`Free since then: ${counted(counts.gone, "cell")}`, change.gone, "change-part"), button);
+    swatched(`Occupied since ${clockTime(since / 1000)}: ${counted(counts.appeared, "cell")}`, change.appeared, "change-part"),
+    swatched(`Free since then: ${counted(counts.gone, "cell")}`, change.gone, "change-part"), button);
 }
 
 view.onDrawn = () => {

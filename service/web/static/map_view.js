@@ -236,13 +236,7 @@ export class MapView {
   }
 
   #resize() {
-    const { clientWidth, clientHeight } = this.canvas;
-    const ratio = window.devicePixelRatio || 1;
-    this.dpr = ratio;
-    this.camera.width = Math.max(1, clientWidth);
-    this.camera.height = Math.max(1, clientHeight);
-    this.canvas.width = Math.round(this.camera.width * ratio);
-    this.canvas.height = Math.round(this.camera.height * ratio);
+    this.dpr = this.camera.sizeTo(this.canvas);
     this.#draw(); // at once: an emptied canvas would flash
   }
 
@@ -250,10 +244,7 @@ export class MapView {
     const began_ms = performance.now();
     const { context, camera, colours, layers, dpr = 1 } = this;
     const { tiles, path, graph } = this.showsBefore ? this.before : this;
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.fillStyle = colours.ground;
-    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
-    camera.applyTo(context, dpr);
+    camera.clear(context, colours.ground, dpr);
     if (layers.map) tiles.draw(context, camera.seen, camera.scale * dpr);
     if (layers.map && this.other) this.#drawOther();
     if (layers.grid) this.#drawGrid();
@@ -280,9 +271,7 @@ export class MapView {
     context.beginPath();
     context.rect(0, 0, split, canvas.height);
     context.clip();
-    context.fillStyle = colours.ground;
-    context.fillRect(0, 0, split, canvas.height);
-    camera.applyTo(context, dpr);
+    camera.clear(context, colours.ground, dpr);
     other.tiles.draw(context, camera.seen, camera.scale * dpr);
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = colours.measure;

@@ -74,19 +74,13 @@ export class PlacePane {
 
   #resize() {
     if (!this.isOpen) return;
-    const ratio = window.devicePixelRatio || 1, { clientWidth, clientHeight } = this.canvas;
-    Object.assign(this.camera, { width: Math.max(1, clientWidth), height: Math.max(1, clientHeight) });
-    this.canvas.width = Math.round(this.camera.width * ratio);
-    this.canvas.height = Math.round(this.camera.height * ratio);
+    this.dpr = this.camera.sizeTo(this.canvas);
     this.#draw(); // at once: an emptied canvas would flash
   }
 
   #draw() {
-    const { context, camera, view } = this, { colours } = view, dpr = window.devicePixelRatio || 1;
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.fillStyle = colours.ground;
-    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
-    camera.applyTo(context, dpr);
+    const { context, camera, view } = this, { colours } = view, { dpr = 1 } = this;
+    camera.clear(context, colours.ground, dpr);
     view.tiles.draw(context, camera.seen, camera.scale * dpr);
     context.setTransform(dpr, 0, 0, dpr, 0, 0);
     this.draw(context, camera, colours);
