@@ -71,11 +71,6 @@ class Drive:
             self.service.start(watchdog_s=30.0)
         self._ready_ns = time.monotonic_ns()
 
-    @property
-    def ready_s(self) -> float:
-        """After the ride began."""
-        return (self._ready_ns - self.ride_ns) / 1e9
-
     def end(self, number: signal.Signals = signal.SIGTERM) -> None:
         self.service.signal(number)
         ended_ns, code, log = time.monotonic_ns(), self.service.wait(), self.service.log

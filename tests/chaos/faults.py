@@ -1,4 +1,7 @@
-"""What can happen to a drive. Each function here makes the `act` of a row, or is its `place`."""
+"""What can happen to a drive. Each function here makes the `act` of a row, or is its `place`.
+
+Each sleep is as long as its fault lasts, or is the time from one kill to the next.
+"""
 
 import os
 import signal
@@ -7,14 +10,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tests.chaos.drive import Drive
-from tests.system.machine import Subscriber, free_port
+from tests.system.machine import PATIENCE_S, Subscriber, free_port
 
 Act = Callable[[Drive], object]
 Place = Callable[[Path], AbstractContextManager[dict[str, Any]]]  # of the drive's folder -> settings
@@ -131,7 +134,7 @@ def read_only_disk(drive: Drive) -> None:
     """As ext4 does after an error. It stays so; poses go on."""
     device = Path(_root("findmnt", "--noheadings", "--output", "SOURCE", drive.service.sessions).strip()).name
     (Path("/sys/fs/ext4") / device / "trigger_fs_error").write_text("chaos")
-    _poses_come(drive.service.endpoint, 10.0)
+    wait_for_poses(drive.service.endpoint, 10.0)
 
 
 @contextmanager
@@ -214,23 +217,20 @@ def router_gone(seconds: float) -> Act:
 
     def act(drive: Drive) -> None:
         endpoint, routers = drive.settings["endpoint"], drive.settings["routers"]
-        _poses_come(endpoint, 10.0)
+        wait_for_poses(endpoint, 10.0)
         routers[-1].kill()
         time.sleep(seconds)
         routers.append(_router(endpoint))
         began_s = time.monotonic()
-        _poses_come(endpoint, 10.0)
+        wait_for_poses(endpoint, 10.0)
         drive.notes.append(f"poses behind the router again after {time.monotonic() - began_s:.1f} s")
 
     return act
 
 
-def _poses_come(endpoint: str, timeout_s: float) -> None:
-    subscriber = Subscriber(endpoint)
-    try:
+def wait_for_poses(endpoint: str, timeout_s: float = PATIENCE_S) -> None:
+    with closing(Subscriber(endpoint)) as subscriber:
         subscriber.wait_for("pose", 20, timeout_s)
-    finally:
-        subscriber.close()
 
 
 def _root(*command: str | Path) -> str:
