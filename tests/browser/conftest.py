@@ -36,8 +36,9 @@ from tests.service.web.conftest import (
 ROOT = Path(__file__).parents[2]
 AXE = Path(os.environ.get("CORRIDOR_AXE", ROOT / "build/node_modules/axe-core/axe.min.js"))
 LOOK_S = 0.05  # from one look at the page to the next; the browser tells nobody of what changes
-ARGUMENTS = (  # for root, without a graphics card; and nothing of its own on the network
-    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
+HEADLESS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage")  # and for root
+ARGUMENTS = (  # nothing of its own on the network
+    *(*HEADLESS, "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic"),
     # One process renders all pages: each start of another, in use or as a spare, takes 0.2 s of processor.
     *("--renderer-process-limit=1", "--disable-site-isolation-trials", "--disable-extensions"),
@@ -107,6 +108,15 @@ class Page:
         self.element(f"confirm-{choice}").click()
         self.wait_for(f"return !{is_open}")
 
+    def put(self, name: str, value: str) -> None:
+        """Into a slider or a choice, as a hand does."""
+        self.run(
+            "const control = document.getElementById(arguments[0]); control.value = arguments[1];"
+            "for (const kind of ['input', 'change']) control.dispatchEvent(new Event(kind))",
+            name,
+            value,
+        )
+
     def redraw(self) -> None:
         """Have the map drawn again, and wait for that."""
         before = self.run("corridor.view.invalidate(); return corridor.view.frames")
@@ -152,17 +162,20 @@ class Page:
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
 
 
-@pytest.fixture(scope="session")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
-    browser, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if browser is None or chromedriver is None:
-        pytest.skip("no Chromium with its driver; with them: sudo apt install chromium chromium-driver")
+def start_chromium(arguments: Sequence[str]) -> webdriver.Chrome:
     options = webdriver.ChromeOptions()
-    options.binary_location = browser
-    for argument in (*ARGUMENTS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
+    options.binary_location = shutil.which("chromium") or "chromium"
+    for argument in arguments:
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(chromedriver))
+    return webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver") or "chromedriver"))
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    if not (shutil.which("chromium") and shutil.which("chromedriver")):
+        pytest.skip("no Chromium with its driver; with them: sudo apt install chromium chromium-driver")
+    driver = start_chromium([*ARGUMENTS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"])
     yield driver
     driver.quit()
 

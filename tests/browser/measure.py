@@ -5,7 +5,6 @@ A figure here depends on the machine and on what else it does, so it is printed 
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -17,8 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
 
 from drivers.frames import LaserScan
 from service.encoding import encode_frame
@@ -27,7 +24,7 @@ from service.publishing.commands import Answer
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from tests.browser import watched_mapping
-from tests.browser.conftest import DESKTOP, PHONE, Page
+from tests.browser.conftest import DESKTOP, HEADLESS, PHONE, Page, start_chromium
 from tests.browser.scene import Scene, stamp
 from tests.in_background import in_background
 
@@ -75,13 +72,7 @@ asyncio.run(look(sys.argv[1], float(sys.argv[2])))
 
 @contextmanager
 def chromium() -> Iterator[Page]:
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium") or "chromium"
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    driver = webdriver.Chrome(
-        options=options, service=Service(shutil.which("chromedriver") or "chromedriver")
-    )
+    driver = start_chromium(HEADLESS)
     try:
         page = Page(driver)
         page.resize(DESKTOP)

@@ -22,11 +22,7 @@ def versions(page, opened, tmp_path):
 
 
 def slide(page, percent):
-    page.run(
-        "const slider = document.getElementById('swipe-at'); slider.value = arguments[0];"
-        "slider.dispatchEvent(new Event('input'))",
-        str(percent),
-    )
+    page.put("swipe-at", str(percent))
     page.look_at(0.0, 0.0, 40.0)
 
 

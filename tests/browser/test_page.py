@@ -346,14 +346,8 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, dispatcher):
     assert page.run("return document.getElementById('replay-rate').selectedOptions[0].text") == "4 times"
     page.element("replay-toggle").click()
     page.element("replay-step").click()
-    page.run(
-        "const r = document.getElementById('replay-rate'); r.value = '0';"
-        "r.dispatchEvent(new Event('change'))",
-    )
-    page.run(
-        "const s = document.getElementById('replay-position'); s.value = '50';"
-        "s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change'))"
-    )
+    page.put("replay-rate", "0")
+    page.put("replay-position", "50")
     live.put(replaying(scene, 50.0, state="paused"))
     page.wait_for_text("replay-time", "0:50 min of 1:40 min")
     page.wait_for_text("replay-toggle", "Go on")

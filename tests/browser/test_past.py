@@ -45,11 +45,7 @@ def wait_for_moment(page, seconds):
 
 
 def go_to(page, seconds):
-    page.run(
-        "const slider = document.getElementById('past-position'); slider.value = arguments[0];"
-        "slider.dispatchEvent(new Event('input'))",
-        str(seconds),
-    )
+    page.put("past-position", str(seconds))
     wait_for_moment(page, seconds)
 
 

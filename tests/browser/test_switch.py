@@ -48,9 +48,7 @@ def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, d
     monkeypatch.setattr(live, "_answer", answer)
     open_control(page)
     assert options(page) == ["contour_lm", "imle"]  # not the one that maps
-    page.run(
-        "const s = document.getElementById('profile'); s.value = 'imle'; s.dispatchEvent(new Event('change'))"
-    )
+    page.put("profile", "imle")
     assert "keeps the map on disk" in page.text("control")
     page.element("do-switch_profile").click()
     page.answer("no")
