@@ -21,8 +21,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import zenoh
 
-from service.encoding import OK, Status, encode_diagnostics, encode_pose
-from service.fleet.vehicles import connected, read_vehicles
+from service.encoding import OK, Status, decode_diagnostics, encode_diagnostics, encode_pose
+from service.fleet.vehicles import Vehicle, connected, last_of
+from service.fleet.watch import Watch
 from service.mapstore.tiles import TileStore
 from service.offline.security.authority import Holder, init_site
 from service.outputs import TileUpdate
@@ -36,6 +37,7 @@ COUNTS = (20, 100)
 PROCESSES = 4
 SECONDS = 20.0
 AWAY_S = 60.0
+QUIET_S = 5.0  # no event to await: a subscriber would be sent to
 START_S = 120.0
 POSE_HZ = 12.5  # of the slowest laser; the policy lets 5 through
 TILE_CELLS, TILES_AT_ONCE = 64, 2  # of a map that grows: 3.2 m of wall each, every 2 s
@@ -75,15 +77,12 @@ def _measure(count: int, folder: Path) -> list[Row]:
     with ExitStack() as opened:
         router = opened.enter_context(_router(router_file))
         began_s = time.monotonic()
-        for first in range(0, count, -(-count // PROCESSES)):
-            opened.enter_context(
-                _vehicles(folder, endpoint, first, min(-(-count // PROCESSES), count - first))
-            )
+        opened.enter_context(_vehicles(folder, endpoint, count))
         site = PublishingConfig.model_validate(
             {"connect": [endpoint], "security": {"tls": _tls(folder, "anna")}}
         )
         session = opened.enter_context(connected(site))
-        _wait(session, count)
+        _wait(site, count)
         rows.append((f"{what}: until all are there", time.monotonic() - began_s, "s"))
         rows += [(f"{what}: {name}", value, unit) for name, value, unit in _steady(session, router, count)]
         rows.append((f"{what}: late joiner has all tiles after", _late(site), "s"))
@@ -98,15 +97,20 @@ def _measure(count: int, folder: Path) -> list[Row]:
 def _steady(session: zenoh.Session, router: subprocess.Popen[str], count: int) -> list[Row]:
     """With one subscriber for all."""
     got: Counter[str] = Counter()
-    lock = threading.Lock()
+    vehicles: set[str] = set()
+    lock, all_send = threading.Lock(), threading.Event()
 
     def take(sample: zenoh.Sample) -> None:
+        _, _, vehicle, channel, *_ = str(sample.key_expr).split("/")
         with lock:
-            got[str(sample.key_expr).split("/")[3]] += 1
+            got[channel] += 1
+            vehicles.add(vehicle)
+            if len(vehicles) == count:
+                all_send.set()
 
     before = _sent(session)
     subscriber = session.declare_subscriber("corridor/v1/**", take)
-    time.sleep(2.0)  # until every vehicle knows of it
+    assert all_send.wait(START_S), f"{len(vehicles)} of {count} vehicles send after {START_S:.0f} s"
     with lock:
         got.clear()
     sent, cpu_s, began_s = _sent(session), _cpu_s(router.pid), time.monotonic()
@@ -155,40 +159,41 @@ def _away(folder: Path, router_file: Path, site: PublishingConfig, count: int) -
     endpoint = site.connect[0]
     with ExitStack() as opened:
         with _router(router_file):
-            for first in range(0, count, -(-count // PROCESSES)):
-                opened.enter_context(
-                    _vehicles(folder, endpoint, first, min(-(-count // PROCESSES), count - first))
-                )
-            with connected(site) as session:
-                _wait(session, count)
+            opened.enter_context(_vehicles(folder, endpoint, count))
+            _wait(site, count)
         time.sleep(AWAY_S)
         began_s = time.monotonic()
         opened.enter_context(_router(router_file))
-        session = opened.enter_context(connected(site))
-        _wait(session, count)
+        _wait(site, count)
         back_s = time.monotonic() - began_s
-        sent = _sent(session)
-        time.sleep(5.0)
-        after = _sent(session)
-        rate = max((after[name] - sent[name]) / 5.0 for name in sent)
+        session = opened.enter_context(connected(site))
+        sent, began_s = _sent(session), time.monotonic()
+        time.sleep(QUIET_S)
+        seconds, after = time.monotonic() - began_s, _sent(session)
+        rate = max(after[name] - sent[name] for name in sent) / seconds
         return [
             (f"router away {AWAY_S:.0f} s: all back after", back_s, "s"),
             ("uplink then without a subscriber, most", rate / 1e3, "kB/s"),
         ]
 
 
-def _wait(session: zenoh.Session, count: int) -> None:
-    until_s = time.monotonic() + START_S
-    while sum(vehicle.state == "ok" for vehicle in read_vehicles(session)) < count:
-        assert time.monotonic() < until_s, f"not {count} vehicles after {START_S:.0f} s"
-        time.sleep(0.5)
+def _wait(site: PublishingConfig, count: int) -> None:
+    """Until so many vehicles are well, by a client of its own: what it subscribes to ends with it."""
+    well: set[str] = set()
+    with connected(site) as session:
+        watch = Watch(session)
+
+        def show(vehicle: Vehicle) -> None:
+            (well.add if vehicle.state == "ok" else well.discard)(vehicle.name)
+            if len(well) == count:
+                watch.close()
+
+        watch.run(show, START_S, changes_only=False)
+    assert len(well) == count, f"{len(well)} of {count} vehicles are well after {START_S:.0f} s"
 
 
 def _sent(session: zenoh.Session) -> dict[str, int]:
     """Bytes that each vehicle's kernel has sent to the router, as its health says."""
-    from service.encoding import decode_diagnostics
-    from service.fleet.vehicles import last_of
-
     found = {}
     for name, sample in last_of(session, "health").items():
         rows = {row.name: row.values for row in decode_diagnostics(sample.payload.to_bytes())}
@@ -209,13 +214,19 @@ def _router(file: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def _vehicles(folder: Path, endpoint: str, first: int, count: int) -> Iterator[None]:
-    command = [sys.executable, "-m", "tests.bench.fleet", str(folder), endpoint, str(first), str(count)]
-    with subprocess.Popen(command) as process:
-        try:
-            yield
-        finally:
+def _vehicles(folder: Path, endpoint: str, count: int) -> Iterator[None]:
+    each = -(-count // PROCESSES)
+    command = [sys.executable, "-m", "tests.bench.fleet", str(folder), endpoint]
+    processes = [
+        subprocess.Popen([*command, str(first), str(min(each, count - first))])
+        for first in range(0, count, each)
+    ]
+    try:
+        yield
+    finally:
+        for process in processes:
             process.kill()
+            process.wait()
 
 
 def _drive(folder: Path, endpoint: str, first: int, count: int) -> None:

@@ -35,12 +35,12 @@ def measure() -> list[Row]:
         run_batch(tasks, in_turn, lambda *_: None)
         replay_s = (time.process_time() - began_s) / len(sessions)
         results = [task.folder for task in tasks]
-        told = _build(results, folder / "one", in_turn)
+        report = _build(results, folder / "one", in_turn)
         with Processes(2) as processes:
             _build(results, folder / "two", processes)
         assert _digest(folder / "one") == _digest(folder / "two"), "other bytes by two workers"
         left_out = [f"site_{seed}" for seed in ELSEWHERE]
-        assert list(told["left_out"]) == left_out, told["left_out"]
+        assert list(report["left_out"]) == left_out, report["left_out"]
         last = folder / "r" / f"site_{LAST}"
         others = [one for one in results if one != last and one.name not in left_out]
         _build(others, folder / "grown", in_turn)
