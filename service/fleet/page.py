@@ -3,7 +3,8 @@
 import logging
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import zenoh
@@ -59,13 +60,14 @@ class FleetPage:
         self._show_health()
         start_serving(self._server)
         if self._follows_tiles:
-            taken: zenoh.handlers.Callback[zenoh.Sample] = daemon_callback(
-                lambda sample: self._take([sample]), "fleet-tiles"
-            )
+            taken = daemon_callback(self._take, "fleet-tiles")
             session.declare_subscriber(vehicle_key("*", f"{TILES}/**"), taken)
-        works = {"watch": self._follow, "show": self._show}
+        works: dict[str, Callable[[], None]] = {
+            "watch": partial(self._watch.run, self._came, None, changes_only=False),
+            "show": self._show,
+        }
         self._threads = [
-            threading.Thread(target=works[name], name=f"fleet-{name}", daemon=True) for name in works
+            threading.Thread(target=work, name=f"fleet-{name}", daemon=True) for name, work in works.items()
         ]
         for thread in self._threads:
             thread.start()
@@ -81,9 +83,6 @@ class FleetPage:
             thread.join(CLOSE_S)
         self._server.close()
 
-    def _follow(self) -> None:
-        self._watch.run(self._came, None, changes_only=False)
-
     def _came(self, vehicle: Vehicle) -> None:
         """One that is here again is asked for the tiles that changed meanwhile."""
         before = self.vehicles.get(vehicle.name)
@@ -95,24 +94,25 @@ class FleetPage:
                 timeout=ANSWER_S,
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
-            self._take(reply.ok for reply in replies if reply.ok is not None)
+            for reply in replies:
+                if reply.ok is not None:
+                    self._take(reply.ok)
 
-    def _take(self, samples: Iterable[zenoh.Sample]) -> None:
-        for sample in samples:
-            key = str(sample.key_expr)
-            try:
-                level, ix, iy = map(int, key.split("/")[-3:])
-                grid = decode_grid(sample.payload.to_bytes())
-                attachment = sample.attachment
-                version = Attachment.decode(attachment.to_bytes()).sequence if attachment is not None else 0
-            except (InputError, ValueError) as error:
-                log.warning("%s is no tile: %s", key, error)
-                continue
-            name = vehicle_in(key)
-            with self._adding:
-                self.versions[name] = max(self.versions.get(name, 0), version)
-                tile = TileUpdate(level, ix, iy, self.store.version + 1, grid.cell_m, grid.cells)
-                self.store.update([tile])
+    def _take(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        try:
+            level, ix, iy = map(int, key.split("/")[-3:])
+            grid = decode_grid(sample.payload.to_bytes())
+            attachment = sample.attachment
+            version = Attachment.decode(attachment.to_bytes()).sequence if attachment is not None else 0
+        except (InputError, ValueError) as error:
+            log.warning("%s is no tile: %s", key, error)
+            return
+        name = vehicle_in(key)
+        with self._adding:
+            self.versions[name] = max(self.versions.get(name, 0), version)
+            tile = TileUpdate(level, ix, iy, self.store.version + 1, grid.cell_m, grid.cells)
+            self.store.update([tile])
 
     def _show(self) -> None:
         health_at_s = 0.0

@@ -56,7 +56,10 @@ def push(
     source = version_folder(folder, stored.number)
     before = _ready(session, vehicles)
     if any(isinstance(one, CorridorError) for one in before.values()):
-        return _in_state(before, "as before")
+        return [
+            Pushed(vehicle, "as before", str(why) if isinstance(why, CorridorError) else "")
+            for vehicle, why in before.items()
+        ]
 
     def bring(vehicle: str) -> None:
         _bring(session, vehicle, source, name)
@@ -118,7 +121,9 @@ def _bring(session: zenoh.Session, vehicle: str, source: Path, name: str) -> Non
         for offset in range(at, max(len(content), 1), MAP_PART_BYTES):  # an empty file, too, is one part
             ask(session, vehicle, f"{channel}?offset={offset}", content[offset : offset + MAP_PART_BYTES])
     if ask_json(session, vehicle, f"{MAPS}/{name}?commit=1")["files"] != expected:
-        raise RefusedError(f"{vehicle}: what came is not what was sent")
+        raise RefusedError(
+            f"{vehicle}: its files of {name} are not those that were sent; push it as another --name"
+        )
 
 
 def _load(session: zenoh.Session, vehicle: str, name: str, identity: str) -> dict[str, Any]:
@@ -131,10 +136,3 @@ def _load(session: zenoh.Session, vehicle: str, name: str, identity: str) -> dic
         except RefusedError as error:
             if "taken up, but not finished" not in str(error) or time.monotonic() > until_s:
                 raise
-
-
-def _in_state(ready: dict[str, str | CorridorError], state: str) -> list[Pushed]:
-    return [
-        Pushed(vehicle, state, str(why) if isinstance(why, CorridorError) else "")
-        for vehicle, why in ready.items()
-    ]

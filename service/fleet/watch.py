@@ -1,10 +1,11 @@
-"""The vehicles of a site as they change, until somebody stops it."""
+"""The vehicles of a site as they change, until it is closed."""
 
 import logging
 import math
 import queue
 import time
 from collections.abc import Callable
+from functools import partial
 
 import zenoh
 
@@ -33,8 +34,8 @@ class Watch:
         liveliness = session.liveliness()
         liveliness.declare_subscriber(PRESENCES, daemon_callback(self._came_or_went, "fleet-presence"))
         for channel, last in (("pose", self._poses), ("health", self._health)):
-            kept = self._keeper(last, channel == "health")
-            session.declare_subscriber(vehicle_key("*", channel), daemon_callback(kept, f"fleet-{channel}"))
+            keep = daemon_callback(partial(self._keep, last), f"fleet-{channel}")
+            session.declare_subscriber(vehicle_key("*", channel), keep)
             for name, sample in last_of(session, channel).items():
                 last.setdefault(name, sample)
 
@@ -82,14 +83,11 @@ class Watch:
         health = self._health.get(name) if sessions else None
         return vehicle_of(name, health, self._poses.get(name), sessions)
 
-    def _keeper(self, last: dict[str, zenoh.Sample], is_news: bool) -> Callable[[zenoh.Sample], None]:
-        def keep(sample: zenoh.Sample) -> None:
-            name = vehicle_in(str(sample.key_expr))
-            last[name] = sample
-            if is_news:
-                self._news.put(name)
-
-        return keep
+    def _keep(self, last: dict[str, zenoh.Sample], sample: zenoh.Sample) -> None:
+        name = vehicle_in(str(sample.key_expr))
+        last[name] = sample
+        if last is self._health:
+            self._news.put(name)
 
     def _came_or_went(self, sample: zenoh.Sample) -> None:
         read = read_presence(str(sample.key_expr))

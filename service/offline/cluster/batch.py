@@ -96,9 +96,9 @@ def _row(task: Task, done: Done) -> dict[str, Any]:
     row: dict[str, Any] = {"session": task.name, "input": list(done.manifest.get("input", {}).values())}
     if isinstance(done.outcome, CorridorError):
         return row | {"error": str(done.outcome), "warnings": []}
-    for name, (_, way) in COLUMNS.items():
+    for name, (_, keys) in COLUMNS.items():
         value: Any = done.outcome
-        for key in way:
+        for key in keys:
             value = value[key]
         row[name] = value
     return row | {"result": str(task.folder), "warnings": done.outcome["warnings"]}

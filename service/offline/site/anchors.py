@@ -17,7 +17,7 @@ from service.mapper.graph.model.pose_graph import Edges
 class StoredAnchors(Anchoring):
     """Sessions that their own fixes anchored: each holds one of its key frames against east and north.
 
-    The fixes themselves are not stored; a session counts by what they said of its map together.
+    The fixes themselves are not stored; a session counts by where all of them put its map.
     """
 
     def __init__(self, of_keyframes: Mapping[int, GeoReference], poses: Floats) -> None:

@@ -17,7 +17,7 @@ from service.offline.cluster.tasks import new_tasks
 from service.offline.past.result import map_folder
 from service.offline.replay.replay import Outcome
 from service.offline.replay.setup import ReplayOptions
-from service.offline.site.growth import MIN_LOOPS, Member, Progress, Site, begun_with, grow, member_of
+from service.offline.site.growth import MIN_LOOPS, Member, Progress, Site, grow, member_of
 from service.offline.site.manifest import LeftOut, read_manifest, write_manifest
 from service.offline.site.paths import write_paths
 from service.offline.site.sessions import Given, Session, given_sessions, load_session
@@ -116,7 +116,7 @@ def _fresh(given: Given, members: Sequence[Member], left_out: Mapping[str, LeftO
                 return None
             raise InputError(
                 "the site has a session of this name with other content: it was edited or replayed again "
-                "since; build the site anew with another --out"
+                "since; build it from the start in another --out"
             )
     known = left_out.get(given.name)
     if known is not None and (known.digest, known.known) == (digest, len(members)):
@@ -135,7 +135,7 @@ def _begun(sessions: Sequence[Session], engine: Engine, folder: Path, progress: 
     """A new site: the most of the sessions that fit together, in the map frame of the first of them."""
     rest, best, apart = list(sessions), None, dict[str, str]()
     while rest and (best is None or len(best.members) < len(rest)):
-        site = begun_with(rest[0])
+        site = Site([member_of(rest[0])], rest[0].graph, rest[0].cell_m)
         grow(site, rest[1:], engine, folder, progress)
         names = [one.name for one in site.members]
         for name in names:
@@ -174,19 +174,17 @@ def _report(
     site: Site, left_out: Mapping[str, LeftOut], out: Path, number: int, added: int
 ) -> dict[str, Any]:
     graph, ends = site.graph, site.members_of_loops()
-    is_across = ends[:, 0] != ends[:, 1]
     seen = se2.between(graph.map[graph.loop_ends[:, 0]], graph.map[graph.loop_ends[:, 1]])
-    off = se2.between(graph.loop_measured, seen)
-    off_mm = 1e3 * np.hypot(off[:, 0], off[:, 1])
+    off_mm = 1e3 * np.hypot(*se2.between(graph.loop_measured, seen)[:, :2].T)
     sessions = []
     for k, one in enumerate(site.members):
-        own = is_across & (ends == k).any(axis=1)
+        own = (ends[:, 0] != ends[:, 1]) & (ends == k).any(axis=1)
         sessions.append(
             {
                 "session": one.name,
                 "keyframes": one.keyframes,
                 "loops": int(own.sum()),
-                "sessions_joined": len(np.unique(ends[own])) - 1 if own.any() else 0,
+                "sessions_joined": len({*ends[own].ravel().tolist()} - {k}),
                 "residual_mm": round(float(np.sqrt((off_mm[own] ** 2).mean())), 1) if own.any() else None,
                 "contradicts_percent": _per_cent(graph.loop_against[own]),
                 "fixes": 0 if one.geo is None else one.geo.fixes,

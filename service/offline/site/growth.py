@@ -2,7 +2,7 @@
 
 import shutil
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, pairwise
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivers.counted import counted
 from service.errors import CorridorError
 from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference
@@ -96,11 +97,6 @@ class Site:
         solution = solved(self.graph, renderer, anchoring=anchors)
         self.graph, self.geo, self.rendered = solution.graph, anchors.reference, solution.rendered_map
         self.contradicted += solution.contradicted
-
-
-def begun_with(session: Session) -> Site:
-    """A site in the map frame of its first session."""
-    return Site([member_of(session)], session.graph, session.cell_m)
 
 
 def member_of(session: Session) -> Member:
@@ -188,19 +184,26 @@ class _Round:
         if not new:
             return set()
         placed = {k: one.placed(found[one.name]) for k, one in new.items()}
-        ways = [site.graph.map[a:b, :2] for a, b in pairwise(site.begins)]
-        pairs = _pairs([*ways, *(graph.map[:, :2] for graph in placed.values())], count)
+        paths = [site.graph.map[a:b, :2] for a, b in pairwise(site.begins)]
+        pairs = _pairs([*paths, *(graph.map[:, :2] for graph in placed.values())], count)
         loops = self._loops_of(pairs, placed)
-        held = [k for k, one in new.items() if one.geo is not None and self._by_fixes(one) is not None]
-        kept = {k: placed[k] for k in _tied(loops, range(count), new, held)}
-        while not self._join(kept, new, loops, held):
-            pass
+        anchored = [k for k, one in new.items() if one.geo is not None and self._by_fixes(one) is not None]
+        kept: dict[int, SavedGraph] = {}
+        for k in new:  # that enough loops tie to members, or to others that they tie; or fixes
+            tied = sum(len(of) for (a, b), of in loops.items() if b == k and (a < count or a in kept))
+            if tied >= MIN_LOOPS or k in anchored:
+                kept[k] = placed[k]
+        joined = self._joined(kept, new, loops, anchored)
+        site.members, site.graph, site.geo = joined.members, joined.graph, joined.geo
+        site.rendered, site.contradicted = joined.rendered, joined.contradicted
         for k, one in new.items():
             if k not in kept:
                 x_m, y_m, theta_rad = found[one.name].tolist()
+                count = sum(len(of_pair) for pair, of_pair in loops.items() if k in pair)
                 site.left_out[one.name] = (
                     f"it looks as if its map lay at ({x_m:.1f}, {y_m:.1f}) m, {np.degrees(theta_rad):.0f} "
-                    f"deg, but fewer than {MIN_LOOPS} loops hold it there"
+                    f"deg, but of {counted(count, 'loop')} found fewer than {MIN_LOOPS} hold it there; add a "
+                    "drive that connects it to the others"
                 )
         return {new[k].name for k in kept}
 
@@ -217,45 +220,43 @@ class _Round:
         outcomes = self._run(tasks, "looking for loops between sessions")
         return {pair: outcome["loops"] for pair, outcome in zip(pairs, outcomes, strict=True)}
 
-    def _join(
+    def _joined(
         self,
         kept: dict[int, SavedGraph],
         new: Mapping[int, Session],
         loops: Mapping[Pair, Sequence[Loop]],
-        held: Collection[int],
-    ) -> bool:
-        """Solve the site with those that are kept. False: too few of the loops of some are left, and these
-        are kept no more.
+        anchored: Collection[int],
+    ) -> Site:
+        """The site with those that are kept, solved. Those of which too few loops are left then are kept no
+        more, and it is solved without them.
         """
-        site = self.site
-        if not kept:
-            return True
-        members = [*site.members, *(member_of(new[k]) for k in kept)]
-        joined = Site(members, together(site.graph, *kept.values()), site.cell_m)
-        number = dict(zip([*range(len(site.members)), *kept], joined.begins, strict=False))
-        between = [
-            replace(loop, of=number[of] + loop.of, to=number[to] + loop.to)
-            for (of, to), found in loops.items()
-            if of in number and to in number
-            for loop in found
-        ]
-        added: dict[str, Any] = {
-            name: np.concatenate((getattr(joined.graph, name), array))
-            for name, array in loop_arrays(between).items()
-        }
-        joined.graph = replace(joined.graph, **added)
-        joined.solve()
-        ends = joined.members_of_loops()
-        left = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(members))
-        weak = [k for k, count in zip(kept, left[len(site.members) :], strict=True) if count < MIN_LOOPS]
-        if weak := [k for k in weak if k not in held]:
+        site, count = self.site, len(self.site.members)
+        while kept:
+            members = [*site.members, *(member_of(new[k]) for k in kept)]
+            joined = Site(
+                members, together(site.graph, *kept.values()), site.cell_m, contradicted=site.contradicted
+            )
+            number = dict(zip([*range(count), *kept], joined.begins, strict=False))
+            between = [
+                replace(loop, of=number[of] + loop.of, to=number[to] + loop.to)
+                for (of, to), found in loops.items()
+                if of in number and to in number
+                for loop in found
+            ]
+            added: dict[str, Any] = {
+                name: np.concatenate((getattr(joined.graph, name), array))
+                for name, array in loop_arrays(between).items()
+            }
+            joined.graph = replace(joined.graph, **added)
+            joined.solve()
+            ends = joined.members_of_loops()
+            left = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(members))[count:]
+            weak = [k for k, loops_left in zip(kept, left, strict=True) if loops_left < MIN_LOOPS]
+            if not (weak := [k for k in weak if k not in anchored]):
+                return joined
             for k in weak:
                 del kept[k]
-            return False
-        site.members, site.graph, site.geo = members, joined.graph, joined.geo
-        site.rendered = joined.rendered
-        site.contradicted += joined.contradicted
-        return True
+        return site
 
     def _run(self, tasks: Sequence[AnyTask], phase: str) -> list[dict[str, Any]]:
         """Their outcomes in their order, whatever the order in which they end. Raises CorridorError."""
@@ -284,15 +285,15 @@ def _seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
     return seen
 
 
-def _pairs(ways: Sequence[Floats], first_new: int) -> list[Pair]:
+def _pairs(paths: Sequence[Floats], first_new: int) -> list[Pair]:
     """Sessions (of, to) between which loops are looked for: each new one with some before it, with which it
     has most places in common, one of them of the site as it was.
 
-    ways   (N, 2) m in the map, of each session
+    paths   (N, 2) m in the map, of each session
     """
-    places = [set(map(tuple, np.floor(way / PLACE_M).astype(np.int64).tolist())) for way in ways]
+    places = [set(map(tuple, np.floor(path / PLACE_M).astype(np.int64).tolist())) for path in paths]
     pairs = []
-    for to in range(first_new, len(ways)):
+    for to in range(first_new, len(paths)):
         left = Counter(dict.fromkeys(places[to], TIMES_COVERED))
         chosen: list[int] = []
         while len(chosen) < MAX_PARTNERS:
@@ -304,16 +305,3 @@ def _pairs(ways: Sequence[Floats], first_new: int) -> list[Pair]:
             left.subtract(places[chosen[-1]] & places[to])
         pairs += [(of, to) for of in sorted(chosen)]
     return pairs
-
-
-def _tied(
-    loops: Mapping[Pair, Sequence[Loop]], members: Iterable[int], new: Iterable[int], held: Collection[int]
-) -> list[int]:
-    """Those of the new sessions that enough loops tie to members, or to others that they tie; or fixes."""
-    tied, added = set(members), []
-    for to in new:
-        count = sum(len(found) for (of, other), found in loops.items() if other == to and of in tied)
-        if count >= MIN_LOOPS or to in held:
-            tied.add(to)
-            added.append(to)
-    return added

@@ -6,7 +6,7 @@ its key frames make, whatever breaks a build off and whichever version an undo m
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,7 @@ def write_manifest(folder: Path, members: Sequence[Member], left_out: Mapping[st
     content = {
         "format": FORMAT,
         "members": [_as_dict(one) for one in members],
-        "left_out": {
-            name: {"digest": one.digest, "known": one.known, "why": one.why} for name, one in left_out.items()
-        },
+        "left_out": {name: asdict(one) for name, one in left_out.items()},
     }
     try:
         with whole_files(folder / SITE_FILE) as path:
