@@ -4,6 +4,7 @@ Any thread puts; the event loop asks what is due. Messages are decoded when they
 most are replaced before.
 """
 
+import json
 import math
 import threading
 from collections import deque
@@ -74,6 +75,30 @@ class Shown:
     payload: Payload
 
 
+class StatusSince:
+    """Its words may change each second, with the figures in them; level and state do not."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[int, str, float]] = {}
+
+    def put(self, status: Status, stamp_s: float) -> float:
+        """Since when the status has its level and state, Unix time."""
+        how = (status.level, status.values.get("state", ""))
+        if self._known.get(status.name, ())[:2] != how:
+            self._known[status.name] = (*how, stamp_s)
+        return self._known[status.name][2]
+
+
+def kind_of(text: str) -> str:
+    """Of an event; "" of words that are no JSON of ours."""
+    try:
+        event = json.loads(text)
+    except (ValueError, RecursionError):
+        return ""
+    kind = event.get("event") if isinstance(event, dict) else None
+    return kind if isinstance(kind, str) else ""
+
+
 class DrivenPath:
     """The way driven, thinned: points at least `step_m` apart, never more than `most`. A point of NaN stands
     where the pose jumped, between two stretches.
@@ -130,7 +155,7 @@ class LiveView:
         self._came = _Streams()
         self._arrival_ms: dict[str, float] = {}  # by sensor, of its newest frame
         self._upside_down: frozenset[str] = frozenset()
-        self._since: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
+        self._since = StatusSince()
         self._due_ns: dict[str, int] = {}  # by channel that is shown seldom
         self._figures = FigureRows()
         self._rows: deque[Row] = deque(maxlen=KEPT_ROWS)
@@ -167,7 +192,7 @@ class LiveView:
                 self.unreadable += 1
         for event in came.events:
             words = decode_event(event.payload)
-            if any(f'"{name}"' in words for name in UNREPORTED):
+            if kind_of(words) in UNREPORTED:
                 continue
             text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=words)
             self._events.append(text)
@@ -279,17 +304,8 @@ class LiveView:
         self.map_folders = [
             Path(s.values["folder"]) for s in statuses if s.name == "map" and "folder" in s.values
         ]
-        since = {status.name: self._status_since(status, stamp_s) for status in statuses}
+        since = {status.name: self._since.put(status, stamp_s) for status in statuses}
         return [self._keep("health", health_json(statuses, since, self._arrival_ms, stamp_s))]
-
-    def _status_since(self, status: Status, stamp_s: float) -> float:
-        """Its words may change each second, with the figures in them; how it is does not."""
-        how = (status.level, status.values.get("state", ""))
-        before = self._since.get(status.name)
-        if before is None or before[0] != how:
-            self._since[status.name] = (how, stamp_s)
-            return stamp_s
-        return before[1]
 
     def _graph(self, message: Message) -> list[Shown]:
         return [self._keep("graph", encode_graph(decode_graph(message.payload)))]

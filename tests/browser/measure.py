@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -96,13 +97,8 @@ def driving(server: WebServer, scene: Scene) -> Iterator[None]:
             for name, _, rate_hz in LASERS:
                 if seconds >= due_s[name]:
                     due_s[name] += 1.0 / rate_hz
-                    held = scans[name]
-                    frame = LaserScan(
-                        name, stamp(seconds), stamp(seconds), held.beam_interval_ns, held.scan_period_ns,
-                        held.first_angle_rad, held.angle_step_rad, held.range_min_m, held.range_max_m,
-                        held.range_m, held.intensity,
-                    )  # fmt: skip
-                    server.put(encode_frame(frame))
+                    moment = {"stamp_ns": stamp(seconds), "arrived_ns": stamp(seconds)}
+                    server.put(encode_frame(replace(scans[name], sensor=name, **moment)))
                     server.put(scene.messages(seconds)[1], time.monotonic_ns())
             if (tick := tick + 1) % 40 == 0:
                 server.put(scene.messages(seconds)[-1])

@@ -5,7 +5,6 @@ not. Read at once are the poses, the events and the health, and when a map or a 
 graphs are read when they are wanted.
 """
 
-import json
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -46,7 +45,7 @@ from service.mapstore.tiles import tiles_of_grid
 from service.offline.past.moments import STALE_NS, Moment, thinned
 from service.outputs import NO_GRAPH, GraphPicture, Grid, TileUpdate
 from service.recording.opening import name_of, open_recording
-from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNREPORTED
+from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNREPORTED, StatusSince, kind_of
 from service.web.series import MAX_ROWS, PERIOD_S, FigureRows, Row
 
 TOPICS = {
@@ -96,7 +95,7 @@ class RecordedMoments:
         self._events: list[tuple[int, float, str]] = []  # log time, stamp in s, text
         self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
         self._static: list[tuple[int, Mapping[str, SE2], frozenset[str]]] = []
-        self._how: dict[str, tuple[tuple[int, str], float]] = {}  # status -> how it is, and since when
+        self._since = StatusSince()
         self.rows: list[Row] = []  # of figures, over all of it
         xy_map: list[tuple[float, float]] = []
         self._read(held, xy_map, progress)
@@ -176,8 +175,9 @@ class RecordedMoments:
                 case "map/changes":
                     self._changes_log_ns.append(log_ns)
                 case "diagnostics":
-                    self._health.append((log_ns, self._with_since(message)))
-                    figures.put_health([status for status, _ in self._health[-1][1]])
+                    statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
+                    self._health.append((log_ns, [(one, self._since.put(one, stamp_s)) for one in statuses]))
+                    figures.put_health(statuses)
                 case "events":
                     self._take_event(message)
                 case "tf_static":
@@ -187,26 +187,11 @@ class RecordedMoments:
                 self.rows.append(row)
         progress(1.0)
 
-    def _with_since(self, message: Message) -> Sequence[tuple[Status, float]]:
-        """Its words may change each second, with the figures in them; how it is does not."""
-        statuses = []
-        for status in decode_diagnostics(message.payload):
-            how = (status.level, status.values.get("state", ""))
-            if self._how.get(status.name, (None,))[0] != how:
-                self._how[status.name] = (how, message.stamp_ns / 1e9)
-            statuses.append((status, self._how[status.name][1]))
-        return statuses
-
     def _take_event(self, message: Message) -> None:
         text = decode_event(message.payload)
-        try:
-            told = json.loads(text)
-        except (ValueError, RecursionError):
-            told = None  # words of somebody else: listed as they are
-        what = told.get("event") if isinstance(told, dict) else None
-        if what in NEW_MAP:
+        if kind_of(text) in NEW_MAP:
             self._new_map_log_ns.append(message.log_ns)
-        if what not in UNREPORTED:
+        if kind_of(text) not in UNREPORTED:
             self._events.append((message.log_ns, message.stamp_ns / 1e9, text))
 
     def _mountings(self, at_ns: int) -> tuple[Mapping[str, SE2], frozenset[str]]:

@@ -286,9 +286,10 @@ def test_a_turn_of_the_mounting_is_sent(view):
 def test_events_that_come_many_a_second_are_left_out(view):
     view.put(event('{"event": "apply_result"}', 0.0))
     view.put(event('{"event": "scan_passed_over", "sensor": "front"}', 0.0))
-    view.put(event('{"event": "mark", "text": "a door"}', 0.0))
-    (told,) = texts(view.due(), "event")
-    assert "a door" in told["text"]
+    marks = ['{"event": "mark", "text": "apply_result"}', "a door", "[" * 100_000]
+    for text in marks:
+        view.put(event(text, 0.0))
+    assert [shown["text"] for shown in texts(view.due(), "event")] == marks
 
 
 def test_what_is_ready_is_shown_as_it_is_and_kept_for_who_comes_late(view):
