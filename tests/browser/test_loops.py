@@ -3,6 +3,7 @@
 import pytest
 
 from service.mapstore.files import load_map, save_map
+from service.offline.maps.loops import loops_of
 from tests.browser.conftest import DESKTOP
 from tests.service.offline.maps.bent_maps import tiles_of
 from tests.service.offline.maps.test_loops import graph  # noqa: F401 - a fixture
@@ -33,8 +34,9 @@ def press(page, kind, number, words):
 
 def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(loops, graph, tmp_path, axe):  # noqa: F811
     accepted = loops.run(LIST, "Accepted loops")
-    assert len(accepted) == min(len(graph.loop_ends), 50)
-    worst = int(accepted[0].removeprefix("Loop "))
+    by_residual = sorted(loops_of(graph)[0], key=lambda loop: -loop["off_mm"])
+    assert accepted == [f"Loop {loop['loop']}" for loop in by_residual[:50]]
+    worst = by_residual[0]["loop"]
     assert "residual" in loops.text("edit")
     assert "on walls" in loops.text("edit")
     press(loops, "Accepted loops", 0, "Show")
