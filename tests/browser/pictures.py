@@ -407,14 +407,8 @@ def main() -> None:
                 b"\0" * 7_340_032 * number
             )
         about = About("veh1", "corridor", lambda: VERBS, tuple(METHODS))
-        server = WebServer(
-            WebConfig(listen="127.0.0.1:0"),
-            about,
-            store,
-            lambda verb, payload: answer,
-            "t",
-            folders,
-        )
+        config = WebConfig(listen="127.0.0.1:0")
+        server = WebServer(config, about, store, lambda verb, payload: answer, "t", folders)
         poses = [output.pose_map_base for output in office.outputs]
         server.put_path(np.array([(pose.x_m, pose.y_m) for pose in poses], np.float32))
         server.start()

@@ -55,7 +55,7 @@ def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispat
         "const press = (name) => document.getElementById(name).click();"
         "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
         "  press('confirm-no'); press('do-reset_map'); });"
-    )  # asked again before the browser has told of the answer
+    )  # asked again before the browser reports the answer
     page.answer()
     page.wait_for_text("notices", "Reset map: done.")
     assert asked(still_dispatcher) == [("reset_map", {})]

@@ -41,12 +41,12 @@ class Mapping:
         request = json.loads(payload)
         self.asked.append((verb, request))
         if verb == "save_map" and self.fault:
-            return said(ok=False, error=self.fault)
+            return answer_of(ok=False, error=self.fault)
         if verb == "save_map":
-            return said(ok=True, folder=str(self.save()))
+            return answer_of(ok=True, folder=str(self.save()))
         change = EDIT_MAP.validate_json(payload).change
         edited = self.back_end.work(Batch([], "edit_map", change=change)).edited
-        return said(ok=False, error=edited.error) if edited.error else said(ok=True, **edited.told)
+        return answer_of(ok=False, error=edited.error) if edited.error else answer_of(ok=True, **edited.told)
 
     def save(self) -> Path:
         graph = self.back_end.work(Batch([], "checkpoint")).saved
@@ -57,7 +57,7 @@ class Mapping:
         return graph_in(self.save())
 
 
-def said(**body) -> Answer:
+def answer_of(**body) -> Answer:
     return Answer(body["ok"], json.dumps(body).encode())
 
 
@@ -146,7 +146,7 @@ def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session,
 
 
 def test_a_bent_map_is_straightened_once_pairs_that_are_far_apart_are_confirmed(page, session, mapping, bent):
-    """Key frames are told by their stamps, and points as these saw them: the map may move meanwhile."""
+    """Key frames are named by their stamps, and points as these saw them: the map may move meanwhile."""
     fetch(page, bent)
     pick_pairs(page, bent, PAIRED[0])
     page.element("optimise").click()
@@ -191,7 +191,7 @@ def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, b
 
 
 def wait_for_change(page, words):
-    """Until that is said of it, or that it is refused."""
+    """Until the note has these words, or is a refusal."""
     page.wait_for(
         "const note = document.getElementById('edit-note');"
         "return note.dataset.level === 'error' || note.textContent.includes(arguments[0])",

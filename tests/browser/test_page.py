@@ -7,7 +7,7 @@ from selenium.webdriver.common.keys import Keys
 
 from service.encoding import Status, encode_diagnostics, encode_frame, encode_graph
 from service.outputs import GraphPicture
-from tests.browser.conftest import DESKTOP, PHONE, asked
+from tests.browser.conftest import DESKTOP, PHONE, asked, begin_live
 from tests.browser.scene import event, stamp
 from tests.in_background import started
 from tests.service.web.conftest import TOKEN
@@ -98,28 +98,20 @@ def test_the_scan_of_a_laser_is_drawn_as_it_sees_it_and_beams_without_a_return_a
 
 
 def test_no_zero_has_a_sign(still):
-    said = still.driver.execute_async_script(
+    shown = still.driver.execute_async_script(
         "const done = arguments[0]; import('./format.js').then(({fixed, degrees}) =>"
         " done([fixed(-0.0004, 3, ' m'), fixed(-0.0006, 3, ' m'), degrees(-0.0001), degrees(-0.01)]))"
     )
-    assert said == ["0.000 m", "-0.001 m", "0.0\u00b0", "-0.6\u00b0"]
+    assert shown == ["0.000 m", "-0.001 m", "0.0\u00b0", "-0.6\u00b0"]
 
 
 def test_a_device_clock_is_shown_as_time_since_power_up_or_as_the_year_it_was_set_to(still):
-    said = still.driver.execute_async_script(
-        "const told = ['', '95', '8130', '1.3e6', '852076800', '1795200000', '4004188800'];"
+    shown = still.driver.execute_async_script(
+        "const seconds = ['', '95', '8130', '1.3e6', '852076800', '1795200000', '4004188800'];"
         "const done = arguments[0];"
-        "import('./format.js').then((format) => done(told.map(format.deviceClock)))"
+        "import('./format.js').then((format) => done(seconds.map(format.deviceClock)))"
     )
-    assert said == [
-        "\u2013",
-        "1:35 min",
-        "2:15 h",
-        "15 d",
-        "1997",
-        "2026",
-        "2026",
-    ]  # the last one as NTP
+    assert shown == ["\u2013", "1:35 min", "2:15 h", "15 d", "1997", "2026", "2026"]  # the last one as NTP
 
 
 def test_whether_a_device_clock_runs_right_is_shown_below_its_name(page, scene, live):
@@ -208,10 +200,7 @@ def test_a_notice_that_comes_again_is_shown_once(page, live):
 
 
 def test_without_the_token_one_only_looks(page, serve, scene, dispatcher):
-    server = serve()
-    for message in scene.messages(1.0):
-        server.put(message)
-    page.open(server.address)
+    begin_live(serve(), scene, page, token="")
     page.choose("control")
     page.wait_for("return !document.getElementById('do-mark').hidden")
     assert not page.element("do-mark").is_enabled()
@@ -332,9 +321,11 @@ def test_axe_finds_nothing_serious_in_a_replay_with_its_layers_open(axe, page, s
 
 def replaying(scene, seconds, **values):
     """Health of a replay of 100 s."""
-    told = {"state": "replaying", "position_s": f"{seconds:.2f}", "duration_s": "100.00", "rate": "4",
+    replay = {"state": "replaying", "position_s": f"{seconds:.2f}", "duration_s": "100.00", "rate": "4",
             "speed": "3.9", **values}  # fmt: skip
-    return encode_diagnostics("diagnostics", [Status("replay", 0, "", told)], stamp(seconds), stamp(seconds))
+    return encode_diagnostics(
+        "diagnostics", [Status("replay", 0, "", replay)], stamp(seconds), stamp(seconds)
+    )
 
 
 def test_a_replay_is_steered_from_its_strip(page, scene, live, dispatcher):

@@ -10,11 +10,11 @@ from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import TOKEN
 
 AREAS = ("information", "control", "edit", "resources")
-SILENT = (  # controls that are shown, disabled and say nothing; of a fieldset, what is on top of it does
-    "const said = (node) => node && (node.title || (node.getAttribute('aria-describedby') ?? '').split(' ')"
+SILENT = (  # controls that are shown, disabled and without a reason; that of a fieldset counts for all in it
+    "const reason = (node) => node && (node.title || (node.getAttribute('aria-describedby') ?? '').split(' ')"
     ".map((id) => document.getElementById(id)?.textContent ?? '').join(''));"
     "return [...document.querySelectorAll('button, input, select')].filter((c) => c.offsetParent"
-    " && c.matches(':disabled') && !said(c) && !said(c.closest('fieldset:disabled')))"
+    " && c.matches(':disabled') && !reason(c) && !reason(c.closest('fieldset:disabled')))"
     ".map((c) => c.id || c.textContent)"
 )
 STATES = {  # mapping's values, and those of recording

@@ -58,11 +58,7 @@ TOPICS = {
     "/events": STRING,
     "/tf_static": TF,
 }
-NEW_MAP = (
-    "reset_map",
-    "load_map",
-    "switch_profile",
-)  # events with which another map begins, and another path
+NEW_MAP = ("reset_map", "load_map", "switch_profile")  # events with which another map and path begin
 KEPT_TILINGS = 3
 
 

@@ -56,7 +56,7 @@ export const deviationsInMap = ({ theta_rad, covariance }) => {
   };
 };
 
-const MAX_AHEAD_S = 0.3; // of the last pose: farther on nobody knows where the vehicle is
+const MAX_AHEAD_S = 0.3; // of the last pose: farther on the pose is not known
 
 /** The poses of the last seconds, by stamp. */
 export class PoseTrack {

@@ -191,7 +191,7 @@ function explainLayers() {
   byId("parts-scans").replaceChildren(...view.sensors.map((sensor) => swatched(sensor, view.colourOf(sensor), "laser")));
 }
 
-/** What its colours mean; what it is told of, only once it is on. */
+/** What its colours mean, once it is on. */
 function explainStanding() {
   const [fresh, full] = [view.colours.standing.fresh, view.colours.standing.full].map((rgba) => `rgb(${rgba.slice(0, 3)})`);
   byId("parts-standing").replaceChildren(...(!view.layers.standing ? []

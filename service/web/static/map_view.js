@@ -431,7 +431,7 @@ export class MapView {
   }
 }
 
-/** Numbers that were told, NaN for what nobody knows: JSON has null for it. */
+/** Numbers of a message; NaN where JSON has null: not known. */
 const known = (numbers) => numbers.map((number) => number ?? NaN);
 
 /** 1, 2 or 5 times a power of ten, at least `least`. */

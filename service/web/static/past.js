@@ -117,7 +117,7 @@ export class Past {
   #play() {
     this.#pause();
     const { duration_s } = this.moment, rate = Number(this.rate.value), began_ms = performance.now();
-    const from_s = this.position_s >= duration_s ? 0 : this.position_s; // from the end one begins anew
+    const from_s = this.position_s >= duration_s ? 0 : this.position_s; // from the end it starts over
     setText(this.toggle, "Pause");
     this.playing = setInterval(() => {
       const position_s = from_s + (rate * (performance.now() - began_ms)) / 1000;

@@ -19,7 +19,7 @@ const drawLine = (context, from, to, colour) => {
   }
 };
 
-/** Two clicks, a distance; a third begins anew. */
+/** Two clicks, a distance; a third starts over. */
 export class MeasureTool {
   drags = false;
   hint = "Click two points. Esc ends.";
