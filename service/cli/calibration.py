@@ -6,7 +6,6 @@ from dataclasses import asdict
 
 from service.cli.console import progress
 from service.compile.cache import ensure_cache_dir
-from service.errors import StorageError
 
 
 def calibrate(parsed: argparse.Namespace) -> int:
@@ -23,10 +22,7 @@ def calibrate(parsed: argparse.Namespace) -> int:
     with progress("calibrate") as shown:
         done = calibrate_by(parsed.files, parsed.config, parsed.reference, shown, choice_of(parsed))
     if parsed.out is not None:
-        try:
-            with whole_files(parsed.out) as path:
-                path.write_text(done.config or done.patch, encoding="utf-8")
-        except OSError as error:
-            raise StorageError(f"cannot write {parsed.out}: {error.strerror}") from error
+        with whole_files(parsed.out) as path:
+            path.write_text(done.config or done.patch, encoding="utf-8")
     print(json.dumps(asdict(done), allow_nan=False) if parsed.json else done)
     return 0

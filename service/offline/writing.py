@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from service.archive import is_remote
-from service.errors import StorageError
+from service.errors import StorageError, words_of
 
 
 def refuse_unwritable_folder(folder: Path) -> None:
@@ -38,13 +38,16 @@ def whole_files(out: Path) -> Iterator[Path]:
     the end, each file whole, at `out` and beside it. Where the work is broken off, all stays as it was.
 
     The folder of `out` is made where it is missing. What is no ordinary file, as /dev/stdout, is written
-    directly. Raises OSError.
+    directly. Raises StorageError for each OSError, also inside.
     """
-    if out.is_symlink() or (out.exists() and not out.is_file()):
-        yield out
-        return
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".corridor-", dir=out.parent) as folder:
-        yield Path(folder) / out.name
-        for made in sorted(Path(folder).iterdir()):
-            made.replace(out.with_name(made.name))
+    try:
+        if out.is_symlink() or (out.exists() and not out.is_file()):
+            yield out
+            return
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".corridor-", dir=out.parent) as folder:
+            yield Path(folder) / out.name
+            for made in sorted(Path(folder).iterdir()):
+                made.replace(out.with_name(made.name))
+    except OSError as error:
+        raise StorageError(f"cannot write {out}: {words_of(error)}") from error

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from service.encoding import OCCUPANCY_GRID, ODOMETRY, Message, decode_grid, decode_pose
-from service.errors import InputError, StorageError, UsageError, words_of
+from service.errors import InputError, UsageError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapstore.files import is_map_folder
@@ -61,11 +61,8 @@ def export(source: Path, to: Format, out: Path) -> None:
     if is_map_folder(source) and source.resolve() in out.resolve().parents:
         raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
     write = _writer(_Session(source) if source.is_file() and not is_ros_map(source) else _Folder(source), to)
-    try:
-        with whole_files(out) as path:
-            write(path)
-    except OSError as error:
-        raise StorageError(f"cannot write {out}: {words_of(error)}") from error
+    with whole_files(out) as path:
+        write(path)
 
 
 def _writer(source: "_Source", to: Format) -> Callable[[Path], object]:

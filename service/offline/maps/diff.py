@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from service.errors import InputError, StorageError
+from service.errors import InputError
 from service.geometry import poses as se2
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
@@ -52,11 +52,8 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
     if out is not None:
         if out.suffix != ".png":
             raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
-        try:
-            with whole_files(out) as path:
-                write_png(path, annotated(difference.picture()), {**PALETTE, **COLOURS})
-        except OSError as error:
-            raise StorageError(f"{out}: {error.strerror}") from error
+        with whole_files(out) as path:
+            write_png(path, annotated(difference.picture()), {**PALETTE, **COLOURS})
         told["picture"] = str(out)
     return {**told, "problems": [*before.problems, *after.problems]}
 

@@ -116,7 +116,7 @@ def rewrite_result(folder: Path) -> None:
             _write_files(path.parent, poses, result.picture, result.g2o or "", result.geo, result.summary)
             if trajectory is result.drive.trajectory:  # then to the last digit
                 shutil.copyfile(out / UNEDITED / TRAJECTORY_FILE, path)
-    except OSError as error:
+    except (OSError, StorageError) as error:
         raise StorageError(
             f"version {stored.number} of {folder} is stored; the files beside it cannot be rewritten: "
             f"{words_of(error)}; corridor export {out} exports that version all the same"

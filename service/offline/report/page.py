@@ -11,7 +11,6 @@ import numpy as np
 
 from drivers.counted import counted
 from service import web
-from service.errors import StorageError, words_of
 from service.mapstore.picture import WHITE_FREE
 from service.offline.report.charts import clock, timeline
 from service.offline.report.content import Content, read_content, way_m
@@ -35,11 +34,8 @@ def write_report(result: Path, out: Path) -> list[str]:
     content = read_content(result)
     refuse_unwritable_file(out)
     page = page_of(content, links=out.resolve().parent == result.resolve())
-    try:
-        with whole_files(out) as path:
-            path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"cannot write {out}: {words_of(error)}") from error
+    with whole_files(out) as path:
+        path.write_text(page, encoding="utf-8")
     return content.missing
 
 

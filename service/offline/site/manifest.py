@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from service.errors import InputError, StorageError, words_of
+from service.errors import InputError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap
@@ -41,11 +41,8 @@ def write_manifest(folder: Path, members: Sequence[Member], left_out: Mapping[st
         "members": [_as_dict(one) for one in members],
         "left_out": {name: asdict(one) for name, one in left_out.items()},
     }
-    try:
-        with whole_files(folder / SITE_FILE) as path:
-            path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"cannot write {folder / SITE_FILE}: {words_of(error)}") from error
+    with whole_files(folder / SITE_FILE) as path:
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_manifest(folder: Path, stored: StoredMap) -> tuple[list[Member], dict[str, LeftOut]]:

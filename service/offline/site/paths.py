@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from service.errors import StorageError, words_of
 from service.mapper.corrections import bent
 from service.offline.past.result import open_result
 from service.offline.score.trajectory import Trajectory, read_tum, write_tum
@@ -37,8 +36,5 @@ def write_paths(out: Path, site: Site, results: Mapping[str, Path]) -> None:
         else:
             was = Trajectory(at_ns, now)
         poses = bent(was.stamp_ns, was.pose, at_ns, was.at(at_ns), now)
-        try:
-            with whole_files(path) as new:
-                write_tum(new, Trajectory(was.stamp_ns, poses).poses())
-        except OSError as error:
-            raise StorageError(f"cannot write {path}: {words_of(error)}") from error
+        with whole_files(path) as new:
+            write_tum(new, Trajectory(was.stamp_ns, poses).poses())

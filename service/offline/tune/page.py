@@ -9,7 +9,6 @@ import numpy as np
 import yaml
 
 from drivers.counted import counted
-from service.errors import StorageError, words_of
 from service.extras import optional
 from service.offline.report.charts import COLUMNS, LogScale, canvas, row
 from service.offline.report.markup import Markup, joined, tag
@@ -25,12 +24,9 @@ MIN_TRIALS = 4  # that came to their end, before importances mean anything
 
 def write_outcome(outcome: Outcome, profile: str, out: Path) -> None:
     """tune.html and patch.yaml. Raises StorageError."""
-    try:
-        for name, text in ((PAGE_FILE, page_of(outcome, profile)), (PATCH_FILE, patch_of(outcome, profile))):
-            with whole_files(out / name) as path:
-                path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+    for name, text in ((PAGE_FILE, page_of(outcome, profile)), (PATCH_FILE, patch_of(outcome, profile))):
+        with whole_files(out / name) as path:
+            path.write_text(text, encoding="utf-8")
 
 
 def patch_of(outcome: Outcome, profile: str) -> str:

@@ -1,3 +1,4 @@
+import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -68,3 +69,12 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
     assert main(["replay", str(session), "--out", out]) == StorageError.exit_code
     assert main(["calibrate", str(session), "--out", out]) == StorageError.exit_code
     assert capsys.readouterr().err.count("file is no folder") == 2
+
+
+def test_what_the_disk_refuses_while_files_are_written_is_named_by_where_they_go(tmp_path):
+    with (
+        pytest.raises(StorageError, match=rf"cannot write {tmp_path}/a.pgm: No space left"),
+        whole_files(tmp_path / "a.pgm"),
+    ):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/elsewhere")
+    assert not list(tmp_path.iterdir())
