@@ -14,8 +14,10 @@ ends the service.
 """
 
 import signal
+from typing import TYPE_CHECKING
 
-from pydantic import ValidationError
+if TYPE_CHECKING:  # the command line would wait for it
+    from pydantic import ValidationError
 
 
 class CorridorError(Exception):
@@ -74,7 +76,7 @@ class ConfigError(CorridorError):
         return type(self), (self.faults,)
 
 
-def fault_words(error: ValidationError) -> str:
+def fault_words(error: "ValidationError") -> str:
     """Where the first fault lies and what it is: `path.to.field: words`."""
     fault = error.errors(include_url=False, include_input=False)[0]
     words = fault["msg"].removeprefix("Value error, ")
