@@ -15,7 +15,7 @@ from service.compile.lazy import njit
 from service.kernels.arrays import Bool_2D, Float32_4D, Float64_1D, Float64_2D, Int32_3D, UInt8_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.occupancy import OccupancyGrid, evidence_at
-from service.kernels.rays import begin_ray
+from service.kernels.rays import BEHIND_M, begin_ray
 from service.kernels.surfels import (
     COUNT,
     MEAN_X,
@@ -40,7 +40,6 @@ IN_FREE, NOT_KNOWN = 0.01, 4.0
 ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on what the map has there
 AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # other side of a wall, which is about so thick
 THROUGH_REACH_M = 0.07  # how far from the middle of a surfel it still is the wall
-BEHIND_M = 0.3  # a beam that ends so far behind a wall went through it
 MIN_OPEN = 0.02  # a wall that stood at all times is gone this often
 FULL_RATIO = 1.5  # nats: mean of beams that all end on walls
 AGAINST_RATIO = 0.5 * math.log(IN_FREE / NOT_KNOWN)  # nats: a beam below it contradicts the map

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_2D, UInt8_2D
-from service.kernels.beam_likelihood import BEHIND_M
 from service.kernels.compiled import inner_kernel, seldom_kernel
-from service.kernels.rays import begin_ray
+from service.kernels.rays import BEHIND_M, begin_ray
 
 CELL_UNKNOWN, CELL_FREE, CELL_WALL = 0, 1, 2
 MIN_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it

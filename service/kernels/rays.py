@@ -6,6 +6,8 @@ import numpy as np
 
 from service.kernels.compiled import inner_kernel
 
+BEHIND_M = 0.3  # a beam that ends so far behind something went through it
+
 
 @inner_kernel
 def begin_ray(u, v, du, dv):

@@ -11,6 +11,7 @@ from service.geometry.poses import Floats
 from service.mapper.by_hand import ByHand
 from service.mapper.refused_loops import RefusedLoops
 
+SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
 MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
 KINDS = {  # of dtypes; the others are floating

@@ -10,11 +10,11 @@ from service.geometry.poses import Floats
 from service.mapper.components import MapRenderer
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.keyframe_list import SESSION_APART_M, KeyframeList
+from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
 ASKED_EVERY_M = 4.0  # of the second's way
 MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two finds agree, both within AGREE_WAY_M of path

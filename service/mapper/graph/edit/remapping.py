@@ -13,8 +13,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import ScanToRender
 from service.mapper.edit_requests import EditError
 from service.mapper.graph.loops.stored_graph import ANCHOR_COVARIANCE
-from service.mapper.graph.model.keyframe_list import SESSION_APART_M
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
 MIN_KEYFRAME_POINTS = 20  # of a key frame in the area, for it to be kept
 _PER_FRAME = [

@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.poses import Floats
-from service.mapper.graph.model.keyframe_list import SESSION_APART_M
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 from service.outputs import GraphPicture
 
 MAX_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out

@@ -14,7 +14,7 @@ from service.kernels.loops import thin_points
 from service.mapper.by_hand import ByHand
 from service.mapper.components import Correction
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 from service.mapper.walls import walls_of
 
 NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
@@ -52,7 +52,6 @@ class ThinnedScan:
 
 # Of KeyframeList, one row a key frame
 ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_doubt")
-SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
 
 
 def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
