@@ -76,7 +76,7 @@ $(AXE):
 bench: venv ## the benchmarks: a table, and bench.json
 	$(BIN)/python -m tests.bench $(BENCH_ARGS)
 
-papers: venv ## the papers' experiments: tables and pictures in docs/papers
+papers: venv ## the papers' experiments: tables and pictures in build/papers
 	$(BIN)/python -m tests.papers $(PAPERS_ARGS)
 
 chaos: venv ## faults of wires, devices, processes, disks and clocks, judged against the truth: a table

@@ -1,4 +1,4 @@
-"""`make papers`: every experiment, its page in docs/papers/, and a verdict on the terminal."""
+"""`make papers`: every experiment, its page in build/papers/, and a verdict on the terminal."""
 
 import argparse
 import importlib

@@ -56,7 +56,7 @@ def draw_scale(panel: Axes, length_m: float) -> None:
 
 
 def save(figure: plt.Figure, name: str, caption: str) -> tuple[str, str]:
-    """Writes a PNG of few colours into docs/papers/; gives its name and caption. Raises OSError."""
+    """Writes a PNG of few colours into FOLDER; gives its name and caption. Raises OSError."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     figure.tight_layout()
     figure.canvas.draw()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 TITLE = "## "
-FOLDER = Path(__file__).parents[2] / "docs" / "papers"
+FOLDER = Path("build") / "papers"
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """One experiment: what was done, its figures, further tables in Markdown, pictures in docs/papers/."""
+    """One experiment: what was done, its figures, further tables in Markdown, pictures in FOLDER."""
 
     title: str
     text: str
