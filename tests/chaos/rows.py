@@ -5,6 +5,7 @@ the machine; all others act on processes, in real time (`Live`).
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -156,6 +157,11 @@ def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
             "the computer's clock steps by an hour (NTP)", f.clock_step(3600), place=f.wall_clock
         ),
         "ntp-back": Live("the same, by an hour back", f.clock_step(-3600), place=f.wall_clock),
+        "ntp-first": Live(
+            "the same, from 1970, where a clock without a battery begins, to today",
+            f.clock_step(0),
+            place=lambda folder: f.wall_clock(folder, -int(time.time())),
+        ),
         "router": Live("the site's router gone for 3 s", f.router_gone(3.0), place=f.router),
         "disk-frozen": Live("disk of the recordings frozen for 5 s", f.frozen_disk(5.0), place=f.disk),
         "disk-full": Live("the same full for 3 s", f.full_disk(3.0), Expected(data_lost_s=8.0), f.disk),

@@ -1,12 +1,20 @@
-"""Faults of the rows are such as the demo's devices can have."""
+"""Faults of the rows are such as the demo's devices can have, and happen."""
 
+import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
+
+import pytest
 
 from service.demo import DEVICES
 from simulators.fault_file import Cut, parse_faults
 from simulators.truth import Ride
 from simulators.vehicle import FakeVehicle, parse_devices
 from simulators.worlds import build_world
+from tests.chaos.faults import CannotBeHadError, set_wall_clock, wall_clock
 from tests.chaos.rows import Live, Wire, rows
 
 
@@ -31,3 +39,32 @@ def test_a_loop_of_the_map_that_began_after_a_silence_does_not_move_the_map_foun
     assert isinstance(silence, Wire)
     figures, _ = replace(silence, calm_s=3.0).run(1, print)
     assert (figures.end_m < 0.03, figures.wrong_ok) == (True, 0), figures
+
+
+CLOCKS = "import time\nfor _ in range(2): print(time.time(), time.monotonic(), flush=True); input()"
+
+
+def test_the_wall_clock_of_a_process_steps_while_it_runs_and_its_monotonic_clock_does_not(tmp_path: Path):
+    try:
+        with wall_clock(tmp_path, begins_s=-7200) as settings:
+            process = subprocess.Popen(
+                [sys.executable, "-S", "-c", CLOCKS],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                env=os.environ | settings["environment"],
+            )
+            with process:
+                assert process.stdin is not None
+                assert process.stdout is not None
+                seen = [process.stdout.readline()]
+                set_wall_clock(tmp_path, 3600)
+                process.stdin.write("\n")
+                process.stdin.flush()
+                seen.append(process.stdout.readline())
+    except CannotBeHadError as error:
+        pytest.skip(str(error))
+    for line, step_s in zip(seen, (-7200, 3600), strict=True):
+        unix_s, monotonic_s = map(float, line.split())
+        assert unix_s == pytest.approx(time.time() + step_s, abs=60.0)
+        assert monotonic_s == pytest.approx(time.monotonic(), abs=60.0)
