@@ -14,7 +14,7 @@ DIFFERENCE = (
 
 
 class OtherSettings(NamedTuple):
-    """A config worth a try where nobody answers, and the settings that make it: `dialect: cola_b`."""
+    """A config worth a try where no one answers, and the settings that make it: `dialect: cola_b`."""
 
     words: str
     config: Any
@@ -27,11 +27,11 @@ class Advice:
     name            of the first such sensor in a config that `corridor init` writes; "": its type
     at_host         settings with which `corridor init` asks whether this sensor is at a host; None: not asked
     at_port         the same of a serial port
-    rate_hz         frames a second that the config asks for, None where nobody knows
+    rate_hz         frames a second that the config asks for, None where no one knows
     recognise       which device sends these bytes, in words; "" where it is not this type of sensor. Raises
                     nothing for any bytes up to 16 KiB
     bauds           rates that this sensor may be set to, worth listening at; empty where a rate means nothing
-    other_settings  tried in turn where nobody answers; each is a start-up dialogue of the driver's own
+    other_settings  tried in turn where no one answers; each is a start-up dialogue of the driver's own
     doubt           why this is not the device the config means, from its identity; "" where it may be
     settings_of     settings that the identity shows: {"model": "lms5xx"}; empty where it shows none
     worries         words in a status beside "streaming" that call for action

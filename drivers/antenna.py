@@ -2,5 +2,5 @@
 
 
 def antenna_of(sensor: str) -> str:
-    """Frame of a sensor's antenna where it is told apart from the sensor; no sensor can be called so."""
+    """Frame of a sensor's antenna where it is distinguished from the sensor; no sensor can be called so."""
     return f"{sensor}/antenna"

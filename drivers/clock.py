@@ -14,7 +14,7 @@ SETTLED_NS = 2_000_000_000  # a hull shorter than this says nothing of skew
 WINDOW_NS = 60_000_000_000  # a hull is used from half this age to this age, so warming-up drift is followed
 UNKNOWN_NS = 1_000_000_000  # standard deviation of an offset that rests on one message
 MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
-# A hull this long with more skew than that is begun anew, lest its offset grow stale.
+# A hull this long with more skew than that is begun again, lest its offset grow stale.
 RUNAWAY_NS = 10_000_000_000
 MAX_RUNAWAY = 0.01  # no oscillator is worse: a sender that falls behind is
 MAX_BEND = 0.25  # of what clocks that run apart have gained: how far messages may lie from their line
@@ -90,7 +90,7 @@ class ClockMap:
     Messages held back by a network come late for a while and change nothing, and a sender that falls behind
     bit by bit comes late for as long as it does. A message far too early, ticks that go back by more than
     JUMP_NS or stay behind, or lateness that came with one message and does not end, are a restart of the
-    device: all is learnt anew. A single message from a little before the newest is out of order, and changes
+    device: all is learnt again. A single message from a little before the newest is out of order, and changes
     nothing.
     """
 
@@ -105,7 +105,7 @@ class ClockMap:
         self._line = (0.0, 0.0)
         self._late_since_ns: int | None = None
         self.resets = 0
-        self.runaways = 0  # hulls begun anew because the clocks run apart faster than crystals do
+        self.runaways = 0  # hulls begun again because the clocks run apart faster than crystals do
         self.residual_ns = 0  # how much later than the line the newest message came
 
     @property

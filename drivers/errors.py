@@ -5,7 +5,7 @@
      |- ProtocolError    the bytes are not the protocol                  -> drop the link, fresh session
      |- DeviceError      the device understood and refused, or reports a fault
      |                                                                   -> report, retry at long intervals
-     `- UnforeseenError  the driver failed at what nobody thought of     -> the same, with the traceback
+     `- UnforeseenError  the driver failed at what no one thought of     -> the same, with the traceback
 
 A message says what was measured, what was expected and what to look at; the link adds the sensor's name
 and what happens next.
@@ -31,7 +31,7 @@ class ProtocolError(DriverError):
 
 
 class DeviceError(DriverError):
-    """The device understood us and refused. Reaction: report; retry seldom, somebody has to mend it."""
+    """The device understood us and refused. Reaction: report; retry seldom, someone has to mend it."""
 
 
 class UnforeseenError(DriverError):

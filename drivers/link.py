@@ -45,7 +45,7 @@ RawTee = Callable[[RawChunk], None]
 READ_TIMEOUT_S = 0.02  # how often a session's timers run when the wire is silent
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 0.5  # back-off after a lost link: a device is to be back within 2 s
 DEVICE_ERROR_RETRY_S = 10.0
-PROVEN_AFTER_S = 5.0  # a link that lived this long starts its back-off anew
+PROVEN_AFTER_S = 5.0  # a link that lived this long starts its back-off again
 CLOCK_KNOWN_NS = 2_000_000  # a stamp so good is handed on; at 1 m/s it is 2 mm
 CLOCK_PATIENCE_NS = 2_000_000_000  # after the first frame; then whatever is known must do
 

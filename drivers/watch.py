@@ -88,7 +88,7 @@ class SilenceWatch:
 class StampGate:
     """Which frames are handed on: stamped no later than their arrival, and later than the one before.
 
-    Others are counted as `<what>_ahead_of_arrival` and `<what>_out_of_order`, and `silence` is told, where
+    Others are counted as `<what>_ahead_of_arrival` and `<what>_out_of_order`, and `silence` is set, where
     there is one.
     """
 

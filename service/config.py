@@ -74,7 +74,7 @@ class ReplayConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceConfig(ReplayConfig):
-    """Everything the service is told. `text` is the YAML itself, which goes into every recording."""
+    """All settings of the service. `text` is the YAML itself, which goes into every recording."""
 
     vehicle: str
     sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
@@ -421,7 +421,7 @@ def _with_a_wire(settings: object) -> object:
 
 
 def _kinds_meant(settings: Mapping[str, Any]) -> list[str]:
-    """Types of sensor that somebody may have meant: the one spelt alike, else those with most of the keys."""
+    """Types of sensor that someone may have meant: the one spelt alike, else those with most of the keys."""
     if near := difflib.get_close_matches(str(settings.get("type")), list(SENSOR_KINDS), n=1):
         return near
     known = {kind: len(settings.keys() & SENSOR_KINDS[kind].config.model_fields) for kind in SENSOR_KINDS}
@@ -461,7 +461,7 @@ def _other_unit(key: str, value: object, known: typing.Sequence[str]) -> str:
 
 
 def _correction(model: type[BaseModel], detail: ErrorDetails) -> str:
-    """What to write instead of a value of the wrong kind, where that can be told."""
+    """What to write instead of a value of the wrong kind, where that is known."""
     got = detail["input"]
     match detail["type"]:
         case "int_type" | "float_type" if isinstance(got, str) and re.fullmatch(r"[-+]?[\d.]+", got):

@@ -110,7 +110,7 @@ def demo(
 ) -> dict[str, Any]:
     """Run the demo; its summary, for JSON. Raises CorridorError and its kin.
 
-    compiling   opened while kernels are compiled, and told of each; left out, the log says how far it is
+    compiling   opened while kernels are compiled, and called with each; left out, the log says how far it is
     watch       called several times a second while the service starts and runs
     say         given the line with the address of the page, once it is served
     """

@@ -16,7 +16,7 @@ def turns_to_skip(behind_ns: int, period_ns: float, keep_ns: int = CATCH_UP_NS) 
     """How many turns a device leaves out whose next one is behind_ns over its time: none up to keep_ns, all
     but the newest beyond. A real device is never late, but the process of a fake one may get no processor for
     a while: what was measured then is sent late, with its right device time. One that cannot make it good
-    begins anew at the present, lest it stay late for good.
+    begins again at the present, lest it stay late for good.
     """
     return math.floor(behind_ns / period_ns) if behind_ns > keep_ns else 0
 

@@ -105,7 +105,7 @@ def with_companions(
 
     They follow the way of the vehicle, before and behind it too, and sway a little.
     speed_mps  of their own, along that way; None: as fast as the vehicle
-    stay       they stand where they are at to_s from then on; else there is nobody before and after
+    stay       they stand where they are at to_s from then on; else there is no one before and after
     """
     time_s = np.append(np.arange(from_s, to_s, STEP_S), to_s)
     noise = np.random.default_rng(seed)

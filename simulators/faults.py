@@ -5,7 +5,7 @@ of the bytes it sends    garbage, bit_flips, half_messages, wrong_checksum, dupl
 of the device            silence, restart, slow_start, clock_jump
 
 A message is what the device returns in one piece. Several faults may act at a time; on a message they act in
-the order of the file. What the host sends is never harmed, only lost while there is nobody to hear it.
+the order of the file. What the host sends is never harmed, only lost while there is no one to hear it.
 """
 
 import logging

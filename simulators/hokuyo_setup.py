@@ -96,7 +96,7 @@ class Utm30lxSetup:
     front_step: int | None = None
     boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet
     warm_up_ns: int = 0  # after that: laser and scans are answered 0M
-    scip_1: bool = False  # until it is told SCIP2.0
+    scip_1: bool = False  # until it gets SCIP2.0
     clock_start_ms: int = 0  # at power-up; near 2**24 it soon wraps
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
     motor_speed: float = 1.0  # of nominal; one was seen to take 25.05 ms a turn

@@ -28,7 +28,7 @@ from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, WheelSource, turns_to_
 
 SLEEP_AFTER_NS = 300_000_000_000
 BANNER_AFTER_NS = 500_000_000
-SPEED_SPAN_NS = 50_000_000  # over which the wheels' own speed is taken where nobody drives by wire
+SPEED_SPAN_NS = 50_000_000  # over which the wheels' own speed is taken where no one drives by wire
 CREATE2_DEGREES = 0.324056  # what firmware before 3.4.1 reports for one true degree in packet 20
 REQUESTED_IDS = {39, 40, 41, 42}
 
@@ -103,7 +103,7 @@ class FakeCreate:
         self.commands: list[Command] = []  # the newest 1000, for tests to look at
         self.values = dict(IDLE_VALUES)  # what the sensors read; tests and faults write here
         self._read_travel_m: dict[int, tuple[float, float]] = {}  # at the last reading of packets 19 and 20
-        self._commanded: dict[int, int] | None = None  # packets 39 to 42 once somebody drives by wire
+        self._commanded: dict[int, int] | None = None  # packets 39 to 42 once someone drives by wire
         self._stream_ids: tuple[int, ...] = ()
         self._paused = False
         self._frame_at_ns: int | None = None  # moment of measurement of the next frame
@@ -115,14 +115,14 @@ class FakeCreate:
     def connected(self, now_ns: int) -> bytes:
         if self._wakes_on_connect:
             self.wake(now_ns)
-        self._skip(now_ns, 0)  # frames that nobody was there to take are gone
+        self._skip(now_ns, 0)  # frames that no one was there to take are gone
         return b""
 
     def disconnected(self, now_ns: int) -> None:
         """The robot does not notice."""
 
     def wake(self, now_ns: int) -> None:
-        """A low pulse on BRC, or somebody presses Clean."""
+        """A low pulse on BRC, or someone presses Clean."""
         self.asleep = False
         self._last_activity_ns = now_ns
 

@@ -28,7 +28,7 @@ log = logging.getLogger("simulators")
 DONE, FAILED, USAGE, IO_ERROR = 0, 1, 64, 74
 MAX_STAND_S = 1e6
 LOOK_S = 0.05  # how often the truth is written and the parent looked for
-TELL_S = 10.0  # how often losses are told
+TELL_S = 10.0  # how often losses are reported
 TRUTH_STEP_NS = 5_000_000
 SWITCH_INTERVAL_S = 0.0005  # a thread per device: none may hold another's due time up for long
 
@@ -119,12 +119,12 @@ def _run(options: argparse.Namespace) -> int:
     with open(options.truth or os.devnull, "w", encoding="ascii") as truth_file, vehicle:
         truth = TruthFile(ride, truth_file)
         _announce(vehicle, options.print_endpoints)
-        told: Counter[tuple[str, str]] = Counter()
+        facts: Counter[tuple[str, str]] = Counter()
         tell_at_s = time.monotonic() + TELL_S
         while signal.sigtimedwait(stopping, LOOK_S) is None:
             truth.write_until(time.monotonic_ns())
             if time.monotonic() >= tell_at_s:
-                _tell_losses(vehicle, told)
+                _tell_losses(vehicle, facts)
                 tell_at_s = time.monotonic() + TELL_S
             if vehicle.failed:
                 return FAILED
@@ -132,7 +132,7 @@ def _run(options: argparse.Namespace) -> int:
                 log.info("parent process %d has gone; ending", parent)
                 break
         truth.write_until(time.monotonic_ns())
-        _tell_losses(vehicle, told)
+        _tell_losses(vehicle, facts)
         if options.print_endpoints:
             losses = {name: sum(counts.values()) for name, counts in vehicle.losses().items()}
             print(json.dumps({"left_out": {name: n for name, n in losses.items() if n}}), flush=True)
@@ -141,14 +141,14 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _tell_losses(vehicle: FakeVehicle, told: Counter[tuple[str, str]]) -> None:
-    """Warn of what was lost on this side since it was told last: a measurement of a driver would blame it."""
+def _tell_losses(vehicle: FakeVehicle, facts: Counter[tuple[str, str]]) -> None:
+    """Warn of what was lost on this side since the last report: a measurement of a driver would blame it."""
     for name, losses in vehicle.losses().items():
         for what, count in losses.items():
-            if count > told[name, what]:
-                more = count - told[name, what]
+            if count > facts[name, what]:
+                more = count - facts[name, what]
                 log.warning("%s: %d more %s; is this machine overloaded?", name, more, what)
-                told[name, what] = count
+                facts[name, what] = count
 
 
 def _announce(vehicle: FakeVehicle, on_stdout: bool) -> None:

@@ -205,7 +205,7 @@ class FakeLms100:
         self._boots_until_ns = now_ns + self.setup.boot_ns
 
     def _turn_from(self, since_ns: int) -> None:
-        """Measure anew: scan numbers start over, telegram numbers go on."""
+        """Measure again: scan numbers start over, telegram numbers go on."""
         self._telegram_base += self._next_scan
         self._turning_since_ns = since_ns
         self._standby = False

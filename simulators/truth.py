@@ -1,7 +1,7 @@
 """What the vehicle's sensors measure in a world: the truth with each sensor's own errors.
 
 Everything is a function of time and seed. Noise is drawn from a counter-based generator keyed by seed and
-sensor and placed by the moment measured, so it does not matter when or how often somebody asks.
+sensor and placed by the moment measured, so it does not matter when or how often someone asks.
 """
 
 import math
@@ -79,7 +79,10 @@ class LaserModel:
     quantum_m: float = 0.001
     divergence_rad: float = 0.015  # full width of a beam
     mixed_share: float = 0.4  # of the beams whose footprint straddles a step, those that return from between
-    mixed_step_m: tuple[float, float] = (0.05, 2.0)  # smaller is no step, larger is told apart by the pulse
+    mixed_step_m: tuple[float, float] = (
+        0.05,
+        2.0,
+    )  # smaller is no step, larger is distinguished by the pulse
     dropout_share: float = 0.0005
 
 

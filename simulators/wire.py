@@ -43,7 +43,7 @@ RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: RST instead of FI
 
 
 class _PeerGoneError(Exception):
-    """A write found nobody at the other end."""
+    """A write found no one at the other end."""
 
 
 class _Client:
@@ -116,7 +116,7 @@ class _Wire(ABC):
         os.close(self._wake_write)
 
     def freeze(self) -> None:
-        """Let nothing pass in either direction; links stay open. The device is not told."""
+        """Let nothing pass in either direction; links stay open. The device does not notice."""
         self._stop()
 
     def restore(self) -> Self:
@@ -164,7 +164,7 @@ class _Wire(ABC):
         try:
             while self._round():
                 pass
-        except BaseException as error:  # kept for close(): a thread has nobody to raise to
+        except BaseException as error:  # kept for close(): a thread has no one to raise to
             log.exception("%s: fake device failed", self.name)
             self.failure = error
             self._drop_all()
@@ -242,7 +242,7 @@ class _Wire(ABC):
 
     @abstractmethod
     def _doors(self) -> Sequence[int]:
-        """Descriptors that turn readable when somebody comes."""
+        """Descriptors that turn readable when someone comes."""
 
     @abstractmethod
     def _look_for_clients(self, readable: Sequence[int]) -> None: ...
@@ -385,13 +385,13 @@ class PtyWire(_Wire):
             self._admit(self._master, self.device)
 
     def _hung_up(self) -> bool:
-        """Whether nobody holds the other end."""
+        """Whether no one holds the other end."""
         poll = select.poll()
         poll.register(self._master, select.POLLIN)
         return any(events & select.POLLHUP for _, events in poll.poll(0))
 
     def _close_link(self, fd: int) -> None:
-        """Bytes that nobody read are lost, as on a real line: those on the way, and those that are there."""
+        """Bytes that no one read are lost, as on a real line: those on the way, and those that are there."""
         try:
             line = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:  # the line was cut

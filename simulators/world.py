@@ -34,7 +34,7 @@ class Walk:
     times_s: tuple[float, ...]  # rising from 0 to the period
     places: tuple[Point, ...]  # m, where the person is at these times; the last is the first
     radius_m: float = PERSON_RADIUS_M
-    from_s: float = -math.inf  # there is nobody before, and
+    from_s: float = -math.inf  # there is no one before, and
     to_s: float = math.inf  # from then on
 
     @property

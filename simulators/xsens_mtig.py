@@ -122,7 +122,7 @@ class FakeMtiG:
     _decoder: MessageDecoder = field(default_factory=MessageDecoder)
     _line: deque[tuple[int, bytes]] = field(default_factory=deque)  # (last byte has left, message)
     _line_free_ns: int = 0
-    _clock: _Clock | None = None  # None: nobody has looked at it yet
+    _clock: _Clock | None = None  # None: no one has looked at it yet
     _start_ticks: int = 0
     _count: int = 0  # packet counter, or sample counter
     _next_sample: int = 0  # index on the device's grid
@@ -181,7 +181,7 @@ class FakeMtiG:
 
     def connected(self, now_ns: int) -> bytes:
         self._begin(now_ns)
-        self._line.clear()  # what nobody was there to hear
+        self._line.clear()  # what no one was there to hear
         self._line_free_ns = min(self._line_free_ns, now_ns)
         self._skip(now_ns, 0)
         return b""

@@ -1,4 +1,4 @@
-"""The flash of a fake MTi-G or MTi-G-710: what it was told, and what it answers when asked."""
+"""The flash of a fake MTi-G or MTi-G-710: what it was set to, and what it answers when asked."""
 
 import struct
 from typing import Literal
@@ -194,7 +194,7 @@ class DeviceSettings:
         self.baud = self._next_baud
 
     def write(self, mid: int, data: bytes) -> None:
-        """As if somebody had set it before."""
+        """As if someone had set it before."""
         self._registers[mid] = data
         self._work_out()
 

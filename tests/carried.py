@@ -8,7 +8,7 @@ from tests.simulated import Drive
 
 
 def silent(made: Drive, at_ns: int, for_ns: int) -> Drive:
-    """Driven on. Odometry counts while nobody listens: its next pose knows the way."""
+    """Driven on. Odometry counts while no one listens: its next pose knows the way."""
     return replace(made, frames=[f for f in made.frames if not at_ns <= f.arrived_ns < at_ns + for_ns])
 
 

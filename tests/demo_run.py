@@ -1,4 +1,4 @@
-"""`corridor demo` as a user runs it, and what its fake devices told of themselves meanwhile."""
+"""`corridor demo` as a user runs it, and what its fake devices reported of themselves meanwhile."""
 
 import json
 import re

@@ -23,7 +23,7 @@ LOGS = Path("build")
 TELL_S = 10.0  # no silence for longer
 LOOK_S = 0.5
 MAX_SILENCE_S = 900.0  # of a group; no test may take as long
-# Set, each of some hundred processes would compile every file anew: a third of their processor time.
+# Set, each of some hundred processes would compile every file again: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 EXPECTED = "some eight minutes on two cores, twelve on slow ones"
 MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time

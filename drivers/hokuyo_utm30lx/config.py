@@ -35,7 +35,7 @@ class HokuyoUtm30lxConfig(Section):
     range_min_m: float = Field(default=0.1, ge=0.0, le=5.0)
     range_max_m: float = Field(default=30.0, gt=0.0, le=262.0)
     latency_ms: LatencyMs = 0.0  # from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
+    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made again
     map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()
 
@@ -78,6 +78,6 @@ class HokuyoUtm30lxConfig(Section):
 
     @property
     def scan_command(self) -> str:
-        """The stream that holds what is wanted. The strongest echo is told by intensities."""
+        """The stream that holds what is wanted. The strongest echo needs intensities."""
         stream = "M" if self.echo == "first" else "N"
         return stream + ("E" if self.intensity or self.echo == "strongest" else "D")

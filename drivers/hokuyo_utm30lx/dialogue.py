@@ -84,7 +84,7 @@ class UtmDialogue:
         self.time_samples: list[TimeSample] = []
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where nobody answers, DeviceError where the device refuses or is the wrong
+        """Raises TransportError where no one answers, DeviceError where the device refuses or is the wrong
         one, ProtocolError where what it says makes no sense."""
         yield from self._stop_whatever_runs()
         yield from self._identify()
@@ -290,7 +290,7 @@ class UtmDialogue:
         yield Pause(WARM_UP_PAUSE_S)
 
     def _reset(self) -> Dialogue[None]:
-        """Out of a state nothing else leads out of; the device's clock starts anew."""
+        """Out of a state nothing else leads out of; the device's clock starts again."""
         self.counters["resets"] += 1
         yield from self._ask("RS", RESET_TIMEOUT_S)
         yield from self._ask("QT")

@@ -81,7 +81,7 @@ class ScanClock:
 
     @property
     def resets(self) -> int:
-        """How often the device's clock began anew."""
+        """How often the device's clock began again."""
         return self._clock.resets
 
     @property
@@ -147,7 +147,7 @@ class ScanClock:
         return min(max(line_ns + round((sweep - line_sweep) * self.period_ns), lowest), highest)
 
     def _fit(self) -> None:
-        """Lay the line anew, then look at the delay."""
+        """Lay the line again, then look at the delay."""
         self._since_fit = 0
         sweep, stamp_ms, arrived_ns = np.array(self._window, dtype=np.int64).T
         span_ns = int(stamp_ms[-1] - stamp_ms[0]) * TICK_NS

@@ -1,8 +1,8 @@
 """The LUX's 64-bit clock to host time.
 
-It counts from 0 at power-up until somebody sets it, then from 1900; either way it is one clock against the
+It counts from 0 at power-up until someone sets it, then from 1900; either way it is one clock against the
 host's, so it is mapped by arrivals and never by its value. Setting it is a jump, and so is a restart. A jump
-is told by the scan numbers, which go on: between two scans lies the difference of their numbers times the
+shows in the scan numbers, which go on: between two scans lies the difference of their numbers times the
 period.
 """
 
@@ -26,11 +26,11 @@ class DeviceClock:
         self._earlier_resets = 0
         self._zero_ntp: int | None = None  # the map counts from here, so that its floats stay exact
         self._last: Scan | None = None
-        self.jumps = 0  # told by the scan numbers
+        self.jumps = 0  # shown by the scan numbers
 
     @property
     def resets(self) -> int:
-        """How often all was learnt anew: jumps, and restarts of the device."""
+        """How often all was learnt again: jumps, and restarts of the device."""
         return self._earlier_resets + self._map.resets + self.jumps
 
     @property

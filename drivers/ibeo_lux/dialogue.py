@@ -98,7 +98,7 @@ class IbeoLuxDialogue:
         self.explain_faults: Callable[[], str] = lambda: ""
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where nobody answers, or only after the scans were taken as they are;
+        """Raises TransportError where no one answers, or only after the scans were taken as they are;
         DeviceError where the device refuses.
         """
         answers = yield from self._identify()

@@ -38,7 +38,7 @@ from drivers.rates import same_rate
 from drivers.watch import OUTSIDE, MalformedRun, SilenceWatch, StampGate
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
-REPORT_SHOWN_NS = 15_000_000_000  # what the device last told, or did, so long ago stays in the status
+REPORT_SHOWN_NS = 15_000_000_000  # what the device last reported, or did, so long ago stays in the status
 GRAVE_ERRORS = (
     "motor",
     "APD",
@@ -83,7 +83,7 @@ class IbeoLuxSession:
         self._repeated_in_a_row = 0
         self._other_in_a_row = 0
         self._was_as_configured = False
-        self._errors: dict[str, int] = {}  # words -> when last told
+        self._errors: dict[str, int] = {}  # words -> when last reported
         self._warnings: dict[str, int] = {}
         self.outbox = bytearray()
         self.counters: Counter[str] = self._dialogue.counters
@@ -142,16 +142,16 @@ class IbeoLuxSession:
         return b""
 
     def _give_up(self, silent_s: float) -> None:
-        """Raises DeviceError where the device told a fault that ends the scans, else TransportError."""
-        told = self._errors_shown()
-        grave = any(text.startswith(GRAVE_ERRORS) for text in told)
+        """Raises DeviceError where the device reported a fault that ends the scans, else TransportError."""
+        facts = self._errors_shown()
+        grave = any(text.startswith(GRAVE_ERRORS) for text in facts)
         if self._last is not None:
-            told += status_faults(self._last.status)
+            facts += status_faults(self._last.status)
         elif self._dialogue.device_status is not None:
-            told += status_faults(self._dialogue.device_status.status)
+            facts += status_faults(self._dialogue.device_status.status)
             grave = grave or bool(status_faults(self._dialogue.device_status.status))
         if grave:
-            raise DeviceError(f"no scan for {silent_s:g} s, the device reports: {', '.join(told)}")
+            raise DeviceError(f"no scan for {silent_s:g} s, the device reports: {', '.join(facts)}")
         if self._dialogue.foreign:
             raise TransportError(
                 f"no scan of a LUX for {silent_s:g} s, but those of {self._dialogue.foreign}; wrong address?"
@@ -161,7 +161,7 @@ class IbeoLuxSession:
         if came := self._silence.what_came("scans", silent_s):
             raise TransportError(came)
         raise TransportError(
-            f"no scan for {silent_s:g} s{''.join(f', it reported {text}' for text in told)}; is the device "
+            f"no scan for {silent_s:g} s{''.join(f', it reported {text}' for text in facts)}; is the device "
             "rebooting, was it stopped, or is the cable out?"
         )
 
@@ -189,13 +189,13 @@ class IbeoLuxSession:
         except ProtocolError:
             self.counters["error_messages_unusable"] += 1
             return
-        for kind, words, told in (
+        for kind, words, facts in (
             ("error", registers.error_words, self._errors),
             ("warning", registers.warning_words, self._warnings),
         ):
             for text in words:
                 self.counters[f"{kind}: {text}"] += 1
-                told[text] = now_ns
+                facts[text] = now_ns
 
     def _pass_over(self, data_type: int) -> None:
         self.counters[COUNTED_TYPES.get(data_type, "other_messages_ignored")] += 1
@@ -204,8 +204,8 @@ class IbeoLuxSession:
     def _errors_shown(self) -> list[str]:
         return self._shown(self._errors)
 
-    def _shown(self, told: dict[str, int]) -> list[str]:
-        return [text for text, reported_ns in told.items() if self._is_shown(reported_ns)]
+    def _shown(self, facts: dict[str, int]) -> list[str]:
+        return [text for text, reported_ns in facts.items() if self._is_shown(reported_ns)]
 
     def _is_shown(self, reported_ns: int) -> bool:
         return reported_ns >= (self._now_ns or 0) - REPORT_SHOWN_NS

@@ -114,7 +114,7 @@ class Create1Session:
             self._start_at_ns = now_ns + RETRY_START_NS
 
     def _drop_answer(self, now_ns: int) -> None:
-        """What is open is lost, and with it perhaps the way it told of: the robot's counters were cleared."""
+        """What is open is lost, perhaps with motion that it reported: the counters were cleared."""
         self._way_lost = True
         self._skip(bytes(self._answer))
         self._answer.clear()
@@ -220,7 +220,7 @@ class Create1Session:
     def _roll(
         self, values: dict[int, int], expected_left_m: float, expected_right_m: float
     ) -> tuple[float, float]:
-        """Integrate a reading, its lost fractions filled in from what the wheels were told to do."""
+        """Integrate a reading, its lost fractions filled in from what the wheels were asked to do."""
         base_m = self._config.firmware_wheel_base_m
         expected_deg = (expected_right_m - expected_left_m) / base_m / DEGREE_RAD
         expected_mm = 500.0 * (expected_left_m + expected_right_m)

@@ -38,7 +38,7 @@ class FrameClock:
         self.restart()
 
     def restart(self) -> None:
-        """The robot's count began anew: after a reset, or when a stream was asked for again."""
+        """The robot's count began again: after a reset, or when a stream was asked for again."""
         self._count = 0
         self._origin: tuple[int, int] | None = None  # (count, arrived_ns) that lateness is measured from
         self._clock = ClockMap(self.period_ns, latency_ns=self._latency_ns)

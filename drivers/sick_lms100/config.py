@@ -33,7 +33,7 @@ class Lms100Config(Section):
     range_min_m: float = Field(default=0.05, ge=0.0, le=5.0)
     range_max_m: float = Field(default=20.0, gt=0.0, le=131.0)
     latency_ms: LatencyMs = 0.0  # from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made anew
+    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made again
     map: bool = True  # False: its scans are published and recorded, not mapped
     mounting: Mounting = Mounting()
 

@@ -33,7 +33,7 @@ from drivers.sick_lms100.telegrams import (
 
 # Where a source is named, other drivers wait so long for the same; CPR is clearpathrobotics/LMS1xx, SXD is
 # SICKAG/sick_scan_xd (sick_scan_common.h and .cpp), and the rest is our own choice, with its reason.
-ANSWER_TIMEOUT_S = 1.0  # CPR asks anew each second; the recorded answers take 1 to 3 ms, the slowest 14 ms
+ANSWER_TIMEOUT_S = 1.0  # CPR asks again each second; the recorded answers take 1 to 3 ms, the slowest 14 ms
 CHANGE_TIMEOUT_S = 5.0  # SXD, READ_TIMEOUT_MILLISEC_DEFAULT
 PROBE_ROUNDS = 10  # of both dialects, 20 s; then a new connection, the old one may be a leftover of the boot
 LOGIN_ATTEMPTS = 30  # of ANSWER_TIMEOUT_S: a boot takes tens of seconds (CPR issue 11), then as PROBE_ROUNDS
@@ -83,7 +83,7 @@ class Lms100Dialogue:
         self.fault = ""  # faults that the device reports, "" for none
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where nobody answers, DeviceError where no scans can be had."""
+        """Raises TransportError where no one answers, DeviceError where no scans can be had."""
         yield from self._find_dialect()
         yield from self._identify()
         changes = yield from self._differences()
@@ -278,7 +278,7 @@ class Lms100Dialogue:
             raise DeviceError(f"after LMDscandatacfg was accepted it has {found.words}")
 
     def _change(self, kind: str, name: str, write: Callable[[Writer], None]) -> Dialogue[Telegram | None]:
-        """Ask for a change until it is accepted; None where nobody ever answered. Raises DeviceError."""
+        """Ask for a change until it is accepted; None where no one ever answered. Raises DeviceError."""
         refusal, lasting = None, 0
         for attempt in range(CHANGE_ATTEMPTS):
             if attempt:

@@ -42,7 +42,7 @@ class XsensMtigConfig(Section):
     forward_axis: Axis = "x"  # which axis of the housing looks ahead, and which up
     up_axis: Axis = "z"
     latency_ms: LatencyMs = 0.0  # from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a sample the link is made anew
+    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a sample the link is made again
     mounting: Mounting = Mounting()
 
     @model_validator(mode="after")

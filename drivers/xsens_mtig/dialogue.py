@@ -99,7 +99,7 @@ class MtigDialogue:
         self.measuring = False
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where nobody answers, DeviceError where the device refuses."""
+        """Raises TransportError where no one answers, DeviceError where the device refuses."""
         self.measuring = False
         self.refusals.clear()
         yield from self._enter_config()

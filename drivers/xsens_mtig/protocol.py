@@ -208,7 +208,7 @@ class MessageDecoder:
 
 
 def _message_bytes(buffer: bytearray, at: int, end: int) -> int | None:
-    """Length of the message that begins at `at`; None: cannot be told yet, 0: there is none."""
+    """Length of the message that begins at `at`; None: not known yet, 0: there is none."""
     if at + 1 < end and buffer[at + 1] not in BUS_IDS:
         return 0
     if at + 4 > end:

@@ -165,7 +165,7 @@ class _Stream:
         place: tuple[float, float, float],
         accuracy_m: tuple[float, float] | None,
     ) -> list[Frame]:
-        """accuracy_m: horizontal and vertical, one sigma; None: not told."""
+        """accuracy_m: horizontal and vertical, one sigma; None: not reported."""
         if not self._fix_gate.passes(stamp_ns, arrived_ns):
             return []
         self._counters["fixes_good" if status >= 0 else "fixes_none"] += 1
@@ -371,7 +371,7 @@ class LegacyStream(_Stream):
         self._counter = (
             CounterClock(self._sample_period_ns, output.skip, self._latency_ns) if counts else None
         )
-        self._utc = FineClock(self._latency_ns)  # for a device that was told to send no counter
+        self._utc = FineClock(self._latency_ns)  # for a device that was asked to send no counter
         self._samples_per_fix = max(1, round(output.rate_hz / GNSS_HZ))
         self._since_fix = 0
         self._last_itow_ms: int | None = None

@@ -18,7 +18,7 @@ CLEAR = "\r\x1b[K"  # to the first column; what stands on the line goes
 REDRAW_S = 0.1
 PLAIN_STEPS = 10  # off a terminal a line each tenth
 SILENCE_S = 5.0  # the longest
-PACE_S = 2.0  # of a phase; sooner nobody knows how long it takes
+PACE_S = 2.0  # of a phase; sooner no one knows how long it takes
 
 
 def print_result(result: dict[str, Any], as_json: bool) -> None:
@@ -70,7 +70,7 @@ def _shown(value: Any) -> str:
 class Progress:
     """How far a long work has come, phase by phase: a bar on a terminal, a line each tenth elsewhere.
 
-    Threads may tell at the same time. A phase of which nobody knows how far it is, is only named.
+    Threads may tell at the same time. A phase of which no one knows how far it is, is only named.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Progress:
         self._note = ""
         self._phase_began_s = monotonic_s()
         self._written_s = -math.inf
-        self._plain_steps: dict[str, int] = {}  # told so far, by phase
+        self._plain_steps: dict[str, int] = {}  # reported so far, by phase
 
     def __call__(self, share: float | None, phase: str = "", note: str = "") -> None:
         """share    of the phase, 0 to 1; None: not known

@@ -69,6 +69,6 @@ def demo(parsed: argparse.Namespace) -> int:
         web_port=parsed.web_port,
     )
     with status_line() as line:
-        told = run_demo(options, kernel_progress, line, line.write)
-    print_result(told, parsed.json)
+        facts = run_demo(options, kernel_progress, line, line.write)
+    print_result(facts, parsed.json)
     return 0

@@ -36,11 +36,11 @@ def map_command(parsed: argparse.Namespace) -> int:
                     print("pair {pair} at ({x_m}, {y_m}) m: {apart_mm} mm apart".format(**pair))
                 print_problems(loops)
         case "diff":
-            told = map_diff(parsed.before, parsed.after, parsed.out)
+            facts = map_diff(parsed.before, parsed.after, parsed.out)
             if not parsed.json:
-                rows, told = diff_table(told)
+                rows, facts = diff_table(facts)
                 print_table(rows)
-            print_result(told, parsed.json)
+            print_result(facts, parsed.json)
         case "edit":
             print_result(_edit(parsed), parsed.json)
         case "remap":
@@ -49,8 +49,8 @@ def map_command(parsed: argparse.Namespace) -> int:
 
             who = parsed.who or user_name()
             with progress("map remap") as shown:
-                told = map_remap(parsed.map, parsed.recordings, parsed.area, who, time.time_ns(), shown)
-            print_result(told, parsed.json)
+                facts = map_remap(parsed.map, parsed.recordings, parsed.area, who, time.time_ns(), shown)
+            print_result(facts, parsed.json)
         case _:
             if len(parsed.maps) < 2:
                 raise UsageError("map merge: name two maps or more")
@@ -63,8 +63,8 @@ def map_command(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def print_problems(told: dict[str, Any]) -> None:
-    for problem in told["problems"]:
+def print_problems(facts: dict[str, Any]) -> None:
+    for problem in facts["problems"]:
         print(f"damaged: {problem}")
 
 

@@ -109,16 +109,16 @@ def _tell_outcomes(
     """
     from service.offline.replay.state_reasons import doubts
 
-    told: dict[str, dict[str, Any]] = {}
+    facts: dict[str, dict[str, Any]] = {}
     for name, outcome, folder in zip(names, outcomes, folders, strict=True):
         if isinstance(outcome, CorridorError):
             print(f"corridor: {outcome}", file=sys.stderr)
-            told[name] = {"error": str(outcome)}
+            facts[name] = {"error": str(outcome)}
         else:
-            told[name] = outcome | {"out": str(folder)}
+            facts[name] = outcome | {"out": str(folder)}
     if as_json:
-        print_result(told if len(told) > 1 else told[names[0]], as_json=True)
-    elif mapped := [summary for summary in told.values() if "out" in summary]:
+        print_result(facts if len(facts) > 1 else facts[names[0]], as_json=True)
+    elif mapped := [summary for summary in facts.values() if "out" in summary]:
         print_table(_table(mapped))
     sys.stdout.flush()
     for name, outcome in zip(names, outcomes, strict=True):
@@ -163,18 +163,18 @@ def _table(summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
     rows = [
         ["result in", "duration_s", "x real time", "scans", "dropped", "lost", "scan_ms p50", "p99", "loops"]
     ]
-    for told in summaries:
+    for facts in summaries:
         rows.append(
             [
-                str(told["out"]),
-                f"{told['duration_s']:.1f}",
-                f"{told['realtime_factor']:.1f}",
-                str(told["scans"]),
-                str(told["scans_dropped"]),
-                str(told["state"]["lost"]),
-                f"{told['scan_ms']['p50']:.2f}",
-                f"{told['scan_ms']['p99']:.2f}",
-                str(told["loop_closures"]),
+                str(facts["out"]),
+                f"{facts['duration_s']:.1f}",
+                f"{facts['realtime_factor']:.1f}",
+                str(facts["scans"]),
+                str(facts["scans_dropped"]),
+                str(facts["state"]["lost"]),
+                f"{facts['scan_ms']['p50']:.2f}",
+                f"{facts['scan_ms']['p99']:.2f}",
+                str(facts["loop_closures"]),
             ]
         )
     return rows

@@ -1,4 +1,4 @@
-"""`corridor --version`: what somebody who looks into a fault has to know of the program."""
+"""`corridor --version`: what someone who looks into a fault has to know of the program."""
 
 import argparse
 import subprocess

@@ -80,7 +80,7 @@ def forget_kernels() -> int:
 
 def mark_warm() -> None:
     """Note that the kernels of all profiles are in the cache, as they are compiled here and now."""
-    with suppress(OSError):  # then nobody may rely on it
+    with suppress(OSError):  # then no one may rely on it
         (cache_place() / WARM_NAME).write_text(_compiled_for(), encoding="utf-8")
 
 

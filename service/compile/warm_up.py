@@ -125,7 +125,7 @@ class _OnlyFromCache(event.Listener):
 
 
 class _Left:
-    """Jobs that nobody has taken yet. Each process takes the one that shares most with what it has compiled:
+    """Jobs that no one has taken yet. Each process takes the one that shares most with what it has compiled:
     two that compile kernels with the same inner ones at a time would compile these twice.
     """
 

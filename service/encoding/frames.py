@@ -153,7 +153,7 @@ def scan_of_fields(m: ros.sensor_msgs__msg__LaserScan, sensor: str, log_ns: int)
         range_min_m = 0.0
     if count == 0 or not math.isfinite(m.angle_min) or not 0.0 < abs(step) * max(count - 1, 1) < 7.0:
         return None
-    if range_min_m >= range_max_m:  # one of them is wrong, and nobody knows which
+    if range_min_m >= range_max_m:  # one of them is wrong, and no one knows which
         return None
     # range_max itself is what many drivers send for "nothing seen", so it counts as no return.
     valid = (m.ranges >= max(range_min_m, _SMALLEST_RANGE_M)) & (m.ranges < range_max_m)

@@ -150,7 +150,7 @@ def odometry_payload(
 ) -> bytes:
     """nav_msgs/Odometry of the base in that frame.
 
-    covariance: the 9 values of x, y, theta, in the axes of the frame. Nobody knows that of the twist, nor
+    covariance: the 9 values of x, y, theta, in the axes of the frame. No one knows that of the twist, nor
     what the plane leaves open.
     """
     covariance_36 = NOT_KNOWN_36.copy()

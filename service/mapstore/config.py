@@ -1,4 +1,4 @@
-"""What the map saver is told."""
+"""Settings of the map saver."""
 
 from pydantic import Field
 

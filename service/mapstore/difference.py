@@ -55,8 +55,8 @@ class Difference:
         )
         sizes = {(len(tile.cells), tile.cell_m) for tile in (*before, *after) if tile.level == 0}
         if len(sizes) > 1:
-            told = " and ".join(f"{edge} x {edge} cells of {cell_m:g} m" for edge, cell_m in sorted(sizes))
-            raise InputError(f"the maps have tiles of {told}; they cannot be compared cell by cell")
+            facts = " and ".join(f"{edge} x {edge} cells of {cell_m:g} m" for edge, cell_m in sorted(sizes))
+            raise InputError(f"the maps have tiles of {facts}; they cannot be compared cell by cell")
         ((self._edge, self.cell_m),) = sizes
 
     def counts(self) -> CellCounts:

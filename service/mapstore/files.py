@@ -6,7 +6,7 @@
     v000012/   tiles.npz, map.yaml, map.pgm, map.png, geo.json if there is one, graph.npz and points_*.npz
                where mapping can go on, and manifest.json: SHA-256 of these and of itself
 
-A version is written beside the others under a name that nobody reads, synced to the disk, then renamed. So a
+A version is written beside the others under a name that no one reads, synced to the disk, then renamed. So a
 kill or a power cut at any moment leaves the last good one. The newest few are kept, each that an edit by hand
 made or began with, and each with a file "kept" in it: a session began there, whose replay needs it.
 """
@@ -302,7 +302,7 @@ def _too_old(folder: Path) -> list[int]:
     """Numbers of the versions that go: neither among the newest, nor made or begun with by an edit, nor kept
     by keep_version.
 
-    One whose manifest cannot be read stays: nobody knows what it was.
+    One whose manifest cannot be read stays: no one knows what it was.
     """
     old = sorted(_versions(folder))[:-KEEP_VERSIONS]
     if not old:

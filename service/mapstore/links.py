@@ -1,7 +1,7 @@
 """The links of a stored map, which say what counts in its folder: each switched in one step.
 
 A copy that follows links (cp -rL, most sticks and archives) has files in their place. Those that are the same
-as in one of the versions give way to links again; anything else is somebody's own and stays.
+as in one of the versions give way to links again; anything else is someone's own and stays.
 """
 
 import filecmp
@@ -15,7 +15,7 @@ from service.errors import StorageError
 from service.writable import sync
 
 CURRENT = "current"
-UNFINISHED = ".unfinished-"  # begins the names that nobody reads
+UNFINISHED = ".unfinished-"  # begins the names that no one reads
 
 
 def point_for_others(folder: Path, names: Sequence[str], versions: Sequence[Path]) -> None:

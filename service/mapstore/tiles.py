@@ -115,7 +115,7 @@ class TileStore:
         return self._graph
 
     def wait_for_graph(self, other_than: Path | None, timeout_s: float) -> bool:
-        """Until the graph is put away anew; whether that came in time."""
+        """Until the graph is put away again; whether that came in time."""
         with self._graph_kept:
             return self._graph_kept.wait_for(lambda: self._graph not in (None, other_than), timeout_s)
 

@@ -1,4 +1,4 @@
-"""Knows whether somebody subscribes to a key, so that what is expensive is made only then."""
+"""Knows whether someone subscribes to a key, so that what is expensive is made only then."""
 
 from collections.abc import Callable
 from typing import Any

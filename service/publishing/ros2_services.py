@@ -131,7 +131,7 @@ class Ros2Services:
         answer = self._command("load_map", json.dumps({"map": name}).encode())
         if answer.ok:
             return _map_response(self._present_map(), SUCCESS)
-        is_name = "/" not in name  # of another path it is not told whether it is there
+        is_name = "/" not in name  # of another path it is not revealed whether it is there
         is_there = is_name and self._map_folder is not None and (self._map_folder / name).exists()
         result = UNDEFINED_FAILURE if is_there else MAP_DOES_NOT_EXIST
         return self._refusal("load_map", lambda _: _map_response(None, result), _error(answer))

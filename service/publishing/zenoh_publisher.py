@@ -45,7 +45,7 @@ MAX_VERSION_DIGITS = 19  # of a version, which has 63 bits in an attachment
 
 POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would cost them its wake-up
 STATES = ("tf_static", "health", "graph", CHANGES)  # newest counts; cached for late joiners
-PICTURES = ("map", "map/meta")  # made here, when somebody listens or asks
+PICTURES = ("map", "map/meta")  # made here, when someone listens or asks
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
 # Last part of the channels whose late messages are worthless: sent first, without batching.
 _FRESH = frozenset(("scan", "imu", "odom", "pose", "tf", "fix"))

@@ -393,7 +393,7 @@ class McapRecorder:
             file.abandon()
 
     def _give_up_unsynced(self) -> None:
-        """Nobody knows what of it is on the disk; a recovery brings that back."""
+        """No one knows what of it is on the disk; a recovery brings that back."""
         if not self._unsynced:
             return
         log.error(

@@ -410,7 +410,7 @@ class Leftovers:
         return self._process.poll() is None
 
     def stop(self) -> None:
-        """Break off; the next start begins anew, nothing is lost."""
+        """Break off; the next start begins again, nothing is lost."""
         self._process.terminate()
         try:
             self._process.wait(STOP_TIMEOUT_S)

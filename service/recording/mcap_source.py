@@ -48,7 +48,7 @@ class Session:
     scan_counts    laser -> how many of its scans the recording says it holds; where several devices share a
                    topic, by their shares at its beginning
     mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
-    antennas       the same for GNSS antennas, "<sensor>/antenna" where one is told apart from its sensor
+    antennas       the same for GNSS antennas, "<sensor>/antenna" where one is distinguished from its sensor
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
     upside_down    sensors that are mounted so; what they say is turned back
     unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit -> why

@@ -224,8 +224,8 @@ class Vehicle:
                 else:
                     mount = _mount(source, self._sources[source.topic.name], tree, bases, notes)
             except MountingError as error:
-                told = self._warnings if self._is_named(source) else notes
-                told.append(f"passed over {source}: {error}")
+                facts = self._warnings if self._is_named(source) else notes
+                facts.append(f"passed over {source}: {error}")
                 del found.sensors[source]
                 continue
             if source.topic.type == MULTI_ECHO_SCAN:

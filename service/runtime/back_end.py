@@ -26,7 +26,7 @@ NICENESS = 5  # a loop may close a little later; scans may not wait
 STOP_S = 2.0
 WAIT_S = 0.2
 MEET_S = 1.0  # that a stand-by which takes over waits for its back end: only then it can be copied itself
-STILL_S = 2.0  # a back end that somebody waits for, and that neither computes nor waits for a processor
+STILL_S = 2.0  # a back end that someone waits for, and that neither computes nor waits for a processor
 CONNECT_S = 20.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
 
 
@@ -56,7 +56,7 @@ class BackEndProcess:
 
     Each back end gets a process that is forked from this one, so it comes there whatever its size: what a
     vehicle looks for itself in is 280 MB for an office. A profile without a graph has none. The process
-    before ends once it has done what it was told. When one dies where nothing can replace it, that is said
+    before ends once it has done what it was asked. When one dies where nothing can replace it, that is said
     once in the log, and all work from then on is lost; it ends when this process ends, however it ends.
 
     is_waiting       called several times a second while result() waits
@@ -75,14 +75,14 @@ class BackEndProcess:
         self._is_replaceable = is_replaceable
         self._is_waiting = is_waiting
         self._channel: Channel | None = None
-        self._former: list[Channel] = []  # of processes before, which have not taken all that they were told
+        self._former: list[Channel] = []  # of processes before, which have not taken all that they were sent
         self._listener: socket.socket | None = None  # of a stand-by, until its back end has come
         self._expected_by_s = math.inf  # host monotonic; until then it may come
         self._unsent: list[_Work | _Copy] = []  # until it has
         self._submitted = 0
         self._answers: dict[int, Any] = {}
         self._answered = 0
-        self._unwanted = 0  # up to here nobody waits for an answer any more
+        self._unwanted = 0  # up to here no one waits for an answer any more
         self.pid: int | None = None  # of the process; None where there is none, or it is another's child
         self._worker_pid = 0  # of the process that has the back end
         self.fault = ""  # why it does nothing any more, "" while all is well
@@ -201,7 +201,7 @@ class BackEndProcess:
         raise WorkLostError(late)
 
     def _leave(self) -> None:
-        """Tell the process nothing more. A copy that it was told to make is still somebody's."""
+        """Tell the process nothing more. A copy that it was asked to make is still someone's."""
         if self._listener is not None:
             self._close_listener()
         self._unsent.clear()

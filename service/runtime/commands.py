@@ -161,7 +161,7 @@ class Commands:
         }
 
     def close(self) -> None:
-        """Let nobody wait for what nobody does any more: the service is at its end."""
+        """Let no one wait for what no one does any more: the service is at its end."""
         with self._lock:
             for outcome in self._open:
                 outcome.failed("the service is stopping")

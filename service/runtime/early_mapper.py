@@ -1,6 +1,6 @@
 """The mapper's process, begun before the config is checked: importing and loading take as long as in ingest.
 
-start of the command --> process begins, imports, loads the kernels of the profile it is told ------> maps
+start of the command --> process begins, imports, loads the kernels of the profile it is given -----> maps
                      --> ingest imports, checks the config, opens Zenoh, the recording, the devices
 """
 
@@ -110,7 +110,7 @@ class EarlyMapper:
 
 
 def mapping_section(path: Path) -> dict[str, Any]:
-    """As the file has it, which nobody has checked; empty where there is none or the file is none."""
+    """As the file has it, which no one has checked; empty where there is none or the file is none."""
     try:
         if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
             return {}

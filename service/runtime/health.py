@@ -100,7 +100,7 @@ class SensorHealth:
 
 
 class HealthReport:
-    """All statuses, made anew by `update`."""
+    """All statuses, made again by `update`."""
 
     def __init__(
         self,
@@ -153,8 +153,8 @@ class HealthReport:
         """State at the last update and why: ok, degraded, lost, stale, overloaded (and not lost), paused;
         waiting before the first scan is mapped.
         """
-        told = next((status for status in self.statuses if status.name == "mapping"), None)
-        return ("waiting", "") if told is None else (told.values.get("state", "waiting"), told.message)
+        facts = next((status for status in self.statuses if status.name == "mapping"), None)
+        return ("waiting", "") if facts is None else (facts.values.get("state", "waiting"), facts.message)
 
     @property
     def line(self) -> str:

@@ -29,7 +29,7 @@ Answered = Callable[[Answer], None]
 
 
 class Intake:
-    """Thread-safe; nobody waits for more than another's frame.
+    """Thread-safe; no one waits for more than another's frame.
 
     put    takes a message for all sinks, and only queues it
     """
@@ -82,11 +82,11 @@ class Intake:
         self._link.submit(SessionItem(self._link.next_number(), log_ns, action), answered)
 
     def request_map(self, folder: str, version: int, log_ns: int, answered: Answered) -> None:
-        """Within `then` of a mark: have the mapper begin anew in a stored map at its place."""
+        """Within `then` of a mark: have the mapper begin again in a stored map at its place."""
         self._link.submit(LoadItem(self._link.next_number(), log_ns, folder, version), answered)
 
     def request_profile(self, mapping: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
-        """Within `then` of a mark: have the mapper begin anew at its place, as this section says."""
+        """Within `then` of a mark: have the mapper begin again at its place, as this section says."""
         self._link.submit(SwitchItem(self._link.next_number(), log_ns, mapping), answered)
 
     def request_graph(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:

@@ -69,7 +69,7 @@ class MapperListener(Protocol):
     def heard(self, message: Heard) -> None: ...
 
     def taken_over(self, words: str) -> None:
-        """The mapper was lost and a stand-by went on; tiles that come now count anew."""
+        """The mapper was lost and a stand-by went on; tiles that come now count again."""
 
     def refused(self, item: FrameItem) -> None:
         """This frame is left out from now on: a mapper died of it."""
@@ -83,7 +83,7 @@ class MapperLink:
     """`start` the process, `submit` items, have a thread `run`; at last `finish`, `close`, `clean_up`."""
 
     def __init__(self, setup: Setup, listener: MapperListener, early: EarlyMapper | None = None) -> None:
-        """early: a process that has been begun, and told the section of the config that `setup` holds."""
+        """early: a process that has been begun, and given the section of the config that `setup` holds."""
         self._setup = setup
         self._listener = listener
         self._early = early
@@ -117,7 +117,7 @@ class MapperLink:
         self._finished = threading.Event()
         self._ready = threading.Event()
         self._closed = threading.Event()
-        self._over = threading.Event()  # nobody listens any more
+        self._over = threading.Event()  # no one listens any more
         self.kernels_share = 0.0
         self.kernels = ""  # how far the compiling of kernels is, in words; "" before the first
         self.restarts = 0
@@ -135,7 +135,7 @@ class MapperLink:
 
     @property
     def waiting(self) -> int:
-        """Items that the mapper has not taken yet, as far as it has told."""
+        """Items that the mapper has not taken yet, as far as it has reported."""
         return self._number - self._taken_number
 
     @property
@@ -288,7 +288,7 @@ class MapperLink:
             channel.send(self._setup)  # where it is gone by now, that is read next
             return
         if hello.of_pid != self._last_pid or hello.number < self._forgotten_number:
-            # A copy of a mapper that is lost by now, which may have decided what it never told; or one that a
+            # A copy of a mapper that is lost by now, which may have decided what it never sent; or one that a
             # newer copy has overtaken, for which items that it would need are forgotten.
             channel.close()  # it ends by that
             return

@@ -43,7 +43,7 @@ class SessionItem(NamedTuple):
 
 
 class LoadItem(NamedTuple):
-    """Begin anew in a version of a stored map."""
+    """Begin again in a version of a stored map."""
 
     number: int
     log_ns: int
@@ -52,7 +52,7 @@ class LoadItem(NamedTuple):
 
 
 class SwitchItem(NamedTuple):
-    """Begin anew, mapped as this section of a config says."""
+    """Begin again, mapped as this section of a config says."""
 
     number: int
     log_ns: int
@@ -248,7 +248,7 @@ class BackEndDied(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The last word of a process that was told to finish."""
+    """The last word of a process that was asked to finish."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@ earlier by early_mapper.py.
 
 It has one thread and waits in one place. Every few seconds, when nothing waits, it forks: the child, a
 stand-by, holds the whole state as it was at that item and costs nothing but the pages that change afterwards.
-When the mapper dies, the newest stand-by is told to go on, gets all items after its own last one again, and
+When the mapper dies, the newest stand-by is asked to go on, gets all items after its own last one again, and
 is where the mapper was a second later. What it says is in mapper_messages.py.
 """
 
@@ -239,7 +239,7 @@ class MapperProcess:
                 if self._channel in wait_for([self._channel, *self._back_end.ends], 3600.0):
                     messages = self._channel.receive()
         except (ChannelClosedError, BackEndDiedError):
-            os._exit(0)  # a newer stand-by is there, or nobody needs one any more
+            os._exit(0)  # a newer stand-by is there, or no one needs one any more
         first, *items = messages
         assert isinstance(first, Go)
         self._stays = first.stays
@@ -294,11 +294,11 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)  # ingest hears them, and says when it is over
     folder = Path(sys.argv[1])
     try:
-        told = _reported()
+        facts = _reported()
         channel = connect(folder)
         channel.send(Hello(os.getpid(), 0, is_standby=False))
         left: list[Job] = []
-        if told is not None:  # while ingest imports, and checks the config
+        if facts is not None:  # while ingest imports, and checks the config
             set_up_logging(logging.INFO)
             left = _load(channel)
         while not (messages := channel.receive_within(CONNECT_S)):
@@ -306,9 +306,9 @@ def main() -> int:
         (setup,) = messages
         set_up_logging(setup.log_level)
         config = mapping_config(dict(setup.mapping))
-        if told is None or config.model_dump() != told.model_dump():  # == compares classes, made for each
+        if facts is None or config.model_dump() != facts.model_dump():  # == compares classes, made for each
             left = _load(channel)
-        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when nobody needs them any more
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when no one needs them any more
         gc.collect()
         gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan
         process = MapperProcess(folder, setup, channel, SeldomKernels(left) if left else None)

@@ -81,7 +81,7 @@ class MappingLoop:
 
     It maps what the recording holds, so a replay of the file gives the same poses. Two things are decided by
     the clock: when a result of the graph's back end is applied, and which scans are too old to be mapped.
-    Both are told, and the recording holds them.
+    Both are reported, and the recording holds them.
 
     prepare_map      makes a stored map that in which the session's next mapper begins. Raises CorridorError
     prepare_profile  makes a profile that of the session's next mapper, which begins a new map. Raises
@@ -113,7 +113,7 @@ class MappingLoop:
         self._shown_changes: MapChanges | None = None  # likewise
         self._reported_refused: tuple[float, float, float] | None = None
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
-        self._done_number = 0  # up to here nothing is decided anew, and nothing is told twice
+        self._done_number = 0  # up to here nothing is decided again, and nothing is reported twice
         self._decided = Decisions({}, frozenset(), frozenset())
         self._edits: deque[int] = deque()  # numbers of the items whose answers come with a result
         self.number = 0  # the last item taken
@@ -192,13 +192,13 @@ class MappingLoop:
             self._send(GraphDrawn(picture if picture is not None else NO_GRAPH))
 
     def _show_changes(self) -> None:
-        """Where other cells are told than before; nothing where nobody watches."""
-        told, shown = self.mapper.changes_reported, self._shown_changes
-        if told is shown or not self.is_up_to_date:
+        """Where other cells are reported than before; nothing where no one watches."""
+        facts, shown = self.mapper.changes_reported, self._shown_changes
+        if facts is shown or not self.is_up_to_date:
             return
-        self._shown_changes = told
-        if told is None or not told.says_as(shown):
-            grid = NOTHING_CHANGED if told is None else told.as_grid()
+        self._shown_changes = facts
+        if facts is None or not facts.says_as(shown):
+            grid = NOTHING_CHANGED if facts is None else facts.as_grid()
             self._send(ChangesDrawn(grid, self._map_stamp_ns))
 
     def _show_standing(self) -> None:
@@ -229,7 +229,7 @@ class MappingLoop:
     def finish(self) -> None:
         """After the last item: the graph's last word, and the tiles that it changed.
 
-        That may take longer than ingest waits for a mapper with items before it, so it is told that none are.
+        That may take longer than ingest waits for a mapper with items before it, so it hears that none are.
         """
         if self._newest is not None:
             self._map_timed(self._timing.finish(), self._newest)

@@ -29,7 +29,7 @@ from service.sinks.sink import MapStorage, SavedMap
 log = logging.getLogger(__name__)
 
 VERB = "switch_profile"
-COMPILE_TIMEOUT_S = 900.0  # ten times what all kernels of a profile take on a core that nobody else uses
+COMPILE_TIMEOUT_S = 900.0  # ten times what all kernels of a profile take on a core that no one else uses
 NICENESS = 10  # of the process that compiles, while frames are mapped
 Section = Mapping[str, Any]  # of a config: mapping
 

@@ -20,7 +20,7 @@ class Readers:
 
     sensors         name -> the config model of its type
     put_frame       takes each frame, in the thread of its reader
-    put_raw         takes the bytes of the devices as messages; None: nobody wants them
+    put_raw         takes the bytes of the devices as messages; None: no one wants them
     utc_offset_ns   Unix time minus host monotonic clock
     """
 

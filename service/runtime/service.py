@@ -346,7 +346,7 @@ class Service:
         return time.process_time() + self.outputs.cpu_s
 
     def _tell_health(self, now_ns: int) -> None:
-        """Counts as they are, freshness as of now_ns: the last time when the drivers were told to end."""
+        """Counts as they are, freshness as of now_ns: the last time when the drivers were asked to end."""
         step_before_ns = self._report.clock_step_ns
         self._report.update(now_ns, self.host_time.step_ns(HostTime.now()))
         self._sinks.put(self._report.message(self._unix_ns()))
@@ -406,7 +406,7 @@ class Service:
         return self.host_time.unix_ns(time.monotonic_ns())
 
     def _thread_died(self, died: threading.ExceptHookArgs) -> None:
-        """A thread that Workers do not watch let an exception out: of a sink, or one nobody knows of."""
+        """A thread that Workers do not watch let an exception out: of a sink, or one no one knows of."""
         name = died.thread.name if died.thread is not None else "a thread"
         error = died.exc_value if died.exc_value is not None else died.exc_type()
         log.error("thread %s failed", name, exc_info=(died.exc_type, error, died.exc_traceback))

@@ -233,5 +233,5 @@ class _Ending:
     def _run(self) -> None:
         try:
             self._work()
-        except BaseException as error:  # told by `wait`
+        except BaseException as error:  # reported by `wait`
             self.error = error

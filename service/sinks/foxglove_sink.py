@@ -45,8 +45,8 @@ def open_sink(config: FoxgloveConfig, context: SinkContext) -> "FoxgloveSink | N
 class FoxgloveSink(Sink):
     """Topics, types and bytes are those of a recording, so one layout shows both.
 
-    A message goes out while somebody subscribes to its topic. The whole map is made from the tiles, once a
-    second while it changes and somebody looks.
+    A message goes out while someone subscribes to its topic. The whole map is made from the tiles, once a
+    second while it changes and someone looks.
     """
 
     name = "foxglove"
@@ -60,7 +60,7 @@ class FoxgloveSink(Sink):
         self._changed = threading.Condition()  # of what follows, down to _is_closing
         self._waiting: deque[Message] = deque()
         self._kept: dict[str, Message] = {}  # of KEPT
-        self._asked: set[str] = set()  # channels that somebody has just subscribed to
+        self._asked: set[str] = set()  # channels that someone has just subscribed to
         self._map_stamp_ns = 0
         self._dropped = 0
         self._is_closing = False
@@ -177,7 +177,7 @@ class FoxgloveSink(Sink):
                 self._changed.wait_for(lambda: self._is_closing, self._retry_s)
                 if self._is_closing:
                     return None
-                self._waiting.clear()  # nobody can want them
+                self._waiting.clear()  # no one can want them
 
     def _send(self, context: "foxglove.Context", message: Message) -> None:
         opened = self._channels.get(message.channel)
@@ -200,7 +200,7 @@ class FoxgloveSink(Sink):
         return opened
 
     def _send_map(self, context: "foxglove.Context", is_asked: bool) -> None:
-        """The whole map where somebody looks and it has changed, or somebody has just come."""
+        """The whole map where someone looks and it has changed, or someone has just come."""
         version, now_s = self._tiles.version, time.monotonic()
         opened = self._channels.get(MAP)
         if version == 0 or (opened is not None and not opened.has_sinks()):

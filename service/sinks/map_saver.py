@@ -26,7 +26,7 @@ from service.writable import make_writable
 log = logging.getLogger(__name__)
 
 EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
-GRAPH_S = 5.0  # that the graph may take to be put away when somebody asks for the map
+GRAPH_S = 5.0  # that the graph may take to be put away when someone asks for the map
 MAX_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
 MAX_ASKED = 64
 # A graph folder that has not changed for so long, while checkpoints come, is of a session that was killed.
@@ -188,7 +188,7 @@ class MapSaver(Sink):
         return ""
 
     def start(self) -> None:
-        """Raises StorageError where the map cannot be stored, where another session goes on in it or somebody
+        """Raises StorageError where the map cannot be stored, where another session goes on in it or someone
         edits it.
         """
         if self._goes_on_in is not None:
@@ -300,7 +300,7 @@ class MapSaver(Sink):
         return ""
 
     def _would_lose_its_graph(self, numbered: NumberedMap) -> bool:
-        """Whether nobody could go on in the stored map any more that this one began in."""
+        """Whether no one could go on in the stored map any more that this one began in."""
         is_begun_in = numbered.number in self._begun_in
         return is_begun_in and numbered.graph is None and self._profile_of(numbered.number).stores_graph
 
@@ -370,7 +370,7 @@ class MapSaver(Sink):
             self._emit(encode_grid(grid, unix_ns, unix_ns))
 
     def _wait(self) -> bool:
-        """Until somebody asks or it is time to look; False when there is nothing more to do."""
+        """Until someone asks or it is time to look; False when there is nothing more to do."""
         with self._wake:
             if not self._asked and not self._stopping:
                 self._wake.wait(min(EMIT_INTERVAL_S, 0.5 * self._checkpoint_s))

@@ -72,7 +72,7 @@ class WebSink(Sink):
         except StorageError as error:
             self._token_fault = str(error)
             log.error("web: commands are refused: %s", error)
-            return new_token()  # which nobody is told
+            return new_token()  # that no one gets
         log.info("web: the token that commands need is in %s", path)
         return token
 

@@ -15,7 +15,7 @@ from service.sinks.sink import Sink, SinkContext
 KEYS = {"diagnostics": "health"}  # channels that have another name on Zenoh
 SERVICE, MAPPING = "service", "mapping"  # components beside the sensors that have a token
 NOT_AT_WORK = ("waiting", "stale")  # states of the mapping without fresh poses
-NOT_SENT = frozenset({"events", "map"})  # the publisher makes the map itself, when somebody listens
+NOT_SENT = frozenset({"events", "map"})  # the publisher makes the map itself, when someone listens
 
 
 def open_sink(config: PublishingConfig, context: SinkContext) -> "ZenohSink":

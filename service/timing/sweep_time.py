@@ -106,11 +106,11 @@ _LEFT_OUT = (
 
 
 def _figures(scan: LaserScan) -> str:
-    told = scan.scan_period_ns * 1e-9
+    facts = scan.scan_period_ns * 1e-9
     step_deg = math.degrees(abs(scan.angle_step_rad))
     return (
         f"time_increment {_time(scan.beam_interval_ns * 1e-9)} at {step_deg:.3g} deg a beam is a turn in "
-        f"{_time(turn_s(scan))}, scan_time is {_time(told) if told else 'not set'}"
+        f"{_time(turn_s(scan))}, scan_time is {_time(facts) if facts else 'not set'}"
     )
 
 

@@ -154,7 +154,7 @@ class Topic:
     def take_heading(self, stamp_ns: int, heading_rad: float, scans: str) -> None:
         """Where a scan of another topic lay; NaN: nowhere. Its turns may show an offset to the stamps.
 
-        Where log times have told an offset, it is refined. Stamps that keep to the log are used as they are.
+        Where log times have shown an offset, it is refined. Stamps that keep to the log are used as they are.
         """
         lag = self._turns.add_scan(stamp_ns, heading_rad)
         if lag is None or self._has_lag or abs(lag.lag_s) < max(MIN_LAG_S, LAG_SIGMAS * lag.sigma_s):

@@ -81,27 +81,27 @@ class TurnLag:
         if np.std(turned / gap[pairs]) < MIN_RATE_RADPS:
             return None
         lags = np.arange(-MAX_LAG_S, MAX_LAG_S + 0.5 * STEP_S, STEP_S)
-        told = np.diff(np.interp(times[None, :] + lags[:, None], sampled, turn), axis=1)[:, pairs]
+        facts = np.diff(np.interp(times[None, :] + lags[:, None], sampled, turn), axis=1)[:, pairs]
         half = int(np.searchsorted(np.cumsum(np.abs(turned)), 0.5 * np.abs(turned).sum()))
-        halves = [best_lag(turned[part], told[:, part], lags) for part in (slice(half), slice(half, None))]
-        lag = best_lag(turned, told, lags)
+        halves = [best_lag(turned[part], facts[:, part], lags) for part in (slice(half), slice(half, None))]
+        lag = best_lag(turned, facts, lags)
         if lag is None or any(one is None or abs(one.lag_s - lag.lag_s) > SAME_LAG_S for one in halves):
             return None  # a wheel that slips in one turn looks like a lag there
         return lag
 
 
 def best_lag(
-    turned: npt.NDArray[np.float64], told: npt.NDArray[np.float64], lags_s: npt.NDArray[np.float64]
+    turned: npt.NDArray[np.float64], facts: npt.NDArray[np.float64], lags_s: npt.NDArray[np.float64]
 ) -> Lag | None:
     """None where no lag explains the turns much better than 0.
 
     turned   (K,) rad    between two scans
-    told     (L, K) rad  the same by the source, at each of L lags, evenly apart, with 0 in the middle
+    reported     (L, K) rad  the same by the source, at each of L lags, evenly apart, with 0 in the middle
     """
     if len(turned) == 0 or np.ptp(turned) == 0.0:
         return None  # one jump of the heading may be half of all that was turned
     x = turned - turned.mean()
-    y = told - told.mean(axis=1, keepdims=True)
+    y = facts - facts.mean(axis=1, keepdims=True)
     power = np.maximum((y * y).sum(axis=1), 1e-12)
     correlation = (y @ x) / np.sqrt(power * (x @ x))
     best = int(correlation.argmax())

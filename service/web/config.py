@@ -38,7 +38,7 @@ def _check_host_name(name: str) -> str:
 
 
 class WebConfig(Section):
-    """The operator's page. Loopback unless told otherwise; what changes state needs the token."""
+    """The operator's page. Loopback by default; what changes state needs the token."""
 
     enabled: bool = True
     listen: Annotated[str, AfterValidator(check_listen)] = "127.0.0.1:8080"

@@ -81,7 +81,7 @@ class Listener:
         )
 
     def _is_ours(self, record: logging.LogRecord) -> bool:
-        """False for what somebody has sent that is no HTTP: it is counted; it would fill the log."""
+        """False for what someone has sent that is no HTTP: it is counted; it would fill the log."""
         if record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError):
             return True
         self._refused()

@@ -83,21 +83,21 @@ class SessionMapProcess:
             if not select.select([answers], [], [], WORK_TIMEOUT_S)[0]:
                 self.close()
                 raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended")
-            told = _line(answers)
+            facts = _line(answers)
         except (OSError, ValueError) as error:  # ended while it was asked
             raise ResourceError(f"the process that works on maps was ended: {words_of(error)}") from error
-        if not told:
+        if not facts:
             raise ResourceError("the process that works on maps has ended; the log of the service says why")
-        answer: dict[str, Any] = json.loads(told)
+        answer: dict[str, Any] = json.loads(facts)
         return answer
 
 
 def _line(answers: Any) -> bytes:
     """The rest of it, which comes at once."""
-    told = b""
-    while not told.endswith(b"\n") and (part := answers.read(65_536)):
-        told += part
-    return told
+    facts = b""
+    while not facts.endswith(b"\n") and (part := answers.read(65_536)):
+        facts += part
+    return facts
 
 
 def _gentle(*arguments: str) -> list[str]:

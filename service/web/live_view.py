@@ -58,7 +58,7 @@ FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
 UNREPORTED = (APPLY_RESULT, "scan_passed_over", "frame_refused")  # counted in health, many a second
 MAX_WAYS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
-# A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins anew there.
+# A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins again there.
 JUMP_M, FASTEST_MPS = 1.0, 20.0  # map_view.js has them, too
 MAX_PATH_POINTS = 20_000  # 1 km at 5 cm; then every second point goes
 
@@ -216,12 +216,12 @@ class LiveView:
             self._came.way.append(points_map)
 
     def put_ready(self, payloads: Mapping[str, Payload]) -> None:
-        """Take payloads that somebody else has made, each in place of that of its key. From any thread."""
+        """Take payloads that someone else has made, each in place of that of its key. From any thread."""
         with self._lock:
             self._came.ready.update(payloads)
 
     def map_reset(self) -> list[Shown]:
-        """The map begins anew, and with it the path, what stands and what has changed."""
+        """The map begins again, and with it the path, what stands and what has changed."""
         self._path.clear()
         self._pose_before = None
         return [
@@ -246,7 +246,7 @@ class LiveView:
     def _show_way(self, came: _Streams) -> list[Shown]:
         shown = []
         if came.path is not None:
-            self._kept.pop("path", None)  # that somebody else had made ready
+            self._kept.pop("path", None)  # that someone else had made ready
             self._path.clear()
             for x_m, y_m in came.path.tolist():
                 self._path.add(x_m, y_m)
@@ -321,9 +321,9 @@ class LiveView:
             return []
         goes_on = not self._rows or row.stamp_s > self._rows[-1].stamp_s
         if not goes_on:
-            self._rows.clear()  # a replay that has begun anew
+            self._rows.clear()  # a replay that has begun again
         self._rows.append(row)
-        self._kept.pop("series", None)  # that somebody else had made ready
+        self._kept.pop("series", None)  # that someone else had made ready
         return [Shown("", series_json([row], goes_on))]
 
     def _keep(self, key: str, payload: Payload) -> Shown:

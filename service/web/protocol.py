@@ -16,7 +16,7 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             map's origin, u32 width, u32 height, then zlib of width x height x i8 by rows (-1 nothing stands,
             1..100 for how long something has, per cent of what counts in full); known 0: nothing is known
     CHANGED u8 6, else as STANDING (-1 as the stored map says, 100 something stands there now, 0 what stood is
-            gone); known 0: nobody watches
+            gone); known 0: no one watches
 
 All little-endian. From the browser only text comes: see `Asked`.
 """
@@ -201,7 +201,7 @@ def encode_tiles(tiles: Sequence[TileUpdate]) -> bytes:
 
 
 def encode_scan(scan: LaserScan) -> bytes:
-    """Angles count from the sensor's forward axis, counter-clockwise; its mounting is told apart."""
+    """Angles count from the sensor's forward axis, counter-clockwise; its mounting is distinguished."""
     name = scan.sensor.encode()
     steps = np.nan_to_num(scan.range_m / np.float32(RANGE_STEP_M), nan=0.0, posinf=0.0, neginf=0.0)
     ranges = np.where(steps < 65_535.5, np.rint(steps), 0.0).astype("<u2")
@@ -238,7 +238,7 @@ def encode_standing(grid: Grid | None) -> bytes:
 
 
 def encode_changes(grid: Grid | None) -> bytes:
-    """See service.mapper.map_changes; None: nobody watches what changes."""
+    """See service.mapper.map_changes; None: no one watches what changes."""
     return _encode_picture(CHANGED, grid)
 
 

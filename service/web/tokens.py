@@ -33,7 +33,7 @@ MAX_ADDRESSES = 1000
 
 
 class Grant(Section):
-    """What somebody has who shows the token of this digest."""
+    """What someone has who shows the token of this digest."""
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
     role: Role

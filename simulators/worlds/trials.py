@@ -11,7 +11,7 @@ from simulators.worlds.office import LAP, START, office_plan
 
 ROOM_M = 10.0
 START_XY = (START.x_m, START.y_m)
-STEP_S = 0.2  # people in a crowd are told where to go so often
+STEP_S = 0.2  # people in a crowd are sent on so often
 LEAVING_S, AWAY_S = 12.0, 25.0  # the crowd walks off before the end of a lap, and stays away
 
 

@@ -124,7 +124,7 @@ def localised(seeds: Sequence[int]) -> Section:
     lap = drive(world, laser, lap_s, 2, WHEELS, stand_s=0.0).frames
     laps = round(HOURS * 3600.0 / lap_s)
     tenth = max(laps // 10, 2)
-    young = None  # a second one, which is told what the first is told of the last two tenths
+    young = None  # a second one, which gets what the first gets of the last two tenths
     spent_ms: tuple[list[float], list[float]] = ([], [])
     memory_mb, not_ok, is_young_first = [], 0, False
     for number in range(laps):

@@ -58,7 +58,7 @@ class Rule:
 
 @dataclass
 class Heard:
-    """What the graph of one drive was told."""
+    """What the graph of one drive got."""
 
     config: LoopsConfig
     batches: list[Batch] = field(default_factory=list)
@@ -66,7 +66,7 @@ class Heard:
 
 @contextmanager
 def listening() -> Iterator[list[Heard]]:
-    """All graphs that are made meanwhile; the one that was told most is that of the drive."""
+    """All graphs that are made meanwhile; the one that got most is that of the drive."""
     heard: dict[int, Heard] = {}
     found: list[Heard] = []
     init, work = LoopBackEnd.__init__, LoopBackEnd.work

@@ -59,8 +59,8 @@ class Outcome:
         self.ghosts.append(float(ghosts))
 
     def rows(self, where: str, has_to_be_found: bool) -> list[Row]:
-        """has_to_be_found: on known ground, that is. Where nobody knows the way, places that look alike count
-        as known, and need not be told apart.
+        """has_to_be_found: on known ground, that is. Where no one knows the way, places that look alike count
+        as known, and need not be distinguished.
         """
         rows = [
             Row(where, "`ok` and wrong", self.wrong_ok, "scans", at_most=0.0, by_worst=True, digits=0),

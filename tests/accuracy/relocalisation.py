@@ -69,7 +69,9 @@ class Look:
     is_right: bool  # at its end
     is_wrong: bool  # said to be found, and is not there, at its end
     was_wrong_ok: bool  # at any moment
-    is_alike: bool  # lost between two places that fit about as well, and one of those told is the true one
+    is_alike: (
+        bool  # lost between two places that fit about as well, and one of those reported is the true one
+    )
     is_likelier_elsewhere: bool  # lost, and not alike
     found_s: float  # from the first scan on; nan: not
     cpu_s: float  # of the scan that took longest
@@ -249,7 +251,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
 
 
 def is_reported(pieces: DetachedSearch, true: Floats) -> bool:
-    """Whether the true place is one of two that are told, and neither is clearly likelier."""
+    """Whether the true place is one of two that are reported, and neither is clearly likelier."""
     is_reported = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
     return is_reported and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER
 

@@ -98,19 +98,19 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
     rows = []
     for place in PLACES:
         for what, off in MOUNTINGS.items():
-            told, first_m = [], []
+            facts, first_m = [], []
             for made in Trip(WORLDS[place], LMS100_50HZ).drives(seeds):
                 mountings = {LMS100_50HZ.name: off @ LMS100_50HZ.mounting}
                 outputs = run(mapping_config(), made, mountings=mountings).outputs
                 is_reported = np.array([output.reason.startswith(BY_ODOMETRY) for output in outputs])
                 xy = np.array([(one.pose_map_base.x_m, one.pose_map_base.y_m) for one in outputs])
                 way_m = np.r_[0.0, np.hypot(*np.diff(xy, axis=0).T).cumsum()]
-                told.append(100.0 * float(is_reported.mean()))
+                facts.append(100.0 * float(is_reported.mean()))
                 first_m.append(float(way_m[is_reported.argmax()]) if is_reported.any() else math.nan)
             is_wrong = off != SE2()
             bounds = {"at_least": 50.0} if is_wrong else {"at_most": 0.0}
             case = f"{place}, {what}"
-            rows.append(Row("", f"{case}: scans that say so", told, "%", by_worst=True, digits=0, **bounds))
+            rows.append(Row("", f"{case}: scans that say so", facts, "%", by_worst=True, digits=0, **bounds))
             if is_wrong:
                 rows.append(Row("", f"{case}: first said after", first_m, "m", digits=0))
     return Section(

@@ -1,4 +1,4 @@
-"""Places of other kinds than the worlds of the simulator, made anew for each seed: corridors of a campus, a
+"""Places of other kinds than the worlds of the simulator, made again for each seed: corridors of a campus, a
 car park, a warehouse, rows of vines, a courtyard, a wood, shelves, a tunnel.
 """
 

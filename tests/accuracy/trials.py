@@ -77,21 +77,21 @@ def bad_returns(seeds: Sequence[int]) -> Section:
 def bare_corridor(seeds: Sequence[int]) -> Section:
     rows = []
     for what, imu in (("odometry", None), ("odometry and IMU", Imu())):
-        ratios, ends, alone, told = [], [], [], []
+        ratios, ends, alone, facts = [], [], [], []
         trip = Trip(WORLDS["featureless"], LMS100_50HZ, 100.0, Wheels(), imu)
         for drive, done in trip.runs(seeds):
             wheels_m = _wheels_end_m(drive)
             ends.append(1e3 * done.end_error[0])
             alone.append(1e3 * wheels_m)
             ratios.append(done.end_error[0] / wheels_m)
-            told.append(100.0 * _reported_share(done))
+            facts.append(100.0 * _reported_share(done))
         rows += [
             Row(
                 "", f"{what}: error at the end / that of the odometry", ratios, "times", at_most=1.0, digits=2
             ),
             Row("", f"{what}: error at the end", ends, "mm", digits=0),
             Row("", f"{what}: of the odometry alone", alone, "mm", digits=0),
-            Row("", f"{what}: scans that name the free direction", told, "%", at_least=95.0, digits=1),
+            Row("", f"{what}: scans that name the free direction", facts, "%", at_least=95.0, digits=1),
         ]
     return Section(
         "A bare corridor",
@@ -187,8 +187,8 @@ def _wheels_end_m(drive: Drive) -> float:
 
 def _reported_share(done: Run) -> float:
     """Of the scans: degraded, with a reason that names the direction."""
-    told = [output.state == "degraded" and "position along" in output.reason for output in done.outputs]
-    return float(np.mean(told))
+    facts = [output.state == "degraded" and "position along" in output.reason for output in done.outputs]
+    return float(np.mean(facts))
 
 
 def _crowd_s(world: World) -> float:

@@ -128,8 +128,8 @@ def test_stored_maps_are_worked_on_as_the_manual_says(tmp_path, monkeypatch, cap
     merged = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert merged["sessions_and_pieces"] == 2
     assert main(["map", "diff", "first/map@1", "first/map@7", "--json"]) == 0  # edited and put back
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (told["cells_changed"], told["keyframes_gone"]) == (0, 0)
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (facts["cells_changed"], facts["keyframes_gone"]) == (0, 0)
     assert (tmp_path / "diff.png").stat().st_size > 0
 
 

@@ -36,7 +36,7 @@ class Bench:
     sessions     now_ns of the link -> what makes a session
     has_clock    the device shows one
     has_sum      its messages carry a checksum
-    fineness_ns  how well its stamps can be told, from one connection to the next
+    fineness_ns  how well its stamps can be known, from one connection to the next
     """
 
     device: Callable[[], FakeDevice]

@@ -1,6 +1,6 @@
 """What real devices said, damaged in every way, poured over the sessions: some thousand times in each run of
 the tests, a million times in the soak. Every other message is damaged before its checksum is made, so that
-its content is read. Sessions are in all states of their dialogue, and made anew where they end, as the link
+its content is read. Sessions are in all states of their dialogue, and made again where they end, as the link
 does.
 
 The MTi-G has such a test of its own in test_xsens_mtig_driver.py.

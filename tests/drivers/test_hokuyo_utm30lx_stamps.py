@@ -94,7 +94,9 @@ def test_a_device_that_stamps_the_rear_is_understood():
     setup = Utm30lxSetup(motor_speed=25.0 / 25.05, stamps_rear=True)
     error_ms, age_s, _ = stamp_errors(setup, prompt(2), 14.0, stamp_moment="rear")
     assert abs(error_ms[age_s > 10.0].mean()) <= 0.15
-    error_ms, age_s, _ = stamp_errors(setup, prompt(2), 14.0)  # told otherwise it is 45 deg of a turn early
+    error_ms, age_s, _ = stamp_errors(
+        setup, prompt(2), 14.0
+    )  # configured otherwise it is 45 deg of a turn early
     assert error_ms[age_s > 10.0].mean() == pytest.approx(-25.05 / 8, abs=0.15)
 
 

@@ -1,4 +1,4 @@
-"""Jumps of the device's clock are told from late messages; the era ends and nothing happens."""
+"""Jumps of the device's clock are distinguished from late messages; the era ends and nothing happens."""
 
 import numpy as np
 

@@ -405,7 +405,7 @@ def test_device_that_never_was_as_configured_is_read_all_the_same():
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_clock_that_others_set_while_it_runs_is_followed(kept):
-    """At once where the scan numbers go on, else as soon as lateness is told from a held-back network."""
+    """At once where the scan numbers go on, else once it is no late network."""
     t = talk(set_clock=False).run(10.0)
     if not kept:
         t.device.number_base += 20_000

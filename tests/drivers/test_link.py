@@ -211,17 +211,17 @@ def test_each_loss_of_a_link_that_worked_is_logged_though_the_error_is_the_same(
 
 
 def test_a_link_that_connects_again_does_not_tell_the_status_of_before(quick_retries):
-    stop, health, told = threading.Event(), LinkHealth("front"), []
+    stop, health, facts = threading.Event(), LinkHealth("front"), []
 
     def open_transport():
-        told.append((health.state, health.status))
-        if len(told) == 2:
+        facts.append((health.state, health.status))
+        if len(facts) == 2:
             stop.set()
             raise TransportError("no route")
         return ScriptedTransport([b"a"])  # then its script has ended, which fails
 
     run_link(health, open_transport, EchoSession, lambda frame: None, stop)
-    assert told == [("connecting", ""), ("connecting", "")]
+    assert facts == [("connecting", ""), ("connecting", "")]
 
 
 def test_status_follows_the_session_while_the_wire_is_silent():

@@ -110,7 +110,7 @@ def test_serial_port_that_is_not_there_is_a_transport_error(tmp_path):
 
 @pytest.mark.parametrize("call", ["tcsetattr", "tcflush"])
 def test_serial_port_that_goes_away_while_it_is_opened_is_a_transport_error(terminal, monkeypatch, call):
-    """An adapter that enumerates anew: termios.error is no OSError, and would end the reader's thread."""
+    """An adapter that enumerates again: termios.error is no OSError, and would end the reader's thread."""
 
     def gone(*_):
         raise termios.error(errno.EIO, "Input/output error")
@@ -185,7 +185,7 @@ def test_serial_unplugged_is_a_transport_error():
 
 
 def test_serial_port_that_takes_nothing_is_given_up(terminal, monkeypatch):
-    """A device that hangs: nobody reads the other end."""
+    """A device that hangs: no one reads the other end."""
     monkeypatch.setattr(transport, "WRITE_TIMEOUT_S", 0.1)
     master, path = terminal
     with SerialTransport(path, 115_200) as port:

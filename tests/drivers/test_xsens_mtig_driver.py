@@ -439,7 +439,7 @@ def test_driver_reads_the_simulator_over_a_terminal(personality):
 @pytest.mark.timeout(900)
 def test_a_million_damaged_recorded_messages_are_survived(shared: Path):
     """Every other one is damaged before its checksum is made, so that its content is read. Where the session
-    gives the link up, or takes a message for a restart of the device, it is made anew as the link would.
+    gives the link up, or takes a message for a restart of the device, it is made again as the link would.
     """
     chance, messages = random.Random(7), []
     for name in ("einride_xsens-go_t1_output", "einride_xsens-go_t3_output", "mtig_legacy_issue66_mtdata_x2"):

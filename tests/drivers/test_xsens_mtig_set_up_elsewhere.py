@@ -57,6 +57,6 @@ def test_what_a_unit_that_was_set_up_elsewhere_does_not_send_is_reported(make, c
         device.settings.output = [(0x1060, 0xFFFF), (0x4020, 100), (0x8020, 100), (0xE010, 0xFFFF)]
         t = talk(device, configure=False, device="usb", **changes)
     t.run(2.0)
-    told = f"set up elsewhere (configure: false), it does not send {words}; " if words else ""
-    assert t.session.status == f"streaming; {told}filter valid"
+    facts = f"set up elsewhere (configure: false), it does not send {words}; " if words else ""
+    assert t.session.status == f"streaming; {facts}filter valid"
     assert fixes(t.frames) == []

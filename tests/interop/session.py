@@ -34,9 +34,9 @@ def session(folder: Path) -> Session:
     """Record it at the first call, find it again at the next. Raises InteropError."""
     out = folder / "session"
     if not (out / "done").exists():
-        told = run([CORRIDOR, "demo", "--json", "--seconds", str(SECONDS), "--out", str(out)])
-        if json.loads(told)["scans"] < 40 * SECONDS:
-            raise InteropError(f"the demo mapped {json.loads(told)['scans']} scans in {SECONDS} s")
+        facts = run([CORRIDOR, "demo", "--json", "--seconds", str(SECONDS), "--out", str(out)])
+        if json.loads(facts)["scans"] < 40 * SECONDS:
+            raise InteropError(f"the demo mapped {json.loads(facts)['scans']} scans in {SECONDS} s")
         (out / "done").touch()
     (mcap,) = out.glob("*.mcap")
     offset_ns = int(Recording([mcap]).metadata["clock"]["utc_offset_ns"])

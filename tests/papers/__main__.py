@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods
-from tests.papers.report import FOLDER, Scenario, below_title, told, write_page
+from tests.papers.report import FOLDER, Scenario, below_title, seeds_text, write_page
 
 FIRST_SEED = 11  # of the pages
 PAPERS = {
@@ -66,7 +66,10 @@ def _run(name: str, scenarios: Mapping[str, Scenario], wanted: Sequence[str] | N
         section = experiment(seeds)
         head = f"# {PAPERS[name]}\n\nMade by `make papers`; one section by `--scenario`.\n"
         write_page(
-            FOLDER / f"{name}.md", head, {scenario: (section, section.ran_on or told(seeds))}, list(scenarios)
+            FOLDER / f"{name}.md",
+            head,
+            {scenario: (section, section.ran_on or seeds_text(seeds))},
+            list(scenarios),
         )
         print("\n".join([f"{name} {scenario}: {time.monotonic() - began_s:.0f} s", *below_title(section)]))
         sys.stdout.flush()

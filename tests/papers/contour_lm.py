@@ -22,7 +22,7 @@ from tests.papers.contour_people import crossing, crowd, protection
 from tests.papers.contour_pictures import draw_niches, draw_scan
 from tests.papers.contour_search import starts
 from tests.papers.recorded import error_row, scored
-from tests.papers.report import Row, Section, told
+from tests.papers.report import Row, Section, seeds_text
 from tests.papers.true_poses import true_scans
 from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Drive, Imu, Run, begun_beside, drive, phase_m, run
 
@@ -208,7 +208,7 @@ def ring(seeds: Sequence[int]) -> Section:
         "scans are matched to the first walls again, which removes the drift; the error before that corner "
         "includes it.",
         rows,
-        ran_on=told(seeds),
+        ran_on=seeds_text(seeds),
     )
 
 
@@ -319,7 +319,7 @@ def corridor(seeds: Sequence[int]) -> Section:
             ),
             Row("A50", "position, RMS over 194 m", [r.position_rmse_m for r in runs], "m"),
         ],
-        ran_on=told(seeds[:LONG_SEEDS]),
+        ran_on=seeds_text(seeds[:LONG_SEEDS]),
     )
 
 

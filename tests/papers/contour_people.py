@@ -11,7 +11,7 @@ from simulators.trajectory import Pause, plan_drive
 from simulators.world import Plan, Walk, World, make_world, walk
 from tests.papers.contour_maps import BEAMS, Array, Window, at_phase, grid, learn, offset_m, read
 from tests.papers.contour_pictures import draw_track
-from tests.papers.report import Row, Section, told
+from tests.papers.report import Row, Section, seeds_text
 from tests.papers.true_poses import true_scans
 from tests.simulated import LMS100_50HZ, Drive, begun_beside, drive
 
@@ -107,7 +107,7 @@ def people(
         "one half in the printed map without decrease; walls are the likeliest cell around each place within "
         "5.5 m that every scan of the last second hit. The profile's own update is `averaged`.",
         rows,
-        ran_on=told(seeds),
+        ran_on=seeds_text(seeds),
         pictures=[draw_track(picture, shown, every, cell_m, window, ids, seeds[0])],
     )
 
@@ -210,5 +210,5 @@ def protection(seeds: Sequence[int]) -> Section:
         "The lobby again, with the profile's own update: a cell that was hit in more than n_th scans is not "
         "decreased any more.",
         rows,
-        ran_on=told([seed]),
+        ran_on=seeds_text([seed]),
     )

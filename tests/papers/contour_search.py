@@ -11,7 +11,7 @@ from service.mapper.components import Match, Points
 from service.mapper.filters.deskew import BeamsConfig
 from service.mapper.papers.contour_lm.contour_map import ContourMap, ContourMapConfig
 from service.mapper.papers.contour_lm.contour_matcher import ContourLm, ContourLmConfig, SearchConfig
-from tests.papers.report import Row, Section, told
+from tests.papers.report import Row, Section, seeds_text
 from tests.papers.true_poses import true_scans
 from tests.simulated import Drive
 
@@ -57,7 +57,7 @@ def starts(what: Drive, beams: BeamsConfig, seed: int) -> Section:
         "search looks up to 50 cm and 20° around; back is within 5 cm and 0.5°. Logarithms are cut off at "
         "0.1.",
         rows,
-        ran_on=told([seed]),
+        ran_on=seeds_text([seed]),
     )
 
 

@@ -18,7 +18,7 @@ from simulators.world import World
 from simulators.worlds import build_world
 from tests.papers.pictures import end_points, plt, save
 from tests.papers.recorded import error_row
-from tests.papers.report import Row, Section, told
+from tests.papers.report import Row, Section, seeds_text
 from tests.simulated import Drive, Imu, Laser, Run, Wheels, begun_beside, drive, phase_m, run
 
 MATCHERS = {"icp_scan_to_scan": "ICP", "monte_carlo": "Monte Carlo", "icp_then_search": "IMLE"}
@@ -126,7 +126,7 @@ def accuracy_in_room(seeds: Sequence[int]) -> Section:
             digits=0,
         ),
     ]
-    return replace(section, rows=rows, ran_on=told(seeds))
+    return replace(section, rows=rows, ran_on=seeds_text(seeds))
 
 
 def worst_is_beyond(runs: int) -> float:
@@ -362,7 +362,7 @@ def large(seeds: Sequence[int]) -> Section:
         "parts that lie on the disk. Memory is the growth of the resident set of the process from before the "
         "first scan to its largest during the drive: matching map, shown map, pages of mapped files.",
         rows,
-        ran_on=told(seeds[:HALL_SEEDS]),
+        ran_on=seeds_text(seeds[:HALL_SEEDS]),
     )
 
 

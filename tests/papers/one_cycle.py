@@ -27,7 +27,7 @@ from service.mapper.profiles import build_mapper, mapping_config
 from simulators.worlds.office import office
 from tests.papers.contour_maps import grid, read
 from tests.papers.pictures import draw_likelihood, plt, save
-from tests.papers.report import Section, told
+from tests.papers.report import Section, seeds_text
 from tests.simulated import (
     FORWARD,
     LMS100_50HZ,
@@ -241,7 +241,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
         "Boxes as in the flow chart of Li et al. 2016 (A45).",
         tables=[log_of(boxes)],
         pictures=[picture],
-        ran_on=told(seeds[:1]),
+        ran_on=seeds_text(seeds[:1]),
     )
 
 
@@ -255,7 +255,7 @@ def owolm_cycle(seeds: Sequence[int]) -> Section:
         "Boxes as in the flow chart of Qian et al. 2019 (B33).",
         tables=[log_of(boxes)],
         pictures=[picture],
-        ran_on=told(seeds[:1]),
+        ran_on=seeds_text(seeds[:1]),
     )
 
 

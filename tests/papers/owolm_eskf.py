@@ -18,7 +18,7 @@ from simulators.worlds.corridors import corridor100
 from simulators.worlds.library import library, library_check_points, library_structure
 from tests.papers.owolm_pictures import draw_maps, draw_overlay, draw_segments
 from tests.papers.recorded import error_row, rescored, scored
-from tests.papers.report import Row, Section, told
+from tests.papers.report import Row, Section, seeds_text
 from tests.papers.true_poses import true_scans
 from tests.simulated import UTM30LX_40HZ, Drive, Imu, Run, Wheels, begun_beside, drive, phase_m, run
 
@@ -212,7 +212,7 @@ def _limits(seeds: Sequence[int]) -> Section:
         "buildings, whose walls are seldom straight for a metre, little structure remains to match to.",
         tables=["\n".join(lines), "\n".join(lost)],
         pictures=[picture],
-        ran_on=told(seeds[:1]),
+        ran_on=seeds_text(seeds[:1]),
     )
 
 
@@ -232,7 +232,7 @@ def _begun_at_an_angle(seeds: Sequence[int]) -> Section:
         "Start at an angle to the walls",
         "One lap. The map aligns its axes with the walls.",
         rows,
-        ran_on=told(seeds[:1]),
+        ran_on=seeds_text(seeds[:1]),
     )
 
 

@@ -19,7 +19,7 @@ from service.offline.score.score import RelationsScore, score
 from tests.papers.headings import bends, path_of, path_of_wheels
 from tests.papers.recorded import RELATIONS as RELATIONS_OF
 from tests.papers.recorded import scored
-from tests.papers.report import FOLDER, Row, Scenario, Section, told
+from tests.papers.report import FOLDER, Row, Scenario, Section, seeds_text
 from tests.shared_data import SHARED
 
 SETS = ("fr079", "csail", "mines1", "pioneer_lgfloor", "wean1")
@@ -187,7 +187,7 @@ def relations(name: str, seeds: Sequence[int]) -> Section:
         if profile == "submap_graph" and name in DRAWN:
             drawn = [scored(profile, name, {"matcher": {"seed": seed}}) for seed in seeds]
             errors_m = [one.error_m for one in drawn if one is not None]
-            rows.append(Row(name, f"{profile}: drawn with {told(seeds)}", errors_m, "m"))
+            rows.append(Row(name, f"{profile}: drawn with {seeds_text(seeds)}", errors_m, "m"))
         if found.lost_share:
             rows.append(Row(name, f"{profile}: scans lost", [100.0 * found.lost_share], "%", digits=1))
     return Section(

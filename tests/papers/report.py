@@ -23,7 +23,7 @@ class Row:
     at_least: float | None = None
     by_worst: bool = False
     digits: int = 3
-    cause: str = ""  # why the bound is missed, in a sentence: told where it is
+    cause: str = ""  # why the bound is missed, in a sentence: reported where it is
 
     def __post_init__(self) -> None:
         if not self.unit:
@@ -58,7 +58,7 @@ class Section:
     ran_on: str = ""  # "" where it is every seed
 
 
-def told(seeds: Sequence[int]) -> str:
+def seeds_text(seeds: Sequence[int]) -> str:
     return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
 
 

@@ -23,7 +23,7 @@ from simulators.worlds.floor import floor
 from simulators.worlds.mall import mall
 from simulators.worlds.office import office
 from tests.papers.pictures import draw_scale, end_points, plt, save
-from tests.papers.report import Row, Section, told
+from tests.papers.report import Row, Section, seeds_text
 from tests.simulated import FORWARD, LMS100_50HZ, Drive, Laser, Wheels, begun_beside, drive, phase_m
 
 CHECK_POINTS = 20
@@ -95,7 +95,7 @@ def precision(place: Place, seeds: Sequence[int]) -> Section:
         "their places in the map, in the median of the scans that see them: after a rigid fit, and by the "
         "distances between all of them.",
         rows,
-        ran_on=told(seeds[: place.seeds]),
+        ran_on=seeds_text(seeds[: place.seeds]),
     )
 
 
@@ -124,7 +124,7 @@ def weights(seeds: Sequence[int]) -> Section:
         "not known. `draw: around_scan` draws from a Gaussian around the best pose of the scan and weights "
         "by p / q.",
         rows,
-        ran_on=told(seeds[:3]),
+        ran_on=seeds_text(seeds[:3]),
     )
 
 
@@ -167,7 +167,7 @@ def against_single(seeds: Sequence[int]) -> Section:
             Row("", "one map: CPU a scan", [one.scan_ms for one in single], "ms", digits=1),
         ],
         pictures=[save(figure, "submap-graph-floor.png", caption)],
-        ran_on=told(seeds),
+        ran_on=seeds_text(seeds),
     )
 
 
@@ -223,7 +223,7 @@ def memory(seeds: Sequence[int]) -> Section:
                 cause=KEEPS,
             ),
         ],
-        ran_on=told(seeds[:1]),
+        ran_on=seeds_text(seeds[:1]),
     )
 
 
@@ -236,12 +236,12 @@ def hours(seeds: Sequence[int]) -> Section:
 
 def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
     """found: what the process has said of each ten minutes, and of the graph at the end."""
-    first, last = found["told"][0], found["told"][-1]
+    first, last = found["hours"][0], found["hours"][-1]
     lines = ["| minutes | way | sub-maps | resident memory | pose off by |", "|---|---|---|---|---|"]
     lines += [
         f"| {one['minutes']:.0f} | {one['way_m']:.0f} m | {one['submaps']} | {one['resident_mb']:.0f} MB "
         f"| {100.0 * one['off_m']:.1f} cm |"
-        for one in found["told"]
+        for one in found["hours"]
     ]
     return Section(
         "Two hours",
@@ -255,7 +255,7 @@ def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
             Row("D8", "resident memory at the end", [last["resident_mb"]], "MB", digits=0),
         ],
         ["\n".join(lines)],
-        ran_on=told([seed]),
+        ran_on=seeds_text([seed]),
     )
 
 

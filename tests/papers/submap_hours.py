@@ -54,7 +54,7 @@ def main(seed: int, seconds: float) -> None:
         return InlineWorker(back_end)
 
     mapper = build_mapper(config, {"front": FORWARD}, new_worker=new_worker)  # type: ignore[arg-type]
-    before_mb, first, told, began_s, worked_s = resident_mb(), ride.pose(0), [], time.thread_time(), 0.0
+    before_mb, first, facts, began_s, worked_s = resident_mb(), ride.pose(0), [], time.thread_time(), 0.0
     for frame in frames(ride, wheels, seconds, seed):
         output = mapper.process(frame)
         while mapper.graph.waiting:
@@ -63,11 +63,11 @@ def main(seed: int, seconds: float) -> None:
             worked_s += time.thread_time() - at_s
         if (
             output is None
-            or output.stamp_ns * 1e-9 < REPORTED_S * (len(told) + 1) - 1.5 * CART.period_ns * 1e-9
+            or output.stamp_ns * 1e-9 < REPORTED_S * (len(facts) + 1) - 1.5 * CART.period_ns * 1e-9
         ):
             continue
         off = (first.inverse() @ ride.pose(output.stamp_ns)).inverse() @ output.pose_map_base
-        told.append(
+        facts.append(
             {
                 "minutes": output.stamp_ns * 1e-9 / 60.0,
                 "way_m": held[0].way_m[-1],
@@ -77,8 +77,8 @@ def main(seed: int, seconds: float) -> None:
                 "cpu_s": time.thread_time() - began_s,
             }
         )
-        print(json.dumps(told[-1]), file=sys.stderr, flush=True)
-    print(json.dumps({"told": told, "graph_mb": len(pickle.dumps(held[0])) / 1e6}))
+        print(json.dumps(facts[-1]), file=sys.stderr, flush=True)
+    print(json.dumps({"hours": facts, "graph_mb": len(pickle.dumps(held[0])) / 1e6}))
 
 
 if __name__ == "__main__":

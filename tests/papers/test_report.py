@@ -1,7 +1,7 @@
 import pytest
 
 from tests.papers.__main__ import main
-from tests.papers.report import Row, Section, below_title, told, write_page
+from tests.papers.report import Row, Section, below_title, seeds_text, write_page
 
 MISSED = Row("A1", "error", [7.0], "mm", at_most=5.0, cause="the wall is glass")
 
@@ -14,7 +14,10 @@ def test_a_missed_bound_says_why_and_one_that_is_met_does_not():
 
 def test_a_section_says_what_it_ran_on_and_the_others_stay(tmp_path):
     page = tmp_path / "new" / "paper.md"
-    both = {"b": (Section("Second", "Old."), told([3])), "a": (Section("First", "Stays."), told([11, 12]))}
+    both = {
+        "b": (Section("Second", "Old."), seeds_text([3])),
+        "a": (Section("First", "Stays."), seeds_text([11, 12])),
+    }
     write_page(page, "# Paper\n", both, ["a", "b"])
     write_page(page, "# Paper\n", {"b": (Section("Second", "New."), "recordings")}, ["a", "b"])
     assert page.read_text() == (

@@ -95,7 +95,7 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
     else:
         process.send_signal(signal.SIGTERM)
     said, _ = process.communicate(timeout=PATIENCE_S)
-    more_s = children_cpu_s() - before_s  # of its own; nobody waits for the processes that it killed
+    more_s = children_cpu_s() - before_s  # of its own; no one waits for the processes that it killed
     where = f"{command}, {name} after {at_s:.2f} s said {said.decode()}"
     assert process.returncode == CODES[command, name], where
     assert more_s < MAX_CPU_S, where
@@ -162,7 +162,7 @@ def children_cpu_s() -> float:
 
 
 def until(what: Callable[[], bool], expected: str) -> None:
-    """The kernel tells nobody of such things, so they are asked for."""
+    """The kernel tells no one of such things, so they are asked for."""
     deadline_s = time.monotonic() + PATIENCE_S
     while not what():
         assert time.monotonic() < deadline_s, f"waited {PATIENCE_S:.0f} s for {expected}"

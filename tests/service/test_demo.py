@@ -64,7 +64,7 @@ def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path)
 def test_the_page_is_at_the_usual_port_or_at_a_free_one_and_off_where_it_is_not_wanted(tmp_path: Path):
     with socket.socket() as taken:
         taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        with contextlib.suppress(OSError):  # else somebody else has it
+        with contextlib.suppress(OSError):  # else someone else has it
             taken.bind(("127.0.0.1", WEB_PORT))
             taken.listen()
         page = _page(options(tmp_path))
@@ -190,7 +190,7 @@ LOAD = '{"event": "load_map", "map": "office", "version": 1}'
 
 
 def test_the_error_is_that_of_the_map_since_the_last_reset(tmp_path: Path):
-    """Each map begins at (0, 0, 0); the last pose of the one before is told behind the command."""
+    """Each map begins at (0, 0, 0); the last pose of the one before is reported behind the command."""
     (tmp_path / "truth.txt").write_text(TRUTH)
     off = SE2(1.0, 0.03, 0.0)
     poses = [(0, SE2()), (SECOND_NS, SE2(9.0)), (2 * SECOND_NS, SE2()), (3 * SECOND_NS, off)]

@@ -34,8 +34,8 @@ def test_others_read_lines_in_the_map_frame_that_replace_those_before() -> None:
     array = JAZZY.deserialize_cdr(encode_graph(PICTURE, 9).payload, MARKERS)
     first, *lines = array.markers
     assert first.action == first.DELETEALL
-    told = [(m.ns, m.id, m.type, len(m.points)) for m in lines]
-    assert told == [
+    facts = [(m.ns, m.id, m.type, len(m.points)) for m in lines]
+    assert facts == [
         ("key_frames", 0, 4, 5),
         ("key_frames", 1, 4, 2),
         ("sub_maps", 0, 4, 5),  # closed

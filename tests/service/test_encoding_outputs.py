@@ -48,7 +48,7 @@ def test_pose_covariance_is_in_the_axes_of_the_map():
     assert covariance[0, 0] == pytest.approx(0.01)  # the vehicle looks along the map's y
     assert covariance[1, 1] == pytest.approx(0.04)
     assert covariance[5, 5] == pytest.approx(0.001)
-    assert np.diag(covariance)[2:5].tolist() == [1e6] * 3  # z, roll and pitch, which nobody observes
+    assert np.diag(covariance)[2:5].tolist() == [1e6] * 3  # z, roll and pitch, which no one observes
     np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)), atol=1e-12)
     assert content.twist.twist.linear.x == 0.7
     assert content.twist.twist.angular.z == 0.1

@@ -1,4 +1,4 @@
-"""Folders without rights, given to commands. Root may read all, so the system is told to refuse."""
+"""Folders without rights, given to commands. Root may read all, so the system is asked to refuse."""
 
 import os
 from pathlib import Path

@@ -15,7 +15,7 @@ PERIOD_NS = 10 * MS
 
 
 class Counting:
-    """FakeDevice that says `<ms since its start>` each 10 ms while somebody listens, and answers."""
+    """FakeDevice that says `<ms since its start>` each 10 ms while someone listens, and answers."""
 
     def __init__(self) -> None:
         self.heard: list[bytes] = []

@@ -151,10 +151,10 @@ def test_faults_come_at_their_time_and_are_summed_up(tmp_path: Path):
                     assert time.monotonic() < deadline_s
         finally:
             process.send_signal(signal.SIGTERM)
-        _, told = process.communicate(timeout=PATIENCE_S)
+        _, facts = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-    assert "front had 1 cut" in told
-    assert "base had 1 restart" in told
+    assert "front had 1 cut" in facts
+    assert "base had 1 restart" in facts
     assert not Path(where["base"]).parent.exists()
 
 
@@ -171,16 +171,16 @@ def test_faults_that_cannot_be_are_78_and_name_the_place(tmp_path: Path):
 
 def test_losses_of_this_side_are_reported_once_each(caplog: pytest.LogCaptureFixture):
     vehicle = FakeVehicle(parse_devices([]), Ride(build_world("ring"), 0, 0.0), seed=1)
-    told: Counter[tuple[str, str]] = Counter()
+    facts: Counter[tuple[str, str]] = Counter()
     with caplog.at_level("WARNING"):
-        _tell_losses(vehicle, told)
+        _tell_losses(vehicle, facts)
         assert caplog.messages == []
         vehicle.devices["base"].counters[TURNS_SKIPPED] += 7  # type: ignore[union-attr]
         vehicle.wires["front"].counters[DROPPED] += 2
-        _tell_losses(vehicle, told)
+        _tell_losses(vehicle, facts)
         vehicle.devices["base"].counters[TURNS_SKIPPED] += 3  # type: ignore[union-attr]
-        _tell_losses(vehicle, told)
-        _tell_losses(vehicle, told)
+        _tell_losses(vehicle, facts)
+        _tell_losses(vehicle, facts)
     assert [message.partition(";")[0] for message in caplog.messages] == [
         "front: 2 more messages_dropped_slow_reader",
         "base: 7 more turns_skipped",

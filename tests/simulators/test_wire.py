@@ -166,7 +166,7 @@ def test_cut_resets_the_client_and_refuses_until_restored():
 
 
 class Loose(Ticker):
-    """Unplugged from its third tick on, until it is told."""
+    """Unplugged from its third tick on, until it is asked."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -289,7 +289,7 @@ def test_terminal_is_raw_and_clients_come_and_go():
 
 
 def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_before():
-    """What nobody read lies in the terminal itself, which the master's flush does not reach."""
+    """What no one read lies in the terminal itself, which the master's flush does not reach."""
     ticker = Ticker()
     with serve_pty(ticker) as path:
         fd = open_terminal(path)

@@ -76,7 +76,7 @@ def test_crowd_stays_within_three_metres_while_the_vehicle_drives(turned_rad):
     gaps_m = [np.hypot(*(np.array([p.place(t) for t in time_s]) - here).T) for p in crowd.people]
     assert len(gaps_m) == 5
     assert np.max(gaps_m) < 3.0
-    assert np.min(gaps_m) > 0.6  # nobody walks through the vehicle
+    assert np.min(gaps_m) > 0.6  # no one walks through the vehicle
 
 
 def test_spins_reach_three_radians_a_second():

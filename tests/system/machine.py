@@ -238,9 +238,9 @@ class Subscriber:
         )
         sample = reply.ok if reply.ok is not None else reply.err
         assert sample is not None
-        told: dict[str, Any] = json.loads(sample.payload.to_string())
-        assert told["ok"] is (reply.ok is not None)
-        return told
+        facts: dict[str, Any] = json.loads(sample.payload.to_string())
+        assert facts["ok"] is (reply.ok is not None)
+        return facts
 
     def close(self) -> None:
         self.session.close()

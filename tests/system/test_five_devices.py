@@ -143,13 +143,13 @@ def _check_that_nothing_is_lost(run: DemoRun) -> list[Path]:
     sessions = sorted(Path(run.summary["session"]).parent.glob("*.mcap"))
     recording = Recording(sessions)
     counts = {topic.name: topic.count for topic in recording.topics}
-    told = [
+    facts = [
         {status.name: status.values for status in decode_diagnostics(message.payload)}
         for message in recording.messages(["/diagnostics"])
     ]
-    losses, too_old = _losses(told[-1]), 0
+    losses, too_old = _losses(facts[-1]), 0
     for name, kind in CHANNELS.items():
-        status = told[-1][f"sensor/{name}"]
+        status = facts[-1][f"sensor/{name}"]
         frames, held_back = int(status["frames"]), int(status.get("count.frames_before_clock", "0"))
         received, discarded = _received(status)
         assert received - discarded <= frames <= received
@@ -162,7 +162,7 @@ def _check_that_nothing_is_lost(run: DemoRun) -> list[Path]:
             messages = recording.messages([f"/{name}/{kind}"])
             streamed = [decode_frame(m.type, m.payload, name, m.log_ns) for m in messages]
             _check_times([frame for frame in streamed if frame is not None], RATES_HZ[name])
-    unmapped = {k: int(count) for k, count in told[-1]["mapping"].items() if k.startswith("scans_dropped_")}
+    unmapped = {k: int(count) for k, count in facts[-1]["mapping"].items() if k.startswith("scans_dropped_")}
     late = sum(unmapped.values())  # recorded, but too far from their neighbours to be mapped
     assert losses.pop("mapping", 0) == 0 or not run.was_in_time
     assert losses == {}
@@ -192,12 +192,12 @@ def _check_times(frames: list[Frame], rate_hz: float) -> None:
     assert between_s.max() < 1.5 / rate_hz, f"{frames[0].sensor}: a hole of {between_s.max()} s"
 
 
-def _losses(told: dict[str, dict[str, Any]]) -> dict[str, int]:
+def _losses(facts: dict[str, dict[str, Any]]) -> dict[str, int]:
     """What the parts counted as lost, by sensor or part; scans too old to be mapped aside, and what had to
     make room on its way to subscribers, of whom there are none.
     """
     losses: dict[str, int] = {}
-    for part, values in told.items():
+    for part, values in facts.items():
         for name, value in values.items():
             aside = part == "zenoh" or name == "dropped" or (part, name) == ("mapping", "scans_dropped")
             aside |= name == "count.messages_missed"  # of the IMU, which counts the samples in them as well

@@ -38,7 +38,7 @@ def test_a_drive_with_two_profiles(live_service: LiveService, subscribe: Callabl
     again = [encode_pose(output, 0).payload for output in done.outputs]
     assert len(recorded) > 90
     assert again[: len(recorded)] == recorded  # to the last bit, over the switch
-    assert [told["profile"] for told in done.summary["profile_switches"]] == ["imle"]
+    assert [facts["profile"] for facts in done.summary["profile_switches"]] == ["imle"]
     second = replay([Path(active.removesuffix(".active"))], ReplayOptions())
     assert second.summary["profile"] == "imle"  # though its config says corridor
     assert second.outputs[0].pose_map_base.x_m == 0.0
@@ -46,11 +46,11 @@ def test_a_drive_with_two_profiles(live_service: LiveService, subscribe: Callabl
 
 def ask_until_done(subscriber: Subscriber, **request: str) -> dict[str, str]:
     """The first switch to a profile may compile its kernels for longer than an answer waits."""
-    told = subscriber.ask("switch_profile", id="1", **request)
-    while "taken up, but not finished" in told.get("error", ""):
-        told = subscriber.ask("switch_profile", id="1", **request)
-    assert told["ok"], told
-    return told
+    facts = subscriber.ask("switch_profile", id="1", **request)
+    while "taken up, but not finished" in facts.get("error", ""):
+        facts = subscriber.ask("switch_profile", id="1", **request)
+    assert facts["ok"], facts
+    return facts
 
 
 def profile_reported(subscriber: Subscriber) -> str:

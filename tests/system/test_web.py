@@ -63,7 +63,7 @@ def test_the_page_shows_what_zenoh_publishes(
     assert len(shown) > 5
     published = {pose.stamp_ns: pose for pose in map(decode_pose, (p for _, p in subscriber.heard["pose"]))}
     reported_twice = [pose for pose in poses if int(pose["stamp_ns"]) in published]
-    assert len(reported_twice) > len(poses) // 2  # Zenoh drops poses that nobody takes off its hands in time
+    assert len(reported_twice) > len(poses) // 2  # Zenoh drops poses that no one takes off its hands in time
     for pose in reported_twice:
         same = published[int(pose["stamp_ns"])].pose
         assert (pose["x_m"], pose["y_m"], pose["theta_rad"]) == (same.x_m, same.y_m, same.theta_rad)

@@ -55,11 +55,11 @@ def test_a_program_is_checked_by_mypy_against_the_installed_types(corridor: Path
 
 @pytest.mark.timeout(TIMEOUT_S)
 def test_it_replays_what_its_demo_recorded(corridor: Path, demo_run: DemoRun, tmp_path: Path):
-    told = demo_run.summary
-    assert told["scans"] > 0  # a busy machine passes many over
-    assert (Path(told["map"]) / "map.yaml").exists()
-    replayed = json.loads(run([str(corridor), "replay", told["session"], "--json", "--out", "r"], tmp_path))
-    assert replayed["scans"] == told["scans"]
+    facts = demo_run.summary
+    assert facts["scans"] > 0  # a busy machine passes many over
+    assert (Path(facts["map"]) / "map.yaml").exists()
+    replayed = json.loads(run([str(corridor), "replay", facts["session"], "--json", "--out", "r"], tmp_path))
+    assert replayed["scans"] == facts["scans"]
     assert (tmp_path / "r" / "map.png").exists()
 
 

@@ -70,7 +70,7 @@ def look_at_pages(machine: Machine, config: ServiceConfig, running: RunningServi
 
 
 def _tried(machine: Machine, door: _Door) -> OSError | None:
-    """Why nobody can listen there; None: one can."""
+    """Why no one can listen there; None: one can."""
     try:
         family, _, _, _, address = socket.getaddrinfo(
             door.host, door.port, type=door.kind, flags=socket.AI_PASSIVE

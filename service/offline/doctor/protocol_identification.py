@@ -1,4 +1,4 @@
-"""Which device or program speaks in these bytes, in words, for somebody who expected another one."""
+"""Which device or program speaks in these bytes, in words, for someone who expected another one."""
 
 import re
 from collections import Counter

@@ -69,7 +69,7 @@ def from_health(
             )
         ]
     found = [_from_status(status) for status in statuses]
-    told = {status.name.removeprefix(SENSOR_PREFIX) for status in statuses}
+    facts = {status.name.removeprefix(SENSOR_PREFIX) for status in statuses}
     found += [
         note(
             name,
@@ -77,7 +77,7 @@ def from_health(
             "it was started with another config; start it again to take this one",
         )
         for name in sensors
-        if name not in told
+        if name not in facts
     ]
     return found
 

@@ -23,7 +23,7 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
     """Walls, the way driven, the map's origin, a scale bar and a north arrow, at 1 : 100, y upwards.
 
     poses      pose_map_base, may be empty
-    reference  None: nobody knows where north is, and the arrow shows the map's y axis instead
+    reference  None: no one knows where north is, and the arrow shows the map's y axis instead
 
     Raises OSError.
     """

@@ -5,7 +5,7 @@ of GMapping's .gfs, and L and O lines (centimetres) of the logs handed out with 
 Sources: the comment lines CARMEN's logger puts at the head of its logs; GMapping's gfsreader and
 carmenconfiguration; the course's instruct.txt.
 
-Many published logs are "corrected": their poses are the result of somebody's SLAM. Those never become
+Many published logs are "corrected": their poses are the result of someone's SLAM. Those never become
 odometry unless asked for.
 """
 
@@ -51,7 +51,7 @@ LASERS = {
     "L": "front",
 }
 PLACE_PARAM = re.compile(r"robot_(front|rear)laser_(|side_|angular_)offset")  # a mounting
-FARTHEST_M = 1e6  # from where a log began; farther away nobody drove
+FARTHEST_M = 1e6  # from where a log began; farther away no one drove
 MAX_STAMP_S = 2**31  # ROS messages count seconds in int32
 CORRECTED_MARKS = {"NEFF": "GMapping's NEFF lines", "SM_UPDATE": "GMapping's SM_UPDATE lines"}
 
@@ -463,7 +463,7 @@ def _odometry_of(log: _Log, choice: OdometryChoice, report: ImportReport) -> lis
 
 
 def _chained(logged: Sequence[_Odometry]) -> list[_Odometry]:
-    """The way between corrections, put end to end: a pose without a time starts anew without moving."""
+    """The way between corrections, put end to end: a pose without a time starts again without moving."""
     chain, last, result = SE2(), SE2(), []
     for sample in logged:
         if sample.stamp_ns:

@@ -1,4 +1,4 @@
-"""Writes sessions that nobody recorded: what was imported, with its mountings, or what a replay found."""
+"""Writes sessions that no one recorded: what was imported, with its mountings, or what a replay found."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path

@@ -24,7 +24,7 @@ from service.offline.maps.loops import as_pairs, loops_of
 from service.publishing.commands import Answer, refusal
 from service.web.protocol import encode_tiles
 
-MAX_KEYFRAMES = 20_000  # told to a page; then every second, third ... is left out
+MAX_KEYFRAMES = 20_000  # reported to a page; then every second, third ... is left out
 MAX_VERSIONS = 50
 
 
@@ -50,16 +50,16 @@ class MapCommands:
             asked = asked_for.read_asked(verb, payload)
             match asked:
                 case asked_for.Look():
-                    told = self._look()
+                    facts = self._look()
                 case asked_for.LookAtKeyframe():
-                    told = self._keyframe(asked)
+                    facts = self._keyframe(asked)
                 case asked_for.LookAtVersion():
-                    told = self._version(asked.version)
+                    facts = self._version(asked.version)
                 case asked_for.Edit():
-                    told = self._edit(asked)
+                    facts = self._edit(asked)
         except CorridorError as error:
             return refusal(str(error).removeprefix(f"{self._folder}: "))  # the page shows one map
-        return Answer(True, json.dumps({"ok": True, **told}).encode())
+        return Answer(True, json.dumps({"ok": True, **facts}).encode())
 
     def _look(self) -> dict[str, Any]:
         log = map_log(self._folder)
@@ -97,12 +97,12 @@ class MapCommands:
         who, now_ns = asked.who.strip() or self._user, time.time_ns()
         change = asked.change
         if isinstance(change, asked_for.UndoTo):
-            told = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
+            facts = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
         else:
             edit = as_edit(change)
-            told = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, asked.version)
+            facts = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, asked.version)
         self._take(load_map(self._folder))
-        return told
+        return facts
 
     def _take(self, stored: StoredMap) -> None:
         self._stored = stored
@@ -110,7 +110,7 @@ class MapCommands:
 
 
 def look(stored: StoredMap) -> dict[str, Any]:
-    """What a page is told of a version: its number, pairs, passes that could be joined, and key frames."""
+    """What a page gets of a version: its number, pairs, passes that could be joined, and key frames."""
     graph = stored.graph
     return {
         "version": stored.number,

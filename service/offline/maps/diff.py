@@ -38,7 +38,7 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
     difference = Difference(before.tiles, after.tiles)
     counts = difference.counts()
     cell_m2 = difference.cell_m**2
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "before": _name(first, before),
         "after": _name(second, after),
         "area_new_m2": round(counts.area_new * cell_m2, 2),
@@ -48,22 +48,22 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
         "cells_changed": counts.changed,
     }
     if before.graph is not None and after.graph is not None:
-        told |= _graph_reported(before.graph, after.graph)
+        facts |= _graph_reported(before.graph, after.graph)
     if out is not None:
         if out.suffix != ".png":
             raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
         with whole_files(out) as path:
             write_png(path, annotated(difference.picture()), {**PALETTE, **COLOURS})
-        told["picture"] = str(out)
-    return {**told, "problems": [*before.problems, *after.problems]}
+        facts["picture"] = str(out)
+    return {**facts, "problems": [*before.problems, *after.problems]}
 
 
-def diff_table(told: dict[str, Any]) -> tuple[list[list[str]], dict[str, Any]]:
+def diff_table(facts: dict[str, Any]) -> tuple[list[list[str]], dict[str, Any]]:
     """Rows of words, heads first: what is counted both ways beside each other; and the rest."""
     rows = [["", "new", "gone"]]
-    rows += [[what, str(told[new]), str(told[gone])] for what, (new, gone) in _ROWS.items() if new in told]
+    rows += [[what, str(facts[new]), str(facts[gone])] for what, (new, gone) in _ROWS.items() if new in facts]
     in_table = {key for keys in _ROWS.values() for key in keys}
-    return rows, {key: value for key, value in told.items() if key not in in_table}
+    return rows, {key: value for key, value in facts.items() if key not in in_table}
 
 
 def _name(named: Named, stored: StoredMap) -> str:
@@ -79,7 +79,7 @@ def _graph_reported(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
     loops_before, loops_after = _loops(before), _loops(after)
     only_before = np.delete(np.arange(len(before)), in_before)
     only_after = np.delete(np.arange(len(after)), in_after)
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "keyframes_new": len(only_after),
         "keyframes_gone": len(only_before),
         "loops_new": len(loops_after - loops_before),
@@ -90,14 +90,14 @@ def _graph_reported(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
     }
     if moved.any():
         most = int(np.argmax(off_m))
-        told["moved"] = {
+        facts["moved"] = {
             "median_mm": round(1e3 * float(np.median(off_m[moved])), 1),
             "max_mm": round(1e3 * float(off_m[most]), 1),
             "max_deg": round(float(np.degrees(off_rad.max())), 3),
             "max_at_x_m": round(float(after.map[in_after[most], 0]), 2),
             "max_at_y_m": round(float(after.map[in_after[most], 1]), 2),
         }
-    return told
+    return facts
 
 
 def _points_changed(before: npt.NDArray[np.int64], after: npt.NDArray[np.int64]) -> tuple[int, int]:

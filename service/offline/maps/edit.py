@@ -51,7 +51,7 @@ class Changed:
 
     stored: StoredMap
     words: str
-    told: dict[str, Any]
+    facts: dict[str, Any]
 
 
 Change = Callable[[StoredMap], Changed]
@@ -89,7 +89,7 @@ def edit_map(
         "version": number,
         "version_before": before.number,
         "done": changed.words,
-        **changed.told,
+        **changed.facts,
         "problems": before.problems,
     }
 
@@ -139,9 +139,9 @@ def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
                 tiles, cells = with_area(stored.tiles, outline, UNKNOWN, shown.changed_tiles())
         as_what = {"free": "free", "unknown": "unknown", "as_seen": "free or unknown, as scans see them,"}
         words = f"{erased_words(outline)}: {counted(cells, 'cell')} {as_what[becomes]} now"
-        told = {"cells_changed": cells, "points_gone": points}
+        facts = {"cells_changed": cells, "points_gone": points}
         return Changed(
-            replace(stored, tiles=tiles, graph=graph), f"{words}, {counted(points, 'point')} gone", told
+            replace(stored, tiles=tiles, graph=graph), f"{words}, {counted(points, 'point')} gone", facts
         )
 
     return change
@@ -221,14 +221,14 @@ def refuse_loops(numbers: Sequence[int]) -> Change:
 
     def change(stored: StoredMap) -> Changed:
         less = without_loops(_graph_of(stored), numbers)
-        told = ", ".join(map(str, numbers))
-        return _solved(stored, less, f"took back loop{'s' * (len(numbers) > 1)} {told}", {})
+        facts = ", ".join(map(str, numbers))
+        return _solved(stored, less, f"took back loop{'s' * (len(numbers) > 1)} {facts}", {})
 
     return change
 
 
 def optimize() -> Change:
-    """All is solved and drawn anew."""
+    """All is solved and drawn again."""
 
     def change(stored: StoredMap) -> Changed:
         return _solved(stored, _graph_of(stored), "optimised", {})
@@ -272,7 +272,7 @@ def stamp_of(text: str, first_ns: int) -> int:
     return int(at.timestamp()) * 10**9 + at.microsecond * 1000
 
 
-def _solved(stored: StoredMap, graph: SavedGraph, words: str, told: dict[str, Any]) -> Changed:
+def _solved(stored: StoredMap, graph: SavedGraph, words: str, facts: dict[str, Any]) -> Changed:
     cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
     shown = OccupancyTiles(OccupancyConfig(), cell_m)
     done = solved(graph, shown.renderer)
@@ -281,7 +281,7 @@ def _solved(stored: StoredMap, graph: SavedGraph, words: str, told: dict[str, An
     return Changed(
         replace(stored, tiles=shown.changed_tiles(), graph=done.graph),
         moved_words(words, most_m, done.contradicted),
-        {**told, "moved_m": most_m, "loops_contradicted": done.contradicted},
+        {**facts, "moved_m": most_m, "loops_contradicted": done.contradicted},
     )
 
 

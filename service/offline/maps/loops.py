@@ -47,10 +47,10 @@ def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, An
         graph, refused.ends, refused.measured, refused.score, refused.points, refused.against
     )
     return (
-        [{"loop": k, **told} for k, told in enumerate(accepted)],
+        [{"loop": k, **facts} for k, facts in enumerate(accepted)],
         [
-            {"why": WORDS[reason], **told}
-            for reason, told in zip(refused.reason.tolist(), not_accepted, strict=True)
+            {"why": WORDS[reason], **facts}
+            for reason, facts in zip(refused.reason.tolist(), not_accepted, strict=True)
         ],
     )
 

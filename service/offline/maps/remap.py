@@ -61,7 +61,7 @@ def driven_again(session: SavedGraph | None, outline: Floats) -> Change:
         if not len(seen):
             raise EditError("the drive saw nothing of the area")
         done = with_area_driven_again(stored.graph, session, outline, seen, cell_m)
-        told = {
+        facts = {
             "cells_changed": cells,
             "keyframes_new": done.keyframes,
             "points_gone": done.points_gone,
@@ -74,7 +74,7 @@ def driven_again(session: SavedGraph | None, outline: Floats) -> Change:
             f"{counted(done.points_gone, 'point')} gone and {done.points_new} new in "
             f"{counted(done.keyframes, 'key frame')}"
         )
-        return Changed(replace(stored, tiles=tiles, graph=done.graph), words, told)
+        return Changed(replace(stored, tiles=tiles, graph=done.graph), words, facts)
 
     return change
 

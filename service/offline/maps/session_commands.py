@@ -69,6 +69,6 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
 
 
 if __name__ == "__main__":
-    told = os.fdopen(os.dup(1), "wb")
+    facts = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # nothing else comes between the answers
-    serve(sys.stdin.buffer, told)
+    serve(sys.stdin.buffer, facts)

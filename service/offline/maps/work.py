@@ -25,7 +25,7 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
     fine = [tile for tile in stored.tiles if tile.level == 0]
     cells = sum(int((tile.cells != UNKNOWN).sum()) for tile in fine)
     files = version_folder(folder, stored.number).iterdir()
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "map": str(folder),
         "version": stored.number,
         "saved": utc(stored.saved_ns),
@@ -39,7 +39,7 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
         "problems": stored.problems,
     }
     if (graph := stored.graph) is not None:
-        told |= {
+        facts |= {
             "keyframes": len(graph),
             "loops": len(graph.loop_ends),
             "sessions_and_pieces": len(np.unique(graph.piece)),
@@ -50,17 +50,17 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
             "stretches": stretches(graph),
             "way_m": round(float(np.hypot(*np.diff(graph.map[:, :2], axis=0).T).sum()), 1),
         }
-    return told
+    return facts
 
 
 def stretches(graph: SavedGraph) -> list[dict[str, Any]]:
     """From when to when each session or piece lasts, also in seconds after the first key frame of the map."""
     first_ns = int(graph.stamp_ns.min())
-    told = []
+    facts = []
     for piece in dict.fromkeys(graph.piece.tolist()):  # in the order driven
         stamps = graph.stamp_ns[graph.piece == piece]
         begin_ns, end_ns = int(stamps.min()), int(stamps.max())
-        told.append(
+        facts.append(
             {
                 "from": utc(begin_ns),
                 "to": utc(end_ns),
@@ -69,7 +69,7 @@ def stretches(graph: SavedGraph) -> list[dict[str, Any]]:
                 "keyframes": len(stamps),
             }
         )
-    return told
+    return facts
 
 
 def map_verify(folder: Path) -> dict[str, Any]:

@@ -65,7 +65,7 @@ KEPT_TILINGS = 3
 class RecordedMoments:
     """Raises InputError where the recording holds no poses of ours, and at a damaged place.
 
-    progress    told the share that is read
+    progress    called with the share that is read
     """
 
     def __init__(self, paths: Sequence[Path], progress: Callable[[float], None] = lambda share: None) -> None:

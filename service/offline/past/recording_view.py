@@ -21,9 +21,9 @@ class RecordingView:
 
     paths       files of one recording, or a folder of them
     listen      as web.listen in a config
-    progress    told the share of the recording that is read
+    progress    called with the share of the recording that is read
 
-    Who looks sees the moment that somebody with the token has gone to last. Raises InputError where the
+    Who looks sees the moment that someone with the token has gone to last. Raises InputError where the
     recording holds no poses, StorageError where the page cannot be served.
     """
 

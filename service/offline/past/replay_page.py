@@ -152,7 +152,7 @@ class ReplayPage:
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
         self._shown.take(tiles)
-        self.server.put_ready({STANDING: encode_standing(None)})  # told before the last loops
+        self.server.put_ready({STANDING: encode_standing(None)})  # reported before the last loops
         self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
         self._show_graph()
         self._way.clear()

@@ -92,15 +92,15 @@ class View:
         self._tiles.take(tiles)
         self._show_way(trajectory.stamp_ns, trajectory.pose)
         self.server.put(encode_graph(graph_picture(result), now_ns))
-        told = {} if result.stored is None else {"version": str(result.stored.number)}
+        facts = {} if result.stored is None else {"version": str(result.stored.number)}
         if (geo := result.geo) is not None:
-            told["map_yaw_enu_deg"] = f"{math.degrees(geo.pose_enu_map.theta_rad):.2f}"
-        version = f" of version {told['version']}" if result.stored is not None else ""
+            facts["map_yaw_enu_deg"] = f"{math.degrees(geo.pose_enu_map.theta_rad):.2f}"
+        version = f" of version {facts['version']}" if result.stored is not None else ""
         words = (
             f"{self._source}: {counted(len(tiles), 'tile')}{version}, "
             f"{counted(len(trajectory.pose), 'pose')}; nothing is measured"
         )
-        state = Status("mapping", OK, words, {"state": "stored", **told})
+        state = Status("mapping", OK, words, {"state": "stored", **facts})
         self.server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
         if result.stored is None:
             self._show_changes(tiles)

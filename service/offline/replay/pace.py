@@ -116,7 +116,7 @@ class Pace:
 
 
 class Unwatched:
-    """A Watch for nobody: keeps the pace alone."""
+    """A Watch for no one: keeps the pace alone."""
 
     def __init__(self, rate: float) -> None:
         self._pace = Pace(rate)

@@ -11,7 +11,7 @@ log = logging.getLogger(__name__)
 
 
 class ProfileSwitches:
-    """How frames are mapped from each switch on; the map begins anew at each in any case.
+    """How frames are mapped from each switch on; the map begins again at each in any case.
 
     configured     as the replay begins; a switch back to its profile takes its settings from here
     is_followed    False: --profile names the profile of the whole replay. One that is only localised in a

@@ -20,7 +20,7 @@ from service.version import VERSION
 
 log = logging.getLogger(__name__)
 
-FROM_RAW = "from_raw"  # metadata of a session whose frames were made anew
+FROM_RAW = "from_raw"  # metadata of a session whose frames were made again
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def _write(
 def _messages(
     recording: Recording, wires: Mapping[str, WireReplay], sensors: Mapping[str, str]
 ) -> Iterator[tuple[int, Message]]:
-    """Frames made anew and recorded events, each with the log time up to which the recording was read."""
+    """Frames made again and recorded events, each with the log time up to which the recording was read."""
     offset_ns, clock = utc_offset_ns(recording), LogClock()
     for message in recording.messages([*(f"/{channel}" for channel in sensors), "/events"]):
         if message.channel not in sensors:

@@ -174,7 +174,7 @@ def replay_to(
 
 
 def _part_of(progress: Progress, part: int, parts: int) -> Progress:
-    """Mapping counts over all sessions; the other phases come anew with each."""
+    """Mapping counts over all sessions; the other phases come again with each."""
 
     def tell(share: float | None, phase: str) -> None:
         progress((part + share) / parts if share is not None and phase == MAPPING else share, phase)

@@ -32,14 +32,14 @@ class SensorRates:
 
 def _gaps(stamps_ns: np.ndarray, begin_ns: int) -> dict[str, Any]:
     at_ns = np.unique(stamps_ns)
-    told: dict[str, Any] = {"frames": len(stamps_ns), "rate_hz": None, "gaps": 0, "longest_gaps": []}
+    facts: dict[str, Any] = {"frames": len(stamps_ns), "rate_hz": None, "gaps": 0, "longest_gaps": []}
     if len(at_ns) < 2:
-        return told
+        return facts
     interval_ns = np.diff(at_ns)
     period_ns = float(np.median(interval_ns))
     gaps = np.flatnonzero(interval_ns > GAP_PERIODS * period_ns)
     longest = np.sort(gaps[np.argsort(-interval_ns[gaps], kind="stable")][:MAX_GAPS])
-    return told | {
+    return facts | {
         "rate_hz": round(1e9 / period_ns, 3),
         "gaps": len(gaps),
         "longest_gaps": [

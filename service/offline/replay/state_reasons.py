@@ -40,7 +40,7 @@ class StateReasons:
         when it came first, in s after the first scan.
         """
         kinds = sorted(self._kinds.items(), key=lambda kind: -kind[1]["scans"])
-        return {state: [told for (of, _), told in kinds if of == state][:MAX_KINDS] for state in STATES}
+        return {state: [facts for (of, _), facts in kinds if of == state][:MAX_KINDS] for state in STATES}
 
 
 def doubts(summary: Mapping[str, Any]) -> Iterator[str]:

@@ -177,14 +177,14 @@ def _loops(graph: SavedGraph) -> list[Loop]:
     accepted, refused = loops_of(graph)
     return [
         Loop(
-            told["x_m"],
-            told["y_m"],
-            int(graph.stamp_ns[told["keyframes"][1]]),
-            told["off_mm"],
-            told["off_deg"],
-            told.get("why", ""),
+            facts["x_m"],
+            facts["y_m"],
+            int(graph.stamp_ns[facts["keyframes"][1]]),
+            facts["off_mm"],
+            facts["off_deg"],
+            facts.get("why", ""),
         )
-        for told in (*accepted, *refused)
+        for facts in (*accepted, *refused)
     ]
 
 

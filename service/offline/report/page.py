@@ -22,7 +22,7 @@ REPORT_FILE = "report.html"
 OLDEST_NS = 946_684_800_000_000_000  # the year 2000: stamps before it tell no date
 MAX_ROWS = 12  # of the loops with the largest errors
 STYLE = Path(__file__).with_name("style.css")
-# Nothing of a page that somebody sends around is fetched or run.
+# Nothing of a page that someone sends around is fetched or run.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
@@ -91,17 +91,17 @@ def _name(content: Content) -> str:
 
 def _header(content: Content, name: str) -> Markup:
     summary = content.summary
-    told = [f"{clock(content.duration_s)} {'h' if content.duration_s >= 3600 else 'min'} of driving"]
+    facts = [f"{clock(content.duration_s)} {'h' if content.duration_s >= 3600 else 'min'} of driving"]
     if content.begin_ns >= OLDEST_NS:
-        told.insert(0, f"{datetime.fromtimestamp(content.begin_ns / 1e9, UTC):%d %B %Y, %H:%M:%S} UTC")
+        facts.insert(0, f"{datetime.fromtimestamp(content.begin_ns / 1e9, UTC):%d %B %Y, %H:%M:%S} UTC")
     if summary.profile:
-        told.append(f"profile {summary.profile}")
+        facts.append(f"profile {summary.profile}")
     if summary.corridor:
-        told.append(f"corridor {summary.corridor}")
+        facts.append(f"corridor {summary.corridor}")
     if content.edit is not None:
-        told.append(f"map as edited: {content.edit}")
+        facts.append(f"map as edited: {content.edit}")
     return tag(
-        "header", tag("h1", name), tag("p", " · ".join(told)), tag("p", _verdict(content), class_="verdict")
+        "header", tag("h1", name), tag("p", " · ".join(facts)), tag("p", _verdict(content), class_="verdict")
     )
 
 
@@ -217,8 +217,8 @@ def _reasons(content: Content) -> Markup | None:
             if state == "ok":
                 continue
             at_s = (int(states.stamp_ns[first[state, reason_id]]) - content.begin_ns) / 1e9
-            told = words.get((state, reason_id))
-            rows.append((_chip(state), reason_id, count, clock(at_s), told.reason if told else ""))
+            facts = words.get((state, reason_id))
+            rows.append((_chip(state), reason_id, count, clock(at_s), facts.reason if facts else ""))
     else:
         for (state, reason_id), reason in words.items():
             rows.append((_chip(state), reason_id, reason.scans, clock(reason.first_s), reason.reason))

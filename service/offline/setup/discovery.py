@@ -1,8 +1,8 @@
 """Which of our devices is at a host or a port: asked as the live driver asks, until it has said who it is.
 
-Nothing is sent to a host or a port that nobody named, but for the serial ports of this machine. On a serial
+Nothing is sent to a host or a port that no one named, but for the serial ports of this machine. On a serial
 port it first listens, then asks in an order that cannot start a robot: bytes of another protocol are commands
-to it only after it was told to begin, which its own driver alone does.
+to it only after it was asked to begin, which its own driver alone does.
 """
 
 import threading

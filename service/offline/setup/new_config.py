@@ -42,9 +42,9 @@ class NewConfig:
 
     def __str__(self) -> str:
         lines = [
-            f"{name}: {told['type']} at {told['wire']}"
-            + "".join(f", {key} {text}" for key, text in told["identity"].items())
-            for name, told in self.sensors.items()
+            f"{name}: {facts['type']} at {facts['wire']}"
+            + "".join(f", {key} {text}" for key, text in facts["identity"].items())
+            for name, facts in self.sensors.items()
         ]
         lines += [f"{wire}: {words}" for wire, words in self.silent.items()]
         lines += [f"wrote {self.out}; measure the mountings in it, then: corridor doctor {self.out}"]
@@ -83,8 +83,8 @@ def write_new_config(
     silent = {str(found.wire): found.words for found in asked if not found.type}
     sensors = named([found for found in asked if found.type])
     if not sensors:
-        told = "\n".join(f"  {wire}: {words}" for wire, words in silent.items())
-        raise CorridorError(f"no device answers, so there is nothing to write:\n{told}")
+        facts = "\n".join(f"  {wire}: {words}" for wire, words in silent.items())
+        raise CorridorError(f"no device answers, so there is nothing to write:\n{facts}")
     text = render(sensors, vehicle, data, out)
     parse_config(text, str(out))
     try:

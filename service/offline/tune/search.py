@@ -99,7 +99,7 @@ def tune(
     present = run.all("present", {one.name: one.present for one in parameters}, drives)
     study = _open_study(optuna, out, _about(drives, options, parameters, seed), parameters)
     while (done := len(_ended(study))) < trials:
-        # Anew for each trial, of its number: a search that goes on draws what one in a single run draws.
+        # Again for each trial, of its number: a search that goes on draws what one in a single run draws.
         study.sampler = optuna.samplers.TPESampler(seed=seed + done, multivariate=True)
         trial = study.ask()
         state, cost = _try(optuna, trial, run)

@@ -16,7 +16,7 @@ from service.compile.signatures import Job, jobs_of_process
 from service.kernels import branch_and_bound
 from service.mapper.profiles import mapping_config
 
-WITHIN_S = 600.0  # the process that compiles takes only what processor time nobody else wants
+WITHIN_S = 600.0  # the process that compiles takes only what processor time no one else wants
 COLD = ("build_pyramid", "write_tiles", "match_scan")  # the last is called with every scan
 
 

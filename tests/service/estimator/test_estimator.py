@@ -318,7 +318,7 @@ def test_odometry_that_begins_again_costs_the_step_in_which_it_did(
 
 
 def test_a_restart_right_after_a_scan_is_no_motion() -> None:
-    """Odometry begins anew 10 m away, so soon that it counts as there at the scan: nobody is to blame."""
+    """Odometry begins again 10 m away, so soon that it counts as there at the scan: no one is to blame."""
     model = Estimator(EstimatorConfig())
     driven(model, 5000)
     for stamp_ms in range(5020, 7001, 20):
@@ -381,7 +381,7 @@ def test_a_pause_of_odometry_between_two_scans_is_reported_and_one_of_the_laser_
     assert alone.predict(1000 * MS).pause_s == 0.0
     assert alone.predict(10_000 * MS).pause_s == pytest.approx(
         9.0
-    )  # without odometry nobody measures the way
+    )  # without odometry no one measures the way
 
 
 def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:

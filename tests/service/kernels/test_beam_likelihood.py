@@ -123,7 +123,7 @@ def test_a_thing_that_is_gone_counts_once_however_many_beams_say_so():
     one = ratios((4.5, 0.0), known, number=1)
     many = ratios([(4.5, 0.001 * k) for k in range(10)], known, number=2)
     assert many.sum() == pytest.approx(one.sum())
-    assert ratios((4.5, 0.0), known, number=3) == pytest.approx(one)  # at another pose it is asked anew
+    assert ratios((4.5, 0.0), known, number=3) == pytest.approx(one)  # at another pose it is asked again
 
 
 def test_of_a_wall_that_the_map_itself_looked_through_a_beam_does_not_say_much():

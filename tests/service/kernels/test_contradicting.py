@@ -13,7 +13,7 @@ NEAR_M, FAR_M = 2.0, 3.0
 
 @pytest.fixture(scope="module")
 def place() -> CandidateSubmap:
-    """A wall at NEAR_M, wider than what is asked, and nobody has looked behind it."""
+    """A wall at NEAR_M, wider than what is asked, and no one has looked behind it."""
     made = CandidateSubmap()
     for _ in range(4):
         made.see(*wall(NEAR_M, 0.6, 400))

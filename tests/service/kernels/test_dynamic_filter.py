@@ -104,7 +104,7 @@ def test_a_cell_counts_time_and_not_beyond_enough() -> None:
         place.see(xy, normals)
         assert set(place.scores(xy)) == {min(k, SETTINGS.enough)}
     other = CandidateSubmap()
-    expected = (1, 5, 9, 10)  # when it was seen first, nobody knows for how long it had been there
+    expected = (1, 5, 9, 10)  # when it was seen first, no one knows for how long it had been there
     for score in expected:
         other.see(xy, normals, ticks=4)
         assert set(other.scores(xy)) == {score}

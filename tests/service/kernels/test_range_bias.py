@@ -76,7 +76,7 @@ def test_the_bias_of_some_ranges_shows_on_walls_that_were_seen_without_it() -> N
     seen_m = seen_bias(mapped(np.zeros(NODES), rng), bias_m, LASERS, rng)
     np.testing.assert_allclose(seen_m[5:8], 0.02, atol=0.004)
     np.testing.assert_allclose(seen_m[2:4], 0.0, atol=0.004)
-    assert seen_m[NODES] == 0.0  # of a laser too many nobody knows where the map has it from
+    assert seen_m[NODES] == 0.0  # of a laser too many no one knows where the map has it from
 
 
 def test_the_bias_of_all_ranges_shows_in_the_angles_at_which_walls_are_seen() -> None:

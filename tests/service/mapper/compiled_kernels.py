@@ -58,8 +58,8 @@ def main() -> None:
                 counts[f"{module.name}.{name}"] = len(kernel.signatures)
     heavy = [name for name in ("gtsam", "scipy.linalg") if name in sys.modules]
     late = sorted(set(compiled_or_loaded()) - before) if sys.argv[1:] else []
-    told = {"compiled": len(compiled.buffer), "signatures": counts, "imported": heavy, "late": late}
-    print(json.dumps(told))
+    facts = {"compiled": len(compiled.buffer), "signatures": counts, "imported": heavy, "late": late}
+    print(json.dumps(facts))
 
 
 def replace_shown(is_localizing: bool) -> None:

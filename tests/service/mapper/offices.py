@@ -23,7 +23,7 @@ def through(world: str, seconds: float, seed: int, stand_s: float = 0.5, laser: 
 
 @cache
 def mapped_office() -> tuple[Drive, BeginIn]:
-    """Half a lap, and its map. Nobody can write into the arrays of its graph."""
+    """Half a lap, and its map. No one can write into the arrays of its graph."""
     made = through("office", MAPPED_S, 3)
     mapper = run(mapping_config(), made).mapper
     graph = mapper.finish().update.saved

@@ -1,4 +1,4 @@
-"""What a cell needs before it is told as changed, each condition by itself: one tile, seen by hand."""
+"""What a cell needs before it is reported as changed, each condition by itself: one tile, seen by hand."""
 
 import math
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ def ends_through(cells, pose_x_m: float, times: float = 1.6) -> list[tuple[float
     return [(pose_x_m + times * (x - pose_x_m), 1.5 + times * (y - 1.5)) for x, y in cells]
 
 
-def told(room: Room) -> list[tuple[float, float]]:
+def facts(room: Room) -> list[tuple[float, float]]:
     return sorted((round(float(x), 2), round(float(y), 2)) for x, y in room.changes().xy_map)
 
 
@@ -67,7 +67,7 @@ def test_what_stands_in_free_ground_is_reported_once_it_was_seen_from_three_pose
     for poses, expected in ((2, []), (3, BOX)):
         room = Room()
         room.see_from(BOX, poses, scans=6, over_ms=1500.0)
-        assert told(room) == expected
+        assert facts(room) == expected
     assert room.changes().is_new.all()
 
 
@@ -78,14 +78,14 @@ def test_a_pose_that_turned_is_another() -> None:
         c, s = math.cos(turn_rad), math.sin(turn_rad)
         ends = (np.array(BOX) - (0.3, 1.5)) @ np.array([[c, -s], [s, c]])
         room.watch.add(points_of(ends), SE2(0.3, 1.5, turn_rad), k * 300 * MS)
-    assert told(room) == BOX
+    assert facts(room) == BOX
 
 
 @pytest.mark.parametrize(("scans", "expected"), [(4, []), (5, BOX)])
 def test_five_scans_have_to_contradict(scans: int, expected: list) -> None:
     room = Room()
     room.see_from(BOX, 3, scans, over_ms=1500.0)
-    assert told(room) == expected
+    assert facts(room) == expected
 
 
 @pytest.mark.parametrize(("over_ms", "expected"), [(990.0, []), (1000.0, BOX)])
@@ -93,7 +93,7 @@ def test_a_second_has_to_pass_from_the_first_contradiction(over_ms: float, expec
     room = Room()
     room.see([(0.9, 0.9)], 0.3, -2000.0)  # a scan without one
     room.see_from(BOX, 3, scans=5, over_ms=over_ms)
-    assert told(room) == expected
+    assert facts(room) == expected
 
 
 @pytest.mark.parametrize(("every_ms", "scans"), [(100.0, 3), (200.0, 5)])
@@ -112,7 +112,7 @@ def test_four_scans_in_five_have_to_agree(clear: int, expected: list) -> None:
     room.see_from(BOX, 3, scans=8, over_ms=1600.0)
     for k in range(clear):
         room.see(ends_through(BOX, 0.3), 0.3, 1900.0 + 300.0 * k)
-    assert told(room) == expected
+    assert facts(room) == expected
 
 
 @pytest.mark.parametrize("gone", [False, True])
@@ -131,14 +131,14 @@ def test_four_cells_have_to_hang_together(cells: list, expected: list | str, gon
     for k in range(8):
         pose_x_m = (0.3, 0.6, 0.9)[k % 3]
         room.see(ends_through(cells, pose_x_m) if gone else cells, pose_x_m, 300.0 * k)
-    assert told(room) == (sorted(cells) if expected == "all" else expected)
+    assert facts(room) == (sorted(cells) if expected == "all" else expected)
     assert (room.changes().is_new == (not gone)).all()
 
 
 def test_what_ends_beside_a_wall_of_the_map_is_that_wall() -> None:
     room = Room(walls=tuple(BOX))
     room.see_from([(x - 0.1, y) for x, y in BOX], 3, scans=8, over_ms=1600.0)
-    assert told(room) == []
+    assert facts(room) == []
 
 
 @pytest.mark.parametrize(("times", "gone"), [(1.16, 0), (1.4, len(BOX))])
@@ -157,7 +157,7 @@ def test_beams_along_a_wall_say_nothing_of_it() -> None:
     room = Room(walls=wall)
     ends = [(3.0, 1.5 - 0.01 * k) for k in range(2, 12)]
     room.see_from(ends, 3, scans=8, over_ms=1600.0)
-    assert told(room) == []
+    assert facts(room) == []
 
 
 def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:

@@ -49,8 +49,8 @@ def judged(
 
 
 def test_a_scan_on_a_piece_that_was_found_has_the_pose_of_the_find_and_its_covariance():
-    place, *told = judged(FOUND, "lost", "contradicted")
-    assert told == ["degraded", FOUND_ONCE]
+    place, *facts = judged(FOUND, "lost", "contradicted")
+    assert facts == ["degraded", FOUND_ONCE]
     assert place.pose_map_odom == OF_FIND
     np.testing.assert_allclose(place.covariance_of(MOTION), KNOWN.covariance)
 
@@ -61,8 +61,8 @@ def test_a_scan_on_a_piece_that_was_found_has_the_pose_of_the_find_and_its_covar
 def test_a_find_says_nothing_of_another_piece_of_a_scan_beside_it_and_of_one_on_the_map(
     state: State, piece: int, measured: Measurement | None
 ):
-    place, *told = judged(FOUND, state, "", piece, measured)
-    assert told == [state, ""]
+    place, *facts = judged(FOUND, state, "", piece, measured)
+    assert facts == [state, ""]
     assert place.pose_map_odom == OF_GRAPH
     assert place.covariance_of(MOTION) is MOTION.covariance
 
@@ -75,8 +75,8 @@ def test_a_find_says_nothing_of_another_piece_of_a_scan_beside_it_and_of_one_on_
         ("proven", ["ok", ""]),
     ],
 )
-def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, told: list[str]):
-    assert list(judged(PlaceNews(placed), "ok")[1:]) == told
+def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, facts: list[str]):
+    assert list(judged(PlaceNews(placed), "ok")[1:]) == facts
 
 
 def test_who_is_lost_is_reported_between_which_places_and_that_the_pose_a_person_set_is_not_one():

@@ -61,8 +61,8 @@ def before(laser) -> tuple[Drive, BeginIn]:
     return made, BeginIn(graph, rendered_of(mapper.changed_tiles()))
 
 
-def driven_again(begin: BeginIn, again: Drive, told: dict[int, MapChanges] | None = None) -> tuple:
-    """The mapper and its outputs; told: out, what was told from time to time, by stamp."""
+def driven_again(begin: BeginIn, again: Drive, facts: dict[int, MapChanges] | None = None) -> tuple:
+    """The mapper and its outputs; reported: out, what was reported from time to time, by stamp."""
     mapper = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
     outputs, asked_ns = [], 0
     for frame in again.frames:
@@ -71,8 +71,8 @@ def driven_again(begin: BeginIn, again: Drive, told: dict[int, MapChanges] | Non
             mapper.apply_result()
         if output is not None:
             outputs.append(output)
-            if told is not None and output.stamp_ns >= asked_ns and mapper.map_changes is not None:
-                told[output.stamp_ns], asked_ns = mapper.map_changes, output.stamp_ns + ASKED_EVERY_NS
+            if facts is not None and output.stamp_ns >= asked_ns and mapper.map_changes is not None:
+                facts[output.stamp_ns], asked_ns = mapper.map_changes, output.stamp_ns + ASKED_EVERY_NS
     return mapper, outputs
 
 
@@ -82,8 +82,8 @@ Driven = tuple[Mapper, list[MapperOutput], Drive, dict[int, MapChanges]]
 @pytest.fixture(scope="module")
 def after(laser, before) -> Driven:
     again = drive(office(with_change=True), laser, SECONDS, 4, Wheels())
-    told: dict[int, MapChanges] = {}
-    return *driven_again(before[1], again, told), again, told
+    facts: dict[int, MapChanges] = {}
+    return *driven_again(before[1], again, facts), again, facts
 
 
 def off_rim_m(xy_plan: np.ndarray, middle: tuple[float, float], size_m: tuple[float, float]) -> np.ndarray:
@@ -126,7 +126,7 @@ def test_who_finds_it_knows_its_place_as_well_as_if_nothing_had_changed(before, 
 
 
 def test_each_change_is_reported_within_seconds_of_the_first_scan_that_contradicts(before, after):
-    mapper, _, _, told = after
+    mapper, _, _, facts = after
     last = mapper.map_changes
     assert last is not None
     for middle, size_m, is_new in ((IS, PALLET_M, True), (DOOR, DOOR_M, True), (WAS, PALLET_M, False)):
@@ -136,7 +136,7 @@ def test_each_change_is_reported_within_seconds_of_the_first_scan_that_contradic
             return near & (changes.is_new == is_new)
 
         first_ns = int(last.first_ns[there(last)].min())
-        reported_ns = min(stamp_ns for stamp_ns, changes in told.items() if there(changes).any())
+        reported_ns = min(stamp_ns for stamp_ns, changes in facts.items() if there(changes).any())
         assert 1.0 <= (reported_ns - first_ns) / 1e9 <= REPORTED_WITHIN_S  # not at once: people pass, too
     assert mapper.counters["changed_cells_new"] > 0
     assert mapper.counters["changed_cells_gone"] > 0

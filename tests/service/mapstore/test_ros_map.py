@@ -161,8 +161,8 @@ def test_a_yaw_in_the_origin_turns_the_map_with_a_warning(tmp_path, caplog):
     pixels = np.full((60, 90), 254, np.uint8)
     pixels[20, 30] = 0
     grid = read_ros_map(map_of(tmp_path, Image.fromarray(pixels), origin=[3.0, -4.0, 0.7]))
-    (told,) = caplog.records
-    assert "yaw of 40.107 deg" in told.message
+    (facts,) = caplog.records
+    assert "yaw of 40.107 deg" in facts.message
     row, column = np.argwhere(grid.cells == 100).mean(axis=0)
     found = grid.x_min_m + (column + 0.5) * 0.5, grid.y_min_m + (row + 0.5) * 0.5
     u, v = 30.5 * 0.5, 39.5 * 0.5  # of the pixel's middle, along the picture

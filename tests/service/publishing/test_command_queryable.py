@@ -47,12 +47,12 @@ def served(publisher: ZenohPublisher, asked: Asked) -> Iterator[ZenohPublisher]:
 
 def ask(session: zenoh.Session, key: str, payload: str | None = None) -> list[tuple[bool, str, str]]:
     """Replies as (good, encoding, text)."""
-    told = []
+    facts = []
     for reply in session.get(f"{ROOT}/{key}", payload=payload, timeout=10.0):
         sample = reply.ok if reply.ok is not None else reply.err
         assert sample is not None
-        told.append((reply.ok is not None, str(sample.encoding), sample.payload.to_string()))
-    return told
+        facts.append((reply.ok is not None, str(sample.encoding), sample.payload.to_string()))
+    return facts
 
 
 def test_verb_and_payload_go_in_and_json_comes_out(
@@ -175,12 +175,12 @@ def test_commands_that_are_not_done_when_the_session_closes_are_in_the_log(
         assert asked.entered.acquire(timeout=10.0)
     answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-command"]
     publisher.close()
-    told = [record.getMessage() for record in caplog.records]
+    facts = [record.getMessage() for record in caplog.records]
     asked.go.set()
     for asker in asking:
         asker.result(20.0)
     for thread in answering:
         thread.join(20.0)
-    assert sorted(told) == [
+    assert sorted(facts) == [
         f"command '{verb}' is not done after 0 s; who asked hears no answer" for verb in ("mark", "pause")
     ]

@@ -18,7 +18,7 @@ class Paint(Request):
 
 
 class Workshop:
-    """Verbs that note what was begun and settle at once, unless told to wait."""
+    """Verbs that note what was begun and settle at once, unless asked to wait."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -40,9 +40,9 @@ class Workshop:
     def ask(self, verb: str, request: object = None) -> dict[str, Any]:
         payload = request if isinstance(request, bytes) else json.dumps(request).encode() if request else b""
         answer = self.dispatcher.answer(verb, payload)
-        told: dict[str, Any] = json.loads(answer.body)
-        assert told["ok"] is answer.ok
-        return told
+        facts: dict[str, Any] = json.loads(answer.body)
+        assert facts["ok"] is answer.ok
+        return facts
 
 
 @pytest.fixture
@@ -78,8 +78,8 @@ def test_a_request_is_done_and_its_answer_told(workshop: Workshop):
     ],
 )
 def test_what_cannot_be_done_is_told_in_words(workshop: Workshop, verb: str, request_: object, words: str):
-    told = workshop.ask(verb, request_)
-    assert words in told["error"]
+    facts = workshop.ask(verb, request_)
+    assert words in facts["error"]
     assert workshop.begun == []
     assert workshop.dispatcher.counts() == {"refused": 1}
 
@@ -97,8 +97,8 @@ def test_an_id_does_not_serve_for_another_command(workshop: Workshop):
     workshop.ask("render", {"colour": "red", "id": "7"})
     workshop.now_s = 12.0
     for verb, request in (("render", {"colour": "blue", "id": "7"}), ("wash", {"id": "7"})):
-        told = workshop.ask(verb, request)
-        assert told["error"].startswith("the id '7' was taken 12 s ago by render, with other content")
+        facts = workshop.ask(verb, request)
+        assert facts["error"].startswith("the id '7' was taken 12 s ago by render, with other content")
     assert len(workshop.begun) == 1
 
 
@@ -119,8 +119,8 @@ def test_ids_do_not_pile_up_without_end(workshop: Workshop, monkeypatch: pytest.
 
 def test_what_takes_too_long_is_reported_and_its_end_can_be_asked_for(workshop: Workshop):
     workshop.settles = False
-    told = workshop.ask("wash", {"id": "7"})
-    assert told["error"].startswith("taken up, but not finished within 0.05 s")
+    facts = workshop.ask("wash", {"id": "7"})
+    assert facts["error"].startswith("taken up, but not finished within 0.05 s")
     workshop.outcomes[0].failed("no water")
     assert workshop.ask("wash", {"id": "7"}) == {"ok": False, "id": "7", "error": "no water"}
     assert len(workshop.begun) == 1

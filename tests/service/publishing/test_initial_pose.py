@@ -1,4 +1,4 @@
-"""Poses on initialpose become set_pose; what is no pose is refused and told."""
+"""Poses on initialpose become set_pose; what is no pose is refused and reported."""
 
 import json
 import logging
@@ -126,11 +126,11 @@ def test_a_pose_that_is_not_answered_when_the_session_closes_is_in_the_log(
     assert asked.entered.acquire(timeout=20.0)
     answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-initialpose"]
     publisher.close()
-    told = [record.getMessage() for record in caplog.records]
+    facts = [record.getMessage() for record in caplog.records]
     asked.go.set()
     for thread in answering:
         thread.join(20.0)
-    assert told == ["initialpose: what came last is not answered after 0 s"]
+    assert facts == ["initialpose: what came last is not answered after 0 s"]
 
 
 def test_a_pose_for_all_vehicles_is_refused(served: ZenohPublisher, client: zenoh.Session, asked: Asked):

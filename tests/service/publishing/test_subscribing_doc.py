@@ -19,7 +19,7 @@ from tests.waiting import wait_until
 
 DOC = Path(__file__).parents[3] / "docs" / "subscribing.md"
 
-# Joins, says so, follows until told on stdin which version is the last, and prints what it holds then.
+# Joins, says so, follows until stdin says which version is the last, and prints what it holds then.
 JOINER = """
 import hashlib, json, sys, threading, zenoh
 from mirror import MapMirror, connect, follow

@@ -95,10 +95,10 @@ def test_a_burst_of_what_belongs_together_arrives_whole(publisher, client):
 
 
 def test_latency_is_reported_for_what_has_an_origin(open_publisher):
-    told, done = [], threading.Event()
+    facts, done = [], threading.Event()
 
     def note(latency_ns: int) -> None:
-        told.append(latency_ns)
+        facts.append(latency_ns)
         done.set()
 
     publisher = open_publisher(on_latency=note)
@@ -106,8 +106,8 @@ def test_latency_is_reported_for_what_has_an_origin(open_publisher):
     publisher.put(message("pose", 1), origin_ns=time.monotonic_ns() - 5_000_000)
     assert done.wait(TIMEOUT_S)
     publisher.close()
-    assert len(told) == 1
-    assert 5_000_000 <= told[0] < 2_000_000_000
+    assert len(facts) == 1
+    assert 5_000_000 <= facts[0] < 2_000_000_000
 
 
 def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
@@ -150,7 +150,7 @@ def test_a_late_joiner_with_history_gets_the_state_without_asking(publisher, cli
 def test_what_is_not_there_yet_is_answered_by_nothing_at_once(publisher, client):
     began_s = time.monotonic()
     assert [get(client, key) for key in ("pose", "map", "map/meta", "map/tile/**")] == [[], [], [], []]
-    assert time.monotonic() - began_s < TIMEOUT_S  # which one that nobody answers takes
+    assert time.monotonic() - began_s < TIMEOUT_S  # which one that no one answers takes
 
 
 def test_changed_tiles_arrive_with_their_version(publisher, client, store):

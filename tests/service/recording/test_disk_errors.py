@@ -14,7 +14,7 @@ from tests.waiting import wait_until
 
 
 class Clock:
-    """A monotonic clock that a test sets; it wakes nobody, the recorder looks at it."""
+    """A monotonic clock that a test sets; it wakes no one, the recorder looks at it."""
 
     def __init__(self) -> None:
         self.now_s = 100.0

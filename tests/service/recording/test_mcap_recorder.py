@@ -229,8 +229,8 @@ def test_what_is_decided_about_an_earlier_frame_is_not_in_a_session_that_began_s
     session.put(event("about scan 1", scan_message(1).log_ns - 1))
     session.put(event("about scan 2", scan_message(2).log_ns - 1))
     first, second = session.finish()
-    told = [[decode_event(m.payload) for m in Recording([f]).messages(["/events"])] for f in (first, second)]
-    assert told == [["go on", "about scan 0"], ["begin", "about scan 2"]]
+    facts = [[decode_event(m.payload) for m in Recording([f]).messages(["/events"])] for f in (first, second)]
+    assert facts == [["go on", "about scan 0"], ["begin", "about scan 2"]]
     assert not session.health.dropped
 
 

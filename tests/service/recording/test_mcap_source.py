@@ -307,8 +307,8 @@ def test_of_two_lasers_in_one_topic_that_without_a_mounting_is_refused(foreign, 
     sensor = "scan_rear" if mounted == "rear" else "scan"
     assert {frame.sensor for frame in frames} == {sensor}
     assert session.counters == {"/scan": len(frames), "/scan refused": 9 - len(frames)}
-    told = session.shared_topics["/scan"]
-    assert (told[read]["sensor"], told[refused]["sensor"]) == (sensor, None)
+    facts = session.shared_topics["/scan"]
+    assert (facts[read]["sensor"], facts[refused]["sensor"]) == (sensor, None)
     assert any(
         note.startswith(f"passed over frame_id '{refused}' in /scan") and "not the only one" in note
         for note in session.notes

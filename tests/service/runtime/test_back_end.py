@@ -13,7 +13,7 @@ from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
 
 
 class Adder:
-    """Sums what it gets; told a word, it misbehaves; a pipe counts for 10 once somebody has written to it."""
+    """Sums what it gets; sent a word, it misbehaves; a pipe counts for 10 once someone has written to it."""
 
     def __init__(self) -> None:
         self.total = 0
@@ -158,7 +158,7 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     process: BackEndProcess, tmp_path: Path
 ):
     """Who takes over has the answers that it has not got yet sent again. The back end is at work when it is
-    told to copy itself, and reads that together with the work behind it.
+    asked to copy itself, and reads that together with the work behind it.
     """
     gate = tmp_path / "gate"
     os.mkfifo(gate)

@@ -70,7 +70,7 @@ class Machine:
         self.prepared: list[tuple[str, int]] = []  # stored maps that mappers began in
         self.mapper_fault = ""  # why the mapper cannot read a stored map
         session = MappingSession(FakeMapper, ["front"], None)
-        self.profiles: list[Mapping[str, Any]] = []  # sections that mappers began anew with
+        self.profiles: list[Mapping[str, Any]] = []  # sections that mappers began again with
         self.compiled: list[Mapping[str, Any]] = []
         self.compiler_fault = ""
         self.present = PresentMapping(mapping_config())
@@ -105,8 +105,8 @@ class Machine:
             self.intake.put(scan(now_ns, now_ns, [1.0, 2.0, float(self._scans)]))
 
     def ask(self, verb: str, **request: object) -> dict[str, Any]:
-        told: dict[str, Any] = json.loads(self.dispatcher.answer(verb, json.dumps(request).encode()).body)
-        return told
+        facts: dict[str, Any] = json.loads(self.dispatcher.answer(verb, json.dumps(request).encode()).body)
+        return facts
 
     def stop(self) -> list[Path]:
         self.intake.close()
@@ -157,8 +157,8 @@ def channels(path: Path) -> list[str]:
 
 
 def test_the_known_verbs(machine: Machine):
-    told = machine.ask("fly")
-    assert told == {
+    facts = machine.ask("fly")
+    assert facts == {
         "ok": False,
         "error": "there is no command 'fly'; known: add_landmark_pair, checkpoint, edit_map, load_map, mark, "
         "optimize, pause, remove_landmark_pair, reset_map, resume, save_map, set_mode, set_pose, "
@@ -206,9 +206,9 @@ def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Mach
 def test_requests_to_the_graph_stand_in_the_recording_and_are_answered_by_it(machine: Machine):
     pair = {"first": {"submap": 0, "x_m": 1.0, "y_m": 2.0}, "second": {"submap": 3, "x_m": 1.5, "y_m": 2.0}}
     machine.scan()
-    told = machine.ask("add_landmark_pair", **pair)
-    assert not told["ok"]
-    assert "this profile has no graph" in told["error"]
+    facts = machine.ask("add_landmark_pair", **pair)
+    assert not facts["ok"]
+    assert "this profile has no graph" in facts["error"]
     assert "'second' is missing" in machine.ask("add_landmark_pair", first=pair["first"])["error"]
     for verb, request in (("optimize", {}), ("undo", {}), ("remove_landmark_pair", {"pair": 1})):
         assert "this profile has no graph" in machine.ask(verb, **request)["error"]
@@ -231,11 +231,11 @@ def test_requests_to_the_graph_stand_in_the_recording_and_are_answered_by_it(mac
 def test_save_map_answers_when_every_scan_before_it_is_on_disk(machine: Machine, tmp_path: Path):
     assert "there is no map yet" in machine.ask("save_map")["error"]
     machine.scan(5)
-    told = machine.ask("save_map")
-    assert told == {"ok": True, "folder": str(tmp_path / "map"), "version": 1, "map_version": 5}
+    facts = machine.ask("save_map")
+    assert facts == {"ok": True, "folder": str(tmp_path / "map"), "version": 1, "map_version": 5}
     stored = load_map(tmp_path / "map")
     assert (stored.number, [t.version for t in stored.tiles]) == (1, [5])
-    assert machine.ask("save_map") == told  # nothing new
+    assert machine.ask("save_map") == facts  # nothing new
     machine.scan()
     assert machine.ask("save_map")["version"] == 2
 
@@ -244,16 +244,16 @@ def test_a_map_that_cannot_be_saved_is_reported(machine: Machine, tmp_path: Path
     (tmp_path / "map").write_text("in the way")
     machine.scan()
     assert "cannot save the map to" in machine.ask("save_map")["error"]
-    told = machine.ask("reset_map")
-    assert told["error"].startswith("the map is reset, but the one before is not saved yet: cannot save")
+    facts = machine.ask("reset_map")
+    assert facts["error"].startswith("the map is reset, but the one before is not saved yet: cannot save")
     (tmp_path / "map").unlink()
 
 
 def test_a_map_is_saved_under_a_name_besides(machine: Machine, tmp_path: Path):
     assert "there is no map yet" in machine.ask("save_map", name="office")["error"]
     machine.scan(2)
-    told = machine.ask("save_map", name="office")
-    assert (told["folder"], told["version"]) == (str(tmp_path / "office"), 1)
+    facts = machine.ask("save_map", name="office")
+    assert (facts["folder"], facts["version"]) == (str(tmp_path / "office"), 1)
     assert load_map(tmp_path / "office").tiles[0].version == load_map(tmp_path / "map").tiles[0].version
     machine.scan()
     assert machine.ask("save_map", name="office")["version"] == 2
@@ -269,8 +269,8 @@ def test_a_stored_map_is_loaded_and_the_one_before_is_saved(machine: Machine, tm
     save_map(tmp_path / "office", [tile(1)], 1)
     save_map(tmp_path / "office", [tile(2)], 2)
     machine.scan(2)
-    told = machine.ask("load_map", map="office", version=1)
-    assert told == {
+    facts = machine.ask("load_map", map="office", version=1)
+    assert facts == {
         "ok": True,
         "folder": str(tmp_path / "office"),
         "version": 1,
@@ -297,8 +297,8 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
     save_map(tmp_path / "office", [tile(1)], 1)
     assert "no version 7; there are 1" in machine.ask("load_map", map="office", version=7)["error"]
     machine.mapper_fault = "v000001/graph.npz: damaged"
-    told = machine.ask("load_map", map="office")
-    assert told["error"] == "the map before stays: v000001/graph.npz: damaged"
+    facts = machine.ask("load_map", map="office")
+    assert facts["error"] == "the map before stays: v000001/graph.npz: damaged"
     assert machine.saver.folder == tmp_path / "map"
     assert machine.tiles.number == 1
     is_free(tmp_path / "office")
@@ -337,9 +337,9 @@ def test_a_map_that_cannot_be_begun_in_is_refused_and_the_present_one_stays(mach
 def test_a_request_that_cannot_be_meant_is_refused_in_words(
     machine: Machine, verb: str, request_: dict[str, Any], why: str
 ):
-    told = machine.ask(verb, **request_)
-    assert told["ok"] is False
-    assert why in told["error"]
+    facts = machine.ask(verb, **request_)
+    assert facts["ok"] is False
+    assert why in facts["error"]
 
 
 def is_free(folder: Path) -> None:
@@ -384,8 +384,8 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
     empty = machine.ask("reset_map")
     assert empty == {"ok": True, "folder": str(tmp_path / "map"), "folder_before": None}
     machine.scan(3)
-    told = machine.ask("reset_map")
-    assert told == {"ok": True, "folder": str(tmp_path / "map_2"), "folder_before": str(tmp_path / "map")}
+    facts = machine.ask("reset_map")
+    assert facts == {"ok": True, "folder": str(tmp_path / "map_2"), "folder_before": str(tmp_path / "map")}
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [3]
     machine.scan(2)
     assert machine.ask("save_map") == {
@@ -396,12 +396,12 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
 
 @pytest.mark.parametrize("verb", ["reset_map", "load_map"])
 def test_a_map_that_ends_is_saved_with_its_graph_as_it_is_then(machine: Machine, tmp_path: Path, verb: str):
-    """However short it lasted: without one nobody could go on in it."""
+    """However short it lasted: without one no one could go on in it."""
     save_map(tmp_path / "office", [tile(1)], 1, graph=graph_of(4))
     machine.checkpoints_in(tmp_path / "graphs")
     machine.scan(3)
-    told = machine.ask(verb, **({"map": "office"} if verb == "load_map" else {}))
-    assert told["folder_before"] == str(tmp_path / "map")
+    facts = machine.ask(verb, **({"map": "office"} if verb == "load_map" else {}))
+    assert facts["folder_before"] == str(tmp_path / "map")
     graph = load_map(tmp_path / "map").graph
     assert graph is not None
     assert len(graph) == 5
@@ -413,8 +413,8 @@ def test_a_stored_map_that_is_reset_before_its_first_scan_gets_no_version_of_ano
     save_map(tmp_path / "office", [tile(1)], 1)
     machine.scan()
     machine.ask("load_map", map="office")
-    told = machine.ask("reset_map")
-    assert (told["folder"], told["folder_before"]) == (str(tmp_path / "map_2"), None)
+    facts = machine.ask("reset_map")
+    assert (facts["folder"], facts["folder_before"]) == (str(tmp_path / "map_2"), None)
     is_free(tmp_path / "office")
     machine.scan()
     assert machine.ask("save_map")["folder"] == str(tmp_path / "map_2")

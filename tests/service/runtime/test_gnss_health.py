@@ -55,7 +55,7 @@ def test_the_worst_of_several_is_reported():
 
 
 def test_a_fault_of_the_map_before_is_forgotten_when_another_is_loaded():
-    """Its graph counts anew, and does not know the counter yet."""
+    """Its graph counts again, and does not know the counter yet."""
     health = GnssHealth()
     health.status({"fixes_taken": 3, "fixes_out_of_order": 5}, REFERENCE, 0)
     loaded = health.status({"fixes_taken": 1}, None, 1)

@@ -99,10 +99,10 @@ def status(made: HealthReport, name: str, now_ns: int = 11 * S) -> Any:
     ],
 )
 def test_a_sensor_says_in_words_how_it_is(link: LinkHealth, level: int, words: str):
-    told = SensorHealth(link).status(dropped=0, unusable=0, now_ns=11 * S)
-    assert told.level == level
-    assert told.message.startswith(words)
-    assert level == OK or NAMES_ALL.search(told.message)
+    facts = SensorHealth(link).status(dropped=0, unusable=0, now_ns=11 * S)
+    assert facts.level == level
+    assert facts.message.startswith(words)
+    assert level == OK or NAMES_ALL.search(facts.message)
 
 
 def test_rates_drops_offset_counters_and_identity_are_reported():
@@ -144,10 +144,10 @@ def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     assert status(made, "mapping").message.startswith("no laser is mapped (expected one at least)")
     reason = NO_REASON if state == "ok" else FEW
     made.parts.outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
-    told = status(made, "mapping")
-    assert (told.level, told.message) == (level, reason or "ok")
-    assert told.values["reason_id"] == reason.id
-    assert (told.values["inlier_ratio"], told.values["mode"]) == ("0.800", "mapping")
+    facts = status(made, "mapping")
+    assert (facts.level, facts.message) == (level, reason or "ok")
+    assert facts.values["reason_id"] == reason.id
+    assert (facts.values["inlier_ratio"], facts.values["mode"]) == ("0.800", "mapping")
     made.parts.outputs.is_localizing = True
     assert status(made, "mapping").values["mode"] == "localization"
     assert made.line.startswith(f"mapping {state}, 1/1 sensors, ")
@@ -184,9 +184,9 @@ def test_rows_and_words_of_the_sinks_come_from_the_sinks():
 def test_a_stepped_wall_clock_is_reported():
     made = report(streaming())
     made.update(11 * S, -3_600 * S)
-    told = next(status for status in made.statuses if status.name == "clock")
-    assert told.level == WARNING
-    assert "stepped by -3600.000 s" in told.message
+    facts = next(status for status in made.statuses if status.name == "clock")
+    assert facts.level == WARNING
+    assert "stepped by -3600.000 s" in facts.message
 
 
 def test_a_change_of_state_is_reported_once():
@@ -203,10 +203,10 @@ def test_a_change_of_the_mapping_is_reported_once_with_its_reason():
     made.update(11 * S, 0)
     assert made.mapping_state[0] == "waiting"
     assert made.take_mapping_change() is None
-    for state, reason, told in (("ok", NO_REASON, "ok"), ("lost", FEW, FEW)):
+    for state, reason, facts in (("ok", NO_REASON, "ok"), ("lost", FEW, FEW)):
         made.parts.outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
         made.update(11 * S, 0)
-        assert made.take_mapping_change() == (state, told)
+        assert made.take_mapping_change() == (state, facts)
         assert made.take_mapping_change() is None
     made.update(13 * S, 0)
     change = made.take_mapping_change()
@@ -217,18 +217,18 @@ def test_a_change_of_the_mapping_is_reported_once_with_its_reason():
 def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
-    told = []
+    facts = []
     for second in range(11, 61):
         made.parts.outputs.last_ns = second * S
         made.parts.outputs.overload = lambda is_so=second % 2: (
             "12 scans in 3.0 s were not mapped" if is_so else ""
         )
         made.update(second * S, 0)
-        told.append(made.take_mapping_change())
-    seconds = [k for k, change in enumerate(told) if change is not None]
+        facts.append(made.take_mapping_change())
+    seconds = [k for k, change in enumerate(facts) if change is not None]
     assert len(seconds) > 2
     assert min(np.diff(seconds)) >= 10
-    states = [change[0] for change in told if change is not None]
+    states = [change[0] for change in facts if change is not None]
     assert all(before != after for before, after in pairwise(states))
 
 
@@ -262,8 +262,8 @@ def test_the_message_holds_all_of_it():
 def test_a_pause_is_a_warning_until_it_ends():
     made = report(streaming())
     made.parts.intake.paused = True
-    told = status(made, "mapping")
-    assert (told.level, told.values["state"]) == (WARNING, "paused")
+    facts = status(made, "mapping")
+    assert (facts.level, facts.values["state"]) == (WARNING, "paused")
     assert made.line.startswith("mapping paused, 1/1 sensors, ")
 
 
@@ -274,9 +274,9 @@ def test_times_that_cannot_be_are_a_warning_of_their_own():
         "/base/odom: its clock was set",
         "/front/scan: 9 of 89 messages are dropped",
     )
-    told = status(made, "timing")
-    assert (told.level, told.values["warnings"]) == (WARNING, "2")
-    assert told.message == "/base/odom: its clock was set; /front/scan: 9 of 89 messages are dropped"
+    facts = status(made, "timing")
+    assert (facts.level, facts.values["warnings"]) == (WARNING, "2")
+    assert facts.message == "/base/odom: its clock was set; /front/scan: 9 of 89 messages are dropped"
 
 
 def test_commands_are_counted():
@@ -287,9 +287,9 @@ def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     made.parts.outputs.graph_fault = "the process died"
-    told = status(made, "mapping")
-    assert told.level == WARNING
-    assert told.message.startswith(
+    facts = status(made, "mapping")
+    assert facts.level == WARNING
+    assert facts.message.startswith(
         "no loops are closed (expected where a place is seen again): the process died; "
     )
 
@@ -298,11 +298,11 @@ def test_an_overloaded_mapper_is_a_warning_with_its_figures():
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     made.parts.outputs.overload = lambda: "12 scans in 3.0 s were not mapped"
-    told = status(made, "mapping")
-    assert (told.level, told.values["state"]) == (WARNING, "overloaded")
-    assert told.message.startswith("12 scans in 3.0 s")
+    facts = status(made, "mapping")
+    assert (facts.level, facts.values["state"]) == (WARNING, "overloaded")
+    assert facts.message.startswith("12 scans in 3.0 s")
     assert made.line.startswith("mapping overloaded")
-    assert (told.values["queue_length"], told.values["restarts"]) == ("3", "1")
+    assert (facts.values["queue_length"], facts.values["restarts"]) == ("3", "1")
 
 
 @pytest.mark.parametrize(
@@ -314,9 +314,9 @@ def test_too_little_processor_time_does_not_hide_a_fault_of_the_pose(
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, state, FEW, 0.2, 1, ())
     made.parts.outputs.overload = lambda: "12 scans in 3.0 s"
-    told = status(made, "mapping")
-    assert (told.level, told.values["state"]) == (level, reported_state)
-    assert told.message == "few beams agree; 12 scans in 3.0 s"
+    facts = status(made, "mapping")
+    assert (facts.level, facts.values["state"]) == (level, reported_state)
+    assert facts.message == "few beams agree; 12 scans in 3.0 s"
     assert made.line.startswith(f"mapping {reported_state}, ")
 
 
@@ -329,8 +329,8 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     def reported_at(seconds: int, restarts: int) -> tuple[int, str]:
         outputs.restarts, outputs.last_ns = restarts, seconds * S
         made.update(seconds * S, 0)
-        told = next(status for status in made.statuses if status.name == "mapping")
-        return told.level, told.message
+        facts = next(status for status in made.statuses if status.name == "mapping")
+        return facts.level, facts.message
 
     assert reported_at(11, 1) == (OK, "ok")
     level, words = reported_at(20, 3)
@@ -347,13 +347,13 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
 def test_a_pose_that_is_not_fresh_is_an_error():
     made = report(streaming())
     made.parts.outputs.last, made.parts.outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
-    told = status(made, "mapping")
-    assert told.level == ERROR
-    assert told.message == (
+    facts = status(made, "mapping")
+    assert facts.level == ERROR
+    assert facts.message == (
         "no pose for 4.0 s (expected one each 0.5 s at least): no scan of front comes; the "
         "status sensor/front says what to check"
     )
-    assert (told.values["state"], told.values["age_s"]) == ("stale", "4.00")
+    assert (facts.values["state"], facts.values["age_s"]) == ("stale", "4.00")
     assert made.line.startswith("mapping stale, ")
 
 
@@ -375,19 +375,19 @@ def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
     made.parts.outputs.overload = lambda: overload
     status(made, "mapping", 10 * S)
     link.frames, link.last_frame_ns = 150, 11 * S
-    told = status(made, "mapping")
+    facts = status(made, "mapping")
     unmapped = (
         f"no scan of front mapped yet (expected within 5 s): front sends 50 scans/s, but {words}; if it stays"
     )
-    assert told.message.startswith(unmapped)
+    assert facts.message.startswith(unmapped)
     made.parts.outputs.last, made.parts.outputs.last_ns = (
         Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()),
         11 * S - 800_000_000,
     )
     link.frames = 200
-    told = status(made, "mapping", 11 * S)
-    assert told.message.startswith("no pose for 0.8 s (expected one each 0.5 s at least): front sends ")
-    assert f" scans/s, but {words}; if it stays so, start the service again" in told.message
+    facts = status(made, "mapping", 11 * S)
+    assert facts.message.startswith("no pose for 0.8 s (expected one each 0.5 s at least): front sends ")
+    assert f" scans/s, but {words}; if it stays so, start the service again" in facts.message
 
 
 def test_the_lasers_without_scans_are_named():

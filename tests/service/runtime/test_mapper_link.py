@@ -188,7 +188,7 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
     assert drive.heard.poses == undisturbed.heard.poses
     assert len(drive.heard.takeovers) == drive.link.restarts == 3
     numbers = [m.number for m in drive.heard.messages if isinstance(m, Mapped)]
-    assert numbers == sorted(set(numbers))  # nothing is told twice
+    assert numbers == sorted(set(numbers))  # nothing is reported twice
 
 
 def folder_of(link: MapperLink) -> Path:
@@ -362,7 +362,7 @@ def test_stand_bys_end_with_a_profile_that_has_none_and_come_back_with_one_that_
     drive.scan(10)
     drive.until_mapped()
     assert to_imle[0].result is True
-    assert not drive.link._kept  # nobody will ever ask for them
+    assert not drive.link._kept  # no one will ever ask for them
     back = drive.switch("contour_lm")
     drive.scan(10)
     drive.until_mapped()

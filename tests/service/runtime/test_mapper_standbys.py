@@ -33,7 +33,7 @@ from tests.service.runtime.test_mapper_link import Heard, folder_of
 from tests.waiting import wait_until
 
 TIMEOUT_S = 10.0
-FIRST, SECOND, LATE, THIRD = -2, -3, -4, -5  # process ids that nobody has and nobody kills
+FIRST, SECOND, LATE, THIRD = -2, -3, -4, -5  # process ids that no one has and no one kills
 
 
 class Acted:

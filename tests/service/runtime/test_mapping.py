@@ -93,8 +93,8 @@ def test_a_pose_that_is_given_up_is_an_event_once_and_none_when_there_is_news(ca
         mapper.pose_refused = refused
         run.put(frame)
     events = [json.loads(decode_event(m.payload)) for m in run.recorded if m.channel == "events"]
-    told = {"event": "set_pose_given_up", "x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
-    assert events == [told, told]
+    facts = {"event": "set_pose_given_up", "x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
+    assert events == [facts, facts]
     assert "(1.00, 2.00) m, 0.50 rad is rejected" in caplog.text
 
 
@@ -183,7 +183,7 @@ def test_what_has_changed_is_reported_when_it_is_something_else():
     loop = MappingLoop(session, said.append, (), lambda: now_ns[0])
     outputs = Run(FakeMapper())
 
-    def told() -> list[Grid]:
+    def facts() -> list[Grid]:
         now_ns[0] += 10**9
         said.clear()
         loop.keep_up(is_idle=True)
@@ -192,17 +192,17 @@ def test_what_has_changed_is_reported_when_it_is_something_else():
             outputs.outputs.heard(message)
         return [decode_grid(m.payload) for m in outputs.recorded if m.channel == "map/changes"]
 
-    assert told() == []  # nobody watches
+    assert facts() == []  # no one watches
     mapper.changes_reported = changed([0.25])
-    (grid,) = told()
+    (grid,) = facts()
     assert (grid.cells.tolist(), grid.x_min_m, grid.cell_m) == ([[100]], pytest.approx(0.2), 0.1)
     mapper.changes_reported = changed([0.25])
-    assert told() == []  # the same cells
+    assert facts() == []  # the same cells
     mapper.changes_reported = changed([0.25, 0.35])
-    (grid,) = told()
+    (grid,) = facts()
     assert grid.cells.tolist() == [[100, 100]]
     session.carry_out("reset_map")
-    (grid,) = told()
+    (grid,) = facts()
     assert grid.cells.size == 0
 
 
@@ -223,7 +223,7 @@ def test_what_stands_is_reported_each_two_seconds_while_scans_come():
         for _ in range(count):
             loop.take(next(items)._replace(arrived_ns=now_ns[0]))
 
-    def told(later_s: float, is_idle: bool = True) -> list[Message]:
+    def facts(later_s: float, is_idle: bool = True) -> list[Message]:
         now_ns[0] += round(later_s * 1e9)
         said.clear()
         loop.keep_up(is_idle)
@@ -232,17 +232,17 @@ def test_what_stands_is_reported_each_two_seconds_while_scans_come():
             run.outputs.heard(message)
         return [message for message in run.recorded if message.channel == "standing"]
 
-    assert told(0.0) == []  # no scan was mapped
+    assert facts(0.0) == []  # no scan was mapped
     take(2)
-    assert told(1.0) == []
-    (message,) = told(1.1)
+    assert facts(1.0) == []
+    (message,) = facts(1.1)
     assert decode_grid(message.payload).cells.tolist() == mapper.stands.cells.tolist()
-    assert told(2.1) == []  # nothing came meanwhile
+    assert facts(2.1) == []  # nothing came meanwhile
     take(1)
-    assert told(2.1, is_idle=False) == []  # items wait
-    assert len(told(8.0, is_idle=False)) == 1
+    assert facts(2.1, is_idle=False) == []  # items wait
+    assert len(facts(8.0, is_idle=False)) == 1
     mapper.stands = None
-    assert told(9.0) == []
+    assert facts(9.0) == []
 
 
 def test_before_the_graph_takes_its_time_at_the_end_ingest_hears_that_no_item_waits():

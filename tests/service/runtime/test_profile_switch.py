@@ -31,8 +31,8 @@ def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(
     tmp_path: Path,
 ):
     machine.scan(3)
-    told = machine.ask("switch_profile", profile="imle")
-    assert told == {
+    facts = machine.ask("switch_profile", profile="imle")
+    assert facts == {
         "ok": True,
         "profile": "imle",
         "folder": str(tmp_path / "map_2"),

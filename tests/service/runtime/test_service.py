@@ -180,15 +180,15 @@ def test_a_mapper_that_fails_at_every_scan_brings_the_service_down_with_its_reco
     open_service: Callable[..., Service], strange: Callable[[str], None]
 ):
     strange("raises")
-    told = threading.Event()
-    service = open_service(on_failure=told.set)
+    facts = threading.Event()
+    service = open_service(on_failure=facts.set)
     service.start()
     for k in range(MAX_DEATHS):
         arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
         service.frame_sink(
             scan(arrived_ns + k * 20_000_000, arrived_ns + k * 20_000_000, [FATAL_RANGE_M, 2.0, 3.0])
         )
-    assert told.wait(30.0)
+    assert facts.wait(30.0)
     assert f"{MAX_DEATHS} times after item 0" in service.failure
     summary = service.stop()
     recording = Recording(summary.sessions)
@@ -271,12 +271,12 @@ def test_a_clean_stop_is_no_fault_however_long_it_takes(
 def test_a_thread_no_one_watches_brings_the_service_down_too(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
 ):
-    told = threading.Event()
-    service = open_service(on_failure=told.set)
+    facts = threading.Event()
+    service = open_service(on_failure=facts.set)
     service.start()
     stray = threading.Thread(target=lambda: [][0], name="stray")
     stray.start()
-    assert told.wait(5.0)
+    assert facts.wait(5.0)
     stray.join()
     assert service.failure == "stray: IndexError: list index out of range"
     service.stop()
@@ -321,10 +321,10 @@ def test_what_was_loaded_before_the_config_was_checked_is_not_loaded_again(
     strange("says what it loads")
     loaded = tmp_path / "loaded"
     monkeypatch.setenv(LOADED, str(loaded))
-    for told, times in (("corridor", 1), ("imle", 2)):
+    for facts, times in (("corridor", 1), ("imle", 2)):
         loaded.write_text("")
         with EarlyMapper() as early:
-            early.tell({"profile": told})
+            early.tell({"profile": facts})
             service = open_service(early=early)
             assert service.start()
             service.stop()

@@ -51,11 +51,11 @@ def test_where_the_newest_is_gone_the_next_is_due_at_once() -> None:
 
 
 def test_the_process_tells_of_scans_alone_and_of_each_when_it_is_taken() -> None:
-    process, told, taken = object.__new__(MapperProcess), [], []
+    process, facts, taken = object.__new__(MapperProcess), [], []
     process._loop = SimpleNamespace(take=taken.append)
-    process._schedule = SimpleNamespace(arrived=lambda *scan: told.append(scan))
+    process._schedule = SimpleNamespace(arrived=lambda *scan: facts.append(scan))
     scan, odometry = (FrameItem(k, 0, 7 + k, "front", t, b"") for k, t in enumerate((LASER_SCAN, "odom")))
     process._items = deque([odometry, scan, odometry])
     process._take_up_to_scan()
-    assert told == [("front", 7)]
+    assert facts == [("front", 7)]
     assert taken == [odometry, scan]

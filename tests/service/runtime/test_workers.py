@@ -6,10 +6,10 @@ from service.runtime.workers import Workers
 
 
 def test_a_failing_thread_is_reported_at_once_and_named(caplog: pytest.LogCaptureFixture):
-    told = threading.Event()
-    workers = Workers(told.set)
+    facts = threading.Event()
+    workers = Workers(facts.set)
     thread = workers.start("mapping", lambda: [][0])
-    assert told.wait(5.0)
+    assert facts.wait(5.0)
     assert workers.join(thread, 5.0)
     assert workers.failure == "mapping: IndexError: list index out of range"
     assert "Traceback" in caplog.text

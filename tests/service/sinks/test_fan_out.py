@@ -192,7 +192,7 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
 
 
 def test_sinks_end_at_the_same_time():
-    """Each waits for the other one: one after the other they would take 20 s and be told to hang."""
+    """Each waits for the other one: one after the other they would take 20 s and be asked to hang."""
     first, second = ListSink("first"), ListSink("second")
     meet = threading.Barrier(2, timeout=10.0)
     first.flush = second.flush = meet.wait  # type: ignore[method-assign]

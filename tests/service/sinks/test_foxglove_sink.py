@@ -77,10 +77,10 @@ class Viewer:
     async def _receive(self) -> None:
         message = await self._socket.receive(TIMEOUT_S)
         if message.type is aiohttp.WSMsgType.TEXT:
-            told = json.loads(message.data)
-            if told["op"] == "advertise":
-                self.channels |= {channel["topic"]: channel for channel in told["channels"]}
-            elif told["op"] == "status" and "Unknown channel" in told["message"]:
+            facts = json.loads(message.data)
+            if facts["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in facts["channels"]}
+            elif facts["op"] == "status" and "Unknown channel" in facts["message"]:
                 # The SDK advertises a channel a moment before it lets anybody subscribe to it.
                 await self._socket.send_str(self._wanted)
             return

@@ -436,12 +436,12 @@ def test_the_graph_that_was_told_last_stays_while_the_back_end_puts_away_others(
     kept = [Path(keep(graph_of(count)).folder) for count in (4, 5, 6, 7)]
     for k, folder in enumerate(kept):
         os.utime(folder, (k, k))
-    for told, left in ((0, kept), (3, kept[2:])):
-        tiles.keep_graph(kept[told])
+    for facts, left in ((0, kept), (3, kept[2:])):
+        tiles.keep_graph(kept[facts])
         saver.save()
         graph = load_map(saver.folder).graph
         assert graph is not None
-        assert len(graph) == 4 + told
+        assert len(graph) == 4 + facts
         assert sorted(saver.graph_folder.glob("map1/*")) == left
     saver.flush()
     assert not saver.graph_folder.exists()

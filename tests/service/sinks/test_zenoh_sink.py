@@ -75,9 +75,9 @@ def test_service_and_mapping_have_tokens_while_they_work(sink: ZenohSink, client
         row = Status("mapping", OK, "", {"state": state})
         sink.put(encode_diagnostics("diagnostics", [row], 1, 1))
         heard = tokens.wait_for(number)
-    told = [(str(token.key_expr).removeprefix(f"{ROOT}/alive/"), token.kind) for token in heard]
+    facts = [(str(token.key_expr).removeprefix(f"{ROOT}/alive/"), token.kind) for token in heard]
     put, delete = zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
-    assert told == [("service", put), ("mapping", put), ("mapping", delete)]
+    assert facts == [("service", put), ("mapping", put), ("mapping", delete)]
     watcher.undeclare()  # type: ignore[no-untyped-call]
 
 

@@ -24,7 +24,7 @@ TIMEOUT_S = 20.0
 
 @dataclass
 class FakeDispatcher:
-    """Answers commands, and holds one back until it is told to go on."""
+    """Answers commands, and holds one back until it is asked to go on."""
 
     asked: list[tuple[str, bytes]] = field(default_factory=list)
     go_on: threading.Event = field(default_factory=threading.Event)

@@ -57,14 +57,14 @@ def test_html_in_a_page_is_shown_as_text_and_links_that_lead_elsewhere_are_plain
 def test_only_files_of_the_manual_are_served(serve):
     server = serve()
 
-    told = {}
+    facts = {}
 
     async def look(client):
         for path in (*THERE, *NOT_THERE):
             async with client.session.get(f"{client.address}{path}") as response:
-                told[path] = response.status, response.content_type
+                facts[path] = response.status, response.content_type
 
     talk(server, look)
-    assert [told[path][0] for path in THERE] == [200] * len(THERE)
-    assert told["help/images/rerun.png"][1] == "image/png"
-    assert [told[path][0] for path in NOT_THERE] == [404] * len(NOT_THERE)
+    assert [facts[path][0] for path in THERE] == [200] * len(THERE)
+    assert facts["help/images/rerun.png"][1] == "image/png"
+    assert [facts[path][0] for path in NOT_THERE] == [404] * len(NOT_THERE)

@@ -110,15 +110,15 @@ def test_a_scan_of_a_laser_that_hangs_upside_down_is_turned_back(view):
 
 
 def test_health_says_since_when_it_is_so_whatever_its_words(view):
-    def told(seconds, state, reason):
+    def facts(seconds, state, reason):
         view.put(encode_diagnostics("diagnostics", statuses(state, reason), stamp(seconds), stamp(seconds)))
         (health,) = texts(view.due(), "health")
         return next(s["since_s"] for s in health["statuses"] if s["name"] == "mapping")
 
-    assert told(1, "ok", "") == stamp(1) / 1e9
-    assert told(2, "lost", "no agreement for 1 s") == stamp(2) / 1e9
-    assert told(3, "lost", "no agreement for 2 s") == stamp(2) / 1e9
-    assert told(4, "ok", "") == stamp(4) / 1e9
+    assert facts(1, "ok", "") == stamp(1) / 1e9
+    assert facts(2, "lost", "no agreement for 1 s") == stamp(2) / 1e9
+    assert facts(3, "lost", "no agreement for 2 s") == stamp(2) / 1e9
+    assert facts(4, "ok", "") == stamp(4) / 1e9
 
 
 def test_health_says_how_long_a_frame_is_on_its_way(view):
@@ -130,14 +130,14 @@ def test_health_says_how_long_a_frame_is_on_its_way(view):
 
 def test_figures_are_sent_once_a_second_and_in_full_to_a_late_browser(view, clock):
     scene = Scene()
-    told = []
+    facts = []
     for k in range(10):
         for message in scene.messages(0.2 * k):
             is_pose = message.channel == "pose"
             view.put(message, clock.ns - (k + 1) * 1_000_000 if is_pose else None)
-        told += texts(view.due(), "series")
-    assert [(m["goes_on"], len(m["stamp_s"])) for m in told] == [(True, 1), (True, 1)]
-    second = told[1]["figures"]
+        facts += texts(view.due(), "series")
+    assert [(m["goes_on"], len(m["stamp_s"])) for m in facts] == [(True, 1), (True, 1)]
+    second = facts[1]["figures"]
     assert second["latency_p50_ms"] == [7.5]  # of the scans since the row before
     assert second["latency_max_ms"] == [9.0]
     assert second["speed_mps"] == [1.0]
@@ -145,18 +145,18 @@ def test_figures_are_sent_once_a_second_and_in_full_to_a_late_browser(view, cloc
     assert second["rate_hz/front"] == [50.0]
     (whole,) = texts(view.snapshot(), "series")
     assert whole["goes_on"] is False
-    assert whole["stamp_s"] == [m["stamp_s"][0] for m in told]
+    assert whole["stamp_s"] == [m["stamp_s"][0] for m in facts]
     assert whole["state"] == ["ok", "ok"]
 
 
 def test_figures_of_a_run_that_begins_again_take_the_place_of_those_before(view):
     scene = Scene()
-    told = []
+    facts = []
     for seconds in (100.0, 101.0, 102.0, 0.0, 1.0, 2.0):
         for message in scene.messages(seconds):
             view.put(message)
-        told += texts(view.due(), "series")
-    assert [m["goes_on"] for m in told] == [True, True, False, True]
+        facts += texts(view.due(), "series")
+    assert [m["goes_on"] for m in facts] == [True, True, False, True]
     (whole,) = texts(view.snapshot(), "series")
     assert len(whole["stamp_s"]) == 2
 
@@ -227,7 +227,7 @@ def test_a_long_path_keeps_its_shape_and_its_bound():
 
 
 def test_where_the_pose_jumps_another_stretch_of_path_begins(view):
-    """As when a vehicle is found in a map that was loaded: nobody drove straight there."""
+    """As when a vehicle is found in a map that was loaded: no one drove straight there."""
     for seconds, x_m in ((1.0, 0.0), (1.1, 0.5), (1.2, 30.0), (1.3, 30.5), (4.0, 80.0)):
         pose = SE2(x_m, 0.0, 0.0)
         output = replace(Scene().output(seconds), pose_odom_base=pose, pose_map_odom=SE2())
@@ -279,8 +279,8 @@ def test_sensors_with_poses_of_their_own_are_not_the_pose(view):
 
 def test_a_turn_of_the_mounting_is_sent(view):
     view.put(encode_tf_static({"front": SE2(0.2, 0.1, 0.5)}, 1, 1))
-    (told,) = texts(view.due(), "mountings")
-    assert told["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])
+    (facts,) = texts(view.due(), "mountings")
+    assert facts["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])
 
 
 def test_events_that_come_many_a_second_are_left_out(view):

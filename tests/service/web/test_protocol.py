@@ -71,23 +71,23 @@ def test_a_path_is_pairs_of_metres():
 def test_a_pose_keeps_every_digit_of_its_stamp():
     stamp_ns = 1_700_000_000_123_456_789
     pose = Pose(stamp_ns, "map", "base_link", SE2(1.0, 2.0, 0.5), np.eye(3), (1.0, 0.0, 0.1))
-    told = json.loads(pose_json(pose))
-    assert (told["stamp_ns"], told["x_m"], told["theta_rad"]) == (str(stamp_ns), 1.0, 0.5)
-    assert told["covariance"] == np.eye(3).ravel().tolist()
-    assert told["twist"] == [1.0, 0.0, 0.1]
+    facts = json.loads(pose_json(pose))
+    assert (facts["stamp_ns"], facts["x_m"], facts["theta_rad"]) == (str(stamp_ns), 1.0, 0.5)
+    assert facts["covariance"] == np.eye(3).ravel().tolist()
+    assert facts["twist"] == [1.0, 0.0, 0.1]
 
 
 def test_what_is_not_finite_becomes_null():
-    told = json.loads(to_json("x", a=math.nan, b=[math.inf, 1.0], c={"d": -math.inf}))
-    assert told == {"type": "x", "a": None, "b": [None, 1.0], "c": {"d": None}}
+    facts = json.loads(to_json("x", a=math.nan, b=[math.inf, 1.0], c={"d": -math.inf}))
+    assert facts == {"type": "x", "a": None, "b": [None, 1.0], "c": {"d": None}}
 
 
 def test_health_says_since_when():
-    told = json.loads(health_json([Status("map", 1, "full", {"k": "v"})], {"map": 7.5}, {"front": 4.0}, 9.0))
-    assert told["statuses"] == [
+    facts = json.loads(health_json([Status("map", 1, "full", {"k": "v"})], {"map": 7.5}, {"front": 4.0}, 9.0))
+    assert facts["statuses"] == [
         {"name": "map", "level": 1, "message": "full", "values": {"k": "v"}, "since_s": 7.5}
     ]
-    assert told["latency_ms"] == {"front": 4.0}
+    assert facts["latency_ms"] == {"front": 4.0}
 
 
 def test_a_token_and_a_command_are_read():

@@ -1,4 +1,4 @@
-"""Judging and recovery, around a matcher that does as it is told."""
+"""Judging and recovery, around a matcher that does as it is asked."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -40,7 +40,7 @@ class Ground:
 
 @dataclass
 class Reported:
-    """Laying that confirms the prediction, off by what it is told, and finds what it is told."""
+    """Laying that confirms the prediction, off and finding as it is asked."""
 
     off: SE2 = ORIGIN
     finds: list[SE2] = field(default_factory=list)
@@ -109,11 +109,11 @@ def test_on_new_ground_the_prediction_stands_if_it_was_measured(
 
 def test_a_find_far_away_is_believed_when_the_next_says_the_same(room: Ground) -> None:
     matching, away = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0))
-    told = Reported(finds=[SE2(), SE2(0.02, 0.01, 0.0)])
-    first = matching.match(at(square(), 1.0), away, room, told)
+    facts = Reported(finds=[SE2(), SE2(0.02, 0.01, 0.0)])
+    first = matching.match(at(square(), 1.0), away, room, facts)
     assert (first.state, first.measured) == ("lost", None)
-    assert matching.match(at(square(), 1.09), away, room, told).state == "lost"  # not searched again yet
-    second = matching.match(at(square(), 1.1), away, room, told)
+    assert matching.match(at(square(), 1.09), away, room, facts).state == "lost"  # not searched again yet
+    second = matching.match(at(square(), 1.1), away, room, facts)
     assert second.state == "ok"
     assert second.measured is not None
     assert second.measured.pose_odom_base == SE2(0.02, 0.01, 0.0)
@@ -123,32 +123,32 @@ def test_a_find_far_away_is_believed_when_the_next_says_the_same(room: Ground) -
 
 def test_finds_that_do_not_agree_are_not_believed(room: Ground) -> None:
     matching, away = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0))
-    told = Reported(finds=[SE2(0.0, 0.0, math.pi / 2), SE2(), SE2(0.0, 0.0, -math.pi / 2)])  # it is a square
+    facts = Reported(finds=[SE2(0.0, 0.0, math.pi / 2), SE2(), SE2(0.0, 0.0, -math.pi / 2)])  # it is a square
     for k in range(3):
-        assert matching.match(at(square(), 1.0 + k), away, room, told).state == "lost"
+        assert matching.match(at(square(), 1.0 + k), away, room, facts).state == "lost"
 
 
 @pytest.mark.parametrize(("turned_rad", "state"), [(0.0, "ok"), (math.pi / 2, "lost")])  # it is a square
 def test_after_lost_scans_two_have_to_agree_where_the_prediction_says_little(
     room: Ground, turned_rad: float, state: str
 ) -> None:
-    matching, told = JudgedMatching(JudgementConfig()), Reported()
+    matching, facts = JudgedMatching(JudgementConfig()), Reported()
     here = replace(predicted(SE2()), local_covariance=np.diag([0.8**2, 0.8**2, 1.0**2]))
-    assert matching.match(at(points_of(square().xy_base[:4]), 1.0), here, room, told).state == "lost"
-    first = matching.match(at(square(), 1.1), here, room, told)
+    assert matching.match(at(points_of(square().xy_base[:4]), 1.0), here, room, facts).state == "lost"
+    first = matching.match(at(square(), 1.1), here, room, facts)
     assert (first.state, first.reason, first.measured) == ("lost", UNCONFIRMED, None)
-    told.off = SE2(0.0, 0.0, turned_rad)
-    assert matching.match(at(square(), 1.2), here, room, told).state == state
+    facts.off = SE2(0.0, 0.0, turned_rad)
+    assert matching.match(at(square(), 1.2), here, room, facts).state == state
 
 
 def test_a_search_in_vain_makes_the_next_twice_as_wide(room: Ground) -> None:
-    matching, away, told = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Reported()
+    matching, away, facts = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Reported()
     searched_s = []
     for k in range(26):
-        asked = len(told.asked)
-        matching.match(at(square(), 1.0 + 0.1 * k), away, room, told)
-        searched_s += [0.1 * k] * (len(told.asked) - asked)
-    assert told.asked == [(2.0, 1.6), (4.0, math.pi), (8.0, math.pi), (8.0, math.pi)]
+        asked = len(facts.asked)
+        matching.match(at(square(), 1.0 + 0.1 * k), away, room, facts)
+        searched_s += [0.1 * k] * (len(facts.asked) - asked)
+    assert facts.asked == [(2.0, 1.6), (4.0, math.pi), (8.0, math.pi), (8.0, math.pi)]
     np.testing.assert_allclose(searched_s, [0.0, 0.5, 1.5, 2.5])
 
 

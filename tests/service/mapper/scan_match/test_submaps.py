@@ -272,7 +272,7 @@ def test_points_where_nothing_stands_and_points_behind_walls_contradict_the_map(
     in_free, behind = contradicting(0.5 * square_m)
     assert in_free > 300
     assert behind == 0
-    in_free, behind = contradicting(3.0 * square_m)  # where nobody looked, with the walls before it
+    in_free, behind = contradicting(3.0 * square_m)  # where no one looked, with the walls before it
     assert in_free == 0
     assert behind > 340
     outside = SE2(30.0, 0.0, 0.0)

@@ -93,8 +93,8 @@ def test_a_wrong_config_is_mended(session, config, tmp_path, capsys):
     mended = tmp_path / "calibrated.yaml"
     command = ["calibrate", str(session), "--config", str(config), "--out", str(mended), "--json"]
     assert main(command) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["reference"] == "front"
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["reference"] == "front"
     assert main(["check", str(mended)]) == 0
     sensors = load_config(mended).sensors
     for name, true in (("front", FRONT), ("rear", REAR)):
@@ -122,12 +122,12 @@ def test_turns_to_the_other_side_change_nothing_and_are_reported(frames, config,
     path = tmp_path / "mirrored.mcap"
     write_session(path, mirrored, {}, {}, log_times=True)
     assert main(["calibrate", str(path), "--config", str(config), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    by_name = {one["sensor"]: one for one in told["sensors"]}
+    facts = json.loads(capsys.readouterr().out)
+    by_name = {one["sensor"]: one for one in facts["sensors"]}
     (note,) = by_name["base"]["notes"]
     assert "base counts turns to the other side than front sees them" in note
     assert "is front upside down (mounting: upside_down)" in note
-    changed = yaml.safe_load(told["patch"])["sensors"]
+    changed = yaml.safe_load(facts["patch"])["sensors"]
     assert changed["base"].keys() == {"latency_ms"}
     assert "front" not in changed
     assert by_name["front"]["values"] == []
@@ -166,7 +166,7 @@ def test_without_a_config_there_is_a_patch_of_what_the_recording_names(session, 
     patch = yaml.safe_load(said[said.index("sensors:") :])
     assert patch["sensors"]["front"]["mounting"]["x_m"] == pytest.approx(FRONT.x_m, abs=0.01)
     assert patch["sensors"]["front"]["latency_ms"] == pytest.approx(7.0, abs=1.5)
-    assert "wheel_base_m" not in patch["sensors"]["base"]  # nobody said what it was
+    assert "wheel_base_m" not in patch["sensors"]["base"]  # no one said what it was
 
 
 def test_a_reference_that_is_no_laser_is_wrong_usage(session, capsys):

@@ -83,7 +83,7 @@ def tree(tmp_path: Path) -> FakeTree:
 
 
 class Parrot(SilentDevice):
-    """A FakeDevice that says always the same: once when somebody comes, and to everything it hears."""
+    """A FakeDevice that says always the same: once when someone comes, and to everything it hears."""
 
     def __init__(self, answer: bytes, greeting: bytes = b"") -> None:
         self._answer, self._greeting = answer, greeting

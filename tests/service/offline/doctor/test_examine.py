@@ -34,12 +34,12 @@ def test_a_vehicle_in_order_exits_with_0(tmp_path: Path, capsys: pytest.CaptureF
     with serve_tcp(FakeLms100(Room())) as (_, port), serve_pty(FakeCreate(STANDING)) as device:
         config = written(tmp_path, port, device)
         assert main(["doctor", str(config), "--json", "--seconds", "0.5"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ok"] is True
-    streaming = {f["who"]: f["values"]["rate_hz"] for f in told["findings"] if "rate_hz" in f["values"]}
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["ok"] is True
+    streaming = {f["who"]: f["values"]["rate_hz"] for f in facts["findings"] if "rate_hz" in f["values"]}
     assert streaming.keys() == {"front", "base"}
-    assert {f["who"] for f in told["findings"]} >= {"config", "zenoh", "recording", "map", "disk"}
-    assert {f["who"] for f in told["findings"]} >= {"clock", "cache", "rights", "unit"}
+    assert {f["who"] for f in facts["findings"]} >= {"config", "zenoh", "recording", "map", "disk"}
+    assert {f["who"] for f in facts["findings"]} >= {"clock", "cache", "rights", "unit"}
 
 
 def test_a_vehicle_with_a_fault_exits_with_1_and_says_what_to_do(
@@ -62,8 +62,8 @@ def test_two_names_of_one_device_are_reported_beside_what_the_device_says(tmp_pa
     imu = f"  imu: {{type: xsens_mtig, device: {tmp_path}/port}}\n"
     config.write_text(config.read_text().replace("sensors:\n", f"sensors:\n{imu}"))
     report, exit_code = examine(config, patience=Patience(0.1, 0.1, 0.1, 0.1))
-    told = [finding.measured for finding in report.findings if finding.who == "base"]
-    assert f"its device is {tmp_path}/port, as is that of imu" in told
+    facts = [finding.measured for finding in report.findings if finding.who == "base"]
+    assert f"its device is {tmp_path}/port, as is that of imu" in facts
     assert exit_code == 1
 
 
@@ -74,10 +74,10 @@ def test_a_bad_config_exits_with_78_and_the_machine_is_looked_at_all_the_same(
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     assert main(["doctor", str(path), "--json"]) == 78
-    told = json.loads(capsys.readouterr().out)
-    assert told["findings"][0]["severity"] == "fault"
-    assert str(path) in told["findings"][0]["measured"]
-    assert told["findings"][-1]["who"] == "unit"
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["findings"][0]["severity"] == "fault"
+    assert str(path) in facts["findings"][0]["measured"]
+    assert facts["findings"][-1]["who"] == "unit"
 
 
 def test_without_a_config_the_machine_alone_is_looked_at():

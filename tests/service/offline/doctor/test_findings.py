@@ -35,8 +35,8 @@ def test_a_note_alone_needs_no_mending():
 
 
 def test_json_has_everything_that_the_text_has():
-    told = json.loads(json.dumps(REPORT.as_dict()))
-    assert told["ok"] is False
-    assert told["counts"] == {"ok": 1, "note": 1, "fault": 1}
-    assert told["findings"][0]["values"] == {"rate_hz": 49.8}
-    assert told["findings"][2]["expected"] == "a serial port"
+    facts = json.loads(json.dumps(REPORT.as_dict()))
+    assert facts["ok"] is False
+    assert facts["counts"] == {"ok": 1, "note": 1, "fault": 1}
+    assert facts["findings"][0]["values"] == {"rate_hz": 49.8}
+    assert facts["findings"][2]["expected"] == "a serial port"

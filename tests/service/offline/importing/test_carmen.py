@@ -72,11 +72,11 @@ def test_an_import_reports_as_json_what_it_counted(tmp_path, capsys):
     log = tmp_path / "run.log"
     log.write_text(HEAD + odom(10.0, 0, 0, 0) + flaser(10.1, (0, 0, 0)) + "FLASER broken\nTRUEPOS 0 0 0\n")
     assert main(["import", "carmen", str(log), str(tmp_path / "out.mcap"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["scans"] == {"front": 1}
-    assert told["malformed"] == {"FLASER": 1}
-    assert told["ignored"] == {"TRUEPOS": 1}
-    assert told["mountings"]["front"] == {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0}
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["scans"] == {"front": 1}
+    assert facts["malformed"] == {"FLASER": 1}
+    assert facts["ignored"] == {"TRUEPOS": 1}
+    assert facts["mountings"]["front"] == {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0}
 
 
 def test_today_s_stamps_keep_their_microseconds(imported):
@@ -127,7 +127,7 @@ def test_parameters_tell_the_mounting_where_the_poses_do_not(imported):
 
 
 def corrected_log():
-    """As GMapping writes it: the odometry starts anew from each corrected pose, which stands twice."""
+    """As GMapping writes it: the odometry starts again from each corrected pose, which stands twice."""
     return (
         odom("1.0", 0.0, 0.0, 0.0)
         + odom("1.1", 0.1, 0.0, 0.0)

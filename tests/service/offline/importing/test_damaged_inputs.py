@@ -99,7 +99,7 @@ def small_drive() -> list[Message]:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("seeds", SEEDS)
 def test_recordings_with_changed_bytes_are_read_or_refused(seeds, tmp_path, capsys):
-    """Half are changed in the file, where checksums see most of it, half in messages, where nobody does."""
+    """Half are changed in the file, where checksums see most of it, half in messages, where no one does."""
     write_file(tmp_path / "whole.mcap", small_drive(), sync_every=5)
     whole = (tmp_path / "whole.mcap").read_bytes()
 

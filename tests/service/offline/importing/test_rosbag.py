@@ -208,9 +208,9 @@ def test_a_bag_becomes_a_session_with_its_sensors_and_mountings(kind, tmp_path):
 def test_an_import_reports_as_json_what_it_counted(tmp_path, capsys):
     bag = BAGS["ROS 1"](tmp_path)
     assert main(["import", "rosbag", str(bag), str(tmp_path / "out.mcap"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["frames"]["scans of base"] == SCANS
-    assert told["mountings"]["base"]["x_m"] == 0.25
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["frames"]["scans of base"] == SCANS
+    assert facts["mountings"]["base"]["x_m"] == 0.25
 
 
 def test_a_bag_without_odometry_gives_that_of_its_tf(tmp_path):

@@ -47,21 +47,21 @@ class Asking:
 
 
 def test_a_page_is_reported_versions_pairs_and_key_frames(folder, bent):
-    told = Asking(folder).ask("map_look")
-    assert (told["version"], len(told["versions"]), told["pairs"]) == (1, 1, [])
-    assert told["user"] == map_edit.user_name()
-    assert (told["keyframes"]["count"], told["keyframes"]["every"]) == (len(bent.graph), 1)
-    np.testing.assert_allclose(told["keyframes"]["x_m"], bent.graph.map[:, 0], atol=1e-3)
-    np.testing.assert_allclose(told["keyframes"]["at_s"], 0.1 * np.arange(len(bent.graph)), atol=1e-3)
+    facts = Asking(folder).ask("map_look")
+    assert (facts["version"], len(facts["versions"]), facts["pairs"]) == (1, 1, [])
+    assert facts["user"] == map_edit.user_name()
+    assert (facts["keyframes"]["count"], facts["keyframes"]["every"]) == (len(bent.graph), 1)
+    np.testing.assert_allclose(facts["keyframes"]["x_m"], bent.graph.map[:, 0], atol=1e-3)
+    np.testing.assert_allclose(facts["keyframes"]["at_s"], 0.1 * np.arange(len(bent.graph)), atol=1e-3)
 
 
 def test_the_points_of_a_key_frame_lie_in_the_map(folder, bent):
-    told = Asking(folder).ask("map_keyframe", version=1, keyframe=ROUND + 3)
+    facts = Asking(folder).ask("map_keyframe", version=1, keyframe=ROUND + 3)
     k = ROUND + 3
     begin = bent.graph.point_count[:k].sum()
     seen = bent.graph.xy_base[begin : begin + bent.graph.point_count[k]].astype(float)
     expected = se2.points_from(graph_in(folder).map[k], seen)
-    np.testing.assert_allclose(np.reshape(told["points"], (-1, 2)), expected, atol=2e-3)
+    np.testing.assert_allclose(np.reshape(facts["points"], (-1, 2)), expected, atol=2e-3)
     assert "no key frame 9999" in Asking(folder).ask("map_keyframe", version=1, keyframe=9999)["error"]
     assert "this is of version 7" in Asking(folder).ask("map_keyframe", version=7, keyframe=0)["error"]
 
@@ -71,8 +71,8 @@ def test_tiles_of_a_version_are_sent_as_the_page_decodes_them(folder):
     before = load_map(folder).tiles
     assert asking.edit(1, "erase", corners=SQUARE, becomes="free")["ok"]
     for number, tiles in ((1, before), (2, load_map(folder).tiles)):
-        told = asking.ask("map_version", version=number)
-        assert base64.b64decode(told["tiles"]) == encode_tiles(tiles)
+        facts = asking.ask("map_version", version=number)
+        assert base64.b64decode(facts["tiles"]) == encode_tiles(tiles)
     assert "3" in asking.ask("map_version", version=3)["error"]
 
 
@@ -84,10 +84,10 @@ def test_pairs_of_points_straighten_the_map(folder, bent):
         for k in (6, 22)
         for points in bent.common_points(k)
     ]
-    told = asking.edit(1, "add-pair", pairs=pairs)
-    assert told["ok"], told
-    assert told["pairs"] == 6
-    assert told["done"].startswith("pairs 0 to 5 about (")
+    facts = asking.edit(1, "add-pair", pairs=pairs)
+    assert facts["ok"], facts
+    assert facts["pairs"] == 6
+    assert facts["done"].startswith("pairs 0 to 5 about (")
     assert bent.error_m(graph_in(folder)) < 0.10
     assert asking.shown == [2]
     looked = asking.ask("map_look")
@@ -106,8 +106,8 @@ def test_areas_walls_and_time_spans_are_changed_as_by_the_command(folder):
     assert asking.edit(1, "erase", corners=SQUARE, becomes="free")["done"].startswith("erased 1.00 m2")
     assert asking.edit(2, "wall", corners=[[0, 0], [1, 0]])["done"].startswith("drew a wall of 1.00 m")
     assert "hang together by nothing" in asking.edit(3, "cut", from_s=3.0, to_s=4.05)["error"]
-    told = asking.edit(3, "cut", from_s=3.0, to_s=4.05, bridge=True)
-    assert told["keyframes_gone"] == 11
+    facts = asking.edit(3, "cut", from_s=3.0, to_s=4.05, bridge=True)
+    assert facts["keyframes_gone"] == 11
     assert asking.edit(4, "optimize", who="")["ok"]
     edits = [(v["who"], v["what"]) for v in asking.ask("map_look")["versions"][1:]]
     assert edits == [("ada", "erase"), ("ada", "wall"), ("ada", "cut"), (map_edit.user_name(), "optimize")]
@@ -124,8 +124,8 @@ def test_a_map_without_a_graph_can_be_drawn_in_and_nothing_else(picture):
 def test_a_change_meant_for_an_older_version_is_refused_and_the_newer_one_shown(picture):
     asking = Asking(picture)
     map_edit.edit_map(picture, "wall", map_edit.wall([0, 0, 1, 0]), "bob", 5)
-    told = asking.edit(1, "erase", corners=SQUARE)
-    assert "the map is at version 2, and the change was meant for version 1" in told["error"]
+    facts = asking.edit(1, "erase", corners=SQUARE)
+    assert "the map is at version 2, and the change was meant for version 1" in facts["error"]
     assert asking.shown == [2]
     assert asking.edit(2, "undo", to=1)["ok"]
     assert "meant for version 2" in asking.edit(2, "undo", to=1)["error"]

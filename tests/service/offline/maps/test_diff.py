@@ -40,8 +40,8 @@ def test_each_kind_of_change_is_counted():
 
 def test_a_map_does_not_differ_from_itself(tmp_path):
     save_map(tmp_path, [FREE, tile(1, 2, 5)], 1, graph=graph_of(5))
-    told = map_diff((tmp_path, None), (tmp_path, 1), None)
-    figures = {key: value for key, value in told.items() if isinstance(value, int | float)}
+    facts = map_diff((tmp_path, None), (tmp_path, 1), None)
+    figures = {key: value for key, value in facts.items() if isinstance(value, int | float)}
     assert len(figures) > 10
     assert set(figures.values()) == {0}
 
@@ -59,12 +59,12 @@ def test_poses_loops_and_points_are_compared_by_the_stamps_of_their_key_frames(t
     after = replace(after, xy_base=after.xy_base[:16], normals=after.normals[:16])
     save_map(tmp_path / "a", [FREE], 1, graph=before)
     save_map(tmp_path / "b", [FREE], 1, graph=after)
-    told = map_diff((tmp_path / "a", None), (tmp_path / "b", None), None)
-    assert (told["keyframes_moved"], told["loops_new"], told["loops_gone"]) == (1, 1, 1)
-    assert (told["points_new"], told["points_gone"]) == (0, 2)
-    assert told["moved"]["max_mm"] == pytest.approx(500.0)
-    assert told["moved"]["max_at_x_m"] == pytest.approx(moved[2, 0], abs=0.006)
-    assert (told["before"], told["after"]) == (f"{tmp_path / 'a'}@1", f"{tmp_path / 'b'}@1")
+    facts = map_diff((tmp_path / "a", None), (tmp_path / "b", None), None)
+    assert (facts["keyframes_moved"], facts["loops_new"], facts["loops_gone"]) == (1, 1, 1)
+    assert (facts["points_new"], facts["points_gone"]) == (0, 2)
+    assert facts["moved"]["max_mm"] == pytest.approx(500.0)
+    assert facts["moved"]["max_at_x_m"] == pytest.approx(moved[2, 0], abs=0.006)
+    assert (facts["before"], facts["after"]) == (f"{tmp_path / 'a'}@1", f"{tmp_path / 'b'}@1")
 
 
 def test_the_picture_shows_what_is_new_and_what_is_gone(tmp_path):

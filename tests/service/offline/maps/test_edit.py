@@ -83,7 +83,7 @@ def test_an_area_is_free_where_scans_see_through_and_unknown_elsewhere(ring):
     before = load_map(ring).tiles
     assert cell(before, 4.3, -0.45) < 10
     edit(ring, "--erase", 3.7, -0.9, 4.9, -0.9, 4.9, -0.2, 3.7, -0.2)
-    for _ in range(2):  # and when it is drawn anew
+    for _ in range(2):  # and when it is drawn again
         after = load_map(ring)
         assert cell(after.tiles, 4.3, -0.45) < 10
         assert cell(after.tiles, 4.3, -0.7) <= 50

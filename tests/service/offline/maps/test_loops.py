@@ -42,9 +42,9 @@ def graph() -> SavedGraph:
 
 def test_the_loops_of_a_map_are_reported_with_place_and_evidence(tmp_path, graph):
     save_map(tmp_path, TILES, 1, graph=graph)
-    told = map_loops(tmp_path)
-    assert [loop["loop"] for loop in told["accepted"]] == list(range(len(graph.loop_ends)))
-    for loop in told["accepted"]:
+    facts = map_loops(tmp_path)
+    assert [loop["loop"] for loop in facts["accepted"]] == list(range(len(graph.loop_ends)))
+    for loop in facts["accepted"]:
         _, to = loop["keyframes"]
         assert (loop["x_m"], loop["y_m"]) == pytest.approx(graph.map[to, :2], abs=0.006)
         assert loop["points"] > 100
@@ -64,9 +64,9 @@ def test_a_loop_that_the_rest_contradicted_is_reported_with_the_reason(tmp_path,
 
 def test_a_loop_without_another_that_agrees_has_that_as_its_reason(tmp_path):
     save_map(tmp_path, TILES, 1, graph=saved_of(1.4, LoopsConfig(consensus_span_m=1000.0)))
-    told = map_loops(tmp_path)
-    assert told["accepted"] == []
-    assert [loop["why"] for loop in told["refused"]].count(WORDS[NOT_SUPPORTED]) > 3
+    facts = map_loops(tmp_path)
+    assert facts["accepted"] == []
+    assert [loop["why"] for loop in facts["refused"]].count(WORDS[NOT_SUPPORTED]) > 3
 
 
 def test_no_loop_is_reported_twice(graph):
@@ -80,12 +80,12 @@ def test_who_takes_a_loop_back_finds_it_among_the_refused(tmp_path, graph):
     save_map(tmp_path, TILES, 1, graph=graph)
     gone = map_loops(tmp_path)["accepted"][1]
     assert main(["map", "edit", str(tmp_path), "--refuse-loop", "1", "--who", "ada"]) == 0
-    told = map_loops(tmp_path)
-    assert gone["keyframes"] not in [loop["keyframes"] for loop in told["accepted"]]
-    (found,) = [loop for loop in told["refused"] if loop["keyframes"] == gone["keyframes"]]
+    facts = map_loops(tmp_path)
+    assert gone["keyframes"] not in [loop["keyframes"] for loop in facts["accepted"]]
+    (found,) = [loop for loop in facts["refused"] if loop["keyframes"] == gone["keyframes"]]
     assert found["why"] == "taken back by hand"
     assert found["points"] == gone["points"]
-    assert len(map_loops(tmp_path, 1)["accepted"]) == len(told["accepted"]) + 1
+    assert len(map_loops(tmp_path, 1)["accepted"]) == len(facts["accepted"]) + 1
 
 
 def test_what_was_refused_is_known_to_the_session_after(graph):
@@ -93,7 +93,7 @@ def test_what_was_refused_is_known_to_the_session_after(graph):
     assert isinstance(again, SavedGraph)
     for name, array in small_arrays(graph).items():
         if name == "piece":
-            continue  # numbered anew with each session
+            continue  # numbered again with each session
         np.testing.assert_array_equal(small_arrays(again)[name], array, err_msg=name)
 
 

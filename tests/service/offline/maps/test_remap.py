@@ -70,8 +70,8 @@ def recording(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def remapped(folder, recording) -> tuple[StoredMap, dict, StoredMap]:
     before = load_map(folder)
-    told = map_remap(folder, [recording], lengths(*AREA_M), "ada", NOW_NS)
-    return before, told, load_map(folder)
+    facts = map_remap(folder, [recording], lengths(*AREA_M), "ada", NOW_NS)
+    return before, facts, load_map(folder)
 
 
 def cells_of(stored: StoredMap) -> dict[tuple[int, int], np.ndarray]:
@@ -88,7 +88,7 @@ def is_in_area(xy_map: np.ndarray) -> np.ndarray:
 
 
 def test_the_bin_is_in_the_map_now_and_every_cell_outside_of_the_area_is_as_it_was(remapped):
-    before, told, after = remapped
+    before, facts, after = remapped
     old, new = cells_of(before), cells_of(after)
     assert old.keys() == new.keys()
     changed = []
@@ -97,7 +97,7 @@ def test_the_bin_is_in_the_map_now_and_every_cell_outside_of_the_area_is_as_it_w
         edge = len(cells)
         changed.append(np.column_stack((ix * edge + column + 0.5, iy * edge + row + 0.5)) * 0.05)
     xy = np.concatenate(changed)
-    assert len(xy) == told["cells_changed"] > 50
+    assert len(xy) == facts["cells_changed"] > 50
     assert is_in_area(xy).all()
     x_m, y_m = in_map(BIN[0], BIN[1] - BIN_M / 2.0)  # its side towards the way
     column, row = math.floor(x_m / 0.05), math.floor(y_m / 0.05)
@@ -110,28 +110,28 @@ def test_the_bin_is_in_the_map_now_and_every_cell_outside_of_the_area_is_as_it_w
 
 
 def test_of_the_graph_only_points_in_the_area_went_and_key_frames_came(remapped):
-    before, told, after = remapped
+    before, facts, after = remapped
     assert isinstance(before.graph, SavedGraph)
     assert isinstance(after.graph, SavedGraph)
     count = len(before.graph)
-    assert len(after.graph) - count == told["keyframes_new"] > 3
+    assert len(after.graph) - count == facts["keyframes_new"] > 3
     for name in ("stamp_ns", "odom", "map", "way_m", "covariance", "piece", "score", "sensor_xy_m"):
         np.testing.assert_array_equal(
             getattr(after.graph, name)[:count], getattr(before.graph, name), err_msg=name
         )
     assert (after.graph.point_count[:count] <= before.graph.point_count).all()
     gone = int(before.graph.point_count.sum() - after.graph.point_count[:count].sum())
-    assert gone == told["points_gone"] > 100
-    assert int(after.graph.point_count[count:].sum()) == told["points_new"] > 100
+    assert gone == facts["points_gone"] > 100
+    assert int(after.graph.point_count[count:].sum()) == facts["points_new"] > 100
     assert len(after.graph.loop_ends) == len(before.graph.loop_ends) + 2  # what holds the drive to the map
 
 
 def test_the_version_says_who_and_what_and_an_undo_takes_it_back(remapped, folder):
-    before, told, after = remapped
+    before, facts, after = remapped
     assert after.edit is not None
     assert (after.edit.who, after.edit.what, after.saved_ns) == ("ada", "remap", NOW_NS)
     assert "m2 about" in after.edit.words
-    assert told["version"] == after.number == before.number + 1
+    assert facts["version"] == after.number == before.number + 1
     undo(folder, None, "ada", NOW_NS + 1)
     back = load_map(folder)
     assert back.graph is not None
@@ -156,7 +156,7 @@ def test_corners_that_are_no_area_are_refused_before_the_drive_is_read(folder):
 
 
 def test_the_command_does_the_same_and_says_it(remapped, folder, recording, tmp_path, capsys):
-    before, told, after = remapped
+    before, facts, after = remapped
     own = tmp_path / "office"
     shutil.copytree(folder, own, symlinks=True)
     undo(own, before.number, "ada", NOW_NS + 2)
@@ -167,7 +167,7 @@ def test_the_command_does_the_same_and_says_it(remapped, folder, recording, tmp_
     said = json.loads(capsys.readouterr().out)
     stored = load_map(own)
     number = stored.number
-    assert said == {**told, "version": number, "version_before": number - 1, "map": str(own)}
+    assert said == {**facts, "version": number, "version_before": number - 1, "map": str(own)}
     assert stored.edit is not None
     assert (stored.edit.who, stored.edit.what) == ("ada", "remap")
     for place, cells in cells_of(after).items():

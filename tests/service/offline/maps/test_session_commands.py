@@ -22,9 +22,9 @@ class Asking:
 
 def test_key_frames_come_with_pose_points_and_stamp(folder, bent):
     commands = Asking()
-    told = commands.ask("look", folder)
-    assert (told["version"], told["keyframes"]["count"]) == (1, len(bent.graph))
-    place = commands.ask("keyframe", folder, seen=told["seen"], keyframe=K)
+    facts = commands.ask("look", folder)
+    assert (facts["version"], facts["keyframes"]["count"]) == (1, len(bent.graph))
+    place = commands.ask("keyframe", folder, seen=facts["seen"], keyframe=K)
     np.testing.assert_allclose(place["pose"], bent.graph.map[K])
     assert len(place["points"]) == 2 * bent.graph.point_count[K]
     assert place["stamp_ns"] == str(bent.graph.stamp_ns[K])

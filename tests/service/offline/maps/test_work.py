@@ -17,12 +17,12 @@ TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
 
 def test_a_map_tells_what_it_holds(tmp_path):
     save_map(tmp_path, TILES, 1_700_000_000_000_000_000, {"vehicle": "veh1"}, graph=graph_of(5))
-    told = map_info(tmp_path)
-    assert told["saved"] == "2023-11-14T22:13:20Z"
-    assert (told["vehicle"], told["keyframes"], told["loops"], told["version"]) == ("veh1", 5, 1, 1)
-    assert told["can_be_gone_on_in"] is True
-    assert (told["edit"], told["refused_loops"], told["walls"], told["areas_erased"]) == (None, 0, 0, 0)
-    assert told["disk_mb"] > 0.0
+    facts = map_info(tmp_path)
+    assert facts["saved"] == "2023-11-14T22:13:20Z"
+    assert (facts["vehicle"], facts["keyframes"], facts["loops"], facts["version"]) == ("veh1", 5, 1, 1)
+    assert facts["can_be_gone_on_in"] is True
+    assert (facts["edit"], facts["refused_loops"], facts["walls"], facts["areas_erased"]) == (None, 0, 0, 0)
+    assert facts["disk_mb"] > 0.0
 
 
 def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
@@ -31,9 +31,9 @@ def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
     graph = replace(graph, stamp_ns=(at_s * 1e9).astype(np.int64), piece=np.array([3, 3, 3, 1, 1, 1]))
     graph = replace(graph, by_hand=ByHand().and_drawn(Drawing(DRAWN_WALL, 0, np.eye(2)), graph.map))
     save_map(tmp_path, TILES, 1, graph=graph)
-    told = map_info(tmp_path)
-    assert told["walls"] == 1
-    first, second = told["stretches"]
+    facts = map_info(tmp_path)
+    assert facts["walls"] == 1
+    first, second = facts["stretches"]
     assert (first["from"], first["to"]) == ("1970-01-01T00:00:10Z", "1970-01-01T00:00:12Z")
     assert (first["from_s"], first["to_s"], first["keyframes"]) == (0.0, 2.5, 3)
     assert (second["from_s"], second["to_s"]) == (90.0, 92.0)
@@ -50,9 +50,9 @@ def test_an_older_version_has_figures_of_its_own(tmp_path, capsys):
 
 def test_a_map_without_a_graph_says_so(tmp_path):
     save_map(tmp_path, TILES, 1)
-    told = map_info(tmp_path)
-    assert told["can_be_gone_on_in"] is False
-    assert "keyframes" not in told
+    facts = map_info(tmp_path)
+    assert facts["can_be_gone_on_in"] is False
+    assert "keyframes" not in facts
 
 
 def test_every_version_is_verified_and_damage_named(tmp_path):

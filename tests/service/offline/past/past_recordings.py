@@ -13,7 +13,7 @@ from tests.service.recording.sessions import write_file
 
 LASTS_S = 20.0
 PERIOD_S = 0.1  # of poses and scans of both lasers
-DEGRADED_S = (7.0, 9.0)  # told by the health of each second
+DEGRADED_S = (7.0, 9.0)  # reported by the health of each second
 MAPS_S = {5.0: (4.0, 2.5), 10.0: (8.0, 5.0), 15.0: (6.0, 3.0)}  # half width and height of the room drawn
 MARK_S, GRAPH_S, RESET_S = 3.0, 6.0, 12.05
 CHANGED_S = {3.0: 100, 5.0: 0}  # of one cell, which is new and then gone

@@ -73,7 +73,7 @@ def test_the_map_is_the_newest_that_was_recorded_by_then(moments):
 
 
 def test_back_and_forth_it_is_the_same(moments):
-    def told(seconds):
+    def facts(seconds):
         moment = moments.at(stamp(seconds))
         return (
             [(p.stamp_ns, p.pose) for p in moment.poses],
@@ -82,8 +82,8 @@ def test_back_and_forth_it_is_the_same(moments):
             (moment.path, moment.events, moment.map_words),
         )
 
-    forth = [told(seconds) for seconds in (2.0, 5.5, 11.0, 16.0)]
-    back = [told(seconds) for seconds in (16.0, 11.0, 5.5, 2.0)]
+    forth = [facts(seconds) for seconds in (2.0, 5.5, 11.0, 16.0)]
+    back = [facts(seconds) for seconds in (16.0, 11.0, 5.5, 2.0)]
     assert forth == back[::-1]
 
 
@@ -161,8 +161,8 @@ def test_a_recording_without_poses_is_refused_with_what_helps(tmp_path):
 
 
 def test_how_much_is_read_is_reported(tmp_path):
-    told = []
-    RecordedMoments(write_past(tmp_path), told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert len(told) > 10
+    facts = []
+    RecordedMoments(write_past(tmp_path), facts.append)
+    assert facts == sorted(facts)
+    assert facts[-1] == 1.0
+    assert len(facts) > 10

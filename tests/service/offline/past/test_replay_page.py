@@ -155,7 +155,7 @@ def test_of_frames_that_were_made_again_only_the_way_is_shown(
     monkeypatch.setattr(page.server, "put_ready", lambda payloads: ready.extend(payloads))
     replay([session], ReplayOptions(), watch=page)
     assert page.moments is not None
-    session.unlink()  # as that of frames made anew
+    session.unlink()  # as that of frames made again
     ready.clear()
     page.moments.go_to(0)
     assert "moment" in ready
@@ -183,16 +183,16 @@ def test_what_stands_is_shown_while_it_is_mapped_and_not_of_the_finished_map(
     show: Callable[..., ReplayPage],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    told: list[bytes] = []
+    facts: list[bytes] = []
     page = show()
     put_ready = page.server.put_ready
     monkeypatch.setattr(
         page.server,
         "put_ready",
-        lambda ready: (told.extend(v for k, v in ready.items() if k == "standing"), put_ready(ready)),
+        lambda ready: (facts.extend(v for k, v in ready.items() if k == "standing"), put_ready(ready)),
     )
     replay([record_drive(scans=60)], ReplayOptions(), watch=page)
-    cells = [struct.unpack_from("<II", payload, 16) for payload in told]
+    cells = [struct.unpack_from("<II", payload, 16) for payload in facts]
     assert cells[0] == cells[-1] == (0, 0)
     assert any(width * height > 100 for width, height in cells)
 
@@ -299,8 +299,8 @@ def test_the_command_writes_says_and_goes_on_showing(
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None
-        told = json.loads(process.stdout.readline())
-        assert told["scans"] == 40
+        facts = json.loads(process.stdout.readline())
+        assert facts["scans"] == 40
         assert (tmp_path / "out" / "trajectory.tum").is_file()
         said: list[str] = []
         deadline_s = time.monotonic() + TIMEOUT_S

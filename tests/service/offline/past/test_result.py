@@ -170,8 +170,8 @@ def test_an_undo_brings_back_every_file(result, bent):
     after = files_of(result)
     for files in before, after:
         del files["map.png"]  # drawn from the TUM file: a pixel at the edge of a cell may differ
-    told = json.loads(after.pop("summary.json"))
-    assert told == json.loads(before.pop("summary.json")) | {
+    facts = json.loads(after.pop("summary.json"))
+    assert facts == json.loads(before.pop("summary.json")) | {
         "map_version": 3,
         "map_tiles": len(load_map(result / "map").tiles),
     }

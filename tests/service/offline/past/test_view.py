@@ -84,8 +84,8 @@ def test_a_result_shows_what_had_changed_since_its_map_was_stored(show, tmp_path
 
     async def look(client):
         async with client.socket() as socket:
-            told = await client.next(socket, CHANGED)
-            assert struct.unpack_from("<BBHfiiII", told)[4:] == (12, -4, 59, 26)
+            facts = await client.next(socket, CHANGED)
+            assert struct.unpack_from("<BBHfiiII", facts)[4:] == (12, -4, 59, 26)
 
     talk(show(tmp_path), look)
 
@@ -124,9 +124,9 @@ def test_a_moment_stays_when_the_map_is_edited_and_its_pose_goes_with_the_map(
     rows = zip(graph.stamp_ns.tolist(), graph.map.tolist(), strict=True)
     write_tum(tmp_path / "trajectory.tum", [(stamp_ns, SE2(*pose)) for stamp_ns, pose in rows])
     save_bent(tmp_path / "map", bent)
-    view, told = show(tmp_path), []
+    view, facts = show(tmp_path), []
     put_ready = view.server.put_ready
-    monkeypatch.setattr(view.server, "put_ready", lambda ready: (told.append(ready), put_ready(ready)))
+    monkeypatch.setattr(view.server, "put_ready", lambda ready: (facts.append(ready), put_ready(ready)))
     k = ROUND + 20
     asked = {"position_s": (graph.stamp_ns[k] - graph.stamp_ns[0]) / 1e9}
     assert view.answer("moment_go_to", json.dumps(asked).encode()).ok
@@ -137,7 +137,7 @@ def test_a_moment_stays_when_the_map_is_edited_and_its_pose_goes_with_the_map(
     ]
     change = {"version": 1, "change": {"what": "add-pair", "pairs": pairs}}
     assert view.answer("map_edit", json.dumps(change).encode()).ok
-    before, after = (json.loads(ready["moment"]) for ready in told if "moment" in ready)
+    before, after = (json.loads(ready["moment"]) for ready in facts if "moment" in ready)
     assert before["position_s"] == after["position_s"] == pytest.approx(asked["position_s"])
     (was,), (now,) = before["poses"], after["poses"]
     assert (was["x_m"], was["y_m"]) == pytest.approx(tuple(graph.map[k, :2]), abs=1e-6)

@@ -245,10 +245,10 @@ def test_a_laser_that_is_mounted_nowhere_is_a_warning(
 ):
     session = record_drive(config=None, mounted="other")
     assert replay([session], ReplayOptions()).summary["unmounted"] == ["front"]
-    (told,) = [record for record in caplog.records if "mounted at the base's origin" in record.message]
-    assert told.levelname == "WARNING"
-    assert "/tf_static does not lead from front to base_link or base_footprint" in told.message
-    assert "by --config" in told.message
+    (facts,) = [record for record in caplog.records if "mounted at the base's origin" in record.message]
+    assert facts.levelname == "WARNING"
+    assert "/tf_static does not lead from front to base_link or base_footprint" in facts.message
+    assert "by --config" in facts.message
     caplog.clear()
     (tmp_path / "c.yaml").write_text(CONFIG % 0.0)
     done = replay([session], ReplayOptions(config=tmp_path / "c.yaml"))
@@ -350,19 +350,19 @@ def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
     bad = tmp_path / "bad.mcap"
     bad.write_text("no recording")
     sessions = [[record_drive("a")], [bad], [record_drive("b", scans=30)]]
-    told: list[tuple[float | None, str]] = []
+    facts: list[tuple[float | None, str]] = []
     folders, others = (result_folders(sessions, tmp_path / name) for name in "12")
-    one_by_one = replay_all(sessions, ReplayOptions(), folders, lambda *how_far: told.append(how_far))
+    one_by_one = replay_all(sessions, ReplayOptions(), folders, lambda *how_far: facts.append(how_far))
     tasks = new_tasks(sessions, ReplayOptions(), others)
     with Processes(2) as processes:
         at_once = [done.outcome for done in run_batch(tasks, processes, lambda *_: None)]
     assert [s["scans"] for s in one_by_one[::2]] == [s["scans"] for s in at_once[::2]] == [40, 30]
     assert "bad.mcap is no recording" in str(at_once[1])
     assert str(at_once[1]) == str(one_by_one[1])
-    shares = [share for share, phase in told if phase == "mapping" and share is not None]
+    shares = [share for share, phase in facts if phase == "mapping" and share is not None]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
-    assert told[-1] == (None, "closing loops")
+    assert facts[-1] == (None, "closing loops")
     written = [path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.*") if path.is_file()]
     assert len([path for path in written if len(path.parts) == 2]) == 16  # beside the stored maps
     for path in written:
@@ -379,12 +379,12 @@ def test_a_session_that_cannot_be_read_keeps_no_other_back(
     asked = ["replay", *map(str, (bad, good, old)), "--out", str(tmp_path / "out"), "--jobs", jobs]
     assert main([*asked, "--json"]) == InputError.exit_code
     said = capfd.readouterr()
-    told = json.loads(said.out)
-    assert "bad.mcap is no recording" in told[str(bad)]["error"]
-    assert told[str(good)]["scans"] == 40
-    assert (Path(told[str(good)]["out"]) / "map.png").exists()
-    assert "recorded config:1:" in told[str(old)]["error"]
-    assert told[str(bad)]["error"] in said.err
+    facts = json.loads(said.out)
+    assert "bad.mcap is no recording" in facts[str(bad)]["error"]
+    assert facts[str(good)]["scans"] == 40
+    assert (Path(facts[str(good)]["out"]) / "map.png").exists()
+    assert "recorded config:1:" in facts[str(old)]["error"]
+    assert facts[str(bad)]["error"] in said.err
 
 
 def test_the_recorded_config_counts_unless_another_is_given(record_drive: RecordDrive, tmp_path: Path):

@@ -25,9 +25,9 @@ def test_an_interval_of_more_than_three_periods_is_a_gap():
 
 def test_only_the_longest_gaps_are_listed_and_all_are_counted():
     begins = [10 * n + 3 for n in range(MAX_GAPS + 5)]
-    told = rates_of(*(10 * n + k for n in range(MAX_GAPS + 6) for k in range(4)))
-    assert told["gaps"] == len(begins)
-    assert [at_s for at_s, _ in told["longest_gaps"]] == [round(0.02 * k, 3) for k in begins[:MAX_GAPS]]
+    facts = rates_of(*(10 * n + k for n in range(MAX_GAPS + 6) for k in range(4)))
+    assert facts["gaps"] == len(begins)
+    assert [at_s for at_s, _ in facts["longest_gaps"]] == [round(0.02 * k, 3) for k in begins[:MAX_GAPS]]
 
 
 def test_kinds_of_one_sensor_are_told_apart_and_a_single_frame_has_no_rate():

@@ -8,10 +8,10 @@ T0_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
 
 
-def reasons_of(told: list[tuple[State, str]]) -> StateReasons:
+def reasons_of(facts: list[tuple[State, str]]) -> StateReasons:
     """Of outputs a tenth of a second apart."""
     reasons = StateReasons()
-    for k, (state, words) in enumerate(told):
+    for k, (state, words) in enumerate(facts):
         pose, reason = SE2(), Reason("off_map" if words else "", words)
         reasons.add(
             MapperOutput(T0_NS + k * STEP_NS, pose, pose, (0.0, 0.0, 0.0), np.eye(3), state, reason, 1.0)
@@ -54,6 +54,6 @@ def test_only_the_most_frequent_kinds_are_reported():
 
 
 def test_of_each_state_but_ok_the_main_reason_is_reported():
-    told = reasons_of([("ok", ""), *[("lost", "no returns")] * 2, ("lost", "elsewhere")]).as_dict()
-    summary = {"scans": 4, "state": {"ok": 1, "degraded": 0, "lost": 3}, "state_reasons": told}
+    facts = reasons_of([("ok", ""), *[("lost", "no returns")] * 2, ("lost", "elsewhere")]).as_dict()
+    summary = {"scans": 4, "state": {"ok": 1, "degraded": 0, "lost": 3}, "state_reasons": facts}
     assert list(doubts(summary)) == ["3 of 4 scans were lost; 2 of them, from 0.1 s on: no returns"]

@@ -42,7 +42,7 @@ def test_from_the_event_on_the_other_profile_maps_in_a_map_of_its_own(made, tmp_
     assert done.summary["profile"] == "contour_lm"
     assert done.summary["profile_switches"] == [{"at_s": 2.0, "profile": "contour_lm"}]
     assert done.summary["map_resets"] == 1
-    assert done.graph is None  # of contour_lm nobody can begin in it
+    assert done.graph is None  # of contour_lm no one can begin in it
 
 
 def test_the_poses_after_a_switch_are_those_of_that_profile_alone(made, tmp_path):

@@ -48,10 +48,10 @@ def test_what_answers_is_in_the_config_and_what_does_not_is_named(
     wires = [laser, str(vehicle.terminal), page]
     arguments = ["init", *wires, "--out", str(out), "--data", str(tmp_path / "data"), "--json"]
     assert main([*arguments, "--seconds", str(ASK_S)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["sensors"]["lms"]["wire"] == laser
-    assert told["sensors"]["lms"]["identity"]["serial"] == "18090362"
-    assert list(told["silent"]) == [f"127.0.0.1:{web_server}"]
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["sensors"]["lms"]["wire"] == laser
+    assert facts["sensors"]["lms"]["identity"]["serial"] == "18090362"
+    assert list(facts["silent"]) == [f"127.0.0.1:{web_server}"]
     config = load_config(out)
     assert (config.sensors["lms"].type, config.sensors["lms"].port) == ("sick_lms100", vehicle.port)
     assert (config.sensors["base"].type, config.sensors["base"].device) == (

@@ -104,8 +104,8 @@ def quadratic(tasks: Sequence[Task]) -> Ended:
 
 @pytest.fixture
 def drives_given(monkeypatch: pytest.MonkeyPatch) -> list[Drive]:
-    told: Any = lambda folder, summary, truth: Measured(summary["cost"], {"cost": summary["cost"]})  # noqa: E731
-    monkeypatch.setattr(search, "measure", told)
+    facts: Any = lambda folder, summary, truth: Measured(summary["cost"], {"cost": summary["cost"]})  # noqa: E731
+    monkeypatch.setattr(search, "measure", facts)
     return [Drive((Path(f"d{k}.mcap"),), None, is_held_out=k == 1) for k in range(3)]
 
 

@@ -100,7 +100,7 @@ def main() -> None:
 
 
 def _reap() -> None:
-    """Nobody asks how a mapper ended, but what it used is counted."""
+    """No one asks how a mapper ended, but what it used is counted."""
     with suppress(ChildProcessError):
         while os.waitpid(-1, os.WNOHANG)[0]:
             pass

@@ -23,7 +23,7 @@ def strange(self: Mapper[Any], frame: Frame) -> MapperOutput | None:
     if is_fatal and how == "raises":
         raise IndexError("no such tile")
     if is_fatal and how == "hangs":
-        os.read(os.pipe()[0], 1)  # nobody writes
+        os.read(os.pipe()[0], 1)  # no one writes
     return process(self, frame)
 
 

@@ -78,7 +78,7 @@ def test_a_fix_as_old_as_the_one_before_and_one_of_another_receiver_are_named():
 @pytest.mark.parametrize(
     "scans",
     [
-        [(0, 0), (1_100_000_000, 1)],  # a gap in which nobody knows the way
+        [(0, 0), (1_100_000_000, 1)],  # a gap in which no one knows the way
         [(160_000_000, 0), (200_000_000, 0)],  # the drive began later
         [(100_000_000, -1), (200_000_000, -1)],  # no key frame yet
     ],

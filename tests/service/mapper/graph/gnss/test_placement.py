@@ -35,7 +35,7 @@ def test_contradictions_in_a_row_take_a_find_back():
     assert placement.state == "unknown"
     placement.found(15.0)
     assert placement.state == "unproven"
-    assert not placement.seen(16.0, agrees=False)  # counted anew
+    assert not placement.seen(16.0, agrees=False)  # counted again
 
 
 def test_what_is_proven_stays_so():

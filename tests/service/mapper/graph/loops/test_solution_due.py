@@ -1,4 +1,4 @@
-"""When the graph is solved, and when the map is drawn anew: laps of a round, each of which drifts a bit."""
+"""When the graph is solved, and when the map is drawn again: laps of a round, each of which drifts a bit."""
 
 import numpy as np
 import pytest

@@ -120,7 +120,7 @@ def test_a_slip_where_little_lay_on_the_map_does_not_keep_loops_away():
 
 @pytest.mark.parametrize("is_known", [True, False])
 def test_an_aisle_that_looks_like_another_beside_it_is_not_taken_for_it(is_known: bool):
-    """Where nobody knows how well the way is known, the same scans close a loop."""
+    """Where no one knows how well the way is known, the same scans close a loop."""
     aisle, _ = key_frames(0.5, turn_error_radpm=0.0)
     away = SE2(0.0, BESIDE_M, 0.0)
     like = [

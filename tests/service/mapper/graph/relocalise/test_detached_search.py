@@ -1,4 +1,4 @@
-"""What is told of a piece that was found once."""
+"""What is reported of a piece that was found once."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -47,10 +47,10 @@ def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_to
     search._hypothesis = SimpleNamespace(  # type: ignore[assignment]
         pose_map_odom=np.array([1.0, 2.0, 0.5]), loop=loop, piece=3, is_disputed=is_disputed, is_sure=True
     )
-    told = search.found_once
-    assert (told is None) is is_disputed
-    if told is not None:
-        assert (told.piece, told.pose_map_odom.x_m) == (3, 1.0)
+    facts = search.found_once
+    assert (facts is None) is is_disputed
+    if facts is not None:
+        assert (facts.piece, facts.pose_map_odom.x_m) == (3, 1.0)
 
 
 JUNCTION = [  # of two bare corridors, 3 and 2 m wide

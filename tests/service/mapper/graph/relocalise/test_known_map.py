@@ -1,4 +1,4 @@
-"""Two rooms that differ by a pillar: which of them a scan was taken in, and when nobody can tell."""
+"""Two rooms that differ by a pillar: which of them a scan was taken in, and when no one can tell."""
 
 import math
 from itertools import pairwise
@@ -115,9 +115,9 @@ def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_reported():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     search, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
     assert best is None
-    told = sorted((at.x_m, at.y_m) for at in search.possible)
-    assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
-    assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+    facts = sorted((at.x_m, at.y_m) for at in search.possible)
+    assert facts[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
+    assert facts[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
 
 
 @pytest.mark.parametrize("stands_in_second", [False, True])
@@ -132,9 +132,9 @@ def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_kno
     own = append(keyframes, room(at_m, with_pillar=False), pose, 1, noise)
     search, best = looked_for(keyframes, own)
     assert best is None
-    told = sorted((at.x_m, at.y_m) for at in search.possible)
-    assert told[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
-    assert told[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+    facts = sorted((at.x_m, at.y_m) for at in search.possible)
+    assert facts[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
+    assert facts[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
     assert search.ahead_of_others(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > CLEARLY_LIKELIER
 
 

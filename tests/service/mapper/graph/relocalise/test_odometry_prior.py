@@ -1,4 +1,4 @@
-"""Where a vehicle may be after a way that nobody measured."""
+"""Where a vehicle may be after a way that no one measured."""
 
 import math
 

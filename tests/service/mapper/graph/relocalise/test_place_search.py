@@ -1,4 +1,4 @@
-"""A corridor: which places of it are told from each other, and which are not."""
+"""A corridor: which places of it can be distinguished, and which are not."""
 
 import math
 from itertools import pairwise

@@ -56,7 +56,7 @@ def test_what_is_believed_lies_between_prediction_and_match():  # B14
 
 @pytest.mark.parametrize("along_m", [0.0, 0.5])
 def test_of_what_was_joined_the_scan_alone_is_taken(along_m):
-    """A corridor: the scan knows nothing of the way along it, the pose there is what the matcher was told."""
+    """A corridor: the scan knows nothing of the way along it, the pose there is what the matcher got."""
     model = InertialMotion(InertialMotionConfig())
     driven(model, 0, 1000, 1.0)
     model.add(imu(1000))

@@ -108,7 +108,7 @@ def test_a_particle_weighs_as_much_as_the_scan_is_likely_on_its_map() -> None:
     once = submaps.log_weights.copy()
     assert (np.diff(once) < -0.5).all()
     matcher.align_particles(square(), standing(nothing), submaps)
-    np.testing.assert_allclose(submaps.log_weights, 2.0 * once)  # scan by scan, until they are drawn anew
+    np.testing.assert_allclose(submaps.log_weights, 2.0 * once)  # scan by scan, until they are drawn again
 
 
 def log_density(poses: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
