@@ -1,8 +1,8 @@
 """Outputs of the mapper."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -117,6 +117,8 @@ class GraphPicture:
     accepted   (L, 2, 2) both ends of each loop that holds the graph together
     refused    (R, 2, 2) of each that was measured and is not accepted, see service.mapper.refused_loops
     borders    outlines of sub-maps, (K, 2) each; none where the method has no sub-maps
+    evidence   of some "accepted" and some "refused" loops, as of service.mapper.loop_evidence; empty where
+               the method reports none
     """
 
     stamp_ns: int
@@ -124,6 +126,7 @@ class GraphPicture:
     accepted: npt.NDArray[np.float32]
     refused: npt.NDArray[np.float32]
     borders: Sequence[npt.NDArray[np.float32]] = ()
+    evidence: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
 
 
 _NO_ENDS = np.empty((0, 2, 2), np.float32)

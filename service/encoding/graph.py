@@ -1,7 +1,10 @@
-"""The pose graph as markers: lines that RViz, Foxglove and the operator's page draw alike."""
+"""The pose graph as markers: lines that RViz, Foxglove and the operator's page draw alike. The text of the
+loops, which these viewers do not draw, holds what the loops rest on, as JSON.
+"""
 
+import json
 from collections.abc import Iterator, Sequence
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +18,7 @@ from service.outputs import GraphPicture
 GRAPH = "graph"  # the channel
 # Namespaces of the markers.
 WAYS, LOOPS, REFUSED, BORDERS = "key_frames", "loops", "refused_loops", "sub_maps"
+_KINDS = {LOOPS: "accepted", REFUSED: "refused"}  # as of GraphPicture.evidence
 _LOOK = {  # width in m, colour; one pixel where 40 m fill 500 pixels
     WAYS: (0.08, (0.16, 0.36, 0.85, 1.0)),
     LOOPS: (0.08, (0.10, 0.60, 0.25, 1.0)),
@@ -38,7 +42,9 @@ def encode_graph(picture: GraphPicture, log_ns: int) -> Message:
         ]
     for name, ends in ((LOOPS, picture.accepted), (REFUSED, picture.refused)):
         if len(ends):
-            markers.append(_marker(stamp_ns, name, 0, Marker.LINE_LIST, Marker.ADD, ends.reshape(-1, 2)))
+            text = json.dumps(picture.evidence.get(_KINDS[name], []), separators=(",", ":"))
+            lines = ends.reshape(-1, 2)
+            markers.append(_marker(stamp_ns, name, 0, Marker.LINE_LIST, Marker.ADD, lines, text))
     content = ros.visualization_msgs__msg__MarkerArray(markers)
     return wire.to_message(GRAPH, wire.MARKERS, stamp_ns, log_ns, content)
 
@@ -52,10 +58,13 @@ def decode_graph(payload: bytes) -> GraphPicture:
         accepted=_ends(array.markers, LOOPS),
         refused=_ends(array.markers, REFUSED),
         borders=[border[:-1] for border in _lines(array.markers, BORDERS)],
+        evidence={_KINDS[m.ns]: _evidence(m.text) for m in array.markers if m.ns in _KINDS},
     )
 
 
-def _marker(stamp_ns: int, name: str, number: int, kind: int, action: int, xy: Lines) -> Marker:
+def _marker(
+    stamp_ns: int, name: str, number: int, kind: int, action: int, xy: Lines, text: str = ""
+) -> Marker:
     width_m, colour = _LOOK.get(name, (0.0, (0.0, 0.0, 0.0, 0.0)))
     header = wire.header_ros(stamp_ns, wire.MAP_FRAME)
     nothing = np.empty(0, np.uint8)
@@ -75,7 +84,7 @@ def _marker(stamp_ns: int, name: str, number: int, kind: int, action: int, xy: L
         texture_resource="",
         texture=ros.sensor_msgs__msg__CompressedImage(header, "", nothing),
         uv_coordinates=[],
-        text="",
+        text=text,
         mesh_resource="",
         mesh_file=ros.visualization_msgs__msg__MeshFile("", nothing),
         mesh_use_embedded_materials=False,
@@ -90,6 +99,15 @@ def _lines(markers: Sequence[Marker], name: str) -> Iterator[Lines]:
     for marker in markers:
         if marker.ns == name:
             yield np.array([(point.x, point.y) for point in marker.points], np.float32).reshape(-1, 2)
+
+
+def _evidence(text: str) -> list[dict[str, Any]]:
+    """Recordings of before, and markers of others, have none."""
+    try:
+        read = json.loads(text)
+    except (ValueError, RecursionError):
+        return []
+    return read if isinstance(read, list) and all(isinstance(loop, dict) for loop in read) else []
 
 
 def _ends(markers: Sequence[Marker], name: str) -> Lines:

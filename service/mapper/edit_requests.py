@@ -92,11 +92,26 @@ class AddPairs(Asked, Generic[PairT]):
     pairs: Annotated[list[PairT], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
 
 
+class SeenLoop(Asked):
+    """stamps_ns   of the key frames at its ends, the earlier pass first, in digits"""
+
+    stamps_ns: tuple[Stamp, Stamp]
+
+
+class RefuseSeenLoop(SeenLoop):
+    what: Literal["refuse-loop"]
+
+
+class AcceptSeenLoop(SeenLoop):
+    what: Literal["accept-loop"]
+
+
 class Undo(Asked):
     what: Literal["undo"]
 
 
-LiveChange = Erase | Wall | Cut | AddPairs[SeenPair] | RemovePair | Optimize | Undo
+LoopChange = RefuseSeenLoop | AcceptSeenLoop
+LiveChange = Erase | Wall | Cut | AddPairs[SeenPair] | RemovePair | LoopChange | Optimize | Undo
 
 
 class EditMap(Asked):

@@ -60,8 +60,11 @@ class RefusedLoops:
         left = self.chosen(np.flatnonzero(is_kept[self.ends].all(axis=1)))
         return RefusedLoops(number[left.ends], *(getattr(left, f.name) for f in fields(left)[1:]))
 
+    def by_field(self) -> dict[str, npt.NDArray[Any]]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        return {PREFIX + f.name: getattr(self, f.name) for f in fields(self)}
+        return {PREFIX + name: array for name, array in self.by_field().items()}
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "RefusedLoops":

@@ -10,7 +10,8 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             how 0: in place of the path so far, 1: behind it
     GRAPH   u8 4, u8 0, u16 0, then zlib of u32 ways, u32 borders, u32 accepted, u32 refused; a u32 count of
             points for each way and each border; the points of ways and borders, then both ends of each
-            accepted and of each refused loop, as (f32 x_m, f32 y_m), map frame
+            accepted and of each refused loop, as (f32 x_m, f32 y_m), map frame; then JSON: what some of the
+            loops rest on, {"accepted": [...], "refused": [...]}, see service.mapper.loop_evidence
 
     STANDING u8 5, u8 known, u16 0, f32 cell_m, i32 column, i32 row of the lower left cell, counted from the
             map's origin, u32 width, u32 height, then zlib of width x height x i8 by rows (-1 nothing stands,
@@ -229,6 +230,7 @@ def encode_graph(picture: GraphPicture) -> bytes:
     counts += [len(line) for line in lines]
     parts = [*lines, picture.accepted, picture.refused]
     body = np.array(counts, "<u4").tobytes() + b"".join(part.astype("<f4").tobytes() for part in parts)
+    body += json.dumps(picture.evidence, separators=(",", ":")).encode()
     return struct.pack("<BBH", GRAPH, 0, 0) + zlib.compress(body, DEFLATE_LEVEL)
 
 

@@ -71,10 +71,12 @@ def map_process():
 
 @pytest.fixture
 def mapping(bent, tmp_path):
+    return mapping_of(bent.graph, bent.tiles, tmp_path)
+
+
+def mapping_of(graph, tiles, folder):
     shown = OccupancyTiles(OccupancyConfig(), 0.05)
-    return Mapping(
-        LoopBackEnd(LoopsConfig(), shown.renderer, bent.graph), bent.tiles, tmp_path / "maps" / "ring"
-    )
+    return Mapping(LoopBackEnd(LoopsConfig(), shown.renderer, graph), tiles, folder / "maps" / "ring")
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.loops.loop_back_end import AGREE_M, AGREE_RAD
 from service.mapper.graph.model.loops import WITHIN_M
+from service.mapper.loop_evidence import residuals
 from service.mapper.refused_loops import CONTRADICTED, NOT_SUPPORTED, TOO_FAR, WORDS
 from service.mapper.saved_graph import SavedGraph
-from service.offline.maps.loops import residuals
 
 MAX_PROPOSED = 20
 POINTS = 3  # of a proposal: two fix place and heading, the third shows whether they do
@@ -31,7 +31,7 @@ def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:
     on_map        share of the points of the later pass that lie on the earlier one
     """
     refused, way = graph.refused, graph.way_m[graph.refused.ends]
-    apart_m, apart_rad = residuals(graph, refused.ends, refused.measured)
+    apart_m, apart_rad = residuals(graph.map, refused.ends, refused.measured)
     disagrees = ((apart_m > AGREE_M) | (apart_rad > AGREE_RAD)) & np.isin(refused.reason, _FITS)
     proposed: list[int] = []
     reported: list[dict[str, Any]] = []

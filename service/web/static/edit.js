@@ -42,6 +42,7 @@ export class Edit {
     this.version = 0; // of the map that is shown; 0: not known yet
     this.versions = [];
     this.keyframes = new Keyframes();
+    this.evidence = {}; // of the loops of a running session
     this.tool = null;
 
     this.note = element("p", { id: "edit-note", role: "status", tabIndex: 0 }); // it may be long, and scrolls then
@@ -53,7 +54,6 @@ export class Edit {
     this.pairs = new EditPairs(this);
     this.loops = new EditLoops(this);
     this.swipe = new Swipe(view);
-    this.loops.put(); // none is known of a running session
     this.drawing = new EditDraw(this);
     this.cut = new EditCut(this);
     const versions = card("Versions");
@@ -74,7 +74,10 @@ export class Edit {
   putVerbs({ verbs }) {
     this.isOffered = verbs.includes("map_edit");
     this.isLive = !this.isOffered && LIVE_VERBS.every((verb) => verbs.includes(verb));
-    if (this.isLive) this.forget();
+    if (this.isLive) {
+      this.forget();
+      this.loops.put(this.evidence);
+    }
     byId("tab-edit").hidden = !this.isOffered && !this.isLive;
     this.update();
   }
@@ -158,6 +161,19 @@ export class Edit {
     this.loops.put(told.loops);
     this.view.invalidate();
     return true;
+  }
+
+  /** Of a running session: its loops, as the graph shows them. */
+  putGraph({ evidence }) {
+    this.evidence = evidence;
+    if (this.isLive) this.loops.put(evidence);
+  }
+
+  /** Numbers of the two key frames of a loop, fetched where that was not done yet; null where they cannot be. */
+  async keyframesOf({ keyframes, from_s, back_at_s }) {
+    if (!this.isLive) return keyframes;
+    if (!this.keyframes.reaches(back_at_s)) await this.#fetch();
+    return this.keyframes.reaches(back_at_s) ? [from_s, back_at_s].map((at_s) => this.keyframes.closestTo(at_s)) : null;
   }
 
   /** The points of a key frame; resolves to {ok, pose?, points?, error?}. */

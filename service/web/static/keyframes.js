@@ -1,6 +1,7 @@
 // The key frames of a stored map: where and when each was, and the one that a person means.
 
 const WAY_APART_M = 10; // key frames of so much way between them are of two passes
+const SAME_S = 0.02; // times are rounded
 
 export class Keyframes {
   /** told: of the service's map_look; null where the map has none. */
@@ -22,6 +23,16 @@ export class Keyframes {
 
   seconds(k) {
     return this.at_s[this.#index(k)];
+  }
+
+  /** Whether they are of a drive until then, s after the first one. */
+  reaches(at_s) {
+    return this.at_s.length > 0 && at_s <= this.at_s.at(-1) + SAME_S;
+  }
+
+  /** Number of the key frame of that time. */
+  closestTo(at_s) {
+    return this.every * this.at_s.reduce((best, s, i) => (Math.abs(s - at_s) < Math.abs(this.at_s[best] - at_s) ? i : best), 0);
   }
 
   /** Number of the key frame that is drawn nearest to a point of the screen; null where none is within some pixels. */

@@ -32,6 +32,7 @@ const connection = new Connection({
     if (hello.run_id !== runId) {
       view.clear();
       edit.compare.clear();
+      edit.putGraph({ evidence: {} });
       past.clear();
       information.clear();
       history.clear();
@@ -60,7 +61,7 @@ const connection = new Connection({
   },
   refused: ({ error }) => console.error(error),
   tiles: (message) => { view.putTiles(message); explainChange(); byId("empty").hidden = view.tiles.tiles.size > 0; },
-  graph: (message) => { view.putGraph(message); explainLayers(); },
+  graph: (message) => { view.putGraph(message); edit.putGraph(message); explainLayers(); },
   standing: (message) => { view.putStanding(message); explainStanding(); },
   changes: (message) => { view.putStoredChanges(message); explainStoredChanges(); },
   path: (message) => view.putPath(message),

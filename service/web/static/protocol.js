@@ -55,6 +55,7 @@ const decodeGraph = async (view) => {
   return {
     type: "graph", ways: lines.slice(0, ways), borders: lines.slice(ways),
     accepted: points(2 * accepted), refused: points(2 * refused),
+    evidence: JSON.parse(new TextDecoder().decode(new Uint8Array(body, at))),
   };
 };
 

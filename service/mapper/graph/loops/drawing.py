@@ -1,14 +1,24 @@
 """Draws the graph of the default profile, for people to look at."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from service.geometry.poses import Floats
+from service.mapper.graph.loops.stored_graph import loop_arrays
 from service.mapper.graph.model.graph_picture import PERIOD_NS, draw, stretches
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.refusals import Refusals
+from service.mapper.loop_evidence import evidence, residuals
 from service.outputs import GraphPicture
+
+MAX_SHOWN = 50  # loops of each kind, with what they rest on
+
+Mask = npt.NDArray[np.bool_]
 
 
 class Drawing:
@@ -36,11 +46,32 @@ class Drawing:
         if not at_once and stamp_ns < self._due_ns:
             return None
         self._due_ns = stamp_ns + PERIOD_NS
-        is_known = np.isin(keyframes.piece, list(joined)) & ~keyframes.is_lost
-        return draw(
+        is_joined = np.isin(keyframes.piece, list(joined))
+        of_accepted = {name.removeprefix("loop_"): of_all for name, of_all in loop_arrays(accepted).items()}
+        of_refused = refusals.arrays(accepted).by_field()
+        picture = draw(
             stamp_ns,
             keyframes.map[:, :2],
-            stretches(keyframes.way_m, keyframes.piece, is_known),
-            np.array([(loop.of, loop.to) for loop in accepted], np.int64).reshape(-1, 2),
-            refusals.arrays(accepted).ends,
+            stretches(keyframes.way_m, keyframes.piece, is_joined & ~keyframes.is_lost),
+            of_accepted["ends"],
+            of_refused["ends"],
         )
+        off_m, _ = residuals(keyframes.map, of_accepted["ends"], of_accepted["measured"])
+        shown = {
+            "accepted": _evidence(of_accepted, off_m, keyframes, is_joined),
+            "refused": _evidence(of_refused, of_refused["score"], keyframes, is_joined),
+        }
+        return replace(picture, evidence=shown)
+
+
+def _evidence(
+    loops: Mapping[str, npt.NDArray[Any]], rank: Floats, keyframes: KeyframeList, is_joined: Mask
+) -> list[dict[str, Any]]:
+    """Of the MAX_SHOWN loops with the highest rank (N,) among those of a place that is known."""
+    known = np.flatnonzero(is_joined[loops["ends"]].all(axis=1))
+    if not len(known):
+        return []
+    first = known[np.argsort(-rank[known], kind="stable")][:MAX_SHOWN]
+    stamps_ns = np.array(keyframes.stamps_ns, np.int64)
+    shown = {name: of_all[first] for name, of_all in loops.items()}
+    return evidence(shown, stamps_ns, keyframes.map, keyframes.way_m, int(stamps_ns[is_joined].min()))

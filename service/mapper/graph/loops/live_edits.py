@@ -14,13 +14,16 @@ from service.geometry.poses import Floats
 from service.mapper.by_hand import BECOMES, DRAWN_WALL, ByHand, Drawing, pairs_of
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import (
+    AcceptSeenLoop,
     AddPairs,
     Cut,
     EditError,
     Erase,
     LiveChange,
     Optimize,
+    RefuseSeenLoop,
     RemovePair,
+    SeenLoop,
     SeenPair,
     Undo,
     Wall,
@@ -28,8 +31,12 @@ from service.mapper.edit_requests import (
     moved_words,
     wall_words,
 )
+from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.keyframe_list import KeyframeList, ThinnedScan
 from service.mapper.graph.model.loops import Loop
+from service.mapper.graph.model.refusals import Refusals
+from service.mapper.loop_evidence import points_of
+from service.mapper.refused_loops import BY_HAND
 
 MAX_UNDONE = 50  # changes; what they took away takes memory
 WALL_MARGIN_M = 0.2  # around a line that is a cell or two wide
@@ -60,8 +67,9 @@ class Made:
 class LiveEdits:
     """Makes changes one after the other, and takes them back, the newest first. Moves no key frame itself."""
 
-    def __init__(self, keyframes: KeyframeList) -> None:
+    def __init__(self, keyframes: KeyframeList, refusals: Refusals) -> None:
         self._keyframes = keyframes
+        self._refusals = refusals
         self._made: list[Made] = []
 
     def make(self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]) -> tuple[Made, list[Loop]]:
@@ -88,6 +96,10 @@ class LiveEdits:
                 made = self._cut(change, is_known, before, loops)
             case AddPairs():
                 made = self._pair(change.pairs, is_known, before)
+            case RefuseSeenLoop():
+                made = self._refuse(change, is_known, before, loops)
+            case AcceptSeenLoop():
+                made = self._accept(change, is_known, before, loops)
             case RemovePair():
                 made = self._remove_pair(change.pair, before)
         self._made = [*self._made, made][-MAX_UNDONE:]
@@ -159,7 +171,7 @@ class LiveEdits:
     def _pair(self, pairs: Sequence[SeenPair], is_known: Mask, before: ByHand) -> Made:
         by_hand, number = before, len(before.pair_ends)
         for pair in pairs:
-            first, second = (self._keyframe(int(stamp), is_known) for stamp in pair.stamps_ns)
+            first, second = self._ends(pair, is_known)
             if first == second:
                 raise EditError("both points of a pair are of one key frame; a pair is of two")
             by_hand = by_hand.and_paired((first, second), np.array(pair.points_base))
@@ -167,6 +179,40 @@ class LiveEdits:
         last = number + len(pairs) - 1
         named = f"pair {number}" if len(pairs) == 1 else f"pairs {number} to {last}"
         return Made(named, before)
+
+    def _refuse(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
+        of, to = self._ends(change, is_known)
+        gone = [loop for loop in loops if (loop.of, loop.to) == (of, to)]
+        if not gone:
+            raise EditError(f"no accepted loop joins the key frames {of} and {to} any more")
+        pieces, piece = np.unique(self._keyframes.piece, return_inverse=True)
+        left = [(loop.of, loop.to) for loop in loops if loop not in gone] + before.pair_ends.tolist()
+        group = groups_of(len(pieces), piece[np.array(left, np.int64).reshape(-1, 2)].tolist())
+        if group[piece[of]] != group[piece[to]]:
+            raise EditError(
+                "nothing else says where a part of the map lies that was begun after the vehicle was lost; "
+                "join it by a pair of points first, or cut it out"
+            )
+        self._refusals.add(gone, BY_HAND)
+        return Made(f"took back the loop from key frame {to} to {of}", before, loops=gone)
+
+    def _accept(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
+        """As two pairs of points, which say what it measured."""
+        of, to = self._ends(change, is_known)
+        refused = self._refusals.arrays(loops)
+        found = np.flatnonzero((refused.ends == (of, to)).all(axis=1))
+        if not len(found):
+            raise EditError(f"no refused loop joins the key frames {of} and {to} any more")
+        by_hand = before
+        for seen in points_of(refused.measured[found[0]]):
+            by_hand = by_hand.and_paired((of, to), seen)
+        self._keyframes.by_hand = by_hand
+        number = len(before.pair_ends)
+        return Made(f"accepted the loop from key frame {to} to {of} as pairs {number}, {number + 1}", before)
+
+    def _ends(self, change: SeenLoop | SeenPair, is_known: Mask) -> tuple[int, int]:
+        of, to = (self._keyframe(int(stamp), is_known) for stamp in change.stamps_ns)
+        return of, to
 
     def _keyframe(self, stamp_ns: int, is_known: Mask) -> int:
         found = np.flatnonzero((np.array(self._keyframes.stamps_ns, np.int64) == stamp_ns) & is_known)

@@ -102,7 +102,7 @@ class LoopBackEnd:
         self._is_merging = self._is_across = False  # as of begin_session_at
         self._placement = Placement(stored is not None)
         self._old_passes = OldPasses(config, self.keyframes)
-        self._edits = LiveEdits(self.keyframes)
+        self._edits = LiveEdits(self.keyframes, self._refusals)
         self._anchoring = anchoring or Anchoring()
         self._drawing = Drawing()
 
@@ -447,7 +447,8 @@ class LoopBackEnd:
     def _search_again(self) -> None:
         """Stretches against the passes that lie near them now: revisits that were missed on the way."""
         config, way = self._config, self.keyframes.way_m
-        done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
+        ends = [(loop.of, loop.to) for loop in self._loops] + self._refusals.by_hand()
+        done = {(round(way[to] / 3.0), round(way[of] / 3.0)) for of, to in ends}
         self._candidates = list(self._loops)
         new = []
         first_m = config.place_m + float(way[self.keyframes.stored])

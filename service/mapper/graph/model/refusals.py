@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable
 import numpy as np
 
 from service.mapper.graph.model.loops import Loop
-from service.mapper.refused_loops import RefusedLoops
+from service.mapper.refused_loops import BY_HAND, RefusedLoops
 
 MAX_REFUSED = 1000  # the newest; time must not fill memory
 
@@ -40,6 +40,10 @@ class Refusals:
     def clear(self) -> None:
         """The key frames have other numbers now."""
         self._by_ends.clear()
+
+    def by_hand(self) -> list[tuple[int, int]]:
+        """Ends of those that a person took back: no search brings them in again."""
+        return [ends for ends, (_, reason) in self._by_ends.items() if reason == BY_HAND]
 
     def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
         """Those that were not accepted after all."""

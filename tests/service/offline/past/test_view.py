@@ -157,7 +157,7 @@ def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
         async with client.socket() as socket:
             body = zlib.decompress((await client.next(socket, GRAPH))[4:])
             assert struct.unpack_from("<5I", body) == (1, 0, 1, 0, 4)
-            points = np.frombuffer(body, "<f4", offset=20).reshape(-1, 2).tolist()
+            points = np.frombuffer(body, "<f4", count=12, offset=20).reshape(-1, 2).tolist()
             assert points == [[0.0, 0.5], [1.0, 0.5], [2.0, 0.5], [3.0, 0.5], [0.0, 0.5], [3.0, 0.5]]
 
     talk(show(tmp_path), look)

@@ -1,5 +1,6 @@
 """Changes by hand in a back end that is at work: a ring of corridors, driven one and a half times."""
 
+import json
 import pickle
 from dataclasses import replace
 from typing import Any
@@ -11,6 +12,7 @@ from service.geometry import poses as se2
 from service.geometry.polygons import is_inside
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import EDIT_MAP
+from service.mapper.graph.edit.editing import without_loops
 from service.mapper.graph.loops import live_edits
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
@@ -43,7 +45,9 @@ def closed_ring() -> bytes:
 
 
 def asked(back_end: LoopBackEnd, **change: Any) -> tuple[Result, EditAnswer]:
-    result = back_end.work(Batch([], "edit_map", change=EDIT_MAP.validate_python({"change": change}).change))
+    result = back_end.work(
+        Batch([], "edit_map", change=EDIT_MAP.validate_json(json.dumps({"change": change})).change)
+    )
     assert result.edited is not None
     return result, result.edited
 
@@ -113,6 +117,64 @@ def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(
     np.testing.assert_array_equal(again.is_lost, before.is_lost)
     assert sorted(again.loop_ends.tolist()) == sorted(ends)
     np.testing.assert_allclose(again.map, before.map, atol=2e-3)
+
+
+def shown(back_end: LoopBackEnd, kind: str) -> list[dict[str, Any]]:
+    """What the page gets of accepted or refused loops."""
+    picture = back_end.work(Batch([], "checkpoint")).picture
+    assert picture is not None
+    return [*map(dict, picture.evidence[kind])]
+
+
+def test_a_loop_is_refused_stays_refused_at_the_finish_and_undo_gives_it_back(closed_ring: bytes):
+    back_end = pickle.loads(closed_ring)
+    before = saved(back_end)
+    worst = shown(back_end, "accepted")[0]
+    assert worst["off_mm"] == max(loop["off_mm"] for loop in shown(back_end, "accepted"))
+    assert 0.0 < worst["sigma_mm"] < 500.0
+    assert worst["way_m"] > 10.0
+    change = {"what": "refuse-loop", "stamps_ns": worst["stamps_ns"]}
+    result, answer = asked(back_end, **change)
+    assert answer.told["done"].startswith("took back the loop from key frame ")
+    assert result.rendered_map is not None
+    (found,) = [loop for loop in shown(back_end, "refused") if loop["stamps_ns"] == worst["stamps_ns"]]
+    assert found["why"] == "taken back by hand"
+    assert "no accepted loop joins" in asked(back_end, **change)[1].error
+    finished = pickle.loads(pickle.dumps(back_end)).work(Batch([], is_last=True)).saved
+    assert isinstance(finished, SavedGraph)
+    assert worst["keyframes"] not in finished.loop_ends.tolist()
+    assert len(saved(back_end).loop_ends) == len(before.loop_ends) - 1
+    asked(back_end, what="undo")
+    assert sorted(saved(back_end).loop_ends.tolist()) == sorted(before.loop_ends.tolist())
+    assert worst["stamps_ns"] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
+
+
+def test_refused_loops_that_are_accepted_close_the_ring(open_ring: bytes):
+    back_end = pickle.loads(open_ring)
+    assert seam_m(saved(back_end), TRUTH).min() > 0.5
+    refused = shown(back_end, "refused")
+    assert [loop["on_map"] for loop in refused] == sorted((loop["on_map"] for loop in refused), reverse=True)
+    apart = {
+        loop["keyframes"][1]: loop["stamps_ns"] for loop in refused if loop["why"].startswith("no other")
+    }
+    for number, to in enumerate(sorted(apart)[::3][:4]):
+        _, answer = asked(back_end, what="accept-loop", stamps_ns=apart[to])
+        assert f"as pairs {2 * number}, {2 * number + 1}" in answer.told["done"]
+    assert seam_m(saved(back_end), TRUTH).max() < 0.15
+    accepted = ("0", "100000000")
+    assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=accepted)[1].error
+
+
+def test_the_only_loop_that_says_where_a_part_of_the_map_lies_is_not_refused(closed_ring: bytes):
+    graph = saved(pickle.loads(closed_ring))
+    graph = without_loops(graph, range(2, len(graph.loop_ends)))
+    later = (np.arange(len(graph)) >= graph.loop_ends[:, 1].min()).astype(np.int64)
+    back_end = LoopBackEnd(LoopsConfig(), RENDERER, replace(graph, piece=later))
+    first, second = shown(back_end, "accepted")
+    assert not asked(back_end, what="refuse-loop", stamps_ns=first["stamps_ns"])[1].error
+    _, answer = asked(back_end, what="refuse-loop", stamps_ns=second["stamps_ns"])
+    assert "join it by a pair of points first" in answer.error
+    assert [loop["stamps_ns"] for loop in shown(back_end, "accepted")] == [second["stamps_ns"]]
 
 
 def test_loops_of_a_map_that_stays_as_it_is_are_not_undone(closed_ring: bytes):

@@ -1,0 +1,71 @@
+"""What a loop rests on, for a person who accepts or refuses it."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.geometry import poses as se2
+from service.geometry.poses import Floats
+from service.mapper.refused_loops import WORDS, Ints
+
+PAIR_M = 5.0  # far enough to fix the turn, too
+
+
+def residuals(map_poses: Floats, ends: Ints, measured: Floats) -> tuple[Floats, Floats]:
+    """(N,) m and (N,) rad between what loops measured, (N, 3), and the map.
+
+    map_poses   (K, 3) of the key frames;  ends  (N, 2) numbers of key frames
+    """
+    off = se2.between(measured, se2.between(map_poses[ends[:, 0]], map_poses[ends[:, 1]]))
+    return np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+
+
+def evidence(
+    loops: Mapping[str, npt.NDArray[Any]], stamps_ns: Ints, map_poses: Floats, way_m: Floats, first_ns: int
+) -> list[dict[str, Any]]:
+    """Of each of N loops its place, its times and its figures, for JSON.
+
+    loops      arrays as the fields of RefusedLoops; those of accepted ones: covariance, (N, 3, 3), and no
+               reason
+    stamps_ns, map_poses, way_m   (K,), (K, 3), (K,) of all key frames
+    first_ns   from which times count
+    """
+    ends = loops["ends"]
+    off_m, off_rad = residuals(map_poses, ends, loops["measured"])
+    reported: list[dict[str, Any]] = []
+    for k, (of, to) in enumerate(ends.tolist()):
+        reported.append(
+            {
+                "keyframes": [of, to],
+                "stamps_ns": [str(stamps_ns[of]), str(stamps_ns[to])],
+                "x_m": round(float(map_poses[to, 0]), 2),
+                "y_m": round(float(map_poses[to, 1]), 2),
+                "from_s": round(int(stamps_ns[of] - first_ns) / 1e9, 2),
+                "back_at_s": round(int(stamps_ns[to] - first_ns) / 1e9, 2),
+                "way_m": round(abs(float(way_m[to] - way_m[of])), 1),
+                "points": int(loops["points"][k]),
+                "on_map": round(float(loops["score"][k]), 3),
+                "in_free": None if np.isnan(loops["against"][k]) else round(float(loops["against"][k]), 3),
+                "off_mm": round(1e3 * float(off_m[k]), 1),
+                "off_deg": round(float(np.degrees(off_rad[k])), 3),
+            }
+        )
+        if "reason" in loops:
+            reported[-1]["why"] = WORDS[loops["reason"][k]]
+        else:
+            covariance = loops["covariance"][k]
+            widest_m2 = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+            reported[-1]["sigma_mm"] = round(1e3 * math.sqrt(max(widest_m2, 0.0)), 1)
+            reported[-1]["sigma_deg"] = round(math.degrees(math.sqrt(max(covariance[2, 2], 0.0))), 3)
+    return reported
+
+
+def points_of(measured: Floats) -> Floats:
+    """(2, 2, 2) m: two pairs of points that say together what a loop, (3,), measured: both lie PAIR_M from
+    the second key frame. Of each pair the point as the first key frame sees it, and as the second does.
+    """
+    seen = np.array([[PAIR_M, 0.0], [-PAIR_M, 0.0]])
+    return np.stack((se2.points_from(measured, seen), seen), axis=1)
