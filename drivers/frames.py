@@ -16,7 +16,8 @@ class LaserScan:
     """One sweep of a planar laser; beam i looks at first_angle_rad + i * angle_step_rad at
     stamp_ns + i * beam_interval_ns.
 
-    "No return" is NaN in range_m, so it can never be mistaken for a wall at zero metres.
+    "No return" is NaN in range_m, so it can never be mistaken for a wall at zero metres. Where the device
+    names a cause, the payload of the NaN (IEEE 754-2008, 6.2) is its number, see `no_distance`.
     """
 
     sensor: str  # name from the config, e.g. "front"
@@ -34,6 +35,27 @@ class LaserScan:
     def __post_init__(self) -> None:
         self.range_m.setflags(write=False)
         self.intensity.setflags(write=False)
+
+
+# Why a beam has no distance, by the devices' protocols; 0: nothing came back, or the device does not say why.
+CAUSES = (
+    *("no_return", "dazzled", "implausible", "filtered", "reserved_code", "too_near", "interference"),
+    *("near_limit", "too_weak", "unlike_neighbours", "two_waves", "error_twice", "too_bright"),
+    *("not_measurable", "other_error", "dirt", "rain", "ground", "transparent"),
+)
+_QUIET_NAN = 0x7FC00000
+
+
+def no_distance(*causes: str) -> npt.NDArray[np.float32]:
+    """(N,) NaN, each with its cause; one that is not among CAUSES counts as "no_return"."""
+    numbers = [CAUSES.index(cause) if cause in CAUSES else 0 for cause in causes]
+    return np.array([_QUIET_NAN | number for number in numbers], np.uint32).view(np.float32)
+
+
+def causes_of(range_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """(N,) indices of CAUSES; 0 also where there is a distance, or a NaN that `no_distance` did not make."""
+    number = np.ascontiguousarray(range_m).view(np.uint32) ^ np.uint32(_QUIET_NAN)
+    return np.where(number < len(CAUSES), number, 0).astype(np.uint8)
 
 
 NO_INTENSITY: npt.NDArray[np.float32] = np.empty(0, dtype=np.float32)

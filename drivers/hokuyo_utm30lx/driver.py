@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from drivers.dialogue import DialogueRunner
 from drivers.errors import DeviceError, ProtocolError, TransportError
-from drivers.frames import NO_INTENSITY, LaserScan
+from drivers.frames import NO_INTENSITY, LaserScan, no_distance
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.hokuyo_utm30lx.dialogue import Answer, Ask, UtmDialogue, status_text
 from drivers.hokuyo_utm30lx.geometry import Geometry
@@ -53,6 +53,7 @@ class HokuyoUtm30lxSession:
         self._clock: ScanClock | None = None
         self._last_ms: int | None = None
         self._verifying = ""
+        self._no_distance = no_distance()  # by code, of the connected laser
         self.outbox = bytearray(b"\n")  # ends a command that an earlier client left incomplete
         self.counters: Counter[str] = self._dialogue.counters
         self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
@@ -222,6 +223,10 @@ class HokuyoUtm30lxSession:
             distance_mm = np.take_along_axis(distance_mm, row[np.newaxis], axis=0)
         range_m = (distance_mm[0] / 1000.0).astype(np.float32)
         range_m[~_is_distance(distance_mm[0], geometry)] = np.nan
+        is_code = (distance_mm[0] >= 0) & (distance_mm[0] < geometry.distance_min_mm)
+        if len(self._no_distance) != geometry.distance_min_mm:
+            self._no_distance = no_distance(*map(self._cause, range(geometry.distance_min_mm)))
+        range_m[is_code] = self._no_distance[distance_mm[0][is_code]]
         if not (self._config.intensity and len(scan.intensity)):
             return range_m, NO_INTENSITY
         intensity = (
@@ -244,10 +249,13 @@ class HokuyoUtm30lxSession:
         rows: npt.NDArray[np.int64] = np.argmax(score, axis=0)
         return rows
 
+    def _cause(self, code: int) -> str:
+        return self._config.limits.codes.get(code, "other_error")
+
     def _count_codes(self, first_mm: npt.NDArray[np.int32], geometry: Geometry) -> None:
         for code, count in enumerate(np.bincount(first_mm[first_mm < geometry.distance_min_mm])):
             if count:
-                self.counters["beams_" + self._config.limits.codes.get(code, "other_error")] += int(count)
+                self.counters["beams_" + self._cause(code)] += int(count)
         beyond = np.count_nonzero(first_mm >= geometry.distance_max_mm)
         if beyond:
             self.counters["beams_beyond_range"] += int(beyond)

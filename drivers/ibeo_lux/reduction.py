@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivers.frames import no_distance
 from drivers.ibeo_lux.config import IbeoLuxConfig
 from drivers.ibeo_lux.messages import LABELS, TICKS_PER_DEG, Scan, ScanFlag, ScannerStatus
 
@@ -38,6 +39,7 @@ _INDEX_MASK = 0xFFFF
 
 Floats = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +48,7 @@ class Beams:
 
     first_ticks: int
     step_ticks: int
-    range_m: npt.NDArray[np.float32]  # (N,) horizontal; NaN: nothing that counts
+    range_m: npt.NDArray[np.float32]  # (N,) horizontal; NaN: nothing that counts, with the label as its cause
     width_cm: npt.NDArray[np.float32]  # (N,) of the echo's pulse, 0 where there is none
 
 
@@ -95,7 +97,11 @@ class LayerReduction:
             np.full(beam_count, np.nan, np.float32),
             np.zeros(beam_count, np.float32),
         )
-        points = self._usable(scan)
+        usable, labels = self._usable(scan)
+        for name, labelled in labels.items():  # the beams that see something else are written over
+            behind = (first_ticks - scan.points["angle_ticks"][labelled].astype(np.int64) + step // 2) // step
+            beams.range_m[behind] = no_distance(name)
+        points = scan.points[usable]
         if len(points) == 0:
             return beams
         layer = (points["layer_echo"] & 0x0F).astype(np.int64)
@@ -143,26 +149,30 @@ class LayerReduction:
             max(scan.end_ticks, self._config.last_ticks),
         )
 
-    def _usable(self, scan: Scan) -> npt.NDArray[np.void]:
-        """The points that may count, by themselves."""
+    def _usable(self, scan: Scan) -> tuple[Mask, dict[str, Mask]]:
+        """(N,) the points that may count, by themselves, and by label those that would without it."""
         points = scan.points
         layer, sound = points["layer_echo"] & 0x0F, sound_points(scan)
         self._count("points_malformed", len(points) - np.count_nonzero(sound))
-        unwanted = 0
+        is_wanted = np.ones(len(points), np.bool_)
+        labels: dict[str, Mask] = {}
         for name, (point_flag, scan_flag) in LABELS.items():
             if not scan.flags & scan_flag:
                 continue
-            self._count(f"points_{name}", np.count_nonzero(points["flags"] & point_flag))
+            labels[name] = points["flags"] & point_flag != 0
+            self._count(f"points_{name}", np.count_nonzero(labels[name]))
             if name in self._config.discard:
-                unwanted |= point_flag
+                is_wanted &= ~labels[name]
+            else:
+                del labels[name]
         start_ticks, end_ticks = self._sector_ticks(scan)
         inside = (points["angle_ticks"] <= start_ticks) & (points["angle_ticks"] >= end_ticks)
-        usable = sound & inside & self._wanted_layer[layer] & (points["flags"] & unwanted == 0)
+        inside &= sound & self._wanted_layer[layer]
+        usable = inside & is_wanted
         nearest_cm, farthest_cm = self._range_limits_cm
         in_range = (points["range_cm"] >= nearest_cm) & (points["range_cm"] <= farthest_cm)
         self._count("points_out_of_range", np.count_nonzero(usable & ~in_range))
-        kept: npt.NDArray[np.void] = points[usable & in_range]
-        return kept
+        return usable & in_range, {name: labelled & inside & in_range for name, labelled in labels.items()}
 
     def _level(self, azimuth_rad: Floats, elevation: Floats) -> tuple[Floats, Floats]:
         """Azimuth and elevation in the vehicle's level, from those in the pitched and rolled sensor."""

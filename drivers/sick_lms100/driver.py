@@ -18,7 +18,7 @@ import numpy.typing as npt
 from drivers.clock import ClockMap
 from drivers.dialogue import DialogueRunner
 from drivers.errors import ProtocolError, TransportError
-from drivers.frames import NO_INTENSITY, LaserScan
+from drivers.frames import NO_INTENSITY, LaserScan, no_distance
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.dialogue import ANSWERS, DIALECTS, Ask, Lms100Dialogue
 from drivers.sick_lms100.protocol import Decoder, Telegram, encode, writer
@@ -36,6 +36,7 @@ from drivers.sick_lms100.telegrams import (
 )
 from drivers.watch import OUTSIDE, SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
 
+_NO_DISTANCE = no_distance(*(LOW_CODES.get(code, "reserved_code") for code in range(FIRST_RANGE_CODE)))
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
 MALFORMED_LIMIT = 20  # scan telegrams in a row
 FLAGGED_SCANS_ARE_A_FAULT = 50  # the first 7 or so after a start carry the error flag and are good
@@ -345,7 +346,8 @@ class Lms100Session:
     def _convert(distance: Channel, remission: Channel | None) -> Rows:
         """Range in m with NaN for every code that is no distance, and intensity in device units."""
         range_m = (distance.values * (distance.scale * 1e-3) + distance.offset * 1e-3).astype(np.float32)
-        range_m[distance.values < FIRST_RANGE_CODE] = np.nan
+        low = distance.values < FIRST_RANGE_CODE
+        range_m[low] = _NO_DISTANCE[distance.values[low]]
         if remission is None:
             return range_m, NO_INTENSITY
         return range_m, remission.values * np.float32(remission.scale) + np.float32(remission.offset)

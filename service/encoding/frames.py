@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from drivers.counted import counted
-from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
+from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample, causes_of
 from service.encoding import quick, wire
 from service.encoding import ros_messages as ros
 from service.encoding.wire import Message
@@ -134,7 +134,7 @@ def _scan_ros(scan: LaserScan, stamp_ns: int) -> object:
         scan_time=scan.scan_period_ns * 1e-9,
         range_min=scan.range_min_m,
         range_max=scan.range_max_m,
-        ranges=np.where(np.isnan(scan.range_m), _NO_RETURN, scan.range_m),
+        ranges=np.where(np.isnan(scan.range_m) & (causes_of(scan.range_m) == 0), _NO_RETURN, scan.range_m),
         intensities=scan.intensity,
     )
 
@@ -167,7 +167,7 @@ def scan_of_fields(m: ros.sensor_msgs__msg__LaserScan, sensor: str, log_ns: int)
         angle_step_rad=step,
         range_min_m=range_min_m,
         range_max_m=range_max_m,
-        range_m=np.where(valid, m.ranges, _NAN).astype(np.float32, copy=False),
+        range_m=np.where(valid | np.isnan(m.ranges), m.ranges, _NAN).astype(np.float32, copy=False),
         # copied: an array that looks into the payload may be unaligned, which is another type to numba
         intensity=m.intensities.astype(np.float32) if m.intensities.size == count else NO_INTENSITY,
     )

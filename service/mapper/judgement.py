@@ -11,7 +11,7 @@ from drivers.section import Section
 from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
-from service.outputs import NO_REASON, Reason, State
+from service.outputs import NO_REASON, Reason, ReasonId, State
 
 MIN_RETURNS = 5  # with fewer a scan is not matched: three unknowns, and two to contradict
 MIN_CONFIRMING = 20  # `ok`: so many returns of the scan
@@ -31,6 +31,14 @@ GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the wa
 MAX_BLANK_S = GAP_S  # without a scan that has returns, after which nothing vouches for the pose
 NOT_KNOWN_M, NOT_KNOWN_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
 CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
+BACK = "Drive back to mapped ground, or set the pose"  # what to do where the vehicle is lost
+# Reasons of one scan on the map whose words do not name the laser.
+OF_SCAN: frozenset[ReasonId] = frozenset(
+    (
+        *("contradicted", "off_map", "little_on_map", "new_ground", "few_confirming", "little_in_common"),
+        *("unconfirmed", "prediction_stands", "new_map", "pose_uncertain", "open_direction", "scene_moves"),
+    )
+)
 
 
 class JudgementConfig(Section):
@@ -131,6 +139,11 @@ def held(
     return Match(predicted, points, inlier_ratio, "lost", reason, is_contradicted=is_contradicted)
 
 
+def of_laser(sensor: str, reason: Reason) -> Reason:
+    """A reason of a scan on the map, with its laser named."""
+    return reason.reworded(f"{sensor}: {reason}") if reason.id in OF_SCAN else reason
+
+
 def too_few(points: Points) -> Reason:
     """Why a scan has too few returns to be matched, NO_REASON where it has enough."""
     if len(points.xy_base) >= MIN_RETURNS:
@@ -179,7 +192,7 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
         return "lost", _contradicted(evidence)
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
     if ratio < least and not (is_carried and ratio >= MIN_KNOWN):
-        words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction"
+        words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction. {BACK}"
         return "lost", Reason("off_map", words)
     is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_borne_out(evidence)
     # In a direction that the walls leave open odometry may know little, and its sigma says so: of that the
@@ -194,7 +207,7 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
         return "degraded", Reason(
             "little_on_map",
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
-            "has changed much",
+            "has changed much. Drive slowly until more of it is mapped",
         )
     if evidence.sigma[0] > MAX_SIGMA_M or evidence.sigma[1] > MAX_SIGMA_RAD:
         most = MAX_SIGMA_M, MAX_SIGMA_RAD
@@ -212,7 +225,8 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
             "open_direction",
             "the scan does not fix the position along the direction "
             f"{round(math.degrees(direction_rad)) % 180} deg from the vehicle's heading (sigma {sigma}, "
-            f"expected at most {limits.degraded_sigma_m:g} m); there the pose follows the prediction",
+            f"expected at most {limits.degraded_sigma_m:g} m); there the pose follows the prediction. "
+            "Odometry, or a laser that sees a wall across it, would fix it",
         )
     return "ok", NO_REASON
 
@@ -223,7 +237,10 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
     """
     if is_contradicted(evidence):
         return "lost", _contradicted(evidence)
-    words = f"{_on_map(evidence)}: unmapped ground; the pose follows the prediction onto it"
+    words = (
+        f"{_on_map(evidence)} (expected {MIN_KNOWN:.0%}): unmapped ground; the pose follows the prediction "
+        "onto it. Keep a part of the map in view"
+    )
     return "degraded", Reason("new_ground", words)
 
 
@@ -255,7 +272,8 @@ def drift_of(covariance: npt.NDArray[np.float64]) -> Reason:
 
 
 def _pose_uncertain(evidence: Evidence, most: tuple[float, float]) -> Reason:
-    return Reason("pose_uncertain", f"the pose on the map is {_uncertain(evidence.sigma, most)}")
+    words = f"the pose on the map is {_uncertain(evidence.sigma, most)}"
+    return Reason("pose_uncertain", f"{words}. Drive where walls of several directions are in view")
 
 
 def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
@@ -274,8 +292,9 @@ def _contradicted(evidence: Evidence) -> Reason:
     behind = "" if evidence.behind is None else f", {evidence.behind / used:.0%} behind its walls"
     return Reason(
         "contradicted",
-        f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind}: another place, "
-        "or one that has changed much; the pose follows the prediction",
+        f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind} (expected at most "
+        f"{1.0 - MIN_AGREEMENT_FAR:.0%} there): another place, or one that has changed much; the pose "
+        f"follows the prediction. {BACK}",
     )
 
 

@@ -23,7 +23,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import drift_of, is_way_unknown
+from service.mapper.judgement import drift_of, is_way_unknown, of_laser
 from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
@@ -220,7 +220,8 @@ class Mapper(Generic[ReadableMap]):
         if is_way_unknown(predicted) and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
-        match = replace(match, motion=s.motion_model.correct(match.measured))
+        reason = of_laser(scan.sensor, match.reason)
+        match = replace(match, motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
         checked = self._checks.judge(match, at_ns, s.motion_model.fault)
         if isinstance(checked, Verdict):

@@ -5,7 +5,8 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
     TILES   u8 1, u8 0, u16 tile_cells, f32 cell_m, u32 count, then zlib of
             count x (i32 ix, i32 iy) and count x tile_cells^2 x i8 (-1 unknown, 0..100 per cent occupied)
     SCAN    u8 2, u8 name_bytes, u16 beams, f64 stamp_s (Unix), f32 first_angle_rad, f32 angle_step_rad,
-            f32 beam_interval_s, the name in UTF-8, then beams x u16 in RANGE_STEP_M, 0 = no return
+            f32 beam_interval_s, the name in UTF-8, then beams x u16 in RANGE_STEP_M, 0 = no return,
+            FIRST_CAUSE + k = none, for the cause k of drivers.frames.CAUSES, which `hello` names
     PATH    u8 3, u8 how, u16 0, u32 count, count x (f32 x_m, f32 y_m), map frame;
             how 0: in place of the path so far, 1: behind it
     GRAPH   u8 4, u8 0, u16 0, then zlib of u32 ways, u32 borders, u32 accepted, u32 refused; a u32 count of
@@ -32,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, TypeAdapter, ValidationError
 
-from drivers.frames import LaserScan
+from drivers.frames import LaserScan, causes_of
 from drivers.section import Section
 from service.encoding import Pose, Status
 from service.errors import fault_words
@@ -41,7 +42,8 @@ from service.outputs import GraphPicture, Grid, TileUpdate
 from service.web.series import Row
 
 TILES, SCAN, PATH, GRAPH, STANDING, CHANGED = 1, 2, 3, 4, 5, 6
-RANGE_STEP_M = 0.005  # a tenth of a cell; 16 bits reach 327 m
+RANGE_STEP_M = 0.005  # a tenth of a cell; up to FIRST_CAUSE, 326 m
+FIRST_CAUSE = 65_280
 LARGEST_ASKED = 65_536  # bytes of one message from a browser
 DEFLATE_LEVEL = 1  # tiles are mostly of one value; higher levels cost more than they save
 
@@ -205,7 +207,9 @@ def encode_scan(scan: LaserScan) -> bytes:
     """Angles count from the sensor's forward axis, counter-clockwise; its mounting is distinguished."""
     name = scan.sensor.encode()
     steps = np.nan_to_num(scan.range_m / np.float32(RANGE_STEP_M), nan=0.0, posinf=0.0, neginf=0.0)
-    ranges = np.where(steps < 65_535.5, np.rint(steps), 0.0).astype("<u2")
+    ranges = np.where(steps < FIRST_CAUSE - 0.5, np.rint(steps), 0.0).astype("<u2")
+    causes = causes_of(scan.range_m)
+    ranges = np.where(causes > 0, FIRST_CAUSE + causes.astype("<u2"), ranges).astype("<u2")
     header = struct.pack(
         "<BBHdfff",
         SCAN,

@@ -25,6 +25,7 @@ from typing import Any, Protocol
 
 from aiohttp import WSCloseCode, web
 
+from drivers.frames import CAUSES
 from service.encoding import Message, Status
 from service.errors import StorageError, words_of
 from service.version import VERSION
@@ -333,6 +334,7 @@ class WebServer:
             profiles=list(self._about.profiles),
             verbs=self._verbs,
             stores=self._downloads.stores,
+            causes=[cause.replace("_", " ") for cause in CAUSES],
             now_s=time.time(),
         )
 

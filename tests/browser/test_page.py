@@ -5,6 +5,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 from selenium.webdriver.common.keys import Keys
 
+from drivers.frames import no_distance
 from service.encoding import Status, encode_diagnostics, encode_frame, encode_graph
 from service.outputs import GraphPicture
 from tests.browser.conftest import DESKTOP, PHONE, asked, begin_live
@@ -78,9 +79,11 @@ def test_the_scan_of_a_laser_is_drawn_as_it_sees_it_and_beams_without_a_return_a
     scan = scene.scan("front", 1.1)
     range_m = scan.range_m.copy()
     range_m[:40] = np.nan  # on its right
+    range_m[40:43] = no_distance("dazzled")
     live.put(encode_frame(replace(scan, range_m=range_m), log_ns=stamp(1.2)))
-    page.wait_for_text("information", "361 beams: 321 returns")
-    page.wait_for_text("information", "40 without a return")
+    page.wait_for_text("information", "361 beams: 318 returns")
+    page.wait_for_text("information", "43 without a return")
+    assert page.texts(".cause") == ["no return: 40", "dazzled: 3"]
     found = page.run(
         "const canvas = document.querySelector('.polar'), {width, height} = canvas;"
         "const {data} = canvas.getContext('2d').getImageData(0, 0, width, height);"

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.frames import CAUSES, causes_of
 from drivers.hokuyo_utm30lx.driver import MALFORMED_LIMIT, HokuyoUtm30lxSession
 from drivers.hokuyo_utm30lx.protocol import encode_reply
 from drivers.hokuyo_utm30lx.scans import Scan, ScanRequest, write_scan
@@ -146,6 +147,9 @@ def test_error_codes_become_nan_and_counted_reasons():
     scan = Scan(ScanRequest("MD", 0, 1080), 999_999, distance_mm, distance_mm[:0])
     (frame,) = t.session.receive_data(write_scan(scan), t.now_ns)
     assert np.isnan(frame.range_m[:7]).all()
+    causes = [CAUSES[cause] for cause in causes_of(frame.range_m)[:7]]
+    assert causes[:5] == ["other_error", "no_return", "too_near", "interference", "near_limit"]
+    assert causes[5:] == ["other_error", "other_error"]
     assert frame.range_m[7] == np.float32(0.023)
     assert np.isnan(frame.range_m[8])
     counted = t.session.counters - before

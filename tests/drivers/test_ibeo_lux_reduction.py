@@ -6,6 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from drivers.frames import CAUSES, causes_of
 from drivers.ibeo_lux.messages import ScanFlag, read_scan
 from drivers.ibeo_lux.reduction import LayerReduction, elevation_rad
 from tests.drivers.lux import config, scan
@@ -112,6 +113,17 @@ def test_label_counts_only_where_the_labelling_ran_and_the_config_says_so(name, 
     beams, counters = reduce(row, flags=flag, discard=())
     assert beams.keys() == {0}
     assert counters == {f"points_{name}": 1}
+
+
+def test_a_beam_in_which_only_labelled_points_lie_has_the_label_as_its_cause():
+    rows = [(1, 0, RAIN, 0, 500, 1), (1, 0, RAIN, 8, 500, 1), (2, 0, 0, 8, 900, 1), (1, 0, DIRT, 16, 500, 1)]
+    reduction = LayerReduction(config(discard=("rain",), angle_step_deg=0.25), Counter())
+    beams = reduction.reduce(scan(*rows, flags=ScanFlag.RAIN_LABELLED | ScanFlag.DIRT_LABELLED))
+    at = {beams.first_ticks - beams.step_ticks * k: k for k in range(len(beams.range_m))}
+    causes = causes_of(beams.range_m)
+    assert [CAUSES[causes[at[ticks]]] for ticks in (0, 8, 16)] == ["rain", "no_return", "no_return"]
+    assert np.isnan(beams.range_m[at[0]])
+    assert not np.isnan(beams.range_m[[at[8], at[16]]]).any()
 
 
 def test_reserved_bits_are_no_labels():

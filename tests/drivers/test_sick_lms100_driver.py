@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError, TransportError
+from drivers.frames import CAUSES, causes_of
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.sick_lms100.protocol import Dialect, encode
 from drivers.sick_lms100.telegrams import Channel, OutputRange, write_scan
@@ -55,6 +56,8 @@ def test_latency_makes_stamps_earlier():
 def test_codes_that_are_no_distance_become_nan_and_are_counted():
     [frame], session = frames_of(telegram(values=(0, 0, 1, 2, 3, 4, 15, 16, 65_535)))
     assert np.isnan(frame.range_m).tolist() == [True] * 7 + [False] * 2
+    causes = [CAUSES[cause] for cause in causes_of(frame.range_m)[1:7]]
+    assert causes == ["no_return", "dazzled", "implausible", "filtered", "reserved_code", "reserved_code"]
     assert frame.range_m[-2:].tolist() == [np.float32(0.016), np.float32(65.535)]
     counted = {name: count for name, count in session.counters.items() if name.startswith("beams")}
     assert counted == {

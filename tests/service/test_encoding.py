@@ -8,7 +8,17 @@ from hypothesis.extra import numpy as hnp
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
-from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample
+from drivers.frames import (
+    CAUSES,
+    NO_INTENSITY,
+    Frame,
+    GnssFix,
+    ImuSample,
+    LaserScan,
+    OdometrySample,
+    causes_of,
+    no_distance,
+)
 from service import encoding
 from service.encoding import decode_frame, encode_frame
 from service.encoding.frames import MAX_FORCE_MPS2, MAX_ODOMETRY, MAX_RATE_RADPS
@@ -195,6 +205,21 @@ def test_a_scan_is_an_ordinary_ros_message():
     assert content.scan_time == pytest.approx(0.02)
     assert content.ranges[1] == np.inf
     assert content.intensities.size == 0
+
+
+def test_why_a_beam_has_no_distance_goes_over_the_wire_as_a_nan_that_others_read():
+    range_m = np.concatenate(
+        (np.array([1.5, np.nan], np.float32), no_distance("dazzled", "no_return", "rain"))
+    )
+    message = encode_frame(scan(range_m))
+    ranges = STORE.deserialize_cdr(message.payload, message.type).ranges
+    assert np.isnan(ranges).tolist() == [False, False, True, False, True]
+    assert np.isposinf(ranges).tolist() == [False, True, False, True, False]
+    decoded = decode_frame(message.type, message.payload, "front", 9)
+    assert [CAUSES[cause] for cause in causes_of(decoded.range_m)[2:]] == ["dazzled", "no_return", "rain"]
+    assert np.isnan(decoded.range_m).tolist() == [False, True, True, True, True]
+    foreign = np.array([0x7FC00000, 0xFFC00000, 0x7FFFFFFF, 0x7F800001], np.uint32).view(np.float32)
+    assert causes_of(foreign).tolist() == [0, 0, 0, 0]
 
 
 def test_a_log_time_given_is_the_arrival_time_of_the_decoded_frame():

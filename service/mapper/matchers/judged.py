@@ -44,7 +44,7 @@ STANDS = Reason(
 RESTART_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
 UNCONFIRMED = Reason(
     "unconfirmed",
-    "the scan fits the map at a place that the prediction allows; a second scan has to confirm it",
+    "the scan fits the map at a place that the prediction allows; a second scan has to confirm it. Drive on",
 )
 
 SomeKnownMap = TypeVar("SomeKnownMap", bound=KnownMap)

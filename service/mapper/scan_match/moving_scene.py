@@ -325,7 +325,8 @@ class MovingScene:
             reason = Reason(
                 "scene_moves",
                 f"{moving_share:.0%} of the returns move or lie where nothing stood before, and what stands "
-                "still does not fix the position; the pose follows the prediction there",
+                "still does not fix the position; the pose follows the prediction there. Wait until it has "
+                "passed, or drive on",
             )
         chi2 = chi2_of(static.pose, attempt.prior)
         weight = min(1.0, (STUDENT + 3.0) / (STUDENT + chi2))

@@ -18,6 +18,7 @@ export class Information {
   constructor(root, colourOf) {
     this.colourOf = colourOf;
     this.stamp_s = null; // of the newest health, Unix time
+    this.causes = []; // why a beam has no return, in words
     this.old = element("p", { id: "information-old", role: "status", hidden: true });
     this.isPast = false; // whether moments of a recording are shown
     this.mapping = card("Mapping");
@@ -133,9 +134,9 @@ export class Information {
     const details = this.sensorRows.get(scan.sensor)?.details;
     if (!details || details.row.hidden) return;
     if (!details.polar) {
-      details.polar = new PolarView(() => this.colourOf(scan.sensor));
+      details.polar = new PolarView(() => this.colourOf(scan.sensor), this.causes);
       details.returns = element("p", { className: "returns" });
-      details.words.before(details.polar.node, details.returns);
+      details.words.before(details.polar.node, details.returns, details.polar.legend);
     }
     details.polar.put(scan);
     setText(details.returns, details.polar.words);

@@ -44,6 +44,7 @@ const connection = new Connection({
     setText(byId("vehicle"), hello.vehicle);
     byId("vehicle").title = hello.vehicle; // it may be cut off
     document.title = `${hello.vehicle} \u00b7 corridor`;
+    information.causes = hello.causes;
     information.putEvents([]); // all of them come again
     history.events = [];
     control.putHello(hello);

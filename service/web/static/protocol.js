@@ -2,6 +2,7 @@
 
 const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4, STANDING = 5, CHANGED = 6;
 export const RANGE_STEP_M = 0.005;
+const FIRST_CAUSE = 65_280; // from here on a number says why a beam has no range
 
 const inflate = async (bytes) => {
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -23,6 +24,7 @@ const decodeTiles = async (view) => {
 
 const decodeScan = (view) => {
   const nameBytes = view.getUint8(1), beams = view.getUint16(2, true), start = 24 + nameBytes;
+  const ranges = new Uint16Array(view.buffer.slice(start, start + 2 * beams));
   return {
     type: "scan",
     sensor: new TextDecoder().decode(new Uint8Array(view.buffer, 24, nameBytes)),
@@ -30,7 +32,8 @@ const decodeScan = (view) => {
     first_angle_rad: view.getFloat32(12, true),
     angle_step_rad: view.getFloat32(16, true),
     beam_interval_s: view.getFloat32(20, true),
-    ranges: new Uint16Array(view.buffer.slice(start, start + 2 * beams)),
+    ranges: ranges.map((steps) => (steps < FIRST_CAUSE ? steps : 0)),
+    causes: Uint8Array.from(ranges, (steps) => (steps < FIRST_CAUSE ? 0 : steps - FIRST_CAUSE)),
   };
 };
 

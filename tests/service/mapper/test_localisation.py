@@ -68,7 +68,7 @@ def test_a_find_says_nothing_of_another_piece_of_a_scan_beside_it_and_of_one_on_
 
 
 @pytest.mark.parametrize(
-    ("placed", "told"),
+    ("placed", "facts"),
     [
         ("unknown", ["lost", NOT_PLACED]),
         ("unproven", ["degraded", UNPROVEN]),

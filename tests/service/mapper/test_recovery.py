@@ -37,6 +37,8 @@ def check(outputs: list[MapperOutput], truth: dict[int, SE2], lost_ns: int, know
     assert lost
     assert lost[0].stamp_ns == min(o.stamp_ns for o in outputs if o.stamp_ns >= lost_ns)
     assert "returns lie on the map" in lost[0].reason
+    assert lost[0].reason.startswith("front: ")
+    assert "Drive back to mapped ground" in lost[0].reason
     back = [o for o in outputs if o.stamp_ns >= known_ns + round(BACK_S * 1e9)]
     assert {o.state for o in back} <= {"ok", "degraded"}
     assert all(is_near(o, truth) for o in back)

@@ -51,15 +51,15 @@ def scan(ranges: list[float]) -> LaserScan:
 
 
 def test_ranges_come_back_to_half_a_step_and_no_return_as_zero():
-    payload = encode_scan(scan([1.0, math.nan, 0.004, 327.6, 328.0, math.inf]))
+    payload = encode_scan(scan([1.0, math.nan, 0.004, 326.3, 328.0, math.inf]))
     kind, name_bytes, beams = struct.unpack_from("<BBH", payload)
     stamp_s, first, step, interval_s = struct.unpack_from("<dfff", payload, 4)
     assert (kind, beams, stamp_s, first, step) == (2, 6, 1.5, -1.5, 0.25)
     assert interval_s == pytest.approx(25e-6)
     assert payload[24 : 24 + name_bytes].decode() == "vörne"
     steps = np.frombuffer(payload, "<u2", offset=24 + name_bytes)
-    assert steps.tolist() == [200, 0, 1, 65520, 0, 0]
-    assert steps[3] * RANGE_STEP_M == pytest.approx(327.6, abs=RANGE_STEP_M / 2)
+    assert steps.tolist() == [200, 0, 1, 65260, 0, 0]
+    assert steps[3] * RANGE_STEP_M == pytest.approx(326.3, abs=RANGE_STEP_M / 2)
 
 
 def test_a_path_is_pairs_of_metres():
