@@ -1,5 +1,6 @@
 """What the operator's page may ask of a stored map, as JSON; all of it bounded."""
 
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
@@ -78,27 +79,16 @@ class KeyframeOfSession(Asked):
     keyframe: Number
 
 
-Request = Look | LookAtKeyframe | LookAtVersion | Edit
-REQUESTS: dict[str, TypeAdapter[Any]] = {
-    "map_look": TypeAdapter(Look),
-    "map_keyframe": TypeAdapter(LookAtKeyframe),
-    "map_version": TypeAdapter(LookAtVersion),
-    "map_edit": TypeAdapter(Edit),
-}
-VERBS = tuple(REQUESTS)
+Table = Mapping[str, tuple[TypeAdapter[Any], Callable[[Any], dict[str, Any]]]]  # verb -> request, who does it
 
 
-def read_asked(verb: str, payload: bytes) -> Request:
-    """What a page asks. Raises InputError, which names what is wrong."""
-    if verb not in REQUESTS:
-        raise InputError(f"this is a stored map; it knows {', '.join(VERBS)}")
-    asked: Request = read_as(REQUESTS[verb], payload)
-    return asked
-
-
-def read_as(kind: TypeAdapter[Any], payload: bytes) -> Any:
-    """Raises InputError, which names what is wrong."""
+def carry_out(table: Table, verb: str, payload: bytes) -> dict[str, Any]:
+    """What a page asks, read and done. Raises InputError, which names what is wrong."""
+    if verb not in table:
+        raise InputError(f"{verb}: this is a stored map; it knows {', '.join(table)}")
+    kind, do = table[verb]
     try:
-        return kind.validate_json(payload)
+        asked = kind.validate_json(payload)
     except ValidationError as error:
         raise InputError(fault_words(error)) from error
+    return do(asked)

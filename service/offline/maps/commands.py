@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from service.errors import CorridorError, InputError
 from service.geometry import poses as se2
@@ -35,28 +36,24 @@ class MapCommands:
     show      called with each newer version of it, by the thread that made or found it
     """
 
-    verbs = asked_for.VERBS
-
     def __init__(self, folder: Path, stored: StoredMap, show: Callable[[StoredMap], None]) -> None:
         self._folder = folder
         self._stored = stored
         self._show = show
         self._changing = threading.Lock()
         self._user = map_edit.user_name()
+        self._table: asked_for.Table = {
+            "map_look": (TypeAdapter(asked_for.Look), lambda _: self._look()),
+            "map_keyframe": (TypeAdapter(asked_for.LookAtKeyframe), self._keyframe),
+            "map_version": (TypeAdapter(asked_for.LookAtVersion), self._version),
+            "map_edit": (TypeAdapter(asked_for.Edit), self._edit),
+        }
+        self.verbs = tuple(self._table)
 
     def answer(self, verb: str, payload: bytes) -> Answer:
         """JSON in, JSON out; what cannot be done is said in words."""
         try:
-            asked = asked_for.read_asked(verb, payload)
-            match asked:
-                case asked_for.Look():
-                    facts = self._look()
-                case asked_for.LookAtKeyframe():
-                    facts = self._keyframe(asked)
-                case asked_for.LookAtVersion():
-                    facts = self._version(asked.version)
-                case asked_for.Edit():
-                    facts = self._edit(asked)
+            facts = asked_for.carry_out(self._table, verb, payload)
         except CorridorError as error:
             return refusal(str(error).removeprefix(f"{self._folder}: "))  # the page shows one map
         return Answer(True, json.dumps({"ok": True, **facts}).encode())
@@ -75,12 +72,12 @@ class MapCommands:
             )
         return look_at_keyframe(stored, asked.keyframe)
 
-    def _version(self, number: int) -> dict[str, Any]:
+    def _version(self, asked: asked_for.LookAtVersion) -> dict[str, Any]:
         """Its tiles as a message of service.web.protocol, base64."""
-        tiles = load_map(self._folder, number).tiles
+        tiles = load_map(self._folder, asked.version).tiles
         if not tiles:
-            raise InputError(f"version {number} of the map has no tiles; there is nothing to compare")
-        return {"version": number, "tiles": base64.b64encode(encode_tiles(tiles)).decode()}
+            raise InputError(f"version {asked.version} of the map has no tiles; there is nothing to compare")
+        return {"version": asked.version, "tiles": base64.b64encode(encode_tiles(tiles)).decode()}
 
     def _edit(self, asked: asked_for.Edit) -> dict[str, Any]:
         if not self._changing.acquire(blocking=False):

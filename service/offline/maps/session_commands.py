@@ -20,16 +20,16 @@ from pydantic import TypeAdapter
 from service.errors import CorridorError, InputError
 from service.mapstore.files import StoredMap, load_map
 from service.offline.maps import edit as map_edit
-from service.offline.maps.asked import KeyframeOfSession, read_as
+from service.offline.maps.asked import KeyframeOfSession, Look, Table, carry_out
 from service.offline.maps.commands import look, look_at_keyframe
 
 IDLE_S = 900.0  # then the memory of the map is given back; the page looks again
 
-_KEYFRAME = TypeAdapter[Any](KeyframeOfSession)
+_LOOK, _KEYFRAME = TypeAdapter[Any](Look), TypeAdapter[Any](KeyframeOfSession)
 
 
 class SessionMapCommands:
-    """One request after the other. Holds what was looked at last."""
+    """One request after the other. Keeps what was looked at last."""
 
     def __init__(self) -> None:
         self._seen: StoredMap | None = None
@@ -39,25 +39,23 @@ class SessionMapCommands:
         """What becomes of a request; what cannot be done is said in words."""
         asked = json.loads(line)
         folder, request = Path(asked["map"]), json.dumps(asked["request"]).encode()
+        table: Table = {
+            "look": (_LOOK, lambda _: self._look(folder)),
+            "keyframe": (_KEYFRAME, self._keyframe),
+        }
         try:
-            return {"ok": True, **self._carry_out(asked["verb"], folder, request)}
+            return {"ok": True, **carry_out(table, asked["verb"], request)}
         except CorridorError as error:
             return {"ok": False, "error": str(error).removeprefix(f"{folder}: ")}
 
-    def _carry_out(self, verb: str, folder: Path, request: bytes) -> dict[str, Any]:
-        match verb:
-            case "look":
-                self._seen, self._name = load_map(folder), secrets.token_hex(8)
-                return {**look(self._seen), "seen": self._name, "user": map_edit.user_name()}
-            case "keyframe":
-                wanted: KeyframeOfSession = read_as(_KEYFRAME, request)
-                return look_at_keyframe(self._looked_at(wanted.seen), wanted.keyframe)
-        raise InputError(f"{verb}: look and keyframe are known")
+    def _look(self, folder: Path) -> dict[str, Any]:
+        self._seen, self._name = load_map(folder), secrets.token_hex(8)
+        return {**look(self._seen), "seen": self._name, "user": map_edit.user_name()}
 
-    def _looked_at(self, name: str) -> StoredMap:
-        if self._seen is None or name != self._name:
+    def _keyframe(self, asked: KeyframeOfSession) -> dict[str, Any]:
+        if self._seen is None or asked.seen != self._name:
             raise InputError("another page has fetched key frames since, or it is long ago; fetch them again")
-        return self._seen
+        return look_at_keyframe(self._seen, asked.keyframe)
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:

@@ -44,7 +44,7 @@ def test_a_key_frame_of_another_look_than_the_newest_is_refused(folder):
     [
         ("keyframe", {"seen": "", "keyframe": -1}, "keyframe"),
         ("keyframe", {"seen": "", "keyframe": 0, "more": 1}, "more"),
-        ("edit", {}, "look and keyframe are known"),
+        ("edit", {}, "it knows look, keyframe"),
     ],
 )
 def test_what_cannot_be_done_is_reported_in_words(folder, verb, request_, words):
