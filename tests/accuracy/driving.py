@@ -4,7 +4,6 @@ import gc
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -124,6 +123,3 @@ def errors_of(trip: Trip, seeds: Sequence[int], config: MappingConfig | None = N
     for made, done in trip.runs(seeds, config):
         errors.add(made, done)
     return errors
-
-
-mm_row = partial(Row, "", unit="mm", digits=1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.clock import UNKNOWN_NS, ClockMap
+from drivers.clock import ClockMap
 
 PERIOD_S = 0.02006
 LATENCY_S = 0.8e-3
@@ -72,13 +72,6 @@ def test_twenty_wraps_of_24_hours_are_passed(drift_ppm):
     assert np.abs(error_ms).max() < 10.0  # few messages tell of few prompt ones; a wrap missed were 4295 s
 
 
-def test_skew_of_a_young_hull_cannot_run_wild():
-    for seed in range(20):
-        error_ms, _ = Stream(seed, count=500).through(microseconds())
-        young = np.arange(500) * PERIOD_S > 2.0
-        assert np.abs(error_ms[young] - LATENCY_S * 1e3).max() < 1.0, seed
-
-
 @pytest.mark.parametrize("jump_us", [-60_000, -200_000, -499_000])
 def test_clock_set_back_a_little_is_learnt_again_with_the_second_message(jump_us):
     stream = Stream(1)
@@ -88,16 +81,6 @@ def test_clock_set_back_a_little_is_learnt_again_with_the_second_message(jump_us
     assert clock.resets == 1
     assert np.abs(error_ms[1501 : 1500 + round(3.0 / PERIOD_S)]).max() < 60.0
     assert np.abs(error_ms[1500 + round(3.0 / PERIOD_S) :] - LATENCY_S * 1e3).max() < 1.0
-
-
-@pytest.mark.parametrize("jump_us", [-600_000, -30_000_000])
-def test_clock_set_back_far_is_learnt_again_with_the_first_message(jump_us):
-    stream = Stream(1)
-    stream.ticks[1500:] += jump_us
-    clock = microseconds()
-    error_ms, _ = stream.through(clock)
-    assert clock.resets == 1
-    assert np.abs(error_ms[1500 : 1500 + round(3.0 / PERIOD_S)]).max() < 60.0
 
 
 @pytest.mark.parametrize("back", [0, 1, 5, 20])
@@ -211,12 +194,3 @@ def test_how_well_an_offset_is_known_is_reported_in_its_own_standard_deviation()
         errors_ns.append(clock.offset_ns)
         said_ns.append(clock.offset_sigma_ns)
     assert np.std(errors_ns) == pytest.approx(np.mean(said_ns), rel=0.25)
-
-
-def test_one_message_says_nothing_of_how_late_it_came():
-    clock = ClockMap(1_000.0)
-    assert clock.offset_sigma_ns == UNKNOWN_NS
-    clock.observe(0, 5)
-    assert clock.offset_sigma_ns == UNKNOWN_NS
-    clock.observe(20_000, 20_000_005)
-    assert clock.offset_sigma_ns == 0

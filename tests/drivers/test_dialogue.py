@@ -29,24 +29,6 @@ def runner_of(*steps: Ask | Pause) -> tuple[DialogueRunner[Ask, str], list[str |
     return DialogueRunner(dialogue), sent
 
 
-def test_a_request_is_handed_out_once_and_waited_for():
-    runner, sent = runner_of(Ask("who"), Ask("where"))
-    assert not runner.begun
-    assert runner.tick(5 * S) == Ask("who")
-    assert (runner.awaited, runner.asked_ns, runner.begun) == (Ask("who"), 5 * S, True)
-    assert runner.tick(5 * S + 999_999_999) is None
-    assert sent == []
-
-
-def test_an_answer_brings_the_next_request_at_the_next_tick():
-    runner, sent = runner_of(Ask("who"), Ask("where"))
-    runner.tick(0)
-    runner.answer("me", 3)
-    assert (sent, runner.awaited) == (["me"], None)
-    assert runner.tick(7) == Ask("where")
-    assert runner.asked_ns == 7
-
-
 def test_the_time_out_counts_from_the_tick_that_sent_not_from_the_answer_before():
     runner, sent = runner_of(Ask("who"), Ask("where"))
     runner.tick(0)
@@ -80,16 +62,6 @@ def test_an_answer_that_was_announced_may_take_its_time_out_again():
     runner.wait_again(S - 1)
     assert runner.tick(S) is None
     runner.answer("me", 2 * S - 2)
-    assert sent == ["me"]
-
-
-def test_after_its_end_a_dialogue_is_left_alone():
-    runner, sent = runner_of(Ask("who"))
-    runner.tick(0)
-    assert not runner.ended
-    runner.answer("me", 1)
-    assert runner.ended
-    assert runner.tick(100 * S) is None
     assert sent == ["me"]
 
 

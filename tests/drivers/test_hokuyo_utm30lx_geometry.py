@@ -15,16 +15,6 @@ REAL = {
 }
 
 
-EXTREMES = [{"SCAN": "60"}, {"SCAN": "12000"}, {"ARES": "1081"}, {"DMAX": "262143"}]
-
-
-@pytest.mark.parametrize("turned", [{}, *EXTREMES])
-def test_real_and_extreme_lasers_are_taken(turned: dict[str, str]):
-    geometry = Geometry.of(REAL | turned)
-    assert geometry.turn_ns == 60e9 / int((REAL | turned)["SCAN"])
-    assert geometry.step_at(0.0) == 540
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [

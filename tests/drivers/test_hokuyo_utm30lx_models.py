@@ -49,20 +49,6 @@ def test_recorded_identity_of_a_urg_is_read():
     assert encode_info("VV", list(identity.items())) == b"VV\n00P\n" + lines + b"\n"
 
 
-def test_codes_of_a_recorded_urg_scan_are_counted_by_its_own_table():
-    t = talk(urg(), **URG).run(2.0)
-    [reply] = ReplyDecoder().receive_data(RECORDED)
-    request, before = t.session._dialogue.request, t.session.counters.copy()
-    scan = read_scan(reply)
-    later_ms = t.device.clock_ms(t.now_ns) + 100
-    message = write_scan(type(scan)(request, later_ms, scan.distance_mm, scan.intensity))
-    [frame] = t.session.receive_data(message, t.now_ns + 200_000_000)
-    counted = t.session.counters - before
-    codes = {name: count for name, count in counted.items() if name.startswith("beams")}
-    assert set(codes) == {"beams_no_return", "beams_other_error", "beams_unlike_neighbours"}
-    assert sum(codes.values()) == np.count_nonzero(np.isnan(frame.range_m)) > 50
-
-
 @pytest.mark.parametrize(
     ("setup", "changes", "rate_hz", "first_deg", "last_deg", "beams", "no_return"),
     [

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.protocol import (
-    MAX_COMMAND_BYTES,
     MAX_REPLY_BYTES,
-    CommandDecoder,
     Reply,
     ReplyDecoder,
     checksum,
@@ -80,12 +78,6 @@ def test_endless_noise_is_bounded_and_what_follows_is_read():
     assert decoder.skipped_bytes == 400_001
 
 
-def test_reply_that_began_in_overlong_noise_is_still_read():
-    decoder = ReplyDecoder()
-    decoder.receive_data(b"x" * (MAX_REPLY_BYTES - 100))
-    assert decoder.receive_data(SCAN)
-
-
 def test_block_with_a_wrong_status_sum_is_counted_and_dropped():
     decoder = ReplyDecoder()
     assert decoder.receive_data(b"QT\n00Q\n\n") == []
@@ -115,29 +107,6 @@ def test_numbers_that_do_not_fit_and_characters_outside_the_code_are_refused():
         decode_number(b"0p")
 
 
-@pytest.mark.parametrize(
-    ("status", "total"), [("00", "P"), ("99", "b"), ("02", "R"), ("04", "T"), ("0E", "e"), ("01", "Q")]
-)
-def test_sum_of_a_status(status, total):
-    assert checksum(status.encode()) == ord(total)
-
-
-def test_parameters_of_a_real_unit():
-    (reply,) = ReplyDecoder().receive_data(REAL_PP)
-    said = read_info(reply)
-    assert said == {
-        "MODL": "UTM-30LX(Hokuyo Automatic Co.,Ltd.)",
-        "DMIN": "23",
-        "DMAX": "60000",
-        "ARES": "1440",
-        "AMIN": "0",
-        "AMAX": "1080",
-        "AFRT": "540",
-        "SCAN": "2400",
-    }
-    assert encode_info("PP", list(said.items())) == REAL_PP
-
-
 def test_all_habits_of_summing_an_info_line_are_accepted_and_no_other():
     text = b"SCSP:Initial(2400[rpm])<-Default setting by user"
     for summed in (text, text + b";", text.partition(b"<-")[0]):
@@ -164,15 +133,6 @@ def test_time_of_a_real_unit_and_a_damaged_one():
     for body in (b"", b"<SfkQ\n", b"<Sfk\n"):
         with pytest.raises(ProtocolError, match="not a time"):
             read_time(Reply("TM1", "00", body))
-
-
-def test_device_end_takes_commands_ended_by_either_character_and_forgets_endless_ones():
-    decoder = CommandDecoder()
-    assert decoder.receive_data(b"\nQT\rPP\n\nV") == ["QT", "PP"]
-    assert decoder.receive_data(b"V\n") == ["VV"]
-    decoder.receive_data(b"x" * 100_000)
-    assert buffered(decoder) == MAX_COMMAND_BYTES
-    assert decoder.receive_data(b"\xff\nQT\n")[-1] == "QT"
 
 
 def test_every_line_of_a_recorded_unit_decodes_and_encodes_to_the_same_bytes(shared):

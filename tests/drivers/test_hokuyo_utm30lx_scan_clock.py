@@ -59,32 +59,6 @@ def test_edge_below_is_the_best_of_all_lines_below_the_points(seed):
     assert above_line(left, right).sum() == pytest.approx(best, rel=1e-9)
 
 
-def test_five_wraps_of_24_hours_are_passed():
-    """Scans at 40 Hz for some seconds around each wrap, and one in half an hour in between."""
-    rng = np.random.default_rng(0)
-    period_ms, drift = 25.05, 60e-6
-    clock = ScanClock(period_ms * MS, round(DELAY_MS * MS))
-    wrap_ms = WRAP / (1 + drift)
-    dense = np.concatenate(
-        [np.arange(n * wrap_ms - 5_000, n * wrap_ms + 15_000, period_ms) for n in range(1, 6)]
-    )
-    sparse = np.arange(0.0, 24 * 3_600_000, 1_800_000)
-    began_ms = np.sort(np.concatenate([sparse, dense]))
-    began_ms = began_ms[np.diff(began_ms, prepend=-1e3) > 20.0]
-    error_ms = []
-    for begun_ms in began_ms:
-        arrived_ms = begun_ms + DELAY_MS + rng.exponential(0.2)
-        stamp_ns = clock.stamp(int(begun_ms * (1 + drift)) % WRAP, round(arrived_ms * MS))
-        error_ms.append(stamp_ns / MS - begun_ms)
-    error_ms = np.array(error_ms)
-    after_wrap = np.zeros(len(began_ms), dtype=bool)
-    for n in range(1, 6):
-        after_wrap |= (began_ms > n * wrap_ms + 5_000) & (began_ms < n * wrap_ms + 14_000)
-    assert clock.resets == 0
-    assert np.abs(error_ms[after_wrap]).max() < 0.6
-    assert np.abs(error_ms).max() < 25.0
-
-
 @pytest.mark.parametrize("wander_us", [0.0, 5.0, 20.0])
 def test_a_motor_that_wanders_is_followed(wander_us):
     rng = np.random.default_rng(7)

@@ -15,16 +15,6 @@ def config(**changes):
     return IbeoLuxConfig(name="lux", **EXAMPLE | changes)
 
 
-def test_example_is_valid_and_shows_every_key_with_its_default():
-    assert set(EXAMPLE) == set(IbeoLuxConfig.model_fields) - {"name"}
-    assert config() == IbeoLuxConfig(name="lux", host=EXAMPLE["host"])
-
-
-@pytest.mark.parametrize("rate_hz", [12.5, 25, 50])
-def test_every_rate_the_device_has_is_accepted(rate_hz):
-    assert config(scan_rate_hz=rate_hz).scan_rate_hz == rate_hz
-
-
 def test_angles_become_even_ticks():
     odd = config(first_angle_deg=10.03, last_angle_deg=-10.03)  # 320.96 and -320.96 ticks
     assert (odd.first_ticks, odd.last_ticks) == (320, -320)

@@ -79,13 +79,6 @@ def test_what_differs_is_changed_with_the_scanner_stopped_and_read_back():
     assert t.session.counters["scans_not_as_configured"] == 0
 
 
-def test_data_output_alone_is_changed_without_stopping():
-    t = talk(LuxSetup(parameters={0x1102: 6400})).run(1.0)
-    assert changes(t) == [Parameter.DATA_OUTPUT]
-    assert Command.STOP not in codes(t)
-    assert t.device.parameter(Parameter.DATA_OUTPUT) == 0xFFEE
-
-
 @pytest.mark.parametrize(
     ("stored", "wanted", "order"),
     [
@@ -122,12 +115,6 @@ def test_clock_whose_second_turns_between_the_two_commands_is_set_again():
     assert t.device.ntp(t.now_ns) >> 32 == (ntp_from_unix_ns(UNIX_NS) >> 32) + 1 + (
         t.now_ns // SECOND_NS - 1000
     )
-
-
-def test_clock_is_left_alone_if_so_configured():
-    t = talk(set_clock=False).run(2.0)
-    assert t.device.counters["clock_sets"] == 0
-    assert len(t.frames) > 30
 
 
 def test_clock_that_cannot_be_set_is_no_fault():
@@ -257,11 +244,3 @@ def test_late_reply_about_another_parameter_is_not_taken():
     asked_before = t.session.counters["replies_not_asked_for"]
     t.session.receive_data(reply, t.now_ns)
     assert t.session.counters["replies_not_asked_for"] == asked_before + 1
-
-
-def test_second_connection_finds_nothing_to_change():
-    t = talk().run(2.0)
-    t.sent.clear()
-    reconnect(t).run(2.0)
-    assert changes(t) == []
-    assert t.session.counters["scans_not_as_configured"] == 0

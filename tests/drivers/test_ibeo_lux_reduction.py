@@ -76,11 +76,6 @@ def test_pitch_changes_which_layer_is_nearest_to_the_horizon():
         assert beams[0] == pytest.approx(metres, rel=1e-6)
 
 
-def test_layers_not_wanted_do_not_count():
-    beams, _ = reduce((0, 0, 0, 0, 500, 1), (1, 0, 0, 0, 600, 1), layers=(0, 3))
-    assert beams[0] == pytest.approx(5.0 * COS_OUTER, rel=1e-6)
-
-
 @pytest.mark.parametrize(("echo", "range_m"), [("first", 2.0), ("last", 9.0), ("strongest", 5.0)])
 def test_one_of_the_echoes_of_a_shot_is_chosen(echo, range_m):
     rows = [(1, 0, 0, 0, 200, 50), (1, 1, 0, 0, 500, 200), (1, 2, 0, 0, 900, 100)]
@@ -126,10 +121,6 @@ def test_a_beam_in_which_only_labelled_points_lie_has_the_label_as_its_cause():
     assert not np.isnan(beams.range_m[[at[8], at[16]]]).any()
 
 
-def test_reserved_bits_are_no_labels():
-    assert reduce((1, 0, 0xF0, 0, 500, 1), flags=ALL_LABELS)[0].keys() == {0}
-
-
 def test_points_out_of_range_layer_echo_or_field_are_left_out_and_counted():
     rows = [
         (1, 0, 0, 0, 29, 1),
@@ -166,19 +157,6 @@ def test_mounting_that_leans_puts_points_where_they_are():
     y, z = y * math.cos(math.radians(20)) - z * math.sin(math.radians(20)), 0.0
     assert range_m == pytest.approx(10 * math.hypot(x, y), rel=1e-6)
     assert angle / 32 == pytest.approx(math.degrees(math.atan2(y, x)), abs=0.07)
-
-
-@pytest.mark.parametrize("step_deg", [0.125, 0.25, 0.5])
-@pytest.mark.parametrize(("first", "last"), [(1600, -1920), (1598, -1918), (2, -2), (-100, -1000)])
-def test_grid_covers_the_field_and_each_point_goes_to_the_nearest_beam(step_deg, first, last):
-    counters = Counter()
-    reduction = LayerReduction(config(angle_step_deg=step_deg), counters)
-    for angle in range(last, first + 1, 1 if first - last < 50 else 13):
-        beams = reduction.reduce(scan((1, 0, 0, angle, 1000, 1), first=first, last=last))
-        [beam] = np.flatnonzero(~np.isnan(beams.range_m))
-        assert abs(beams.first_ticks - beam * beams.step_ticks - angle) <= beams.step_ticks / 2
-    assert beams.first_ticks % beams.step_ticks == 0
-    assert not counters
 
 
 @pytest.mark.parametrize("choice", ["horizon", "nearest", "median"])

@@ -69,12 +69,6 @@ def test_scans_without_a_beam_in_the_configured_angles_are_no_scans():
         talk(setup, first_angle_deg=0.0).run(40.0)
 
 
-def test_rate_that_it_rounds_is_the_one_that_was_asked_for():
-    t = talk(LuxSetup(parameters=READY | {0x1102: 6392}, kept=frozenset({RATE}))).run(4.0)
-    assert t.session.status == "streaming; 31 C"
-    assert t.session.counters["parameters_changed"] == t.session.counters["scans_not_as_configured"] == 0
-
-
 @pytest.mark.parametrize(
     ("changes", "parameter", "words"),
     [

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from drivers.errors import ProtocolError
 from drivers.irobot_create.driver import STREAM_IDS
 from drivers.irobot_create.protocol import (
-    GROUPS,
     LONGEST_TEXT_LINE,
     PACKETS,
     Command,
@@ -17,13 +16,10 @@ from drivers.irobot_create.protocol import (
     StreamDecoder,
     TextCollector,
     banner_identity,
-    data_bytes,
     decode_values,
     encode_frame,
     encode_query,
     encode_stream_request,
-    encode_values,
-    frame_bytes,
     is_banner,
 )
 from tests.drivers.damage import buffered
@@ -57,32 +53,6 @@ def test_stream_frame_of_the_manual_is_read_and_written():
     assert (got.bytes_after, got.damaged_bytes_before) == (0, 0)
 
 
-def test_captured_manual_frame_is_the_same(shared: Path):
-    assert (shared / "captures/irobot/oi_manual_stream_29_13.bin").read_bytes() == MANUAL_FRAME
-
-
-@pytest.mark.parametrize(
-    ("group", "length"),
-    [(0, 26), (1, 10), (2, 6), (3, 10), (4, 14), (5, 12), (6, 52), (100, 80), (101, 28), (106, 12), (107, 9)],
-)
-def test_groups_have_the_lengths_of_the_manual(group: int, length: int):
-    assert data_bytes([group]) == length
-
-
-def test_driver_frame_fits_into_its_fifteen_milliseconds():
-    assert frame_bytes(STREAM_IDS) == 37
-    assert len(frame()) == 37
-
-
-@given(st.data())
-def test_values_survive_the_wire(data: st.DataObject):
-    ids = data.draw(st.lists(st.sampled_from([*PACKETS, *GROUPS]), min_size=1, max_size=6, unique=True))
-    limits = {"B": (0, 255), "b": (-128, 127), "H": (0, 65_535), "h": (-32_768, 32_767)}
-    values = {i: data.draw(st.integers(*limits[PACKETS[i]])) for i in PACKETS}
-    decoded = decode_values(ids, encode_values(ids, values))
-    assert decoded == {i: values[i] for i in decoded}
-
-
 def test_answer_of_the_wrong_length_is_refused():
     with pytest.raises(ProtocolError, match=r"answer of 79 bytes to packets .*, expected 80"):
         decode_values([100], bytes(79))
@@ -109,11 +79,6 @@ def test_frames_survive_any_cutting_of_the_stream():
         assert decoder.bytes_skipped == 0
     decoder = StreamDecoder(STREAM_IDS)
     assert [e for byte in stream for e in encoders(decoder, bytes([byte]))] == expected
-
-
-def test_frames_of_one_read_say_how_much_came_behind_them():
-    frames = StreamDecoder(STREAM_IDS).receive_data(frame() * 3 + frame()[:10])
-    assert [f.bytes_after for f in frames] == [84, 47, 10]
 
 
 def test_joining_midway_costs_the_first_frame_alone():
@@ -200,12 +165,6 @@ def test_firmware_is_read_from_the_banner():
     assert not is_banner(FLASH_LINE)
 
 
-def test_noise_of_a_robot_without_banner_is_survived():
-    decoder = StreamDecoder(STREAM_IDS)
-    assert encoders(decoder, bytes([0xB1, 0xFF] * 6) + frame(5, 6)) == [(5, 6)]
-    assert decoder.lines == []
-
-
 def test_endless_text_is_bounded():
     collector = TextCollector()
     for _ in range(100_000):
@@ -273,14 +232,6 @@ def test_demo_has_data_on_a_create_1_alone():
         Command(Opcode.MAX, b"\x80")
     ]
     assert len(CommandDecoder().receive_data(bytes([136, 128]))) == 2
-
-
-@given(st.binary(max_size=400))
-def test_robot_hears_anything_without_harm(data: bytes):
-    ear = CommandDecoder()
-    commands = ear.receive_data(data)
-    used = sum(1 + len(command.data) for command in commands)
-    assert used + ear.bytes_ignored + buffered(ear) == len(data)
 
 
 def test_next_header_cannot_stand_in_for_a_lost_checksum():

@@ -15,17 +15,6 @@ def config(**changes):
     return Lms100Config(name="front", **EXAMPLE | changes)
 
 
-def test_example_is_valid_and_shows_every_key_with_its_default():
-    assert set(EXAMPLE) == set(Lms100Config.model_fields) - {"name"}
-    bare = Lms100Config(name="front", host=EXAMPLE["host"])
-    assert config() == bare
-
-
-@pytest.mark.parametrize(("rate", "step"), [(25, 0.25), (25, 0.5), (50, 0.5)])
-def test_every_pair_of_rate_and_step_the_device_has_is_accepted(rate, step):
-    assert config(scan_rate_hz=rate, angle_step_deg=step).angle_step_deg == step
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

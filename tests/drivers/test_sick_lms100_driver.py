@@ -248,15 +248,6 @@ def test_channel_whose_scale_or_offset_makes_no_numbers_is_malformed(content, sc
     assert session.counters["scans_malformed"] == 1
 
 
-def test_garbage_between_telegrams_is_counted():
-    session = Lms100Session(config())
-    wire = bytearray(encode(write_scan(telegram(), BINARY)))
-    wire[-1] ^= 1
-    session.receive_data(b"junk" + bytes(wire), 1)
-    assert session.counters["checksum_errors"] == 1
-    assert session.counters["bytes_skipped"] >= 4
-
-
 def part_of_the_view(counter, first_e4deg=-450_000, count=541):
     """Scan number `counter`, of `count` beams of half a degree."""
     channel = Channel("DIST1", np.full(count, 1500, np.uint16), first_e4deg, 5000)
@@ -276,23 +267,6 @@ def test_field_of_view_that_another_host_changed_ends_the_connection_after_eleve
     words = r"11 scans in a row at 50 Hz and 0\.5 deg from .* deg, set was 50 Hz .* from -135 to 135 deg"
     with pytest.raises(TransportError, match=words):
         frames_of(part_of_the_view(16, **changed), session=session)
-
-
-def test_device_that_never_was_as_configured_is_read_all_the_same_and_the_status_says_so():
-    frames, session = frames_of(*(part_of_the_view(k, **NARROWED) for k in range(1, 51)))
-    assert len(frames) == session.counters["scans_not_as_configured"] == 50
-    assert session.status == (
-        "streaming; scans at 50 Hz and 0.5 deg from -45 to 45 deg, "
-        "configured 50 Hz and 0.5 deg from -135 to 135 deg"
-    )
-    frames_of(part_of_the_view(51), session=session)
-    assert session.status == "streaming"
-
-
-def test_angles_that_fall_between_two_beams_are_as_configured():
-    scans = [part_of_the_view(k, first_e4deg=450_000, count=181) for k in range(1, 51)]
-    frames, session = frames_of(*scans, first_angle_deg=-45.3, last_angle_deg=45.3)
-    assert (len(frames), session.counters["scans_not_as_configured"]) == (50, 0)
 
 
 def test_field_of_view_that_another_host_changed_is_set_again():

@@ -63,17 +63,6 @@ def test_beams_that_the_driver_cuts_off_do_not_move_the_stamp_of_the_others():
     np.testing.assert_array_equal(frame.range_m, full.range_m[90:451])
 
 
-@pytest.mark.parametrize(
-    ("first_deg", "last_deg", "kept"),
-    [(-135.0, 134.5, slice(0, 541)), (-90.2, 90.2, slice(90, 451)), (0.0, 135.0, slice(270, 541))],
-)
-def test_cut_keeps_each_beam_within_the_angles_and_one_beam_beyond_is_none(first_deg, last_deg, kept):
-    session = Lms100Session(config(first_angle_deg=first_deg, last_angle_deg=last_deg))
-    values = np.arange(1000, 1541)
-    [frame] = session.receive_data(encode(write_scan(telegram(values=values), Dialect.BINARY)), 2_000_000_000)
-    np.testing.assert_array_equal(frame.range_m, (values[kept] / 1000.0).astype(np.float32))
-
-
 def test_scans_without_a_beam_in_the_field_of_view_are_no_scans():
     session = Lms100Session(config(first_angle_deg=100.0))
     scans = (part_of_the_view(k, count=181) for k in range(1, 31))  # -135 to -45 deg
@@ -160,13 +149,6 @@ def test_device_that_measures_and_refuses_to_be_started_is_not_waited_for():
     t = talk(Lms100Setup(refused=RANGE | {"LMCstartmeas"}), **HALF).run(2.0)
     assert len(t.frames) > 50
     assert t.session.counters["starts_refused"] == 1
-
-
-def test_measured_scan_rate_is_the_one_that_was_asked_for():
-    t = talk(Lms100Setup(scan=ScanConfig(2497, 5000)), scan_rate_hz=25).run(3.0)
-    assert len(t.frames) > 40
-    assert t.session.counters["scans_not_as_configured"] == t.device.counters["scan_config_changes"] == 0
-    assert t.session.status == "streaming"
 
 
 def test_device_at_rest_that_cannot_be_logged_into_is_a_device_error():

@@ -1,26 +1,12 @@
-import struct
-from pathlib import Path
-
 import pytest
-import yaml
 from pydantic import ValidationError
 
 from drivers.errors import DeviceError
-from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.mtdata import Layout, Mode
 from drivers.xsens_mtig.mtdata2 import EVERY_MESSAGE, Kind
 from drivers.xsens_mtig.reals import Precision
 from drivers.xsens_mtig.wanted import PERIOD_HZ, PERIODS, line_bits_per_s, wanted_items, wanted_layout
 from tests.drivers.mtig import config
-
-
-def test_example_is_complete_and_shows_the_defaults():
-    path = Path(__file__).parents[2] / "config/sensors/xsens_mtig.yaml"
-    example = yaml.safe_load(path.read_text(encoding="utf-8"))
-    shown = XsensMtigConfig.model_validate({"name": "imu", **example})
-    assert shown == XsensMtigConfig(name="imu", device=shown.device)
-    missing = set(XsensMtigConfig.model_fields) - set(example) - {"name"}
-    assert missing == set()
 
 
 @pytest.mark.parametrize(
@@ -96,9 +82,3 @@ def test_legacy_layout_grows_with_the_line():
     assert fixed.layout == Layout(0x0806, 0x0000_0E41)
     with pytest.raises(DeviceError, match="no number_format float64"):
         wanted_layout(config(number_format="float64"), None)
-
-
-def test_lever_arm_goes_out_as_three_floats():
-    assert struct.pack(">3f", *(config(lever_arm_m=(0.5, -0.25, 1.0)).lever_arm_m or ())) == bytes.fromhex(
-        "3F000000BE8000003F800000"
-    )

@@ -266,14 +266,6 @@ def test_what_the_device_makes_of_our_requests_is_reported():
     )
 
 
-def test_wake_up_is_answered_at_once():
-    t = talk(mtdata2())
-    t.session.tick(t.now_ns)
-    t.session.outbox.clear()
-    t.session.receive_data(encode(Mid.WAKE_UP), t.now_ns)
-    assert said(t.session.outbox)[0].mid == Mid.WAKE_UP_ACK
-
-
 def test_a_preamble_in_garbage_does_not_hold_up_the_answers():
     """It promises 192 bytes; a device in config state sends 5 at a time, five times a second."""
     device = mtdata2()
@@ -293,11 +285,3 @@ def test_device_that_boots_while_it_is_looked_for_streams_soon():
     t.run(1.5)
     assert len(samples(t.frames)) > 50
     assert t.session.counters["device_restarts"] == 0
-
-
-def test_line_that_damages_every_message_is_told_from_one_that_is_cut():
-    t = talk(mtdata2()).run(1.0)
-    deliver = t.session.receive_data
-    t.session.receive_data = lambda data, arrived_ns: deliver(data[:-1] + bytes([data[-1] ^ 1]), arrived_ns)
-    with pytest.raises(TransportError, match=r"samples came in 2 s, all damaged on the way; look at plugs"):
-        t.run(5.0)

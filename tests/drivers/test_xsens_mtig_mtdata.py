@@ -17,7 +17,7 @@ from drivers.xsens_mtig.mtdata import (
     RawGps,
     Settings,
 )
-from drivers.xsens_mtig.mtdata2 import LocalFrame, Utc
+from drivers.xsens_mtig.mtdata2 import Utc
 from drivers.xsens_mtig.protocol import MessageDecoder, Mid
 
 # ethz-asl/ethzasl_xsens_driver, issue 66: the data of a real MTi-G, checksum added.
@@ -75,11 +75,6 @@ def test_configuration_of_a_real_mti_g_announces_the_layouts_length(shared: Path
 )
 def test_length_follows_from_mode_and_settings(mode: int, settings: int, length: int):
     assert Layout(mode, settings).data_bytes == length
-
-
-def test_bit_31_is_the_local_frame():
-    assert Layout(4, 0x8000_0000).local_frame is LocalFrame.NED
-    assert Layout(4, 0).local_frame is LocalFrame.NWU
 
 
 settings_words = st.builds(

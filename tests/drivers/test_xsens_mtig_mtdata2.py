@@ -1,7 +1,6 @@
 """Items of MTData2 against recordings, the manual's example, and themselves."""
 
 import math
-import struct
 from pathlib import Path
 
 import pytest
@@ -13,14 +12,10 @@ from drivers.xsens_mtig.mtdata2 import (
     GnssPvt,
     Item,
     Kind,
-    Utc,
     decode_items,
     encode_items,
-    item_bytes,
     join,
     read_output_configuration,
-    split,
-    write_item,
     write_output_configuration,
 )
 from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
@@ -102,17 +97,6 @@ def test_recorded_output_configurations_are_read_and_made_again(shared: Path, na
     assert write_output_configuration(wanted) == data
 
 
-def test_counters_of_a_recording_run_without_a_gap_across_both_streams(shared: Path):
-    for name in ("t1", "t2", "t3"):
-        packets = [
-            item.value
-            for message in recorded(shared, f"{name}_output")
-            for item in decode_items(message.data)
-            if item.id == Kind.PACKET_COUNTER
-        ]
-        assert packets == list(range(packets[0], packets[0] + 100))
-
-
 def test_fixed_16_32_has_its_fraction_first():
     """The y acceleration of the second recorded message in that format, -9.68 m/s^2."""
     assert read_reals(bytes.fromhex("52873000FFF6"), Precision.FP1632, 1)[0] == pytest.approx(
@@ -174,16 +158,6 @@ def test_items_in_any_order_and_format_come_back(items: tuple[Item, ...]):
     assert tuple(decode_items(encode_items(items))) == items
 
 
-@given(st.binary(max_size=80))
-def test_any_data_are_items_or_refused(data: bytes):
-    try:
-        items = decode_items(data)
-    except ProtocolError:
-        return
-    assert sum(3 + len(payload) for _, payload in split(data)) == len(data)
-    assert len(items) == len(split(data))
-
-
 @pytest.mark.parametrize(
     ("data", "diagnostic"),
     [
@@ -204,18 +178,3 @@ def test_items_no_one_knows_are_kept_as_they_are():
     data = join([(0x9999, b"abc"), (Kind.PACKET_COUNTER, b"\0\1")])
     assert decode_items(data) == [Item(0x9999, b"abc"), Item(0x1020, 1)]
     assert encode_items(decode_items(data)) == data
-
-
-def test_sizes_of_items_are_known_before_they_are_sent():
-    assert item_bytes(Kind.GNSS_PVT) == 97
-    assert item_bytes(Kind.QUATERNION | Precision.FP1632) == 27
-    utc = Utc(5, 2019, 1, 20, 13, 47, 24, 0x37)
-    assert len(join([(Kind.UTC, write_item(Kind.UTC, utc))])) == item_bytes(Kind.UTC) == 15
-    assert struct.calcsize(">H") + 3 == item_bytes(Kind.PACKET_COUNTER)
-
-
-def test_a_solution_without_a_fix_reads_as_a_real_one_did():
-    """Indoors an MTi-G-700 said 1980, fix 0, accuracy FFFFFFFF, every dilution 9999."""
-    blank = GnssPvt._make([0] * 35)._replace(year=1980, horizontal_accuracy_mm=0xFFFF_FFFF, time_dop_1e2=9999)
-    [item] = decode_items(join([(Kind.GNSS_PVT, write_item(Kind.GNSS_PVT, blank))]))
-    assert item.value == blank

@@ -8,7 +8,6 @@ import pytest
 from drivers.errors import DeviceError
 from drivers.xsens_mtig.mtdata2 import Kind
 from drivers.xsens_mtig.protocol import Mid
-from drivers.xsens_mtig.wanted import has_receiver
 from simulators.inertial import Place
 from tests.drivers.mtig import PLACE, Swing, legacy, mtdata2, samples, talk
 
@@ -30,14 +29,6 @@ def test_unit_that_refuses_every_output_is_known_by_its_product_code():
     device = mtdata2(product="MTi-30-2A5G4", fixed=frozenset({Mid.OUTPUT_CONFIGURATION}))
     with pytest.raises(DeviceError, match="write gnss: false"):
         talk(device).run(3.0)
-
-
-@pytest.mark.parametrize(
-    ("product", "receives"),
-    [("MTi-G-710-2A5G4", True), ("MTi-680G-8A7G6", True), ("MTi-30-2A5G4", False), ("", True)],
-)
-def test_product_code_tells_whether_there_is_a_receiver(product, receives):
-    assert has_receiver(product) is receives
 
 
 def test_unit_without_orientation_gives_the_rest():

@@ -6,20 +6,11 @@ import numpy as np
 import pytest
 
 from drivers.frames import GnssFix
-from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, turns_to_skip
+from simulators.device import TURNS_SKIPPED
 from tests.drivers.faulty_devices import BENCHES
 from tests.drivers.virtual_time import SECOND_NS, Talk
 
 BY_TURNS = [name for name in BENCHES if name != "create1"]  # that one speaks when it is asked
-
-
-@pytest.mark.parametrize(
-    ("behind_ns", "skipped"),
-    [(-5, 0), (0, 0), (CATCH_UP_NS, 0), (CATCH_UP_NS + 1, 40), (CATCH_UP_NS + 25_000_001, 41)],
-)
-def test_turns_are_skipped_beyond_a_second_alone(behind_ns: int, skipped: int):
-    assert turns_to_skip(behind_ns, 25e6) == skipped
-    assert turns_to_skip(behind_ns - CATCH_UP_NS, 25e6, 0) == max(skipped - 40, 0)
 
 
 def _streaming(name: str) -> Talk:

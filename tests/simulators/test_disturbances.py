@@ -10,7 +10,6 @@ from service.geometry.se2 import SE2
 from simulators.disturbances import (
     Knock,
     Slip,
-    around,
     beside,
     with_companions,
     with_floor_seen,
@@ -60,19 +59,6 @@ def test_companions_are_seen_only_for_their_time(world: World) -> None:
         assert range_m(escorted, time_s, at_side_deg) > 3.0
     staying = with_companions(world, beside(1, 0.8), FROM_S, TO_S, stay=True).people[0]
     assert staying.place(TO_S + 50.0) == pytest.approx(staying.place(TO_S))
-
-
-def test_companions_walk_at_a_speed_of_their_own(world: World) -> None:
-    person = with_companions(world, [(1.0, 0.5)], 2.0, 5.0, speed_mps=0.5, sway_m=0.0).people[0]
-    assert math.dist(person.place(2.0), person.place(5.0)) == pytest.approx(1.5, abs=0.01)
-
-
-def test_companions_are_the_same_for_the_same_seed(world: World) -> None:
-    places = [
-        with_companions(world, around(3, 1.0), FROM_S, TO_S, seed=seed).people[1].place(MIDDLE_S)
-        for seed in (1, 1, 2)
-    ]
-    assert places[0] == places[1] != places[2]
 
 
 def test_train_goes_along_or_passes(world: World) -> None:

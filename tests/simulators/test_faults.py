@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from simulators.device import FakeDevice, Unpluggable
+from simulators.device import FakeDevice
 from simulators.fault_file import parse_faults
 from simulators.faults import Faulty
 
@@ -83,15 +83,6 @@ def said(*lines: str, seconds: float = 0.2, seed: int = 1, device: FakeDevice | 
 
 def numbers(*milliseconds: int) -> list[bytes]:
     return [b"<%06d>" % ms for ms in milliseconds]
-
-
-def test_without_faults_nothing_changes():
-    device = faulty("kind: silence, at_s: 9, for_s: 1")
-    assert device.connected(ZERO_NS) == b"<hello>"
-    assert device.receive_data(b"x", ZERO_NS) == b"<x>"
-    assert list(run(device, 0.035)) == [(0.01, b"<000010>"), (0.02, b"<000020>"), (0.03, b"<000030>")]
-    assert isinstance(device, Unpluggable)
-    assert device.plugged(ZERO_NS)
 
 
 def test_silence_loses_what_is_reported_and_not_what_is_heard():
@@ -239,11 +230,6 @@ def test_a_slow_start_is_deaf_and_dumb_after_each_start():
     silent = [(before, after) for before, after in itertools.pairwise([0.0, *at_s]) if after - before > 0.015]
     assert silent == [(0.0, pytest.approx(0.3)), (pytest.approx(0.99), pytest.approx(1.4))]
     assert device.device.heard == []
-
-
-def test_a_slow_start_that_comes_later_leaves_the_first_start_alone():
-    device = faulty("kind: slow_start, at_s: 0.5, for_s: 0.3")
-    assert device.connected(ZERO_NS) == b"<hello>"
 
 
 def test_what_is_held_is_lost_with_the_link():

@@ -41,13 +41,6 @@ def test_in_an_outage_there_is_no_position():
     assert receiver.fix("imu", 6_000_000_000, (0.0, 0.0)).status == 0
 
 
-def test_what_was_asked_before_changes_nothing():
-    asked, fresh = Receiver(GnssModel(), 7), Receiver(GnssModel(), 7)
-    for k in range(0, 100, 3):
-        asked.fix("imu", k * 10**9, (1.0, 2.0))
-    assert asked.fix("imu", 50 * 10**9, (1.0, 2.0)) == fresh.fix("imu", 50 * 10**9, (1.0, 2.0))
-
-
 def test_a_turned_world_is_turned():
     model = GnssModel(lasting_sigma_m=0.0, noise_sigma_m=0.0)
     fix = Receiver(model, 1, ORIGIN, world_yaw_rad=math.radians(90.0)).fix("imu", 0, (100.0, 0.0))

@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from drivers.errors import TransportError
 from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
 from drivers.hokuyo_utm30lx.port import open_port
 from drivers.hokuyo_utm30lx.protocol import ReplyDecoder, checksum, decode_number, read_info
@@ -106,21 +105,6 @@ def test_a_recorded_unit_and_this_one_answer_alike(shared):
             assert len(ours.body) == len(real.body)
         else:
             assert ours == real
-
-
-def test_what_urg_library_parses():
-    """PP: 10 lines or more; VV: 7; II: 9; status lines of 3 characters; the last line empty."""
-    for setup in (USB, ETHERNET):
-        bench = Bench(setup)
-        lines = {name: bench.say(name).split(b"\n")[:-1] for name in ("PP", "VV", "II", "QT")}
-        assert len(lines["PP"]) >= 10
-        assert (len(lines["VV"]) - 1, len(lines["II"]) - 1, len(lines["QT"])) == (7, 9, 3)
-        assert all(len(reply[1]) == 3 and reply[-1] == b"" for reply in lines.values())
-        assert bench.say("TM0") == b"TM0\n00P\n\n"
-        time = bench.say("TM1").split(b"\n")
-        assert len(time[2]) == 5
-        assert checksum(time[2][:4]) == time[2][4]
-        assert bench.say("TM2") == b"TM2\n00P\n\n"
 
 
 def test_time_adjust_mode_is_entered_asked_and_left_as_the_specification_has_it():
@@ -235,20 +219,6 @@ def test_stream_runs_at_40_hz_and_a_scan_leaves_when_its_sweep_is_over():
     assert stamps_ms == [(2**24 - 500 + int(ms)) % 2**24 for ms in since_ms]
 
 
-@pytest.mark.parametrize(("skip", "skipped"), [(0, 60), (2, 20)])
-def test_turns_skipped_keep_to_every_third_where_two_are_left_out(skip: int, skipped: int):
-    bench = Bench()
-    bench.say("BM")
-    bench.say(f"MD0000108001{skip}00")
-    stamps_ms = []
-    for after_ms in (0.0, 1_500.0):
-        bench.now_ns = bench.device.next_due_ns(bench.now_ns) + round(after_ms * MS)
-        (message,) = ReplyDecoder().receive_data(bench.device.due(bench.now_ns))
-        stamps_ms.append(read_scan(message).stamp_ms)
-    assert bench.device.counters["turns_skipped"] == skipped
-    assert stamps_ms[1] - stamps_ms[0] == 25 * (1 + skip) * (skipped + 1)
-
-
 def test_skip_leaves_scans_out_and_cluster_takes_the_nearest():
     bench = Bench()
     bench.say("MD0000108004300")
@@ -323,15 +293,6 @@ def test_abnormal_device_refuses_all_but_who_it_is_and_a_reboot():
     assert status(bench.say("RB", 500.0)) == "00"
     assert bench.say("QT") == b""
     assert status(bench.say("QT", 600.0)) == "00"
-
-
-def test_reset_puts_the_clock_to_zero_and_ends_the_stream():
-    for command in ("RS", "RT"):
-        bench = Bench(replace(USB, clock_start_ms=5_000_000))
-        bench.say("MD0000108001000")
-        assert status(bench.say(command)) == "00"
-        assert bench.let(200.0) == []
-        assert int(read_info(ReplyDecoder().receive_data(bench.say("II"))[0])["TIME"], 16) == 201
 
 
 def test_power_cut_costs_stream_and_clock_and_a_command_half_heard():
@@ -464,10 +425,3 @@ def test_driver_reads_from_an_ethernet_unit_over_tcp_again_after_a_power_cut(lin
         wire.restore()
         wait_for(len(wait_for(1)) + 20)
         assert health.connects >= 2
-
-
-def test_a_port_that_is_not_there_is_a_transport_error(tmp_path):
-    with pytest.raises(TransportError, match="cannot open"):
-        open_port(config(device=str(tmp_path / "none")))
-    with pytest.raises(TransportError, match="cannot connect"):
-        open_port(config(host="127.0.0.1", port=1))

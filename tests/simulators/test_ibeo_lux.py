@@ -20,7 +20,6 @@ from drivers.ibeo_lux.messages import (
     ScanFlag,
     read_reply,
     read_scan,
-    write_command,
     write_ntp_part,
     write_parameter,
 )
@@ -89,23 +88,6 @@ def test_libsick_start_up_gets_replies_of_the_lengths_it_requires():
     scans = client.scans(2.0)
     assert len(scans) == pytest.approx(21, abs=1)
     assert scans[0].start_ntp >> 32 == 4_000_000_000
-
-
-def test_mrpt_client_is_not_thrown_out_for_its_filter_of_an_ecu():
-    client = Client()
-    filter_of_ecu = bytes.fromhex("00050002220022 10".replace(" ", ""))
-    answer = client.device.receive_data(encode(Message(DataType.COMMAND, filter_of_ecu, 0x78)), client.now_ns)
-    assert answer[24:] == bytes.fromhex("0085")
-    assert client.ask(Command.START).refused is False
-    assert client.scans(1.0)
-    assert client.ask(Command.STOP).refused is False
-    assert client.scans(1.0) == []
-
-
-def test_client_that_only_listens_gets_scans_from_power_up():
-    numbers = [scan.number for scan in Client(LuxSetup(first_scan_number=65_530)).scans(1.0)]
-    assert numbers == [(65_530 + k) % 65_536 for k in range(len(numbers))]
-    assert len(numbers) == pytest.approx(12, abs=1)
 
 
 @pytest.mark.parametrize("rate_hz", [12.5, 25.0, 50.0])
@@ -295,10 +277,6 @@ def test_client_that_comes_late_gets_scans_from_then_on_and_one_that_stalls_lose
     numbers = [scan.number for scan in client.scans(1.0)]
     assert numbers == list(range(numbers[0], numbers[0] + 13))
     assert client.device.counters["turns_skipped"] == pytest.approx(4 * 12.5, abs=1)
-
-
-def test_write_command_is_what_the_listing_shows():
-    assert write_command(Command.GET_PARAMETER, struct.pack("<H", 0x3302)) == bytes.fromhex("110000000233")
 
 
 def test_vehicle_has_one_on_a_port_where_its_layers_see_the_walls():

@@ -11,7 +11,7 @@ from drivers.irobot_create.protocol import (
     encode_stream_request,
     frame_bytes,
 )
-from simulators.irobot_create import BANNER, CREATE2_DEGREES, FLASH_TEXT, IDLE_VALUES, FakeCreate
+from simulators.irobot_create import BANNER, FLASH_TEXT, IDLE_VALUES, FakeCreate
 
 S, MS = 1_000_000_000, 1_000_000
 M_PER_COUNT = math.pi * 0.072 / 508.8
@@ -123,13 +123,6 @@ def test_stalled_wire_gets_what_is_owed_and_an_absent_client_nothing(started: Ca
     assert len(robot.due(60 * S)) <= 2 * frame_bytes([35])
 
 
-def test_encoders_quantise_and_wrap_both_ways(started: Callable[..., FakeCreate]):
-    forward = started(Rolling(1.0, -1.0), start_counts=(65_530, 3))
-    at_ns = round(10.4 * M_PER_COUNT * S)
-    assert ask(forward, 43, at_ns) == {43: 4}
-    assert ask(forward, 44, at_ns) == {44: 65_528}
-
-
 def test_distance_and_angle_clear_on_reading_and_lose_the_fraction(started: Callable[..., FakeCreate]):
     robot = started(Rolling(0.1, 0.2), "create1")
     assert ask(robot, 19, S) == {19: 150}
@@ -138,11 +131,6 @@ def test_distance_and_angle_clear_on_reading_and_lose_the_fraction(started: Call
     lost = started(Rolling(-0.05, 0.05), "create1")  # 22 deg/s
     assert sum(ask(lost, 20, i * 15 * MS)[20] for i in range(1000)) == 0
     assert ask(started(Rolling(1.0, 1.0), "create1"), 19, 100 * S) == {19: 32_767}
-
-
-def test_create2_angle_has_the_old_firmwares_scale(started: Callable[..., FakeCreate]):
-    robot = started(Rolling(-0.1, 0.1))
-    assert ask(robot, 20, 2 * S) == {20: int(math.degrees(0.4 / 0.235) * CREATE2_DEGREES)}
 
 
 def test_drive_commands_set_what_is_requested_and_move_nothing(started: Callable[..., FakeCreate]):
@@ -169,11 +157,6 @@ def test_special_radii(started: Callable[..., FakeCreate], radius: str, right: i
     robot.receive_data(bytes([132]) + bytes.fromhex("89 00 C8" + radius), 0)
     values = ask(robot, 5)
     assert (values[41], values[42]) == (right, left)
-
-
-def test_requests_follow_the_world_until_somebody_drives(started: Callable[..., FakeCreate]):
-    values = ask(started(Rolling(0.1, 0.3), "create1"), 5, S)
-    assert (values[39], values[41], values[42]) == (200, 300, 100)
 
 
 def test_dropped_wheel_ends_safe_mode_silently(started: Callable[..., FakeCreate]):
@@ -283,32 +266,3 @@ def test_pycreate2_dialogue(started: Callable[..., FakeCreate]):
     assert robot.receive_data(bye, 4 * S) == b""
     assert robot.mode is Mode.OFF
     assert [c.opcode for c in robot.commands[-3:]] == [Opcode.SONG, Opcode.PLAY, Opcode.STOP]
-
-
-def test_pyroombaadapter_dialogue():
-    """What PyRoombaAdapter 0.3 sends: start, safe, packets one by one, a stream ended by an empty list."""
-    robot = FakeCreate(Rolling(0.2, 0.2))
-    assert robot.receive_data(bytes([128, 131]), 0) == b""
-    assert robot.receive_data(bytes([142, 22]), S) == IDLE_VALUES[22].to_bytes(2, "big")
-    assert robot.receive_data(bytes([142, 35]), S) == b"\x02"
-    robot.receive_data(bytes([148, 3, 43, 44, 22]), 2 * S)
-    frame = robot.due(2 * S + 20 * MS)
-    assert (frame[0], frame[1], len(frame)) == (19, 9, 12)
-    assert sum(frame) % 256 == 0
-    assert [frame[2], frame[5], frame[8]] == [43, 44, 22]
-    robot.receive_data(bytes([148, 0]), 3 * S)
-    assert robot.next_due_ns(3 * S) is None
-    robot.receive_data(bytes([128]), 4 * S)
-    assert robot.mode is Mode.PASSIVE
-
-
-def test_libcreate_dialogue():
-    """In the manner of libcreate with a V3 robot: a stream of 30 packets, accepted whole; stop at last."""
-    ids = [*range(7, 15), 15, 17, 18, *range(21, 28), 34, 35, *range(43, 52), 58]
-    robot = FakeCreate(STANDING)
-    robot.receive_data(bytes([128]), 0)
-    robot.receive_data(bytes([148, len(ids), *ids]), S)
-    assert len(ids) == 30
-    assert len(StreamDecoder(ids).receive_data(robot.due(S + 30 * MS))) == 1
-    robot.receive_data(bytes([128, 173]), 2 * S)
-    assert robot.mode is Mode.OFF

@@ -49,20 +49,6 @@ def test_travel_adds_up_over_laps(loop: Trajectory):
     assert one[1] == pytest.approx(2 * math.pi, abs=1e-6)
 
 
-def test_lap_repeats_the_same_poses(loop: Trajectory):
-    time_s = np.linspace(0.0, loop.duration_s, 200, endpoint=False)
-    first, fourth = loop.poses(time_s), loop.poses(time_s + 3 * loop.duration_s)
-    np.testing.assert_allclose(first[:, :2], fourth[:, :2], atol=1e-6)
-    np.testing.assert_allclose(fourth[:, 2] - first[:, 2], 6 * math.pi, atol=1e-6)
-
-
-def test_vehicle_stands_before_the_beginning_and_after_the_end():
-    drive = plan_drive(SE2(1.0, 2.0, 0.0), [Follow([(3, 2)])])
-    time_s = np.array([-5.0, 0.0, drive.duration_s, 1e6])
-    np.testing.assert_allclose(drive.poses(time_s)[:, 0], [1, 1, 3, 3], atol=1e-9)
-    np.testing.assert_allclose(drive.twists(time_s), 0.0, atol=1e-9)
-
-
 def test_corner_passes_inside_the_way_point_by_what_the_radius_says():
     radius_m = 2.0
     drive = plan_drive(SE2(), [Follow([(8, 0), (8, 8)], corner_radius_m=radius_m)])
@@ -70,22 +56,6 @@ def test_corner_passes_inside_the_way_point_by_what_the_radius_says():
     gap_m = np.hypot(poses[:, 0] - 8, poses[:, 1]).min()
     assert gap_m == pytest.approx((math.sqrt(2) - 1) * radius_m, abs=0.01)
     np.testing.assert_allclose(poses[-1], [8, 8, math.pi / 2], atol=1e-3)
-
-
-def test_spin_turns_by_its_angle_on_the_spot():
-    drive = plan_drive(SE2(1, 1, 0), [Spin(-5.0)], LIMITS)
-    poses = drive.poses(np.linspace(0.0, drive.duration_s, 50))
-    np.testing.assert_allclose(poses[:, :2], 1.0)
-    assert poses[-1, 2] == pytest.approx(-5.0)
-
-
-def test_drive_seen_from_its_start_begins_at_the_origin(loop: Trajectory):
-    moved = loop.seen_from(loop.start)
-    np.testing.assert_allclose(moved.poses(np.zeros(1)), 0.0, atol=1e-12)
-    time_s = np.linspace(0.0, loop.duration_s, 20)
-    for before, after in zip(loop.poses(time_s), moved.poses(time_s), strict=True):
-        back = loop.start @ SE2(*after)
-        np.testing.assert_allclose([back.x_m, back.y_m], before[:2], atol=1e-9)
 
 
 def test_open_drive_that_should_repeat_is_refused():

@@ -22,20 +22,6 @@ def world() -> World:
     return make_world("room", plan, [], plan_drive(SE2(), [Follow([(3, 0)])]))
 
 
-def test_device_is_read_with_its_options():
-    spec = parse_device("rear=sick_lms100:x_m=-0.3,yaw_deg=180,port=2111")
-    assert (spec.name, spec.kind) == ("rear", "sick_lms100")
-    options = spec.options.model_dump()
-    assert (options["x_m"], options["yaw_deg"], options["port"]) == (-0.3, 180.0, 2111)
-
-
-def test_without_a_word_there_are_a_laser_and_a_base():
-    assert [(spec.name, spec.kind) for spec in parse_devices([])] == [
-        ("front", "sick_lms100"),
-        ("base", "irobot_create"),
-    ]
-
-
 MOUNTED = ("sick_lms100", "hokuyo_utm30lx", "ibeo_lux", "xsens_mtig")
 
 

@@ -57,14 +57,6 @@ def test_world_is_seen_from_the_start_of_the_drive():
     np.testing.assert_allclose(world.discs(0.0, 0.02)[0, :2], [2.0, 0.0], atol=1e-12)
 
 
-def test_person_walks_pauses_and_comes_back_each_period():
-    person = walk([(0, 0), (4, 0)], 20.0, speed_mps=2.0, pause_s=3.0, begin_s=1.0)
-    xs = [person.place(t)[0] for t in (0.0, 1.0, 2.0, 3.0, 5.9, 7.0, 8.0, 19.9)]
-    assert xs == pytest.approx([0, 0, 2, 4, 4, 2, 0, 0])
-    assert person.place(-18.0) == person.place(0.0)
-    assert person.place(202.0) == pytest.approx(person.place(2.0))
-
-
 def test_person_who_begins_later_stands_at_the_first_place_before():
     person = walk([(0, 0), (4, 0)], 6.0, speed_mps=2.0)
     later = person.later(5.0)

@@ -168,11 +168,6 @@ def test_setup_is_for_the_config_state_alone(make):
     assert host.ask(Mid.RESET_ORIENTATION, "0001") == Message(Mid.RESET_ORIENTATION + 1)
 
 
-def test_bus_id_of_the_question_is_that_of_the_answer():
-    host = Host(mtdata2()).configured()
-    assert host.ask(Mid.REQ_DEVICE_ID, "", 1).bus_id == 1
-
-
 def test_effective_rates_come_back_and_stay():
     host = Host(mtdata2(baud=921_600)).configured()
     asked = [(0x1020, 100), (0x8020, 0), (0x4020, 150), (0xC020, 400), (0x3010, 0xFFFF), (0x7010, 10)]
@@ -225,17 +220,6 @@ def test_reset_is_acknowledged_then_silence_then_wake_up(make):
     assert host.unit.state == "config"
 
 
-@BOTH
-def test_a_unit_that_no_one_greets_sends_its_configuration_and_measures(make):
-    host = Host(make())
-    host.unit.restart(host.now_ns)
-    heard = host.wait(1.5)
-    assert [m.mid for m in heard[:2]] == [Mid.WAKE_UP, Mid.CONFIGURATION]
-    times = {m.mid: t for t, m in reversed(host.heard)}
-    assert times[Mid.CONFIGURATION] - times[Mid.WAKE_UP] == pytest.approx(500 * MS, abs=12 * MS)
-    assert heard[2].mid in (Mid.MTDATA, Mid.MTDATA2)
-
-
 def test_baud_rate_counts_from_the_next_reset_on():
     host = Host(mtdata2()).configured()
     assert host.ask(Mid.BAUDRATE, "00") == Message(Mid.BAUDRATE + 1)
@@ -243,17 +227,6 @@ def test_baud_rate_counts_from_the_next_reset_on():
     assert host.ask(Mid.BAUDRATE).data == b"\x00"
     host.unit.receive_data(encode(Mid.RESET), host.now_ns)
     assert host.unit.settings.baud == 460_800
-
-
-def test_samples_lie_on_the_grid_of_a_clock_that_drifts():
-    host = Host(mtdata2(clock_drift_ppm=100.0))
-    host.wait(20.0)
-    data = [m for _, m in host.heard if m.mid == Mid.MTDATA2]
-    ticks = [i.value for m in data for i in decode_items(m.data) if i.id == Kind.SAMPLE_TIME_FINE]
-    assert set(np.diff(ticks)) == {100}
-    assert len(ticks) == pytest.approx(2000, abs=2)
-    elapsed_ns = host.heard[-1][0] - host.heard[100][0]  # from there on messages are equally long
-    assert (ticks[-1] - ticks[100]) * 100_000 == pytest.approx(elapsed_ns * (1 + 100e-6), abs=0.2 * MS)
 
 
 def test_line_is_as_slow_as_its_baud_rate():
@@ -302,30 +275,6 @@ def test_gnss_messages_come_45_ms_late_with_their_own_time_and_counter():
     assert packets == list(range(packets[0], packets[0] + len(packets)))
     assert len(late) >= 11
     assert all(400 <= ticks <= 500 for ticks in late)
-
-
-def test_lost_messages_leave_a_gap_in_the_counter():
-    unit = mtdata2()
-    host = Host(unit)
-    host.wait(0.2)
-    unit.lose_messages(4)
-    host.wait(0.2)
-    packets = [i.value for _, m in host.heard for i in decode_items(m.data) if i.id == 0x1020]
-    assert sorted(np.diff(packets).tolist())[-2:] == [1, 5]
-
-
-def test_no_one_listening_makes_no_backlog():
-    unit = mtdata2()
-    host = Host(unit)
-    host.wait(0.1)
-    unit.disconnected(host.now_ns)
-    host.now_ns += 3600 * SECOND_NS
-    unit.connected(host.now_ns)
-    began_ns = host.now_ns
-    host.wait(0.1)
-    assert len([t for t, _ in host.heard if t > began_ns]) <= 12
-    packets = [i.value for _, m in host.heard for i in decode_items(m.data) if i.id == 0x1020]
-    assert (packets[-1] - packets[0]) % 65_536 == pytest.approx(360_000 % 65_536, abs=40)
 
 
 def test_any_bytes_are_survived():
@@ -391,10 +340,3 @@ def test_places_of_the_filter_move_from_sample_to_sample_not_from_fix_to_fix(per
     assert len(steps_m) > 250
     assert steps_m == pytest.approx(np.array(speeds_mps[200:500])[1:] * 0.01, abs=1e-3)
     assert steps_m.min() > 0.003
-
-
-def test_periods_of_the_legacy_unit_are_those_of_its_registers():
-    unit = legacy()
-    unit.settings.write(Mid.PERIOD, struct.pack(">H", 576))
-    unit.settings.write(Mid.SKIP_FACTOR, struct.pack(">H", 1))
-    assert unit.settings.period_ns == 10 * MS
