@@ -1,4 +1,3 @@
-import math
 import re
 from pathlib import Path
 
@@ -11,13 +10,10 @@ from service.config import (
     load_config,
     load_replay_config,
     mapped_lasers,
-    mounted_upside_down,
     mountings,
     parse_config,
     parse_replay_config,
-    tf_static,
 )
-from service.encoding import decode_transforms
 from service.errors import ConfigError
 from service.sensor_kinds import SENSOR_KINDS
 
@@ -56,12 +52,6 @@ def test_a_good_config_is_read_with_its_defaults():
     assert config.sinks["publishing"].listen == ("tcp/127.0.0.1:7447",)
     assert config.mapping.profile == "corridor"
     assert config.text == GOOD
-
-
-def test_only_sensors_with_a_mounting_have_one():
-    poses = mountings(parse_config(GOOD, "c.yaml").sensors)
-    assert list(poses) == ["front"]
-    assert (poses["front"].x_m, poses["front"].theta_rad) == pytest.approx((0.2, math.pi / 2))
 
 
 def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
@@ -231,22 +221,6 @@ def test_every_laser_is_mapped_unless_it_says_no_or_others_are_named():
     assert mapped_lasers(parse_config(with_line("", 3), "c.yaml")) == ()
 
 
-def test_a_sensor_upside_down_and_its_height_stand_in_its_mounting():
-    text = with_line("  front: {type: sick_lms100, host: a, mounting: {x_m: 0.2, z_m: 0.3, yaw_deg: 30.0, "
-                     "upside_down: true}}", 3)  # fmt: skip
-    sensors = parse_config(text, "c.yaml").sensors
-    assert mounted_upside_down(sensors) == {"front"}
-    pose = mountings(sensors)["front"]
-    assert (pose.x_m, math.degrees(pose.theta_rad)) == (0.2, pytest.approx(30.0))
-    (edge,) = decode_transforms(tf_static(sensors, 0).payload)
-    assert edge.translation_m == (0.2, 0.0, 0.3)
-
-
-def test_a_laser_whose_type_is_wrong_is_reported_once():
-    text = with_line("  front: {type: sick_lms10, host: a}", 3) + "mapping: {lasers: [front]}\n"
-    assert [fault.split(": ")[1] for fault in faults(text)] == ["sensors.front.type"]
-
-
 @pytest.mark.parametrize(
     ("front", "paths"),
     [
@@ -279,15 +253,6 @@ def test_two_spellings_of_a_host_are_one_wire(one: str, other: str):
     assert fault.endswith(
         f"sensors.rear.host: {other}:2111 is taken by front; two sensors cannot share a wire"
     )
-
-
-def test_what_is_wrong_already_as_yaml_is_reported_once():
-    assert len(faults(with_line("  front: {type: sick_lms100, host: a, port: 012}", 3))) == 1
-
-
-def test_a_file_that_is_not_there_is_a_config_error(tmp_path: Path):
-    with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read: No such file or directory$"):
-        load_config(tmp_path / "nowhere.yaml")
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,9 @@ def test_a_damaged_config_is_read_or_refused_with_places(part: int, example: str
     assert refused > COUNT / 6 / 2
 
 
-@pytest.mark.parametrize("key", ["vehicle", "  front", "    type", "    port", "    host", "  directory"])
+@pytest.mark.parametrize(
+    "key", ["  front", "    host", *map(in_soak, ("vehicle", "    type", "    port", "  directory"))]
+)
 def test_an_odd_value_is_never_more_than_a_fault(key: str, example: str, tmp_path: Path):
     path = tmp_path / "vehicle.yaml"
     for value in ODD_VALUES:

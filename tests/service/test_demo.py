@@ -12,7 +12,6 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from service import demo
-from service.config import mapped_lasers
 from service.demo import (
     WEB_PORT,
     DemoOptions,
@@ -45,20 +44,6 @@ ENDPOINTS = [
 
 def options(out: Path, profile: str | None = None) -> DemoOptions:
     return DemoOptions(seconds=1.0, world=None, profile=profile, seed=1, out=out)
-
-
-def test_the_config_is_what_a_user_would_write_for_these_devices(tmp_path: Path):
-    config = demo_config(ENDPOINTS, options(tmp_path), 7447)
-    assert config.sensors["front"].port == 2111
-    assert config.sensors["front"].mounting.x_m == 0.20
-    assert config.sensors["rear"].device == "/dev/pts/4"
-    assert config.sensors["rear"].mounting.yaw_deg == 180.0
-    assert config.sensors["lux"].port == 12002
-    assert config.sensors["imu"].device == "/dev/pts/5"
-    assert config.sensors["base"].device == "/dev/pts/3"
-    assert mapped_lasers(config) == ("front", "rear", "lux")
-    assert config.sinks["recording"].directory == tmp_path
-    assert config.sinks["publishing"].listen == ("tcp/127.0.0.1:7447",)
 
 
 def test_the_page_is_at_the_usual_port_or_at_a_free_one_and_off_where_it_is_not_wanted(tmp_path: Path):
@@ -105,12 +90,6 @@ def test_the_address_of_the_page_is_reported_once_and_not_before_it_is_served(
     assert said == [f"The map, live: http://127.0.0.1:8080/#token={token}\n"]
 
 
-def test_the_vehicle_is_that_of_the_samples_in_the_docs(tmp_path: Path):
-    vehicle = demo_config(ENDPOINTS, options(tmp_path), 7447).vehicle
-    page = (Path(__file__).parents[2] / "docs" / "commands.md").read_text()
-    assert f"corridor/v1/{vehicle}/cmd/" in page
-
-
 def test_a_taken_port_is_reported_where_it_was_asked_for(caplog: pytest.LogCaptureFixture):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
@@ -127,13 +106,6 @@ def test_a_taken_port_is_reported_where_it_was_asked_for(caplog: pytest.LogCaptu
 def test_a_profile_that_there_is_not_is_a_config_error(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"mapping\.profile"):
         demo_config(ENDPOINTS, options(tmp_path, "corridr"), 7447)
-
-
-def test_the_truth_is_read_between_its_rows_and_across_half_a_turn():
-    truth = np.array([[0.0, 0.0, 0.0, 3.0], [10.0, 1.0, 2.0, -3.0]])
-    (middle,) = interpolate(truth, np.array([5]))
-    assert (middle.x_m, middle.y_m) == (0.5, 1.0)
-    assert abs(math.remainder(middle.theta_rad - math.pi, math.tau)) < 1e-12
 
 
 def test_truth_that_does_not_reach_is_reported():

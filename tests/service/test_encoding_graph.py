@@ -3,8 +3,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from service.encoding import MARKERS, decode_graph, encode_graph
-from service.errors import InputError
-from service.outputs import NO_GRAPH, GraphPicture
+from service.outputs import GraphPicture
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 RANDOM = np.random.default_rng(3)
@@ -40,32 +39,3 @@ def test_lines_of_others_have_no_evidence(text: str) -> None:
     read = decode_graph(bytes(JAZZY.serialize_cdr(array, MARKERS)))
     assert read.evidence == {"accepted": [], "refused": []}
     assert len(read.accepted) == 3
-
-
-def test_others_read_lines_in_the_map_frame_that_replace_those_before() -> None:
-    array = JAZZY.deserialize_cdr(encode_graph(PICTURE, 9).payload, MARKERS)
-    first, *lines = array.markers
-    assert first.action == first.DELETEALL
-    facts = [(m.ns, m.id, m.type, len(m.points)) for m in lines]
-    assert facts == [
-        ("key_frames", 0, 4, 5),
-        ("key_frames", 1, 4, 2),
-        ("sub_maps", 0, 4, 5),  # closed
-        ("loops", 0, 5, 6),
-        ("refused_loops", 0, 5, 2),
-    ]
-    assert {m.header.frame_id for m in array.markers} == {"map"}
-    assert all(m.color.a > 0.0 and m.scale.x > 0.0 and m.pose.orientation.w == 1.0 for m in lines)
-
-
-def test_an_empty_graph_takes_away_what_was_drawn() -> None:
-    message = encode_graph(NO_GRAPH, 9)
-    assert message.stamp_ns == 9
-    assert len(JAZZY.deserialize_cdr(message.payload, MARKERS).markers) == 1
-    read = decode_graph(message.payload)
-    assert (len(read.ways), len(read.accepted), len(read.refused)) == (0, 0, 0)
-
-
-def test_other_bytes_are_refused() -> None:
-    with pytest.raises(InputError, match="MarkerArray"):
-        decode_graph(b"\x00\x01\x00\x00\x09\x00\x00\x00")

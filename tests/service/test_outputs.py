@@ -15,8 +15,3 @@ def test_a_reason_is_its_words_wherever_text_is_expected():
     assert f"front: {REASON}" == "front: 12% of 180 returns lie on the map"
     assert json.dumps({"reason": REASON}) == '{"reason": "12% of 180 returns lie on the map"}'
     assert not NO_REASON
-
-
-def test_a_reason_in_other_words_keeps_its_id():
-    other = REASON.reworded(f"{REASON}; a detached map begins here")
-    assert (other, other.id) == ("12% of 180 returns lie on the map; a detached map begins here", "off_map")

@@ -7,15 +7,6 @@ import pytest
 
 from service.cli import main
 from service.errors import InputError
-from service.readable import refuse_unreadable
-
-
-def test_what_is_there_passes_and_what_is_not_is_named(tmp_path: Path):
-    (tmp_path / "file").touch()
-    refuse_unreadable(tmp_path)
-    refuse_unreadable(tmp_path / "file")
-    with pytest.raises(InputError, match="nowhere: no such file or folder"):
-        refuse_unreadable(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize(

@@ -1,27 +1,11 @@
 import logging
 
-import numpy as np
 import pytest
 
 import corridor
-from tests.service.api.rooms import MOUNTINGS, driven, recorded
+from tests.service.api.rooms import driven, recorded
 from tests.service.offline.importing.test_rosbag import drive as ros_drive
 from tests.service.offline.importing.test_rosbag import noetic, write_ros1
-from tests.service.recording.sessions import T0_NS
-
-
-def test_frames_come_as_they_were_recorded_and_as_often_as_they_are_read(recording):
-    opened = corridor.read(recording)
-    assert opened.lasers == ("front",)
-    assert opened.mountings.keys() == {"front"}
-    np.testing.assert_allclose(opened.mountings["front"], MOUNTINGS["front"], atol=1e-9)
-    for _ in range(2):
-        frames = list(opened)
-        assert len(frames) == len(driven().frames)
-        for frame, then in zip(frames, driven().frames, strict=True):
-            assert (type(frame), frame.sensor, frame.stamp_ns - T0_NS) == (
-                *(type(then), then.sensor, then.stamp_ns),
-            )
 
 
 def test_a_ros_1_bag_and_a_folder_are_read_too(tmp_path, recording):

@@ -1,19 +1,14 @@
-import subprocess
-import sys
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-import zenoh
 
 import corridor
 from service.api import subscription
 from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
-from service.publishing.config import PublishingConfig
 from tests.service.mapstore.tile_makers import same, tile
-from tests.service.publishing.conftest import client_config
 
 TIMEOUT_S = 20.0
 
@@ -103,27 +98,6 @@ def test_a_closed_subscription_gives_what_waits_and_ends_the_loop(publisher, sub
     assert [update.stamp_ns for update in subscribed] == [7]
 
 
-def test_a_service_that_restarts_is_found_again(open_publisher, store, monkeypatch):
-    monkeypatch.setattr(subscription, "ASK_AGAIN_S", 0.2)
-    store.update([tile(0, 0, 5)])
-    first = open_publisher()
-    with corridor.subscribe(first.endpoints[0], "tile", timeout_s=TIMEOUT_S) as updates:
-        assert same(next(updates), tile(0, 0, 5))
-        first.close()
-        store = type(store)()
-        store.update([tile(0, 0, 2)])  # versions of another run begin again
-        open_publisher(PublishingConfig(listen=(first.endpoints[0],)), map_source=store)
-        assert same(next(updates), tile(0, 0, 2))
-
-
-def test_a_session_of_the_program_is_used(publisher, store):
-    store.update([tile(0, 0, 1)])
-    session = zenoh.open(client_config(publisher.endpoints[0]))
-    with corridor.subscribe(session, ["tile"], timeout_s=TIMEOUT_S) as updates:
-        assert same(next(updates), tile(0, 0, 1))
-    assert session.is_closed()
-
-
 LEFT_OPEN = """
 import atexit, sys, corridor
 atexit.register(lambda: print("closed:", updates._session.is_closed()))  # after what is registered later
@@ -131,13 +105,6 @@ updates = corridor.subscribe(sys.argv[1])
 for update in updates:
     sys.exit(3)
 """
-
-
-def test_a_program_that_takes_what_it_needs_and_closes_nothing_ends_with_its_session_closed(publisher, store):
-    store.update([tile(0, 0, 1)])
-    command = [sys.executable, "-c", LEFT_OPEN, publisher.endpoints[0]]
-    done = subprocess.run(command, timeout=TIMEOUT_S, capture_output=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (3, b"closed: True\n", b"")
 
 
 def test_where_nothing_answers_the_endpoint_is_named(monkeypatch):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service import log_format
-from service.cli import arguments, choices, console, main, version
+from service.cli import arguments, console, main, version
 from service.cli.live import what_was_written
 from service.errors import (
     ConfigError,
@@ -21,9 +21,7 @@ from service.errors import (
     StorageError,
     UsageError,
 )
-from service.mapper.profiles import METHODS
 from service.version import VERSION
-from simulators.worlds import WORLDS
 
 GOOD = """\
 vehicle: v
@@ -160,22 +158,6 @@ def test_the_command_itself_ends_with_this_code_and_without_a_traceback(wrong: l
     assert "Traceback" not in done.stderr
 
 
-def test_a_name_that_is_nearly_right_is_offered_and_all_are_named(capsys: pytest.CaptureFixture[str]):
-    assert code_of(["demo", "--world", "ofice"]) == UsageError.exit_code
-    said = capsys.readouterr().err
-    assert "no world 'ofice'; did you mean office? there are corridor100, crowd, " in said
-    assert code_of(["replay", "a.mcap", "--profile", "icp"]) == UsageError.exit_code
-    assert "no profile 'icp'; there are contour_lm, corridor, " in capsys.readouterr().err
-
-
-def test_the_names_that_help_lists_are_those_there_are(capsys: pytest.CaptureFixture[str]):
-    assert tuple(sorted(WORLDS)) == choices.WORLDS
-    assert sorted(choices.PROFILES) == sorted(METHODS)
-    assert code_of(["demo", "--help"]) == 0
-    words = capsys.readouterr().out.replace(",", " ").split()
-    assert {*WORLDS, *METHODS} <= set(words)
-
-
 def test_help_loads_nothing_that_takes_its_time():
     done = subprocess.run([CORRIDOR, "--help"], capture_output=True, text=True, timeout=60, check=True)
     assert "64 wrong usage" in done.stdout
@@ -268,17 +250,6 @@ def test_each_error_has_its_exit_code(
     assert main(["run", str(good)]) == code
 
 
-def test_an_error_of_the_system_is_reported_without_its_number(
-    good: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    def fail(path: Path) -> None:
-        raise PermissionError(13, "Permission denied", "maps/office")
-
-    monkeypatch.setattr("service.config.load_config", fail)
-    assert main(["run", str(good)]) == StorageError.exit_code
-    assert "corridor: maps/office: Permission denied\n" in capsys.readouterr().err
-
-
 def test_a_file_that_is_no_recording_is_a_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "x.mcap").write_text("not MCAP")
     assert main(["replay", str(tmp_path / "x.mcap")]) == InputError.exit_code
@@ -298,18 +269,6 @@ def test_a_reader_that_has_gone_is_no_crash(good: Path):
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
-
-
-def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
-    terminal, pipe = Terminal(), io.StringIO()
-    for stream in (terminal, pipe):
-        shown = console.Progress("replay", stream)
-        for step in range(101):
-            shown(step / 100)
-        shown.end()
-    assert terminal.getvalue().startswith(f"{console.CLEAR}replay [..")
-    assert terminal.getvalue().endswith("] 100%\n")
-    assert pipe.getvalue().splitlines() == [f"replay: {tenth}0%" for tenth in range(1, 11)]
 
 
 def test_the_bar_says_how_long_the_rest_takes_once_the_pace_is_known():
@@ -360,11 +319,6 @@ def test_a_long_phase_says_since_when_it_lasts(stream: io.StringIO, expected: st
         shown.still_at_work()
     shown.end()
     assert stream.getvalue() == expected
-
-
-def test_a_table_has_words_to_the_left_and_figures_to_the_right(capsys: pytest.CaptureFixture[str]):
-    console.print_table([["result in", "scans"], ["out/a", "7"], ["b", "1234"]])
-    assert capsys.readouterr().out == "result in  scans\nout/a          7\nb           1234\n"
 
 
 def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.cli import _COMMANDS, main
+from service.cli import main
 from service.cli.arguments import new_parser
 from service.cli.manual import pages
 
@@ -20,14 +20,6 @@ def actions_of(parser: argparse.ArgumentParser):
                 yield from actions_of(child)
         elif action.help is not argparse.SUPPRESS:
             yield parser.prog.replace(" ", "-"), action
-
-
-def test_each_command_has_a_page_and_each_option_stands_in_it():
-    assert {"corridor", "corridor-simulate", "corridor-map-merge"} <= PAGES.keys()
-    assert {f"corridor-{command}" for command in _COMMANDS} <= PAGES.keys()
-    for page, action in actions_of(new_parser()):
-        for option in action.option_strings:
-            assert option.replace("-", r"\-") in PAGES[page], f"{option} in {page}"
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -77,12 +77,6 @@ def test_elsewhere_it_is_a_line_of_the_log_now_and_then(caplog: pytest.LogCaptur
     assert pipe.getvalue() == ""
 
 
-def test_where_systemd_shows_the_status_no_line_goes_to_the_journal(caplog: pytest.LogCaptureFixture):
-    with caplog.at_level(logging.INFO):
-        StatusLine(io.StringIO(), Clock(), is_reported_elsewhere=True)(service())
-    assert caplog.messages == []
-
-
 @pytest.fixture
 def terminal_log() -> Iterator[Terminal]:
     terminal = Terminal()

@@ -7,12 +7,9 @@ import pytest
 from service.encoding import OK, Status, encode_diagnostics, encode_pose
 from service.fleet.asking import RefusedError, ask
 from service.fleet.pull import JOURNAL_FILE, pull
-from service.mapstore.tiles import TileStore
-from service.sinks import fleet_journal
 from service.sinks.fleet_files import JOURNAL
 from service.sinks.fleet_journal import PAGE_LINES, PERIOD_NS, FleetJournal
 from tests.service.fleet.conftest import is_in_fleet
-from tests.service.mapstore.tile_makers import tile
 from tests.service.test_encoding_outputs import OUTPUT
 from tests.waiting import wait_until
 
@@ -94,15 +91,6 @@ def test_a_clock_that_is_set_back_keeps_the_order(tmp_path):
     ]
 
 
-def test_the_oldest_lines_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(fleet_journal, "MAX_LINES", 5)
-    journal = FleetJournal(tmp_path / "fleet.sqlite")
-    drive(journal.health, 8)
-    journal.write()
-    assert journal.page(0).count(b"\n") == 5
-    assert journal.page(0).startswith(b'{"unix_ns": %d' % (BEGIN_NS + 3 * PERIOD_NS))
-
-
 def test_a_journal_that_cannot_be_written_is_an_error_in_the_log_once(tmp_path, caplog):
     journal = FleetJournal(tmp_path / "missing" / "fleet.sqlite")
     drive(journal.health, 1)
@@ -123,21 +111,3 @@ def test_a_journal_that_is_damaged_is_refused_and_the_link_stays(
     drive(sink.put, 1)
     wait_until(lambda: "not a database" in sink.health().message)
     assert is_in_fleet(sink)
-
-
-def test_tiles_that_changed_without_a_link_are_asked_for_by_version(
-    endpoint, start_router, start_vehicle, open_client
-):
-    router, store = start_router(endpoint), TileStore()
-    sink = start_vehicle(endpoint, tiles=store)
-    store.update([tile(0, 0, 1)])
-    router.close()
-    for version in range(2, 50):
-        changed = tile(0, 1 + version % 2, version)
-        store.update([changed])
-        sink.put_tiles([changed], version, version)
-    start_router(endpoint)
-    client, key = open_client(endpoint), "corridor/v1/veh1/map/tile/**?since=1"
-    wait_until(lambda: list(client.get(key, timeout=20.0)))
-    replies = [str(reply.ok.key_expr).rpartition("/")[2] for reply in client.get(key, timeout=20.0)]
-    assert sorted(replies) == ["1", "2"]  # the newest of each of the two places

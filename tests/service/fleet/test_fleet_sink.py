@@ -2,13 +2,8 @@
 
 import time
 
-import pytest
-from pydantic import ValidationError
-
-from service.encoding import ERROR, OK, WARNING, encode_frame, encode_pose
-from service.mapstore.tiles import TileStore
+from service.encoding import ERROR, OK, encode_frame, encode_pose
 from service.publishing.commands import Answer
-from service.publishing.config import PublishingConfig
 from service.publishing.uplink import PRESENCES, presences
 from tests.service.fleet.conftest import diagnostics, is_in_fleet
 from tests.service.mapstore.tile_makers import tile
@@ -50,23 +45,6 @@ def test_poses_go_out_at_the_rate_of_the_policy_and_scans_never(endpoint, router
     assert set(channels) <= {"pose", "health", "map/meta", "map/tile/0/0/0"}
 
 
-def test_tiles_go_out_newest_first_changed_and_not_more_often_than_allowed(
-    endpoint, router, start_vehicle, open_client
-):
-    store = TileStore()
-    sink = start_vehicle(endpoint, fleet={"tile_period_s": 0.5}, tiles=store)
-    inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
-    for version in range(1, 21):
-        changed = tile(0, 0, version)
-        store.update([changed])
-        sink.put_tiles([changed], version, version)
-    last = tile(1, 0, 21)
-    store.update([last])
-    sink.put_tiles([last], 21, 21)
-    inbox.wait_for_one(lambda sample: str(sample.key_expr).endswith("0/1/0"))
-    assert len(inbox.samples) <= 4  # at once, and after 0.5 s the newest of each place
-
-
 def test_without_a_subscriber_no_tile_is_sent(endpoint, router, start_vehicle, open_client):
     sink = start_vehicle(endpoint)
     for version in range(1, 20):
@@ -101,14 +79,6 @@ def test_commands_come_through_the_router_unless_they_are_switched_off(
     client = open_client(endpoint)
     wait_until(lambda: answers(client, "veh1/cmd/pause") == ["pause"])
     assert answers(client, "veh2/cmd/pause") == []
-
-
-def test_a_vehicle_without_a_router_waits_for_it_and_ends_at_once(endpoint, start_router, start_vehicle):
-    sink = start_vehicle(endpoint, waits=False)
-    wait_until(lambda: endpoint in sink.health().message)
-    assert sink.health().level == WARNING
-    start_router(endpoint)
-    wait_until(lambda: is_in_fleet(sink))
 
 
 def test_a_lost_link_comes_back_with_what_was_declared(endpoint, start_router, start_vehicle, open_client):
@@ -158,16 +128,3 @@ def test_a_vehicle_may_not_speak_by_the_name_of_another(start_router, start_vehi
     operator = client_of(secured, "operator")
     assert list(operator.get(f"{VEH1}/cmd/any", timeout=20.0))
     assert not list(operator.get("corridor/v1/veh2/cmd/any", timeout=20.0))
-
-
-@pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        ({"connect": ["tcp/10.0.0.1:7447"]}, "without security"),
-        ({"connect": ["tls/site:7447"]}, "security init"),
-        ({"connect": ["tcp/127.0.0.1:7447"], "pose_hz": 0}, "greater than 0"),
-    ],
-)
-def test_a_link_that_cannot_be_is_refused_in_the_config(settings, expected):
-    with pytest.raises(ValidationError, match=expected):
-        PublishingConfig.model_validate({"fleet": settings})

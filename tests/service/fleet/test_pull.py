@@ -9,10 +9,9 @@ import pytest
 
 from service.errors import InputError, StorageError
 from service.fleet import pull as pull_module
-from service.fleet.asking import RefusedError, ask
 from service.fleet.pull import JOURNAL_FILE, pull
 from service.fleet.vehicles import present
-from service.sinks.fleet_files import PART_BYTES, RECORDINGS
+from service.sinks.fleet_files import PART_BYTES
 from tests.service.cli.test_commands import code_of
 from tests.waiting import wait_until
 
@@ -47,18 +46,6 @@ def test_finished_recordings_come_whole_and_oldest_first_and_once(
     assert steps[-1] == (sum(SIZES.values()), sum(SIZES.values()))
     again = pull(client, "veh1", tmp_path / "out")
     assert (again.fetched, again.there, again.bytes) == ((), tuple(sorted(SIZES)), 0)
-
-
-def test_a_transfer_that_was_cut_off_goes_on_where_it_ended(
-    vehicle, endpoint, open_client, recordings, tmp_path
-):
-    name = min(SIZES)
-    part = tmp_path / "out/veh1" / f"{name}.part"
-    part.parent.mkdir(parents=True)
-    part.write_bytes((recordings / name).read_bytes()[: PART_BYTES + 3])
-    pulled = pull(open_client(endpoint), "veh1", tmp_path / "out")
-    assert pulled.bytes == sum(SIZES.values()) - PART_BYTES - 3
-    assert (part.parent / name).read_bytes() == (recordings / name).read_bytes()
 
 
 def test_a_file_with_another_checksum_is_an_error_and_removed(
@@ -98,18 +85,6 @@ def test_a_limit_spreads_the_transfer_over_time(vehicle, endpoint, open_client, 
     pull(open_client(endpoint), "veh1", tmp_path / "out", limit_bytes_per_s=PART_BYTES)
     assert pauses[0] == pytest.approx(1.0, abs=0.5)
     assert pauses[1] == pytest.approx(2.0, abs=0.5)  # since the begin, for no time passes in this test
-
-
-@pytest.mark.parametrize("name", ["../secret.mcap", "veh1_20261121T101500Z_0003.mcap.active", "none.mcap"])
-def test_nothing_but_finished_recordings_is_read(vehicle, endpoint, open_client, recordings, name):
-    (recordings.parent / "secret.mcap").write_bytes(b"secret")
-    with pytest.raises(RefusedError, match="no finished recording"):
-        ask(open_client(endpoint), "veh1", f"{RECORDINGS}/{name}?offset=0")
-
-
-def test_a_vehicle_that_is_not_there_is_named(endpoint, router, open_client, tmp_path):
-    with pytest.raises(StorageError, match="veh7 does not answer"):
-        pull(open_client(endpoint), "veh7", tmp_path / "out")
 
 
 def test_viewers_fetch_nothing(endpoint, start_router, start_vehicle, recordings, client_of, tmp_path):

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from service.encoding import OK, Status, encode_diagnostics
-from service.errors import InputError, StorageError
-from service.fleet.asking import RefusedError, ask, ask_json
+from service.errors import StorageError
+from service.fleet.asking import RefusedError, ask
 from service.fleet.push import push
 from service.mapstore.files import load_map, save_map
 from service.mapstore.manifest import MANIFEST
@@ -91,15 +91,6 @@ def test_where_one_is_not_there_nothing_is_brought(machines, endpoint, open_clie
     assert not (tmp_path / "veh1" / PUSHED).exists()
 
 
-def test_a_transfer_goes_on_where_it_ended(machines, endpoint, open_client, site_map, tmp_path):
-    client, source = open_client(endpoint), site_map / "v000001"
-    ask(client, "veh1", f"{MAPS}/{PUSHED}/{MANIFEST}?offset=0", (source / MANIFEST).read_bytes())
-    content = (source / "tiles.npz").read_bytes()
-    ask(client, "veh1", f"{MAPS}/{PUSHED}/tiles.npz?offset=0", content[:1000])
-    assert ask_json(client, "veh1", f"{MAPS}/{PUSHED}/tiles.npz") == {"bytes": 1000}
-    assert states(push(client, site_map, None, ["veh1"])) == {"veh1": "active"}
-
-
 def test_what_is_damaged_on_the_way_does_not_become_a_map(
     machines, endpoint, open_client, site_map, tmp_path
 ):
@@ -133,12 +124,6 @@ def test_what_belongs_to_no_map_is_refused(machines, endpoint, open_client, tmp_
     with pytest.raises(RefusedError, match=words):
         ask(open_client(endpoint), "veh1", f"{MAPS}/{channel}", b"payload")
     assert not (tmp_path / "veh1/site").exists()
-
-
-def test_a_map_that_no_session_can_begin_in_is_refused_here(endpoint, router, open_client, tmp_path):
-    save_map(tmp_path / "picture", [tile(0, 0, 1)], 1)
-    with pytest.raises(InputError, match="no session can begin"):
-        push(open_client(endpoint), tmp_path / "picture", None, ["veh1"])
 
 
 def test_viewers_bring_nothing(endpoint, start_router, start_vehicle, client_of, tmp_path):

@@ -10,7 +10,6 @@ import pytest
 import zenoh
 
 from service.encoding import encode_pose
-from service.errors import ConfigError, StorageError
 from service.fleet.router import zenohd_config
 from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
@@ -54,15 +53,6 @@ def test_status_lists_each_vehicle_with_what_it_says_of_itself(
     assert "veh1: ok | x " in capsys.readouterr().out
 
 
-def test_a_vehicle_that_is_lost_or_not_there_makes_the_exit_code_1(
-    endpoint, router, start_vehicle, open_client, site_file, capsys
-):
-    put_health(start_vehicle(endpoint), open_client(endpoint), "lost")
-    assert vehicles_at(capsys, site_file)[0] == 1
-    code, vehicles = vehicles_at(capsys, site_file, "veh9")
-    assert (code, list(vehicles), vehicles["veh9"]["state"]) == (1, ["veh9"], "silent")
-
-
 def test_two_vehicles_by_one_name_make_the_exit_code_1_and_both_are_named(
     endpoint, router, start_vehicle, open_client, site_file, capsys
 ):
@@ -72,18 +62,6 @@ def test_two_vehicles_by_one_name_make_the_exit_code_1_and_both_are_named(
     wait_until(lambda: len(list(client.liveliness().get(PRESENCES, timeout=20.0))) == 2)
     code, vehicles = vehicles_at(capsys, site_file)
     assert (code, len(vehicles["veh1"]["sessions"])) == (1, 2)
-
-
-def test_status_without_a_router_is_an_error_of_the_network(site_file, capsys):
-    assert code_of(["fleet", "status", "--site", site_file]) == StorageError.exit_code
-    assert "no router at" in capsys.readouterr().err
-
-
-def test_a_site_file_with_a_fault_is_a_bad_config(tmp_path, capsys):
-    path = tmp_path / "site.yaml"
-    path.write_text('publishing:\n  conect: ["tcp/127.0.0.1:7447"]\n')
-    assert code_of(["fleet", "status", "--site", str(path)]) == ConfigError.exit_code
-    assert f"{path}:2:3" in capsys.readouterr().err
 
 
 def test_what_is_no_health_message_is_a_fault_of_its_vehicle(endpoint, router, open_client):

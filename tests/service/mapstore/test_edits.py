@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from service.errors import InputError, StorageError
+from service.errors import InputError
 from service.mapstore.edits import Edit, undone_by
 from service.mapstore.files import load_map, restore_version, save_map, versions_of
 from tests.service.mapstore.graphs import graph_of
@@ -24,27 +24,6 @@ def undo(folder) -> int:
 
 def shown(folder) -> int:
     return int(load_map(folder).tiles[0].cells[0, 0])
-
-
-def test_an_edit_is_kept_with_who_and_what(tmp_path):
-    save_map(tmp_path, [tile(0, 0, 1)], 7, {"vehicle": "veh1"})
-    edited(tmp_path, 2, 1)
-    versions, current, problems = versions_of(tmp_path)
-    assert (current, problems) == (2, [])
-    assert [version.edit for version in versions] == [None, Edit("ada", "erase", "erased 4 m2", 1)]
-    assert [version.saved_ns for version in versions] == [7, 2]
-    assert load_map(tmp_path).edit == versions[1].edit
-
-
-def test_versions_that_an_edit_made_or_began_with_are_never_thrown_away(tmp_path):
-    for k in (1, 2):
-        save_map(tmp_path, [tile(0, 0, k, value=k)], k)
-    edited(tmp_path, 3, 2)
-    for k in range(4, 12):
-        save_map(tmp_path, [tile(0, 0, k, value=k)], k)
-    versions, current, _ = versions_of(tmp_path)
-    assert [version.number for version in versions] == [2, 3, 9, 10, 11]
-    assert current == 11
 
 
 def test_an_undo_goes_back_edit_by_edit_and_is_itself_a_version(tmp_path):
@@ -108,10 +87,3 @@ def test_a_changed_edit_is_seen(tmp_path):
     manifest["edit"]["who"] = "eve"
     path.write_text(json.dumps(manifest))
     assert "its own checksum" in versions_of(tmp_path)[2][0]
-
-
-def test_a_folder_of_somebody_else_is_left_as_it_is_found(tmp_path):
-    (tmp_path / "map.pgm").write_bytes(b"mine")
-    with pytest.raises(StorageError, match="file of somebody else"):
-        save_map(tmp_path, [tile(0, 0, 1)], 1)
-    assert not list(tmp_path.glob(".unfinished-*"))

@@ -28,20 +28,6 @@ def test_a_map_comes_back_as_it_was_saved(tmp_path):
     assert not stored.tiles[0].cells.flags.writeable
 
 
-def test_other_programs_find_the_newest_version_under_the_same_names(tmp_path):
-    for version, value in ((1, 0), (2, 100)):
-        save_map(tmp_path, [tile(0, 0, version, value=value)], 1)
-        assert (read_ros_map(tmp_path / "map.yaml").cells == value).all()
-        assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_only_the_last_versions_are_kept(tmp_path):
-    for version in range(1, 7):
-        assert save_map(tmp_path, [tile(0, 0, version)], version) == version
-    assert sorted(path.name for path in tmp_path.glob("v*")) == ["v000004", "v000005", "v000006"]
-    assert not list(tmp_path.glob(".unfinished-*"))
-
-
 def test_a_version_that_a_session_began_in_is_kept(tmp_path):
     save_map(tmp_path, [tile(0, 0, 1)], 1)
     save_map(tmp_path, [tile(0, 0, 2)], 2)
@@ -53,12 +39,6 @@ def test_a_version_that_a_session_began_in_is_kept(tmp_path):
     assert has_version(tmp_path, 2, digest)
     assert not has_version(tmp_path, 5, digest)
     assert not has_version(tmp_path, 1, digest)
-
-
-def test_an_empty_map_is_not_saved_over_a_good_one(tmp_path):
-    save_map(tmp_path, TILES, 1)
-    assert save_map(tmp_path, [], 2) is None
-    assert load_map(tmp_path).saved_ns == 1
 
 
 @pytest.mark.parametrize("name", ["tiles.npz", "map.pgm", "map.yaml", "map.png", "manifest.json"])
@@ -80,17 +60,6 @@ def test_a_damaged_version_is_passed_over_and_named(tmp_path, name, damage):
     assert (stored.number, stored.saved_ns) == (1, 1)
     assert len(stored.problems) == 1
     assert str(path) in stored.problems[0]
-
-
-def test_a_folder_with_nothing_whole_in_it_is_refused_with_all_reasons(tmp_path):
-    save_map(tmp_path, TILES, 1)
-    save_map(tmp_path, TILES, 2)
-    for number in (1, 2):
-        (tmp_path / f"v00000{number}" / "tiles.npz").write_bytes(b"")
-    with pytest.raises(InputError, match=r"(?s)no stored map that can be read.*v000002.*v000001"):
-        load_map(tmp_path)
-    with pytest.raises(InputError, match="no stored map"):
-        load_map(tmp_path / "nowhere")
 
 
 def test_the_map_of_a_result_is_named(tmp_path):

@@ -1,27 +1,17 @@
 import json
-import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from service.errors import ConfigError, InputError
+from service.errors import InputError
 from service.mapper.profiles import mapping_config
-from service.mapstore import graph_files
-from service.mapstore.annotated import PALETTE, WAY
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
 from service.mapstore.manifest import digest_of
-from service.outputs import FREE
 from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import CELL_M, tile
+from tests.service.mapstore.tile_makers import tile
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
-
-
-def point_files(folder) -> list[str]:
-    return sorted(path.name for path in (folder / "current").glob("points_*"))
 
 
 def test_a_graph_comes_back_with_its_map(tmp_path):
@@ -31,34 +21,6 @@ def test_a_graph_comes_back_with_its_map(tmp_path):
     assert back is not None
     np.testing.assert_array_equal(back.map, graph.map)
     np.testing.assert_allclose(back.xy_base, graph.xy_base, atol=1e-6)
-
-
-def test_the_picture_shows_each_stretch_of_the_way_and_joins_none(tmp_path):
-    xy = [(8.0, 4.0), (8.0, 16.0), (13.0, 16.0), (13.0, 4.0)]
-    graph = replace(graph_of(4), map=np.array([(*place, 0.0) for place in xy]), piece=np.array([0, 0, 7, 7]))
-    save_map(tmp_path, [tile(0, 0, 1, value=FREE, edge=64)], 1, graph=graph)
-    with Image.open(tmp_path / "map.png") as image:
-        is_way = (np.asarray(image.convert("RGB")) == PALETTE[WAY]).all(axis=2)
-    columns = np.flatnonzero(is_way.sum(axis=0) >= 12.0 / CELL_M)
-    assert columns[-1] - columns[0] == 5.0 / CELL_M  # two lines along y
-    assert not is_way[:, columns[0] + 1 : columns[-1]].any()
-
-
-def test_full_files_of_points_are_taken_over_and_not_written_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(graph_files, "FRAMES_A_FILE", 4)
-    graph = graph_of(10)
-    less = replace(
-        graph_of(6), xy_base=graph.xy_base[:18], normals=graph.normals[:18], loop_ends=np.array([[0, 5]])
-    )
-    save_map(tmp_path, TILES, 1, graph=less)
-    before = point_files(tmp_path)
-    save_map(tmp_path, TILES, 2, graph=graph)
-    after = point_files(tmp_path)
-    assert len(before) == 2
-    assert len(after) == 3
-    assert after[0] == before[0]
-    assert os.stat(tmp_path / "v000001" / before[0]).st_ino == os.stat(tmp_path / "v000002" / after[0]).st_ino
-    assert after[1] != before[1]
 
 
 @pytest.mark.parametrize("name", ["graph.npz", "points"])
@@ -92,9 +54,3 @@ def test_cells_of_another_size_are_refused(tmp_path):
     size_m = TILES[0].cell_m
     with pytest.raises(InputError, match=f"cells are of {size_m:g} m, the config has mapping.cell_m 0.2"):
         begin_in(tmp_path, mapping_config({"cell_m": 0.2}))
-
-
-def test_a_profile_that_cannot_go_on_in_a_map_is_refused(tmp_path):
-    save_map(tmp_path, TILES, 1, graph=graph_of(3))
-    with pytest.raises(ConfigError, match="imle cannot begin in a stored map"):
-        begin_in(tmp_path, mapping_config({"profile": "imle"}))

@@ -19,27 +19,6 @@ def written(tmp_path):
     return tmp_path
 
 
-def test_the_yaml_says_what_map_server_wants_to_know(written):
-    about = yaml.safe_load((written / "map.yaml").read_text())
-    assert about == {
-        "image": "map.pgm",
-        "mode": "trinary",
-        "resolution": 0.5,
-        "origin": [-4.0, 0.0, 0.0],
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": 0.196,
-    }
-    assert all(isinstance(value, float) for value in [about["resolution"], *about["origin"]])
-
-
-def test_unknown_stays_unknown_for_a_reader_that_follows_map_server(written):
-    """Source: nav2_map_server map_io.cpp: occupancy = (255 - pixel) / 255, free below free_thresh."""
-    about = yaml.safe_load((written / "map.yaml").read_text())
-    occupancy = (255 - 205) / 255
-    assert about["free_thresh"] < occupancy < about["occupied_thresh"]
-
-
 def test_a_map_reads_back_cell_by_cell(tmp_path):
     cells = np.random.default_rng(3).choice(np.array([-1, 0, 100], dtype=np.int8), size=(17, 31))
     write_ros_map(
@@ -68,20 +47,6 @@ def cells_of(*arguments: object, **about: object) -> list[list[int]]:
 
 
 GREYS = np.array([[0, 60, 89, 90, 190], [191, 192, 205, 254, 255]], np.uint8)
-TRINARY = [[100, 100, 100, -1, -1], [-1, 0, 0, 0, 0]]
-
-
-@pytest.mark.parametrize("name", ["map.pgm", "map.png", "map.bmp"])
-def test_a_grey_picture_is_read_by_both_thresholds(tmp_path, name):
-    """Source of this and all below: nav2_map_server, map_io.cpp, Humble: occupancy is 1 - pixel / 255."""
-    assert cells_of(tmp_path, Image.fromarray(GREYS), name) == TRINARY
-
-
-def test_black_is_free_where_it_is_negated(tmp_path):
-    negated = [[0, 0, -1, -1, 100], [100, 100, 100, 100, 100]]
-    for negate in (1, True, "1"):
-        assert cells_of(tmp_path, Image.fromarray(GREYS), negate=negate) == negated
-    assert cells_of(tmp_path, Image.fromarray(GREYS), negate=False) == TRINARY
 
 
 def test_the_mode_scale_has_every_occupancy_between_the_thresholds(tmp_path):
@@ -89,13 +54,6 @@ def test_the_mode_scale_has_every_occupancy_between_the_thresholds(tmp_path):
     expected = np.clip(scaled, 0, 100).tolist()
     assert expected[0][3:] == [99, 1]
     assert cells_of(tmp_path, Image.fromarray(GREYS), mode="scale") == expected
-
-
-def test_the_mode_raw_has_the_pixels_themselves(tmp_path):
-    levels = np.array([[0, 1, 50, 99, 100, 101, 205, 255]], np.uint8)
-    for negate in (0, 1):
-        cells = cells_of(tmp_path, Image.fromarray(levels), mode="raw", negate=negate)
-        assert cells == [[0, 1, 50, 99, 100, -1, -1, -1]]
 
 
 @pytest.mark.parametrize("name", ["map_mode_raw", "map_origin_yaw"])
@@ -110,14 +68,6 @@ def test_maps_of_others_are_read_cell_by_cell(shared, name):
         expected = np.where(pixels == 254, 0, np.where(pixels == 205, -1, 100))[::-1].T
         assert (grid.x_min_m, grid.y_min_m) == pytest.approx((-1.0 - 20 * 0.05, -2.0), abs=1e-4)
     np.testing.assert_array_equal(grid.cells, expected)
-
-
-def test_colours_count_by_the_mean_of_their_channels(tmp_path):
-    red_grey = np.array([[[255, 0, 0], [0, 255, 255], [255, 128, 255]]], np.uint8)
-    assert cells_of(tmp_path, Image.fromarray(red_grey)) == [[100, -1, 0]]
-    indexed = Image.fromarray(np.array([[0, 1, 2]], np.uint8), "P")
-    indexed.putpalette(red_grey.ravel().tolist())
-    assert cells_of(tmp_path, indexed) == [[100, -1, 0]]
 
 
 def test_opacity_is_one_more_channel_in_trinary_and_makes_unknown_in_scale(tmp_path):
@@ -154,22 +104,6 @@ def test_16_bit_greys_are_read_to_their_last_bit(tmp_path):
 )
 def test_headers_and_depths_of_a_pgm(tmp_path, content, expected):
     assert cells_of(tmp_path, content, "map.pgm") == expected
-
-
-def test_a_yaw_in_the_origin_turns_the_map_with_a_warning(tmp_path, caplog):
-    """Each wall of a wide room lies where the yaw puts it, to less than a cell."""
-    pixels = np.full((60, 90), 254, np.uint8)
-    pixels[20, 30] = 0
-    grid = read_ros_map(map_of(tmp_path, Image.fromarray(pixels), origin=[3.0, -4.0, 0.7]))
-    (facts,) = caplog.records
-    assert "yaw of 40.107 deg" in facts.message
-    row, column = np.argwhere(grid.cells == 100).mean(axis=0)
-    found = grid.x_min_m + (column + 0.5) * 0.5, grid.y_min_m + (row + 0.5) * 0.5
-    u, v = 30.5 * 0.5, 39.5 * 0.5  # of the pixel's middle, along the picture
-    c, s = np.cos(0.7), np.sin(0.7)
-    assert found == pytest.approx((3.0 + c * u - s * v, -4.0 + s * u + c * v), abs=0.4)
-    assert (grid.cells == 0).sum() == pytest.approx(60 * 90, rel=0.01)
-    assert grid.cells[0, 0] == -1
 
 
 def test_a_right_angle_keeps_every_cell(tmp_path):

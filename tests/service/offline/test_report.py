@@ -1,5 +1,4 @@
 import json
-import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,9 +12,7 @@ from service.mapstore.picture import Picture
 from service.offline.maps.edit import edit_map, erase
 from service.offline.replay.replay import ReplayOptions, replay, replay_all, write_replay
 from service.offline.report import REPORT_FILE, write_report
-from service.offline.report.charts import clock
 from service.offline.report.map_figure import _coarser
-from service.offline.report.markup import Markup, tag
 from tests.service.offline.replay.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
 
 NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
@@ -210,14 +207,6 @@ def test_a_drive_of_one_scan_has_a_page(record_drive: RecordDrive, tmp_path: Pat
     assert page.count("rect", "ok") == 1
 
 
-def test_stamps_years_apart_make_no_endless_axis(result: Path):
-    rows = (result / "states.csv").read_text().splitlines()
-    late = rows[-1].replace("1700000000", "4700000000")
-    (result / "states.csv").write_text("\n".join((*rows[:-1], late)) + "\n")
-    page = page_of(result)
-    assert sum(name == "span" and "left:" in (of.get("style") or "") for name, of in page.tags) < 60
-
-
 def test_walls_stay_where_a_large_map_is_shown_coarser(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("service.offline.report.map_figure.MAX_PIXELS", 4)
     pixels = np.full((5, 7), 254, np.uint8)
@@ -227,19 +216,3 @@ def test_walls_stay_where_a_large_map_is_shown_coarser(monkeypatch: pytest.Monke
     coarse = np.concatenate(list(shown.bands()))
     assert np.argwhere(coarse == 0).tolist() == [[0, 0], [2, 3]]
     assert shown.y_min_m + shown.height * shown.cell_m == pytest.approx(2.0 + 5 * 0.05)
-
-
-def test_what_is_no_markup_is_escaped():
-    assert tag("p", "<b>", Markup("<i></i>"), title='"') == '<p title="&quot;">&lt;b&gt;<i></i></p>'
-
-
-def test_times_read_as_on_a_clock():
-    assert [clock(s) for s in (5.4, 59.6, 750, 3723)] == ["0:05", "1:00", "12:30", "1:02:03"]
-
-
-def test_the_colours_are_those_of_the_operators_page(result: Path):
-    page_of(result)
-    html = (result / REPORT_FILE).read_text(encoding="utf-8")
-    light, dark = re.findall(r"--map-free: (#\w+);", html)
-    assert light != dark
-    assert html.index("prefers-color-scheme: dark") < html.index(f"--map-free: {dark}")

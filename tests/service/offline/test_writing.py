@@ -1,6 +1,4 @@
-import errno
 import os
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -10,12 +8,6 @@ from service.errors import StorageError
 from service.offline.calibrate import calibrate as calibrate_module
 from service.offline.replay import replay as replay_module
 from service.offline.writing import refuse_unwritable_file, refuse_unwritable_folder, whole_files
-
-
-def test_a_folder_that_can_be_made_passes_and_is_not_made(tmp_path: Path):
-    refuse_unwritable_folder(tmp_path / "a" / "b")
-    refuse_unwritable_file(tmp_path / "a" / "b.yaml")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_where_a_folder_is_needed_is_named(tmp_path: Path):
@@ -30,20 +22,6 @@ def test_a_folder_without_rights_is_named(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(StorageError, match=f"no right to write in {tmp_path}"):
         refuse_unwritable_folder(tmp_path / "x")
-
-
-def test_files_come_whole_or_not_at_all(tmp_path: Path):
-    (tmp_path / "a.pgm").write_text("before")
-    with suppress(KeyboardInterrupt), whole_files(tmp_path / "a.pgm") as path:
-        path.write_text("half")
-        raise KeyboardInterrupt
-    assert (tmp_path / "a.pgm").read_text() == "before"
-    with whole_files(tmp_path / "a.pgm") as path:
-        path.write_text("after")
-        path.with_suffix(".yaml").write_text(path.name)
-    assert (tmp_path / "a.pgm").read_text() == "after"
-    assert (tmp_path / "a.yaml").read_text() == "a.pgm"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.pgm", "a.yaml"]
 
 
 def test_what_is_no_ordinary_file_is_written_directly(tmp_path: Path):
@@ -69,12 +47,3 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
     assert main(["replay", str(session), "--out", out]) == StorageError.exit_code
     assert main(["calibrate", str(session), "--out", out]) == StorageError.exit_code
     assert capsys.readouterr().err.count("file is no folder") == 2
-
-
-def test_what_the_disk_refuses_while_files_are_written_is_named_by_where_they_go(tmp_path):
-    with (
-        pytest.raises(StorageError, match=rf"cannot write {tmp_path}/a.pgm: No space left"),
-        whole_files(tmp_path / "a.pgm"),
-    ):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/elsewhere")
-    assert not list(tmp_path.iterdir())

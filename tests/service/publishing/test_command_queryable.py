@@ -1,7 +1,6 @@
-import json
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import pytest
@@ -74,72 +73,6 @@ def test_what_was_asked_and_what_came_of_it_is_in_the_log(
         r"""command 'mark' '{"text": "bump\n"}': '{"ok": true}'""",
         f"""command 'refuse' '{"x" * 300}'...: '{{"ok": false, "error": "no"}}'""",
     ]
-
-
-def test_asking_for_everything_commands_nothing(served: ZenohPublisher, client: zenoh.Session, asked: Asked):
-    assert ask(client, "**") == []
-    for key in ("cmd/*", "cmd/**"):
-        ((good, _, text),) = ask(client, key)
-        assert not good
-        assert f"a command has one key, {ROOT}/cmd/<verb>, without wildcards" in text
-    assert asked.heard == []
-
-
-def test_a_whole_fleet_is_not_commanded_by_one_get(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked
-):
-    replies = list(client.get("corridor/v1/*/cmd/pause", timeout=10.0))
-    assert [reply.ok for reply in replies] == [None]
-    assert asked.heard == []
-
-
-def test_settings_behind_a_question_mark_are_refused(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked
-):
-    ((good, _, text),) = ask(client, "cmd/mark?text=bump")
-    assert not good
-    assert "as JSON in the payload" in text
-    assert asked.heard == []
-
-
-def test_a_fault_in_a_command_is_an_answer_and_no_end(served: ZenohPublisher, client: zenoh.Session):
-    ((good, _, text),) = ask(client, "cmd/break")
-    assert not good
-    assert "break failed: KeyError('boards')" in json.loads(text)["error"]
-    assert ask(client, "cmd/mark")[0][0]
-
-
-def test_a_slow_command_holds_up_no_other_and_a_flood_is_turned_away(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(query_workers, "MAX_AT_ONCE", 2)
-    asked.go.clear()
-    asking = [started(partial(ask, client, "cmd/mark")) for _ in range(2)]
-    for _ in asking:
-        assert asked.entered.acquire(timeout=10.0)
-    ((good, _, text),) = ask(client, "cmd/pause")
-    assert not good
-    assert "2 commands are being worked on" in text
-    asked.go.set()
-    assert [good for asked in asking for good, _, _ in asked.result(10.0)] == [True, True]
-    assert ask(client, "cmd/pause")[0][0]
-
-
-def test_what_was_taken_is_answered_before_the_session_closes(
-    open_publisher: Callable[..., ZenohPublisher],
-    open_client: Callable[[str], zenoh.Session],
-    asked: Asked,
-):
-    publisher = open_publisher()
-    publisher.answer_commands(asked)
-    session = open_client(publisher.endpoints[0])
-    asked.go.clear()
-    answer = started(partial(ask, session, "cmd/mark"))
-    assert asked.entered.acquire(timeout=10.0)
-    closing = started(publisher.close)
-    asked.go.set()
-    closing.result(10.0)
-    assert answer.result(10.0) == [(True, "application/json", '{"ok": true}')]
 
 
 def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(

@@ -50,14 +50,6 @@ def workshop() -> Workshop:
     return Workshop()
 
 
-def test_a_request_is_done_and_its_answer_told(workshop: Workshop):
-    assert workshop.ask("render", {"colour": "red"}) == {"ok": True, "number": 1}
-    assert workshop.ask("wash") == {"ok": True, "number": 2}
-    assert workshop.ask("wash", {"id": "a"}) == {"ok": True, "id": "a", "number": 3}
-    assert workshop.begun == [Paint(colour="red"), Request(), Request(id="a")]
-    assert workshop.dispatcher.counts() == {"render": 1, "wash": 2}
-
-
 @pytest.mark.parametrize(
     ("verb", "request_", "words"),
     [
@@ -163,11 +155,3 @@ def test_a_command_whose_begin_waits_for_a_disk_holds_up_neither_health_nor_anot
     refused = {"ok": False, "id": "7", "error": "no such map"}
     assert [slow.result(10.0), same.result(10.0)] == [refused, refused]
     assert dispatcher.counts() == {"wash": 1, "refused": 2}
-
-
-def test_an_outcome_is_settled_once():
-    outcome = Outcome()
-    outcome.done(number=1)
-    outcome.failed("too late")
-    assert outcome.wait(0.0) == {"number": 1}
-    assert outcome.settled

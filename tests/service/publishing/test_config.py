@@ -4,13 +4,6 @@ from pydantic import ValidationError
 from service.publishing.config import PublishingConfig
 
 
-def test_the_defaults_stay_on_this_machine():
-    config = PublishingConfig()
-    assert config.listen == ("tcp/127.0.0.1:7447",)
-    assert config.connect == ()
-    assert not config.shared_memory
-
-
 @pytest.mark.parametrize(
     "endpoint",
     [
@@ -42,24 +35,6 @@ def test_endpoints_that_zenoh_takes_are_taken(endpoint):
 def test_others_are_refused_with_an_example(endpoint):
     with pytest.raises(ValidationError, match=r"write an endpoint as .tcp/127\.0\.0\.1:7447"):
         PublishingConfig(listen=[endpoint])
-
-
-def test_ros2_is_off_and_its_names_begin_at_the_root():
-    ros2 = PublishingConfig().ros2
-    assert (ros2.enabled, ros2.domain, ros2.distro, ros2.namespace, ros2.router) == (
-        False,
-        0,
-        "jazzy",
-        "",
-        "own",
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "name"), [("", ""), ("/", ""), ("veh1", "/veh1"), ("/site/veh1/", "/site/veh1")]
-)
-def test_a_namespace_has_a_leading_slash_however_it_is_written(text, name):
-    assert PublishingConfig(ros2={"namespace": text}).ros2.namespace == name
 
 
 @pytest.mark.parametrize("text", ["1veh", "a//b", "a-b", "a__b", "ä", "a b", "~/a", "{node}"])

@@ -80,23 +80,6 @@ def test_what_is_no_pose_of_the_map_is_refused_and_reported(
     assert asked.heard == []
 
 
-def test_of_poses_that_come_while_one_is_answered_the_newest_counts(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked
-):
-    asked.go.clear()
-    client.put(KEY, payload_of(SE2(1.0, 0.0, 0.0)))
-    assert asked.entered.acquire(timeout=20.0)
-    for x_m in (2.0, 3.0, 4.0):
-        client.put(KEY, payload_of(SE2(x_m, 0.0, 0.0)))
-    behind(client)
-    asked.go.set()
-    served.close()
-    asked_x = [json.loads(payload)["x_m"] for _, payload in asked.heard]
-    assert asked_x[0] == 1.0
-    assert asked_x[-1] == 4.0
-    assert len(asked_x) == 2
-
-
 def test_a_refusal_of_the_command_is_reported_in_its_words(
     publisher: ZenohPublisher, client: zenoh.Session, asked: Asked
 ):

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import zenoh
 
@@ -13,7 +12,6 @@ from drivers.rmw_zenoh import Attachment
 from service.encoding import ros_services
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
-from service.outputs import TileUpdate
 from service.publishing import query_workers
 from service.publishing.commands import refusal
 from service.publishing.config import PublishingConfig
@@ -106,44 +104,12 @@ def test_a_command_that_fails_is_an_answer_without_success_and_counted(
     assert caplog.text.count("the disk is full") == 2
 
 
-def test_the_response_names_the_request_it_answers(session):
-    (reply,) = ask(session, "pause", ros_services.TRIGGER, b"\x00\x01\x00\x00\x00")
-    attachment = Attachment.decode(reply.ok.attachment.to_bytes())
-    assert (attachment.sequence, attachment.gid) == (41, GID)
-    assert attachment.source_ns > 1_700_000_000_000_000_000
-
-
 @pytest.mark.parametrize("attachment", [b"", bytes(77)])
 def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session, topics, asked, attachment):
     (reply,) = ask(session, "pause", ros_services.TRIGGER, b"\x00\x01\x00\x00\x00", attachment)
     assert "expected 33" in reply.err.payload.to_string()
     assert asked.heard == []
     assert topics.counts()["answered"]["refused"] == 1
-
-
-@pytest.mark.parametrize(
-    ("url", "name"),
-    [
-        ("office", "office"),
-        ("file://{maps}/office", "office"),
-        ("file://{maps}/office/map.yaml", "office"),
-        ("file:///srv/office/map.yaml", "/srv/office/map.yaml"),  # which the command refuses
-        ("file://{maps}/../office", "{maps}/../office"),
-    ],
-)
-def test_load_map_takes_a_name_or_the_file_of_a_map_in_the_folder_of_maps(
-    session, asked, store, maps, url, name
-):
-    url, name = url.format(maps=maps), name.format(maps=maps)
-    store.update([TileUpdate(0, 0, 0, 3, 0.05, np.full((64, 64), 3, np.int8))])
-    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
-    assert asked.heard == [("load_map", json.dumps({"map": name}).encode())]
-    assert (response.result, response.map.info.width, response.map.data.max()) == (0, 64, 3)
-
-
-def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
-    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url="office")
-    assert (response.result, response.map.info.width) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -164,13 +130,6 @@ def test_save_map_saves_under_the_name(session, asked):
     assert save(session, "office")
     assert save(session)
     assert asked.heard == [("save_map", b'{"name": "office"}'), ("save_map", b"{}")]
-
-
-@pytest.mark.parametrize("other", [{"image_format": "png"}, {"map_mode": "raw"}])
-def test_save_map_refuses_what_it_does_not_write(session, asked, caplog, other):
-    assert not save(session, "office", **other)
-    assert asked.heard == []
-    assert "corridor export makes other formats" in caplog.text
 
 
 @pytest.mark.parametrize("request_bytes", [b"", b"\x00\x01\x00\x00", b"\xff" * 40])

@@ -81,21 +81,6 @@ def robot(foreign, prefix, topics, in_tf=False, name="base_link"):
     return foreign
 
 
-@pytest.mark.parametrize("in_tf", [False, True], ids=["Odometry", "tf"])
-@pytest.mark.parametrize("prefix", ["", "robot1/", "robot1_", "fleet/robot1/"])
-@pytest.mark.parametrize("name", ["base_link", "base_footprint"])
-def test_base_and_odometry_are_found_behind_a_robots_prefix(foreign, prefix, in_tf, name):
-    session = open_session(robot(foreign, prefix, "/", in_tf, name).close())
-    assert session.mountings["scan"].x_m == pytest.approx(0.2)
-    assert not session.unmounted
-    assert not session.warnings
-    samples = [frame for frame in session.frames() if isinstance(frame, OdometrySample)]
-    assert [sample.x_m for sample in samples] == pytest.approx([pose_at(k).x_m for k in range(SCANS)])
-    assert [sample.theta_rad for sample in samples] == pytest.approx(
-        [pose_at(k).theta_rad for k in range(SCANS)]
-    )
-
-
 def two_robots(foreign, in_tf=False):
     robot(foreign, "robot1/", "/robot1/", in_tf)
     return robot(foreign, "robot2/", "/robot2/", in_tf).close()
@@ -168,14 +153,6 @@ def test_a_named_topic_is_used_although_another_is_more_usual(foreign):
     by_topic = Choice(scan_topics=("/filtered_scan",), odom_topic="/wheels")
     assert set(open_session(paths, by_topic).devices) == {"/filtered_scan", "/wheels"}
     assert set(open_session(paths, Choice(odom_frame="wheels")).devices) == {"/scan", "/wheels"}
-
-
-def test_named_lasers_are_several(foreign):
-    foreign.tf(("base_link", "a", (0.2, 0.0, 0.0), LEVEL), ("base_link", "b", (-0.2, 0.0, 0.0), LEVEL))
-    for frame in ("a", "b", "c"):
-        foreign.add_message(f"/{frame}", scan(0, frame))
-    session = open_session(foreign.close(), Choice(scan_topics=("/a", "/b", "/a")))
-    assert set(session.mountings) == {"a", "b"}
 
 
 def test_odometry_in_tf_is_used_beside_an_odometry_where_tf_is_named(foreign):

@@ -4,12 +4,10 @@ import errno
 import io
 from pathlib import Path
 
-import pytest
-
 from service.recording import mcap_recorder
-from service.recording.mcap_file import McapFile, create_stream
+from service.recording.mcap_file import create_stream
 from service.recording.mcap_recovery import recover
-from tests.service.recording.sessions import PLENTY, T0_NS, read_back, scan_message
+from tests.service.recording.sessions import PLENTY, read_back, scan_message
 from tests.waiting import wait_until
 
 
@@ -86,19 +84,6 @@ def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
     assert list(tmp_path.iterdir()) == [path]  # a disk that stays full does not gather empty files
     assert path.name.endswith("_0002.mcap")
     assert [payload for _, _, payload in read_back(path)] == [scan_message(2).payload]
-
-
-def test_a_file_is_let_go_of_also_where_the_disk_refuses_its_close(tmp_path):
-    file = McapFile(
-        tmp_path / "a.mcap",
-        T0_NS,
-        lambda path: io.BufferedWriter(FailingStream(path, 0), buffer_size=1 << 20),
-    )
-    file.write(scan_message(0))
-    with pytest.raises(OSError, match="No space left"):
-        file.sync()
-    file.abandon()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
-from service.encoding import STRING, Message, decode_event, encode_event
+from service.encoding import STRING, Message, encode_event
 from service.errors import StorageError
 from service.recording import mcap_recorder
 from service.recording.mcap_reader import Recording
@@ -56,26 +56,6 @@ def test_what_was_put_is_what_rosbags_reads(recorder, tmp_path):
     assert recording.library == "corridor 0.1.0"
 
 
-def test_log_times_and_the_order_of_equal_ones_are_kept(recorder):
-    same = [scan_message(index, sensor=f"laser{index % 3}") for index in range(30)]
-    same = [Message(m.channel, m.type, m.stamp_ns, T0_NS, m.payload) for m in same]
-    session = recorder()
-    for message in same:
-        session.put(message)
-    (path,) = session.finish()
-    assert [payload for _, _, payload in read_back(path)] == [m.payload for m in same]
-    assert [m.payload for m in Recording([path]).messages()] == [m.payload for m in same]
-
-
-def test_a_log_time_that_steps_back_is_written_as_it_is_and_counted(recorder):
-    session = recorder()
-    for index in (0, 2, 1):
-        session.put(scan_message(index))
-    (path,) = session.finish()
-    assert session.health.steps_back == 1
-    assert [log_ns for _, log_ns, _ in read_back(path)] == sorted(scan_message(i).log_ns for i in range(3))
-
-
 def test_each_rotated_file_is_complete_by_itself(recorder):
     session = recorder(rotate_s=1.0, metadata={"config": {"vehicle": "veh1"}})
     messages = drive(120)
@@ -98,25 +78,6 @@ def test_each_rotated_file_is_complete_by_itself(recorder):
     assert "clock_step" in Recording(paths[-1:]).metadata
     together = [m.payload for m in Recording(paths).messages(["/front/scan", "/base/odom"])]
     assert together == [payload for topic, _, payload in as_read(messages) if topic != "/tf_static"]
-
-
-def test_a_file_that_grew_large_is_followed_by_another(recorder):
-    session = recorder(rotate_bytes=300_000)
-    for message in (scan_message(index, beams=20_000) for index in range(40)):
-        session.put(message)
-    paths = session.finish()
-    assert len(paths) >= 2
-    assert sum(len(read_back(path)) for path in paths) == 40
-
-
-def test_an_existing_file_is_never_overwritten(recorder, tmp_path):
-    mine = tmp_path / "veh1_20251121T100000Z_0001.mcap"
-    mine.write_bytes(b"precious")
-    session = recorder()
-    session.put(scan_message(0))
-    (path,) = session.finish()
-    assert path.name == "veh1_20251121T100000Z_0002.mcap"
-    assert mine.read_bytes() == b"precious"
 
 
 class StuckStream(io.BytesIO):
@@ -217,23 +178,6 @@ def test_a_session_ends_and_another_begins_where_it_was_asked_for(recorder, chan
     assert not session.health.dropped
 
 
-def test_what_is_decided_about_an_earlier_frame_is_not_in_a_session_that_began_since(recorder, changes):
-    session = recorder()
-    session.put(scan_message(0))
-    session.begin_session(event("go on", T0_NS + 1), changes)  # it is being recorded: nothing is cut off
-    session.put(event("about scan 0", scan_message(0).log_ns - 1))
-    session.end_session(changes)
-    session.put(scan_message(1))
-    session.begin_session(event("begin", scan_message(1).log_ns + 1), changes)
-    session.put(scan_message(2))
-    session.put(event("about scan 1", scan_message(1).log_ns - 1))
-    session.put(event("about scan 2", scan_message(2).log_ns - 1))
-    first, second = session.finish()
-    facts = [[decode_event(m.payload) for m in Recording([f]).messages(["/events"])] for f in (first, second)]
-    assert facts == [["go on", "about scan 0"], ["begin", "about scan 2"]]
-    assert not session.health.dropped
-
-
 def test_what_is_so_already_is_reported(recorder, changes):
     session = recorder()
     session.put(scan_message(0))
@@ -248,22 +192,6 @@ def test_what_is_so_already_is_reported(recorder, changes):
     assert session.finish() == files
     session.end_session(changes)
     assert changes.next() == SessionChange(False, [], "the recorder is being stopped")
-
-
-def test_a_session_of_several_files_is_named_whole_when_it_ends(recorder, changes):
-    session = recorder(rotate_s=1.0)
-    session.put(scan_message(0))
-    session.end_session(changes)
-    session.begin_session(scan_message(100), changes)
-    for index in range(101, 180):
-        session.put(scan_message(index))
-    session.end_session(changes)
-    changes.next()
-    changes.next()
-    assert [path.name for path in changes.next().files] == [
-        "veh1_20251121T100002Z_0001.mcap",
-        "veh1_20251121T100002Z_0002.mcap",
-    ]
 
 
 def test_a_full_disk_is_told_to_who_wants_to_record(recorder, changes):

@@ -130,16 +130,6 @@ def test_random_damage_never_crashes_nor_invents_messages(active):
     assert 0 < refused < 30
 
 
-def test_channels_of_a_lost_first_chunk_come_from_the_index(tmp_path):
-    path = tmp_path / "s_0001.mcap"
-    written = write_file(path, drive(100)[:200], sync_every=SYNCED)
-    damage(path, chunk_offsets(path)[0] + 5_000)
-    report = recover(path)
-    assert report.messages == 150
-    assert read_back(path) == as_read(written[50:])
-    assert path.with_name("s_0001.mcap.damaged").exists()
-
-
 def test_without_the_first_chunk_and_the_index_nothing_can_be_named(active):
     path, _ = active
     before = path.read_bytes()
@@ -159,15 +149,6 @@ def test_a_complete_file_is_left_alone(tmp_path):
     assert report.messages == 61
     assert path.read_bytes() == before
     assert "nothing to do" in str(report)
-
-
-def test_a_complete_file_that_was_not_renamed_is_finished(tmp_path):
-    path = tmp_path / "s_0001.mcap"
-    written = write_file(path, drive(30))
-    path.rename(tmp_path / "s_0001.mcap.active")
-    recover(tmp_path / "s_0001.mcap.active")
-    assert read_back(path) == as_read(written)
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_recovery_that_was_killed_midway_is_done_again(active):
@@ -232,12 +213,3 @@ def test_a_file_that_is_not_ros_2_is_refused(tmp_path):
         writer.flush()
     with pytest.raises(InputError, match='profile "protobuf"'):
         recover(path)
-
-
-def test_a_file_that_may_not_be_read_is_a_bad_input_as_for_every_command(tmp_path, monkeypatch):
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(type(tmp_path), "stat", refuse)
-    with pytest.raises(InputError, match=r"cannot read .*x\.mcap: Permission denied"):
-        recover(tmp_path / "x.mcap")

@@ -75,17 +75,6 @@ def test_a_bag_that_was_never_closed_is_read_up_to_where_its_writer_died(name, c
     assert path.read_bytes() == before
 
 
-def test_every_whole_message_of_an_open_chunk_is_read(tmp_path):
-    """Where its writer died between two messages, nothing is lost."""
-    whole = write_ros1(tmp_path / "whole.bag", DRIVE).read_bytes()
-    killed(tmp_path / "killed.bag", whole, 1.0)
-    recording = open_recording([tmp_path / "killed.bag"])
-    assert [m.payload for m in recording.messages()] == [m.payload for m in DRIVE]
-    assert recording.losses[0].endswith(
-        f"{len(DRIVE)} messages of {len(chunks(whole))} chunks were read without its index; lost: nothing"
-    )
-
-
 def test_a_bag_cut_off_anywhere_is_read_as_far_as_it_goes_or_refused(tmp_path):
     whole = write_ros1(tmp_path / "whole.bag", DRIVE).read_bytes()
     counts = []

@@ -1,17 +1,12 @@
 import pytest
 from pydantic import ValidationError
 
-from service.config import parse_config, parse_replay_config
+from service.config import parse_config
 from service.errors import ConfigError
 from service.ros2_sensors.config import Ros2ScanConfig
 from service.sensor_kinds import SENSOR_KINDS
 
 HEAD = "vehicle: v\nrecording: {directory: r}\nmap: {directory: m}\n"
-
-
-@pytest.mark.parametrize(("text", "name"), [("scan", "/scan"), ("/scan", "/scan"), ("/a/b_c", "/a/b_c")])
-def test_a_topic_is_an_absolute_name_however_it_is_written(text, name):
-    assert Ros2ScanConfig(name="laser", topic=text).topic == name
 
 
 @pytest.mark.parametrize("text", ["", "/", "a b", "~/scan", "/1scan", "a//b"])
@@ -24,12 +19,6 @@ def test_what_is_no_topic_is_refused(text):
 def test_each_type_says_its_own_name_and_whether_it_is_a_laser(kind):
     assert SENSOR_KINDS[kind].config.model_fields["type"].default == kind
     assert SENSOR_KINDS[kind].laser is (kind == "ros2_scan")
-
-
-def test_several_sensors_share_a_router():
-    sensors = "sensors:\n  front: {type: ros2_scan, topic: /scan}\n  imu: {type: ros2_imu, topic: /imu}\n"
-    assert set(parse_config(HEAD + sensors, "c").sensors) == {"front", "imu"}
-    assert set(parse_replay_config(sensors, "c").sensors) == {"front", "imu"}
 
 
 @pytest.mark.parametrize("topic", ["/front/scan", "/odom"])

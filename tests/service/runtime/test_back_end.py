@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.mapper.background import BackEndDiedError, WorkLostError
-from service.runtime import back_end, channel
+from service.runtime import back_end
 from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
 
 
@@ -54,18 +54,6 @@ def test_a_new_back_end_takes_the_place_of_one_that_is_closed(process: BackEndPr
     assert first.submit(1).result()[0] == 1
     first.close()
     assert process.new_worker(Adder()).submit(2).result()[0] == 2
-
-
-def test_a_back_end_comes_to_its_process_whatever_its_size(
-    process: BackEndProcess, monkeypatch: pytest.MonkeyPatch
-):
-    """What the place of a vehicle is looked for in is large, and goes with it."""
-    monkeypatch.setattr(channel, "MAX_WAITING_BYTES", 1_000_000)
-    for total in (1, 2):  # the first one, and one of a map that is loaded later
-        large = Adder()
-        large.known_ground = bytes(5_000_000)
-        worker = process.new_worker(large)
-        assert worker.submit(total).result()[0] == total
 
 
 def forked_from(process: BackEndProcess) -> BackEndProcess:
@@ -143,17 +131,6 @@ def test_waiting_has_an_end(caplog: pytest.LogCaptureFixture):
     assert process.pid is None or not _is_there(process.pid)
 
 
-def test_the_process_outlives_no_one_and_ignores_a_signal_to_the_group(process: BackEndProcess):
-    worker = process.new_worker(Adder())
-    worker.submit(1).result()
-    pid = process.pid
-    assert pid is not None
-    os.kill(pid, signal.SIGTERM)
-    assert worker.submit(1).result()[0] == 2
-    process.stop()
-    assert not _is_there(pid)
-
-
 def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     process: BackEndProcess, tmp_path: Path
 ):
@@ -196,10 +173,6 @@ def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     copy.need()
     with pytest.raises(WorkLostError, match="of the stand-by did not come"):
         ProcessWorker(copy).submit(1).result()
-
-
-def test_there_is_no_process_without_a_back_end(process: BackEndProcess):
-    assert process.pid is None
 
 
 def _is_there(pid: int) -> bool:

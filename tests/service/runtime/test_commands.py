@@ -14,7 +14,7 @@ from service.errors import InputError, StorageError
 from service.mapper.mapping_session import GraphRequest, LoadMap, MappingSession
 from service.mapper.profiles import mapping_config
 from service.mapstore.config import MapConfig
-from service.mapstore.files import check_versions, load_map, save_map
+from service.mapstore.files import load_map, save_map
 from service.mapstore.graph_files import GraphFolder
 from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
@@ -348,29 +348,6 @@ def is_free(folder: Path) -> None:
         pass
 
 
-def test_others_may_change_a_stored_map_again_when_another_is_loaded_and_it_is_saved(
-    machine: Machine, tmp_path: Path
-):
-    for name in ("office", "hall"):
-        save_map(tmp_path / name, [tile(1)], 1)
-    machine.ask("load_map", map="office")
-    machine.mapper_fault = "v000001/graph.npz: damaged"
-    machine.ask("load_map", map="office")
-    with pytest.raises(StorageError, match="a session of veh1"):  # it is mapped in still
-        is_free(tmp_path / "office")
-    machine.mapper_fault = ""
-    machine.scan(2)
-    machine.ask("load_map", map="hall")
-    assert load_map(tmp_path / "office").number == 2
-    is_free(tmp_path / "office")
-    with pytest.raises(StorageError, match="a session of veh1"):
-        is_free(tmp_path / "hall")
-    machine.ask("load_map", map="office")  # before the hall has a tile
-    is_free(tmp_path / "hall")
-    with pytest.raises(StorageError, match="a session of veh1"):
-        is_free(tmp_path / "office")
-
-
 def test_a_map_that_another_session_goes_on_in_is_not_loaded(machine: Machine, tmp_path: Path):
     save_map(tmp_path / "office", [tile(1)], 1)
     with InUse(tmp_path / "office", "a session of veh2"):
@@ -405,25 +382,6 @@ def test_a_map_that_ends_is_saved_with_its_graph_as_it_is_then(machine: Machine,
     graph = load_map(tmp_path / "map").graph
     assert graph is not None
     assert len(graph) == 5
-
-
-def test_a_stored_map_that_is_reset_before_its_first_scan_gets_no_version_of_another_room(
-    machine: Machine, tmp_path: Path
-):
-    save_map(tmp_path / "office", [tile(1)], 1)
-    machine.scan()
-    machine.ask("load_map", map="office")
-    facts = machine.ask("reset_map")
-    assert (facts["folder"], facts["folder_before"]) == (str(tmp_path / "map_2"), None)
-    is_free(tmp_path / "office")
-    machine.scan()
-    assert machine.ask("save_map")["folder"] == str(tmp_path / "map_2")
-    machine.ask("load_map", map="office")
-    switched = machine.ask("switch_profile", profile="imle")
-    assert switched["folder"] == str(tmp_path / "map_3")
-    machine.scan()
-    machine.ask("save_map")
-    assert check_versions(tmp_path / "office")[0] == [1]
 
 
 def test_recording_stops_and_starts_between_two_frames(machine: Machine):

@@ -121,18 +121,6 @@ def test_rates_drops_offset_counters_and_identity_are_reported():
     assert sensor.mean_rate_hz == 50.0
 
 
-def test_a_sensor_that_never_came_has_no_rate():
-    assert SensorHealth(LinkHealth("front")).mean_rate_hz == 0.0
-
-
-def test_scans_are_passed_over_or_late_or_unusable():
-    made = report(streaming())
-    assert made.scans_dropped == 2
-    made.parts.outputs.passed_over["front"] = 5
-    made.parts.outputs.unusable_scans = 1
-    assert made.scans_dropped == 8
-
-
 @pytest.mark.parametrize(("state", "level"), [("ok", OK), ("degraded", WARNING), ("lost", ERROR)])
 def test_the_pose_s_state_is_the_mapping_s_health(state: Any, level: int):
     made = report(streaming())
@@ -162,56 +150,12 @@ def test_without_a_first_pose_devices_may_log_in_for_some_seconds_then_it_is_an_
     assert [status(made, "mapping", s * S).level for s in (61, 66)] == [WARNING, ERROR]
 
 
-def test_latency_and_processor_time_of_scans_are_reported():
-    made = report(streaming())
-    made.parts.latency.add(4_000_000)
-    made.parts.outputs.scan_cpu.add(1_500_000)
-    values = status(made, "mapping").values
-    for name in ("p50", "p95", "p99", "max"):
-        assert float(values[f"latency_ms_{name}"]) == pytest.approx(4.0, rel=0.02)
-        assert float(values[f"scan_cpu_ms_{name}"]) == pytest.approx(1.5, rel=0.02)
-
-
-def test_rows_and_words_of_the_sinks_come_from_the_sinks():
-    made = report(streaming())
-    assert status(made, "zenoh") == Status("zenoh", OK, "ok", {})
-    made.parts.sinks.health = lambda: [Status("printer", ERROR, "no paper", {"sheets": "0"})]
-    assert status(made, "printer") == Status("printer", ERROR, "no paper", {"sheets": "0"})
-    made.parts.sinks.status_words = lambda: ["paper: none"]
-    assert made.line.endswith(" scans/s, paper: none")
-
-
 def test_a_stepped_wall_clock_is_reported():
     made = report(streaming())
     made.update(11 * S, -3_600 * S)
     facts = next(status for status in made.statuses if status.name == "clock")
     assert facts.level == WARNING
     assert "stepped by -3600.000 s" in facts.message
-
-
-def test_a_change_of_state_is_reported_once():
-    link = LinkHealth("front")
-    made = report(link)
-    assert made.take_state_changes() == []
-    link.state = "streaming"
-    assert made.take_state_changes() == [("front", "streaming")]
-    assert made.take_state_changes() == []
-
-
-def test_a_change_of_the_mapping_is_reported_once_with_its_reason():
-    made = report(streaming())
-    made.update(11 * S, 0)
-    assert made.mapping_state[0] == "waiting"
-    assert made.take_mapping_change() is None
-    for state, reason, facts in (("ok", NO_REASON, "ok"), ("lost", FEW, FEW)):
-        made.parts.outputs.last = Mapped(1, 1, 1, state, reason, 0.8, 1, ())
-        made.update(11 * S, 0)
-        assert made.take_mapping_change() == (state, facts)
-        assert made.take_mapping_change() is None
-    made.update(13 * S, 0)
-    change = made.take_mapping_change()
-    assert change is not None
-    assert change[0] == "stale"
 
 
 def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
@@ -230,17 +174,6 @@ def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
     assert min(np.diff(seconds)) >= 10
     states = [change[0] for change in facts if change is not None]
     assert all(before != after for before, after in pairwise(states))
-
-
-def test_a_lost_pose_is_reported_at_once():
-    made = report(streaming())
-    for second, state in ((11, "ok"), (12, "lost"), (13, "ok"), (14, "lost")):
-        made.parts.outputs.last, made.parts.outputs.last_ns = (
-            Mapped(1, 1, 1, state, NO_REASON, 0.9, 1, ()),
-            second * S,
-        )
-        made.update(second * S, 0)
-        assert made.take_mapping_change() == (state, state)
 
 
 def test_the_message_holds_all_of_it():
@@ -279,10 +212,6 @@ def test_times_that_cannot_be_are_a_warning_of_their_own():
     assert facts.message == "/base/odom: its clock was set; /front/scan: 9 of 89 messages are dropped"
 
 
-def test_commands_are_counted():
-    assert status(report(streaming()), "commands").values == {"mark": "2", "refused": "1"}
-
-
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
@@ -292,32 +221,6 @@ def test_a_graph_that_does_no_work_is_a_warning():
     assert facts.message.startswith(
         "no loops are closed (expected where a place is seen again): the process died; "
     )
-
-
-def test_an_overloaded_mapper_is_a_warning_with_its_figures():
-    made = report(streaming())
-    made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
-    made.parts.outputs.overload = lambda: "12 scans in 3.0 s were not mapped"
-    facts = status(made, "mapping")
-    assert (facts.level, facts.values["state"]) == (WARNING, "overloaded")
-    assert facts.message.startswith("12 scans in 3.0 s")
-    assert made.line.startswith("mapping overloaded")
-    assert (facts.values["queue_length"], facts.values["restarts"]) == ("3", "1")
-
-
-@pytest.mark.parametrize(
-    ("state", "reported_state", "level"), [("lost", "lost", ERROR), ("degraded", "overloaded", WARNING)]
-)
-def test_too_little_processor_time_does_not_hide_a_fault_of_the_pose(
-    state: Any, reported_state: str, level: int
-):
-    made = report(streaming())
-    made.parts.outputs.last = Mapped(1, 1, 1, state, FEW, 0.2, 1, ())
-    made.parts.outputs.overload = lambda: "12 scans in 3.0 s"
-    facts = status(made, "mapping")
-    assert (facts.level, facts.values["state"]) == (level, reported_state)
-    assert facts.message == "few beams agree; 12 scans in 3.0 s"
-    assert made.line.startswith(f"mapping {reported_state}, ")
 
 
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
@@ -342,19 +245,6 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     assert "process said nothing for 10 s while 7 items waited" in words
     assert reported_at(79, 3)[0] == WARNING
     assert reported_at(81, 3) == (OK, "ok")
-
-
-def test_a_pose_that_is_not_fresh_is_an_error():
-    made = report(streaming())
-    made.parts.outputs.last, made.parts.outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
-    facts = status(made, "mapping")
-    assert facts.level == ERROR
-    assert facts.message == (
-        "no pose for 4.0 s (expected one each 0.5 s at least): no scan of front comes; the "
-        "status sensor/front says what to check"
-    )
-    assert (facts.values["state"], facts.values["age_s"]) == ("stale", "4.00")
-    assert made.line.startswith("mapping stale, ")
 
 
 @pytest.mark.parametrize(
@@ -397,12 +287,3 @@ def test_the_lasers_without_scans_are_named():
     assert "no scan of front or rear comes; the status sensor/front or sensor/rear says" in (
         status(made, "mapping").message
     )
-
-
-def test_gnss_is_spoken_of_where_there_are_fixes():
-    made = report(streaming())
-    made.update(11 * S, 0)
-    assert "gnss" not in {status.name for status in made.statuses}
-    made.parts.outputs.counters["fixes_frozen"] = 3
-    assert status(made, "gnss").level == WARNING
-    assert "repeats one position" in status(made, "gnss").message

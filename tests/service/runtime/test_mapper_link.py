@@ -17,10 +17,6 @@ import pytest
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.encoding import IMU, LASER_SCAN, ODOMETRY, decode_pose, encode_frame
 from service.geometry.se2 import SE2
-from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.saved_graph import SavedGraph
-from service.mapstore.files import save_map
-from service.outputs import TileUpdate
 from service.runtime import mapper_link
 from service.runtime.channel import Channel
 from service.runtime.mapper_link import MapperLink, MapperLostError
@@ -33,8 +29,6 @@ from service.runtime.mapper_messages import (
     Setup,
     Status,
     SwitchItem,
-    Tiles,
-    TilesItem,
 )
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
@@ -320,38 +314,6 @@ def test_samples_go_with_the_next_scan_and_soon_without_one(drive: Drive):
     theirs.close()
 
 
-def test_tiles_after_a_takeover_hold_the_whole_map(drive: Drive):
-    drive.start().scan(10)
-    drive.until_mapped()
-    before = len(drive.heard.messages)
-    os.kill(drive.link.pid, signal.SIGKILL)
-    answers: list[Answer] = []
-    drive.scan(5)
-    drive.link.submit(TilesItem(drive.link.next_number(), 1), answers.append)
-    drive.until(lambda: bool(answers))
-    assert any(isinstance(m, Tiles) for m in drive.heard.messages[before:])
-
-
-def test_a_mapper_begins_in_a_stored_map_on_the_way_and_so_does_its_stand_by(drive: Drive, tmp_path: Path):
-    save_map(tmp_path, *stored_room())
-    drive.start().scan(10)
-    refused, taken = drive.load(tmp_path, 9), drive.load(tmp_path, 1)
-    drive.scan(10)
-    drive.until_mapped()
-    assert f"{tmp_path}: no version 9; there are 1" in refused[0].error
-    assert (taken[0].result, taken[0].error) == (True, "")
-    os.kill(drive.link.pid, signal.SIGKILL)
-    drive.scan(5)
-    drive.until_mapped()
-    assert len(drive.heard.takeovers) == 1
-    states = [m.state for m in drive.heard.messages if isinstance(m, Mapped)]
-    assert set(states[:10]) == {"ok"}
-    # In the map that was loaded it is not found at once, and what is found is seen from one place alone.
-    assert states[10] == "lost"
-    assert set(states[10:]) <= {"lost", "degraded"}
-    assert len(states) == 25
-
-
 def test_stand_bys_end_with_a_profile_that_has_none_and_come_back_with_one_that_has(drive: Drive):
     drive.start().scan(10)
     drive.until_mapped()
@@ -378,16 +340,6 @@ def test_stand_bys_end_with_a_profile_that_has_none_and_come_back_with_one_that_
 
 def x_m_of(drive: Drive, number: int) -> float:
     return decode_pose(drive.heard.poses[number]).pose.x_m
-
-
-def stored_room() -> tuple[list[TileUpdate], int, dict[str, str], None, SavedGraph]:
-    """What save_map takes: the same room."""
-    mapper = build_mapper(mapping_config(), {"front": SE2()})
-    for k in range(1, 80):
-        mapper.process(_room(10**9 + k * PERIOD_NS, 0.01 * k, fatal=False))
-    graph = mapper.finish().update.saved
-    assert isinstance(graph, SavedGraph)
-    return mapper.changed_tiles(), 1, {}, None, graph
 
 
 def test_a_frame_that_the_mapper_dies_of_is_left_out(drive: Drive, strange: Callable[[str], None]):
@@ -472,19 +424,6 @@ def test_a_process_that_has_ended_is_killed_once_and_not_again(drive: Drive, mon
     drive.until(lambda: drive.link.pid == 0)
     drive.stop()
     assert [pid for pid in killed if pid] == [first, second]
-
-
-def test_everything_ends_with_the_link(drive: Drive):
-    drive.start().scan(3)
-    drive.until_mapped()
-    drive.until(lambda: drive.link.standby_pid != 0)
-    pids = [drive.link.pid, drive.link.standby_pid]
-    folder = folder_of(drive.link)
-    assert drive.link.finish(TIMEOUT_S)
-    drive.stop()
-    for pid in pids:
-        drive.until(lambda pid=pid: not _is_there(pid))
-    assert not folder.exists()
 
 
 def _is_there(pid: int) -> bool:

@@ -3,7 +3,6 @@
 import logging
 import socket
 import time
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,11 +15,8 @@ from service.runtime import mapper_link
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
 from service.runtime.mapper_messages import (
-    Answer,
     CanCopy,
-    Failed,
     FrameItem,
-    Go,
     Hello,
     Item,
     MakeStandby,
@@ -107,37 +103,6 @@ def is_sent_away(acted: Acted) -> bool:
     return False
 
 
-def test_a_copy_of_a_lost_mapper_that_comes_late_is_sent_away(link: MapperLink):
-    """Else items that the present mapper's own copy needs would be forgotten for it."""
-    mapper = first_mapper(link)
-    submit(link, 5)
-    mapper.until(6)
-    second = standby(link, SECOND, 2, of_pid=FIRST)
-    until_standby(link, SECOND)
-    mapper.channel.close()
-    second.until(4)
-    assert isinstance(second.heard[0], Go)
-    assert second.numbers() == [3, 4, 5]
-    assert is_sent_away(standby(link, LATE, 5, of_pid=FIRST))
-    third = standby(link, THIRD, 2, of_pid=SECOND)
-    until_standby(link, THIRD)
-    second.channel.close()
-    third.until(4)
-    assert third.numbers() == [3, 4, 5]
-
-
-def test_an_answer_that_comes_late_makes_no_later_item_undone(link: MapperLink):
-    """That to a change by hand comes after those to later items: these must give no output twice."""
-    mapper = first_mapper(link)
-    submit(link, 3)
-    mapper.until(4)
-    second = standby(link, SECOND, 0, of_pid=FIRST)
-    until_standby(link, SECOND)
-    mapper.say(Answer(3, None)).say(Answer(1, None)).channel.close()
-    second.until(4)
-    assert second.heard[0].done_number == 3
-
-
 def test_a_copy_of_a_lost_mapper_that_is_on_its_way_still_goes_on(link: MapperLink):
     mapper = first_mapper(link)
     submit(link, 3)
@@ -221,22 +186,3 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     mapper.channel.close()
     third.until(3)
     assert third.numbers() == [6, 7]
-
-
-def test_readers_add_no_item_while_the_one_that_a_mapper_died_of_is_looked_for(link: MapperLink):
-    was_locked: list[bool] = []
-
-    class Watched(deque[Item]):
-        def __iter__(self) -> Iterator[Item]:
-            was_locked.append(link._lock.locked())
-            return super().__iter__()
-
-    mapper = first_mapper(link)
-    link._kept = Watched()
-    submit(link, 3)
-    second = standby(link, SECOND, 1, of_pid=FIRST)
-    until_standby(link, SECOND)
-    mapper.say(Failed(3, "no such tile"))
-    second.until(3)
-    assert len(was_locked) == 2  # looked for, and handed on
-    assert all(was_locked)

@@ -4,7 +4,6 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,9 @@ from service.encoding import (
 from service.mapper.components import EditAnswer
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
-from service.outputs import UNKNOWN, GraphPicture, Grid, TileUpdate
-from service.runtime.mapper_messages import MAX_AGE_NS, Answer, Status, Tiles
-from service.runtime.mapping import MAX_TILES, TILE_INTERVAL_NS, MapperError, MappingLoop
+from service.outputs import UNKNOWN, GraphPicture, Grid
+from service.runtime.mapper_messages import MAX_AGE_NS, Answer
+from service.runtime.mapping import MapperError, MappingLoop
 from tests.service.runtime.mapping_runs import (
     FRAMES,
     MS,
@@ -63,17 +62,6 @@ def test_a_laser_that_is_not_mapped_is_recorded():
     assert (run.outputs.unusable_scans, run.outputs.unusable["rear"]) == (0, 1)
 
 
-def test_log_times_keep_the_order_in_which_the_mapper_ate():
-    run = Run(FakeMapper()).put(*FRAMES)  # a scan read at 20, before the sample at 30, comes after it
-    log_ns = [m.log_ns - OFFSET_NS for m in run.recorded if m.channel in ("front/scan", "base/odom")]
-    assert log_ns == [30, 32, 60]  # 31 is free for what is decided before the scan
-
-
-def test_stamps_are_unix_time_by_the_fixed_offset():
-    run = Run(FakeMapper()).put(*FRAMES)
-    assert [m.stamp_ns - OFFSET_NS for m in run.recorded if m.channel == "pose"] == [10, 40]
-
-
 def test_each_scan_gives_pose_odom_and_tf_with_the_moment_it_was_read():
     run = Run(FakeMapper()).put(*FRAMES)
     published = [message.channel for message in run.recorded]
@@ -100,51 +88,6 @@ def test_a_pose_that_is_given_up_is_an_event_once_and_none_when_there_is_news(ca
 
 def scans_in_turn(count: int) -> list[LaserScan]:
     return [scan(10 + 30 * k, 20 + 30 * k, [1.0, 2.0]) for k in range(count)]
-
-
-def test_the_last_tiles_are_there_at_the_end():
-    run = Run(FakeMapper()).put(*FRAMES)
-    run.link.finish()
-    assert run.tiles.version == 2
-    assert run.handed_over[-1] == (2, 40)
-
-
-class Redrawn(FakeMapper):
-    """A loop has closed: many tiles change at once."""
-
-    left = 3 * MAX_TILES + 1
-
-    def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
-        count = self.left if most is None else min(most, self.left)
-        self.left -= count
-        return [TileUpdate(0, k, 0, 1, 0.05, np.zeros((4, 4), np.int8)) for k in range(count)]
-
-
-def test_a_map_drawn_again_is_handed_over_in_parts_between_items():
-    said, now_ns = [], [0]
-    mapper = Redrawn()
-    loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: now_ns[0])
-
-    def handed_over(later_ns: int) -> int:
-        now_ns[0] += later_ns
-        said.clear()
-        loop.keep_up(is_idle=True)
-        return sum(len(message.tiles) for message in said if isinstance(message, Tiles))
-
-    assert handed_over(10**9) == MAX_TILES
-    assert loop.has_tiles
-    assert [handed_over(1), handed_over(1)] == [MAX_TILES, MAX_TILES]
-    assert handed_over(1) == 1
-    assert not loop.has_tiles
-    mapper.left = 2
-    assert handed_over(1) == 0  # now and then is enough
-    assert handed_over(TILE_INTERVAL_NS) == 2
-    mapper.left = 5 * MAX_TILES
-    assert handed_over(TILE_INTERVAL_NS) == MAX_TILES
-    said.clear()
-    loop.hand_over_tiles()  # before another map begins, and at the end
-    assert sum(len(message.tiles) for message in said) == 4 * MAX_TILES
-    assert not loop.has_tiles
 
 
 def test_the_graph_is_shown_when_it_was_drawn_again_and_taken_away_by_a_reset():
@@ -245,19 +188,6 @@ def test_what_stands_is_reported_each_two_seconds_while_scans_come():
     assert facts(9.0) == []
 
 
-def test_before_the_graph_takes_its_time_at_the_end_ingest_hears_that_no_item_waits():
-    mapper = FakeMapper()
-    said: list[object] = []
-    loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: 0)
-    for item in Run(FakeMapper()).put(*FRAMES).link.items:
-        loop.take(item)
-    finish = mapper.finish
-    mapper.finish = lambda: (said.append("finishing"), finish())[1]  # type: ignore[method-assign]
-    loop.finish()
-    before = said[: said.index("finishing")]
-    assert [s.number for s in before if isinstance(s, Status)] == [3]
-
-
 def test_a_frame_without_anything_to_map_is_counted_and_recorded():
     mapper = FakeMapper()
     bad = OdometrySample("base", 1, 2, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
@@ -294,12 +224,6 @@ def test_a_scan_that_has_waited_too_long_is_passed_over_and_the_recording_says_s
     assert run.outputs.passed_over == {"front": 1}
 
 
-def test_a_scan_may_be_two_periods_old_where_that_is_more():
-    slow = replace(scan(40, 60, [1.0, 2.0]), scan_period_ns=80 * MS)  # a float32 of seconds on its way
-    assert not Run(FakeMapper()).put(slow, waits_ns=159 * MS).outputs.passed_over
-    assert Run(FakeMapper()).put(slow, waits_ns=161 * MS).outputs.passed_over == {"front": 1}
-
-
 def test_an_overload_begins_with_the_third_scan_and_ends_ten_seconds_after_the_last():
     run = Run(FakeMapper())
     for at_ns in (10, 40):
@@ -310,13 +234,6 @@ def test_an_overload_begins_with_the_third_scan_and_ends_ten_seconds_after_the_l
     run.link.now_ns += 9 * 10**9
     assert run.outputs.overload().startswith("3 scans in 9.2 s were not mapped")
     run.link.now_ns += 10**9 + 1
-    assert run.outputs.overload() == ""
-
-
-def test_in_a_pause_no_scan_is_too_old():
-    run = Run(FakeMapper())
-    run.request("pause")
-    run.put(scan(40, 60, [1.0, 2.0]), waits_ns=10**9)
     assert run.outputs.overload() == ""
 
 
@@ -375,23 +292,6 @@ def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_s
     assert decode_step(event.payload, event.log_ns) == ApplyResult(event.log_ns)
     assert event.log_ns - OFFSET_NS == 31  # right before the scan, which came after the sample of 30
     assert mapper.finished
-
-
-def test_lost_work_is_not_recorded_as_applied():
-    run = Run(FakeMapper(graph=GraphAtWork("the process died"))).put(*FRAMES)
-    run.link.finish()
-    (event,) = [m for m in run.recorded if m.channel == "events"]
-    assert decode_step(event.payload, event.log_ns) is None
-    assert "the process died" in decode_event(event.payload)
-    assert run.outputs.graph_fault == "the process died"
-
-
-def test_the_status_says_that_the_map_stays_as_it_is():
-    mapper = FakeMapper()
-    run = Run(mapper)
-    mapper.is_localizing = True
-    run.link.loop.tell_status()
-    assert run.outputs.is_localizing
 
 
 class GraphWithEdits(GraphAtWork):

@@ -38,20 +38,6 @@ def test_words_reach_systemd(systemd: tuple[socket.socket, str]):
     ]
 
 
-def test_no_one_to_tell_is_no_error():
-    notifier = Notifier({})
-    notifier.ready()
-    assert notifier.watchdog_s is None
-
-
-def test_a_socket_no_one_listens_on_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    caplog.set_level(logging.WARNING)
-    notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")})
-    notifier.ready()
-    notifier.ready()
-    assert caplog.text.count("nothing receives") == 1
-
-
 def test_a_listener_that_goes_away_does_not_stop_us(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))

@@ -39,13 +39,6 @@ def test_another_thread_can_wake_the_wait():
         waking.result(10.0)
 
 
-def test_the_handlers_of_before_come_back():
-    before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)]
-    with StopSignals():
-        assert signal.getsignal(signal.SIGTERM) != before[0]
-    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)] == before
-
-
 def test_where_one_came_more_of_them_are_ignored_to_the_end_of_the_process():
     with StopSignals() as signals:
         os.kill(os.getpid(), signal.SIGINT)

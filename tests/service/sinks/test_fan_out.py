@@ -92,13 +92,6 @@ def _no_sink_is_open() -> Iterator[None]:
     OPENED.clear()
 
 
-def test_a_section_opens_its_sink_or_switches_it_off():
-    sinks = Sinks()
-    names = {name: name for name in ("first", "off", "second")}
-    sinks.open([kind(name) for name in names], names, sink_context())  # type: ignore[arg-type]
-    assert [row.name for row in sinks.health()] == ["first", "second"]
-
-
 def test_where_one_cannot_be_opened_those_before_are_closed():
     names = {name: name for name in ("first", "refused")}
     with pytest.raises(StorageError, match="the port is taken"):
@@ -151,29 +144,9 @@ def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_
     assert [row.level for row in sinks.health()] == [ERROR, ERROR]
 
 
-def test_what_is_lost_at_the_end_is_reported_and_the_others_end_as_they_should(
-    caplog: pytest.LogCaptureFixture,
-):
-    broken = ListSink("broken", ["flush"], StorageError("cannot save the map to /x"))
-    well = ListSink("well")
-    sinks = open_all(well, broken)
-    assert sinks.flush() == ["cannot save the map to /x"]
-    sinks.close()
-    assert well.ended == ["flush", "close"]
-    assert broken.ended == ["close"]
-    assert "cannot save the map to /x" in caplog.text
-
-
 def test_what_is_lost_while_closing_is_reported_and_other_faults_cost_nothing():
     full = ListSink("full", ["close"], StorageError("recording: no space"))
     assert open_all(full, ListSink("odd", ["close"])).close() == ["recording: no space"]
-
-
-def test_a_fault_of_the_program_at_the_end_is_reported_with_where_it_was_raised(
-    caplog: pytest.LogCaptureFixture,
-):
-    assert open_all(ListSink("odd", ["flush"])).flush() == ["odd failed to flush: RuntimeError: out of order"]
-    assert "in _do" in caplog.text
 
 
 @pytest.mark.parametrize("action", ["flush", "close"])
@@ -189,14 +162,6 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
     row = sinks.health()[0]
     assert (row.level, row.message) == (ERROR, f"hangs did not {action} within 0 s")
     hangs.may_end.set()
-
-
-def test_sinks_end_at_the_same_time():
-    """Each waits for the other one: one after the other they would take 20 s and be asked to hang."""
-    first, second = ListSink("first"), ListSink("second")
-    meet = threading.Barrier(2, timeout=10.0)
-    first.flush = second.flush = meet.wait  # type: ignore[method-assign]
-    assert open_all(first, second).flush() == []
 
 
 def test_what_commands_need_is_found_or_said_to_be_missing():

@@ -15,16 +15,16 @@ import pytest
 from foxglove import layouts
 from rosbags.typesys import Stores, get_typestore
 
-from service.encoding import ERROR, OK, encode_graph, encode_tf_static
+from service.encoding import ERROR, OK, encode_tf_static
 from service.errors import StorageError
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
-from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
+from service.outputs import TileUpdate
 from service.resources import CONFIG
 from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.foxglove_sink import MAX_WAITING, FoxgloveSink, open_sink
 from service.sinks.sink import SinkContext
-from tests.browser.scene import Scene, event, stamp
+from tests.browser.scene import Scene, event
 from tests.service.sinks.contexts import sink_context
 from tests.waiting import wait_until
 
@@ -146,21 +146,6 @@ def test_the_map_is_there_for_who_comes_late_and_again_when_it_changes(
         while grid.info.width == 64:  # it comes twice to who subscribes between its channel and itself
             _, grid = await viewer.next("/map")
         assert (grid.info.width, set(grid.data.tolist())) == (128, {7, 9})
-
-    talk(sink, look)
-
-
-def test_the_newest_graph_is_kept(open_one: Callable[..., FoxgloveSink]) -> None:
-    sink, line = open_one(), np.ones((3, 2), np.float32)
-    sink.put(encode_graph(NO_GRAPH, stamp(1.0)))
-    sink.put(encode_graph(GraphPicture(stamp(2.0), [line], line[:2][None], line[:2][None]), stamp(2.0)))
-
-    async def look(viewer: Viewer) -> None:
-        await viewer.subscribe("/graph")
-        _, array = await viewer.next("/graph")
-        while len(array.markers) == 1:  # the first may be of the moment of the subscription
-            _, array = await viewer.next("/graph")
-        assert [marker.ns for marker in array.markers] == ["", "key_frames", "loops", "refused_loops"]
 
     talk(sink, look)
 

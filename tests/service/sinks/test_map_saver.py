@@ -16,12 +16,11 @@ from service.geometry.se2 import SE2
 from service.mapstore.config import MapConfig
 from service.mapstore.files import check_versions, load_map, save_map
 from service.mapstore.graph_files import GraphFolder
-from service.mapstore.in_use import InUse
 from service.mapstore.tiles import TileStore
 from service.offline.maps.edit import edit_map, erase
 from service.outputs import TileUpdate
 from service.publishing.commands import Answer
-from service.sinks.map_saver import MAX_ASKED, MAX_UNSAVED, MapSaver
+from service.sinks.map_saver import MAX_ASKED, MapSaver
 from service.sinks.sink import SavedMap
 from tests.service.mapstore.graphs import graph_of
 from tests.service.sinks.contexts import sink_context
@@ -61,27 +60,6 @@ def test_the_map_is_recorded_and_saved_at_the_end(tmp_path: Path):
     assert stored.about == {"vehicle": "veh1", "profile": "corridor"}
 
 
-def test_what_did_not_change_is_neither_recorded_nor_saved_again(tmp_path: Path):
-    kept = Kept(tmp_path / "map")
-    kept.tiles.update([tile(1)])
-    kept.saver.flush()
-    kept.saver.flush()
-    assert len(kept.emitted) == 1
-    assert load_map(tmp_path / "map").number == 1
-    kept.tiles.update([tile(2)])
-    kept.saver.flush()
-    assert len(kept.emitted) == 2
-    assert load_map(tmp_path / "map").number == 2
-
-
-def test_an_empty_map_leaves_nothing(tmp_path: Path):
-    kept = Kept(tmp_path / "map")
-    kept.saver.flush()
-    assert not kept.emitted
-    assert not (tmp_path / "map").exists()
-    assert kept.saver.saved_version == 0
-
-
 def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
     kept = Kept(tmp_path / "map", checkpoint_s=0.01)
     kept.tiles.update([tile(1)])
@@ -91,23 +69,6 @@ def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
     wait_until(lambda: kept.saver.saved_version == 2)
     kept.saver.flush()
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [2]
-
-
-def test_a_folder_that_cannot_be_written_is_health_on_the_way_and_an_error_at_the_end(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-):
-    (tmp_path / "map").write_text("in the way")
-    kept = Kept(tmp_path / "map")
-    kept.tiles.update([tile(1)])
-    kept.saver.try_to_save()
-    kept.saver.try_to_save()
-    assert "cannot save the map" in kept.saver.fault
-    assert caplog.text.count("cannot save the map") == 1
-    with pytest.raises(StorageError, match="cannot save the map"):
-        kept.saver.flush()
-    (tmp_path / "map").unlink()
-    kept.saver.flush()
-    assert kept.saver.fault == ""
 
 
 class Answers:
@@ -135,18 +96,6 @@ def running(tmp_path: Path) -> Iterator[Kept]:
     yield kept
     kept.saver.flush()
     assert not any(thread.name == "map-saver" for thread in threading.enumerate())
-
-
-def test_who_asks_hears_where_the_map_is_once_it_is_there(running: Kept, answers: Answers, tmp_path: Path):
-    running.saver.ask_to_save(answers)
-    assert answers.came.acquire(timeout=10.0)
-    running.tiles.update([tile(4)])
-    for _ in range(2):  # the second time there is nothing new to save
-        running.saver.ask_to_save(answers)
-        assert answers.came.acquire(timeout=10.0)
-    saved = SavedMap(tmp_path / "map", 1, 4)
-    assert answers.heard == [(None, ""), (saved, ""), (saved, "")]
-    assert load_map(tmp_path / "map").number == 1
 
 
 def test_requests_do_not_pile_up_without_end_while_the_disk_hangs(tmp_path: Path, answers: Answers):
@@ -243,20 +192,6 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
     assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [5]
     assert kept.saver.newest == SavedMap(tmp_path / "map_2", 1, 5)
-
-
-def test_unsaved_maps_do_not_pile_up_without_end(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    (tmp_path / "map").write_text("in the way")
-    kept = Kept(tmp_path / "map")
-    for _ in range(MAX_UNSAVED + 1):
-        kept.tiles.update([tile(kept.tiles.version + 1)])
-        kept.tiles.start_over()
-    kept.saver.try_to_save()
-    assert "map 1 of this run is not saved" in caplog.text
-    assert len(kept.saver._unsaved) == 0  # only the first had something in its way
-    assert "map 1 of this run is not saved" in kept.saver.health().message
-    with pytest.raises(StorageError, match="map 1 of this run is not saved"):
-        kept.saver.flush()
 
 
 def test_where_the_map_lies_is_saved_with_it_and_again_when_that_alone_changed(tmp_path: Path):
@@ -379,53 +314,6 @@ def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(tmp
         saver.flush()
 
 
-def test_a_run_that_ends_without_the_graph_of_a_map_that_it_went_on_in_says_so(tmp_path: Path):
-    tiles, saver = gone_on_in(folder := tmp_path / "office")
-    tiles.update([tile(2)])
-    with pytest.raises(StorageError, match="office stays as it is"):
-        saver.flush()
-    assert check_versions(folder)[0] == [1]
-
-
-def test_who_is_kept_out_of_a_map_writes_nothing_to_it(tmp_path: Path):
-    """Its mapper has shown the map by then, and a run ends with a flush, also where its start failed."""
-    folder = tmp_path / "office"
-    save_map(folder, [tile(1)], 1, graph=graph_of(4))
-    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=3600.0)
-    tiles = TileStore()
-    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1))
-    tiles.update([tile(2)])
-    with InUse(folder, "a session of veh2"):
-        with pytest.raises(StorageError, match="a session of veh2 uses this map"):
-            saver.start()
-        saver.flush()
-    assert check_versions(folder)[0] == [1]
-
-
-def test_a_graph_is_put_away_for_a_map_that_is_about_to_end(tmp_path: Path):
-    tiles = TileStore()
-    kept = GraphFolder(tmp_path / "graphs")
-    asked: list[str] = []
-
-    def command(verb: str, payload: bytes) -> Answer:
-        asked.append(verb)
-        tiles.keep_graph(Path(kept(graph_of(4)).folder))
-        return Answer(True, b"{}")
-
-    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
-    saver = MapSaver(config, sink_context(tiles=tiles, stores_graph=True, command=command))
-    saver.start()
-    graphs: queue.Queue[Path | None] = queue.Queue()
-    try:
-        for version, expected in ((0, []), (1, ["checkpoint"])):
-            tiles.update([tile(version)] if version else [])
-            saver.put_graph_away(lambda: graphs.put(tiles.graph))
-            assert (graphs.get(timeout=20.0) is None, asked) == (version == 0, expected)
-        assert saver.newest is None  # saved it is when it has ended
-    finally:
-        saver.flush()
-
-
 def test_the_graph_that_was_told_last_stays_while_the_back_end_puts_away_others(tmp_path: Path):
     """As at the end of a run where the back end is given up after it has written more of them."""
     tiles = TileStore()
@@ -461,13 +349,3 @@ def test_the_graph_of_a_session_that_was_killed_is_removed_by_a_later_one(tmp_pa
     saver.start()
     saver.flush()
     assert sorted(tmp_path.iterdir()) == [just_killed, living]
-
-
-def test_who_is_only_localised_leaves_no_trace_in_the_map(tmp_path: Path):
-    save_map(tmp_path / "office", [tile(1)], 1)
-    before = sorted(path.name for path in (tmp_path / "office").iterdir())
-    config = MapConfig.model_construct(directory=tmp_path, load=tmp_path / "office", checkpoint_s=30.0)
-    saver = MapSaver(config, sink_context(is_localizing=True))
-    saver.start()
-    saver.flush()
-    assert sorted(path.name for path in (tmp_path / "office").iterdir()) == before

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from service.encoding import ERROR, OK, WARNING, Message, decode_event, encode_event
+from service.encoding import Message, decode_event, encode_event
 from service.errors import StorageError
 from service.recording.config import RecordingConfig
 from service.recording.mcap_file import McapFile
@@ -57,38 +57,6 @@ def test_every_channel_is_recorded_and_what_is_complete_is_reported(tmp_path: Pa
     assert sink.place() == str(tmp_path)
 
 
-def test_its_row_tells_what_is_recorded_and_what_stops_it(tmp_path: Path):
-    sink = sink_in(tmp_path)
-    assert (sink.health().level, sink.status_words()) == (OK, "recording: waiting")
-    sink.start()
-    sink.put(event("a", T0_NS))
-    end(sink)
-    row = sink.health()
-    assert (row.level, row.message, row.values["messages"]) == (
-        WARNING,
-        "stopped by a command; Start records again",
-        "1",
-    )
-    assert sink.status_words() == "recording: stopped"
-    recorder = sink._recorder.health
-    recorder.state, recorder.last_error = "disk full", "0.1 GB left"
-    assert (sink.health().level, sink.health().message) == (ERROR, "0.1 GB left")
-    recorder.dropped["front/scan"] = 3
-    assert sink.health().values["dropped.front/scan"] == "3"
-    sink.close()
-
-
-def test_the_file_being_written_is_named(tmp_path: Path):
-    sink = sink_in(tmp_path)
-    sink.start()
-    begun = threading.Event()
-    sink.begin_session(event("a", T0_NS), lambda change: begun.set())
-    assert begun.wait(20.0)
-    assert sink.status_words() == "recording: veh1_20231114T221320Z_0001.mcap.active"
-    assert sink.health().values["file"].endswith("_0001.mcap.active")
-    sink.close()
-
-
 @pytest.mark.parametrize("is_paused", [False, True])
 def test_a_session_that_begins_in_a_pause_says_so(tmp_path: Path, is_paused: bool):
     sink = sink_in(tmp_path, is_paused)
@@ -98,11 +66,6 @@ def test_a_session_that_begins_in_a_pause_says_so(tmp_path: Path, is_paused: boo
     (session,) = sink.written()
     paused = ['{"event": "pause", "reason": "paused before the recording began"}']
     assert events(session) == ["begin", *(paused if is_paused else [])]
-
-
-def test_raw_bytes_are_wanted_where_the_config_says_so(tmp_path: Path):
-    assert not sink_in(tmp_path).wants_raw
-    assert sink_in(tmp_path, raw=True).wants_raw
 
 
 def test_files_that_a_disk_error_left_unfinished_are_named_at_the_end(
@@ -145,11 +108,3 @@ def test_a_disk_that_takes_nothing_at_all_is_reported_at_the_end(
     with pytest.raises(StorageError, match=r"No space left on device; 1 message dropped$"):
         sink.close()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_directory_that_cannot_be_written_is_reported_at_the_start(tmp_path: Path):
-    (tmp_path / "file").write_text("in the way")
-    sink = sink_in(tmp_path / "file")
-    with pytest.raises(StorageError, match="cannot record"):
-        sink.start()
-    sink.close()

@@ -5,26 +5,20 @@ from contextlib import closing
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zenoh
 from rosbags.typesys.store import Typestore
 
 from service.encoding import (
     OK,
-    STRING,
     WARNING,
-    Message,
     Status,
     encode_diagnostics,
-    encode_event,
     encode_frame,
     encode_pose,
     encode_tf,
 )
-from service.encoding.graph import encode_graph
 from service.mapstore.tiles import TileStore
-from service.outputs import GraphPicture
 from service.publishing.config import PublishingConfig
 from service.publishing.session import open_session
 from service.recording.mcap_reader import Recording
@@ -50,28 +44,6 @@ def sink() -> Iterator[Ros2Sink]:
     opened.start()
     yield opened
     opened.close()
-
-
-def test_it_is_off_unless_it_is_switched_on():
-    assert open_sink(PublishingConfig(listen=LISTEN), sink_context()) is None
-
-
-def test_the_topics_of_the_contract_go_out_and_nothing_else(sink: Ros2Sink):
-    line = np.zeros((2, 2), np.float32)
-    for message in (
-        encode_frame(SCAN),
-        encode_pose(OUTPUT, LOG_NS),
-        encode_tf(OUTPUT, LOG_NS),
-        encode_diagnostics("diagnostics", [], LOG_NS, LOG_NS),
-        encode_event("{}", LOG_NS, LOG_NS),
-        encode_graph(GraphPicture(1, [line], line[None], line[None]), LOG_NS),
-        Message("front/raw", STRING, 1, 1, b""),
-        Message("map", STRING, 1, 1, b""),
-        Message("front/notes", STRING, 1, 1, b""),
-    ):
-        sink.put(message)
-    sink.close()
-    assert sink.topics.counts()["sent"] == {"front/scan": 1, "pose": 1, "tf": 1, "diagnostics": 1}
 
 
 def test_its_row_holds_what_was_sent_and_warns_of_what_was_not(sink: Ros2Sink):

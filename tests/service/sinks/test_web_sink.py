@@ -48,10 +48,6 @@ def ask_at(sink, token):
     return answers[0]
 
 
-def test_switched_off_there_is_none():
-    assert open_sink(WebConfig(enabled=False), sink_context()) is None
-
-
 def test_what_is_put_is_shown_before_the_start_too(open_page):
     sink = open_page()
 

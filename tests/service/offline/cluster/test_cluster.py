@@ -190,8 +190,3 @@ def test_slurm_starts_workers_by_dask_jobqueue(
     tasks = new_tasks([[record_drive(scans=10)]], ReplayOptions(), [tmp_path / "out"])
     with Cluster("slurm:1") as cluster:
         assert isinstance(run_all(tasks, cluster)[0].outcome, dict)
-
-
-@pytest.mark.parametrize("arguments", [["--again"], ["--jobs", "2", "--web"]])
-def test_options_that_contradict_each_other_are_refused(arguments: list[str]):
-    assert main(["replay", "a.mcap", *arguments]) == UsageError.exit_code

@@ -64,26 +64,11 @@ def only(findings: list[Finding], severity: str = "fault") -> Finding:
 
 
 @pytest.mark.usefixtures("any_rate_will_do")
-def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
-    finding = only(examine(lms100(on_tcp(fake_lms100())), WAITING), "ok")
-    assert "device LMS10x_FieldEval" in finding.measured
-    assert "serial 18090362" in finding.measured
-    assert finding.values["identity.dialect"] == "CoLa-A"
-    assert SLOW < float(finding.values["rate_hz"]) / 49.8 < BURST
-    assert float(finding.values["delay_ms_p50"]) > 3.0
-
-
-@pytest.mark.usefixtures("any_rate_will_do")
 def test_a_good_robot_is_named_with_rate_and_battery():
     with serve_pty(FakeCreate(STANDING, wakes_on_connect=True)) as path:
         finding = only(examine(create(path), WAITING), "ok")
     assert "battery" in finding.measured
     assert SLOW < float(finding.values["rate_hz"]) / 66.7 < BURST
-
-
-def test_a_closed_port_is_named(closed_port: int):
-    finding = only(examine(lms100(("127.0.0.1", closed_port))))
-    assert f"nothing listens at port {closed_port}" in finding.measured
 
 
 def test_a_web_server_in_the_devices_place_is_recognised(on_tcp: OnTcp):
@@ -103,13 +88,6 @@ def test_the_other_dialect_is_found_by_asking_in_it(on_tcp: OnTcp):
     finding = only(examine(lms100(on_tcp(fake_lms100(dialect=Dialect.BINARY)), dialect="cola_a")))
     assert "with dialect: cola_b a device does: dialect CoLa-B" in finding.measured
     assert finding.remedy == "write dialect: cola_b"
-
-
-def test_a_device_that_says_nothing_is_told_from_one_that_is_not_there(on_tcp: OnTcp):
-    parrot = Parrot(b"")
-    finding = only(examine(lms100(on_tcp(parrot))))
-    assert f"{len(parrot.heard)} bytes sent, and nothing came" in finding.measured
-    assert "SOPAS ET" in finding.remedy
 
 
 def test_a_device_that_serves_somebody_else_is_recognised(on_tcp: OnTcp):
@@ -237,12 +215,6 @@ def test_a_port_held_by_a_process_that_is_hidden_is_busy_all_the_same(
     assert "fuser" in finding.remedy
 
 
-def test_asking_to_stop_ends_a_look_at_once(on_tcp: OnTcp):
-    stop = threading.Event()
-    stop.set()
-    examine_sensor(Machine(), lms100(on_tcp(Parrot(b""))), Patience(start_up_s=3600.0), stop)
-
-
 @pytest.mark.parametrize(
     ("device", "wire"),
     [
@@ -255,10 +227,6 @@ def test_asking_to_stop_ends_a_look_at_once(on_tcp: OnTcp):
 )
 def test_a_wire_is_known_by_its_settings(device: str, wire: object):
     assert wire_of(create(device)) == wire
-
-
-def test_a_host_is_a_wire_too():
-    assert wire_of(lms100(("192.168.0.1", 2111))) == TcpWire("192.168.0.1", 2111)
 
 
 def test_two_sensors_at_one_device_are_a_fault(tree: FakeTree):

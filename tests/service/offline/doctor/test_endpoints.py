@@ -43,25 +43,12 @@ def taken() -> Iterator[int]:
         yield door.getsockname()[1]
 
 
-@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:{}", "udp/127.0.0.1:{}", "tcp/0.0.0.0:{}"])
-def test_a_free_port_is_good_and_free_again(tree: FakeTree, closed_port: int, endpoint: str):
-    for _ in range(2):
-        finding, running = look(tree.machine(), endpoint.format(closed_port))
-        assert finding.severity == "ok"
-        assert running is None
-
-
 def test_a_port_that_a_stranger_took_is_a_fault(taken: int):
     finding, running = look(Machine(), f"tcp/127.0.0.1:{taken}")
     assert finding.severity == "fault"
     assert f"tcp/127.0.0.1:{taken} is taken by " in finding.measured
     assert "process" in finding.measured
     assert running is None
-
-
-def test_a_port_of_a_hidden_process_is_a_fault_too(tree: FakeTree, taken: int):
-    finding, _ = look(tree.machine(), f"tcp/127.0.0.1:{taken}")
-    assert "another user's process" in finding.measured
 
 
 def test_the_running_service_is_recognised(tree: FakeTree, taken: int):
@@ -82,23 +69,6 @@ def test_an_address_of_another_machine_is_a_fault(tree: FakeTree):
 def test_a_socket_file_is_not_tried(tree: FakeTree):
     finding, _ = look(tree.machine(), "unixsock-stream//run/corridor/zenoh.sock")
     assert finding.measured.endswith("is not tried")
-
-
-@pytest.mark.parametrize("who", ["web", "foxglove"])
-def test_a_free_port_of_a_page_is_good(tree: FakeTree, closed_port: int, who: str):
-    (finding,) = look_at(tree.machine(), who, f"127.0.0.1:{closed_port}")
-    assert (finding.severity, finding.who) == ("ok", who)
-    assert finding.measured == f"127.0.0.1:{closed_port} is free"
-    assert look_at(tree.machine(), who, f"127.0.0.1:{closed_port}", enabled=False) == []
-
-
-@pytest.mark.parametrize("who", ["web", "foxglove"])
-def test_the_port_of_a_page_that_a_stranger_took_is_a_fault_with_its_name(taken: int, who: str):
-    (finding,) = look_at(Machine(), who, f"127.0.0.1:{taken}")
-    assert (finding.severity, finding.who) == ("fault", who)
-    assert f"127.0.0.1:{taken} is taken by " in finding.measured
-    assert f"(process {os.getpid()})" in finding.measured
-    assert finding.remedy == f"stop that program, or change {who}.listen"
 
 
 def test_the_page_of_the_running_service_is_good(tree: FakeTree, taken: int):

@@ -1,21 +1,15 @@
 import fcntl
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from service.config import ServiceConfig, parse_config
-from service.mapstore.files import save_map
 from service.offline.doctor import folders
 from service.offline.doctor.folders import (
     look_at_disk,
     look_at_folders,
     look_at_leftovers,
-    look_at_map_to_load,
 )
-from service.outputs import TileUpdate
-from tests.service.mapstore.graphs import graph_of
 from tests.service.offline.doctor.conftest import FakeTree
 
 
@@ -28,16 +22,6 @@ recording: {directory: /data/sessions, keep_free_gb: 2, rotate_mb: 1000}
 map: {directory: /data/maps}
 """
     return parse_config(text, "v.yaml")
-
-
-def test_folders_that_are_there_or_can_be_made_are_good(tree: FakeTree, config: ServiceConfig):
-    (tree.root / "data/sessions").mkdir(parents=True)
-    sessions, maps = look_at_folders(tree.machine(), config)
-    assert (sessions.severity, sessions.measured) == ("ok", "/data/sessions can be written")
-    assert maps.severity == "ok"
-    assert maps.measured.startswith("/data/maps can be made in ")
-    assert list((tree.root / "data/sessions").iterdir()) == []
-    assert not (tree.root / "data/maps").exists()
 
 
 def test_a_folder_that_cannot_be_written_says_why(
@@ -55,19 +39,6 @@ def test_a_file_in_a_folders_place_is_a_fault(tree: FakeTree, config: ServiceCon
     sessions, _ = look_at_folders(tree.machine(), config)
     assert sessions.severity == "fault"
     assert "which is a file" in sessions.measured
-
-
-def test_a_map_to_begin_in_is_read(tree: FakeTree, config: ServiceConfig):
-    assert look_at_map_to_load(tree.machine(), config) == []
-    config = replace(config, begin_in=Path("/data/maps/office"))
-    (missing,) = look_at_map_to_load(tree.machine(), config)
-    assert missing.severity == "fault"
-    assert missing.measured.startswith("map.load: ")
-    assert "no stored map" in missing.measured
-    cells = np.zeros((64, 64), np.int8)
-    save_map(tree.root / "data/maps/office", [TileUpdate(0, 0, 0, 1, 0.05, cells)], 1, graph=graph_of(4))
-    (good,) = look_at_map_to_load(tree.machine(), config)
-    assert (good.severity, good.measured) == ("ok", "a session begins in version 1 of /data/maps/office")
 
 
 def test_writing_is_tried_and_leaves_nothing(tmp_path: Path):

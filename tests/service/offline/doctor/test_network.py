@@ -4,7 +4,7 @@ import socket
 import pytest
 
 from drivers.errors import TransportError
-from service.offline.doctor.network import call_failed, look_at_route, resolve, route_to
+from service.offline.doctor.network import call_failed, look_at_route, resolve
 from tests.service.offline.doctor.conftest import FakeTree
 
 HEAD = "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
@@ -17,23 +17,6 @@ def failed(number: int) -> TransportError:
     error = TransportError("cannot connect to 192.168.0.1:2111")
     error.__cause__ = TimeoutError("timed out") if number == 0 else OSError(number, "")
     return error
-
-
-def test_the_narrowest_route_is_taken(tree: FakeTree):
-    tree.write("/proc/net/route", HEAD + VEHICLE_NET + OFFICE_NET + DEFAULT)
-    near, far = route_to(tree.machine(), "192.168.0.1"), route_to(tree.machine(), "8.8.8.8")
-    assert near is not None
-    assert (near.interface, near.gateway) == ("eth1", "")
-    assert far is not None
-    assert (far.interface, far.gateway) == ("eth0", "10.0.0.1")
-
-
-def test_no_route_says_which_nets_there_are(tree: FakeTree):
-    tree.write("/proc/net/route", HEAD + OFFICE_NET)
-    finding = look_at_route(tree.machine(), "front", "192.168.0.1", 2111)
-    assert finding is not None
-    assert finding.measured == "this machine has no route to 192.168.0.1; its own nets are 10.0.0.0/8 on eth0"
-    assert "ip addr add 192.168.0.200/24" in finding.remedy
 
 
 def test_a_cable_that_is_out_is_seen_before_the_device_is_called(tree: FakeTree):

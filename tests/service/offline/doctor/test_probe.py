@@ -65,13 +65,6 @@ def test_a_stall_at_the_end_lowers_the_rate():
     assert Probe(stamps_ns=[0, 20], arrivals_ns=[0, 20], ended_ns=3_000 * MS).arrival_rate_hz is None
 
 
-def test_the_device_is_left_with_the_sessions_shutdown_request():
-    transport = ScriptedTransport([b"abc"] * 100_000)
-    seen = run(transport, Echo(), measure_s=0.0)
-    assert seen.error is None
-    assert transport.written == b"startstop"
-
-
 @pytest.mark.parametrize(
     ("error", "kept"),
     [(ProtocolError("what is this?"), ProtocolError), (OverflowError("n"), UnforeseenError)],
@@ -80,15 +73,6 @@ def test_an_error_of_the_session_ends_the_look_and_is_kept(error: Exception, kep
     seen = run(ScriptedTransport([b"abc"] * 5), Echo(3, error))
     assert isinstance(seen.error, kept)
     assert seen.frames == 2
-
-
-def test_a_wire_that_does_not_open_is_told_from_one_that_breaks():
-    def closed() -> ScriptedTransport:
-        raise TransportError("no such port")
-
-    seen = probe(closed, Echo, 1.0, 1.0, threading.Event())
-    assert not seen.opened
-    assert str(seen.error) == "no such port"
 
 
 def test_listening_writes_nothing_and_keeps_no_more_than_it_needs():

@@ -1,5 +1,5 @@
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -32,12 +32,6 @@ def sysfs(tree: FakeTree, terminal: str, folder: str = "/sys/dev/char/") -> str:
     return f"{folder}{os.major(number)}:{os.minor(number)}"
 
 
-def test_a_good_port_has_nothing_to_say(tree: FakeTree, port: Path):
-    look = look_at_port(tree.machine(), "base", PORT)
-    assert look.can_be_opened
-    assert look.findings == ()
-
-
 def test_a_missing_port_names_those_that_are_there(tree: FakeTree, terminal: str):
     tree.link("/dev/ttyUSB3", terminal)
     tree.write("/dev/ttyACM0", "")
@@ -51,13 +45,6 @@ def test_a_missing_port_names_those_that_are_there(tree: FakeTree, terminal: str
     assert "/dev/serial/by-id/usb-Hokuyo-if00 (ttyACM0), /dev/ttyUSB3" in finding.measured
     assert "udev rule" in finding.remedy
     assert known_ports(tree.machine()) == ["/dev/serial/by-id/usb-Hokuyo-if00 (ttyACM0)", "/dev/ttyUSB3"]
-
-
-def test_a_link_to_an_unplugged_adapter_is_told_from_a_wrong_path(tree: FakeTree):
-    tree.link("/dev/corridor/create", "../ttyUSB9")
-    (finding,) = look_at_port(tree.machine(), "base", "/dev/corridor/create").findings
-    assert "is a link to ../ttyUSB9, which is not there" in finding.measured
-    assert "no USB serial port at all" in finding.measured
 
 
 def test_a_file_that_took_the_ports_place_is_named(tree: FakeTree):
@@ -107,17 +94,6 @@ def test_a_running_service_is_told_from_a_stranger(tree: FakeTree, port: Path, t
     tree.process(90, "corridor", "/usr/bin/python3", "/opt/bin/corridor", "run", "v.yaml", holds=terminal)
     (finding,) = look_at_port(tree.machine(), "base", PORT).findings
     assert "the service itself is running" in finding.remedy
-
-
-def test_a_port_held_in_another_process_is_found_through_the_real_proc(
-    terminal: str, hold: Callable[[str], int]
-):
-    from service.offline.doctor.machine import Machine
-
-    number = hold(terminal)
-    # the test itself has the other end of the terminal open, and that is no second reader
-    (finding,) = look_at_port(Machine(), "base", terminal).findings
-    assert f"(process {number})" in finding.measured
 
 
 def test_modem_manager_is_only_a_danger_where_it_may_take_the_port(tree: FakeTree, port: Path, terminal: str):

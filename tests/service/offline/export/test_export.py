@@ -2,16 +2,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from service.encoding import encode_grid, encode_pose
-from service.errors import InputError, StorageError, UsageError
+from service.errors import InputError, UsageError
 from service.geometry.se2 import SE2
 from service.mapstore.files import load_map, save_map
-from service.mapstore.picture import picture_of_grid, picture_of_tiles, to_pixels
-from service.mapstore.png import write_png
+from service.mapstore.picture import picture_of_grid, to_pixels
 from service.mapstore.ros_map import read_ros_map, write_ros_map
-from service.offline.export import export as export_module
 from service.offline.export.export import export
 from service.offline.score.trajectory import read_tum, write_tum
 from service.outputs import NO_REASON, Grid, MapperOutput
@@ -83,26 +80,6 @@ def test_the_poses_of_a_session_become_a_trajectory(session, tmp_path):
     assert_is_the_trajectory(tmp_path / "drive.tum")
 
 
-def test_a_replays_folder_gives_all_three(replayed, tmp_path):
-    export(replayed, "pgm", tmp_path / "a.pgm")
-    export(replayed, "png", tmp_path / "a.png")
-    export(replayed, "tum", tmp_path / "a.tum")
-    assert (tmp_path / "a.pgm").read_bytes() == (replayed / "map.pgm").read_bytes()
-    write_png(tmp_path / "expected.png", picture_of_grid(grid(3)))
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "expected.png").read_bytes()
-    assert_is_the_trajectory(tmp_path / "a.tum")
-
-
-def test_a_stored_map_gives_pgm_and_png(stored, tmp_path):
-    export(stored, "pgm", tmp_path / "a.pgm")
-    export(stored, "png", tmp_path / "a.png")
-    with Image.open(tmp_path / "a.pgm") as image:
-        expected = np.vstack(list(picture_of_tiles(load_map(stored).tiles).bands()))
-        np.testing.assert_array_equal(np.asarray(image), expected)
-    write_png(tmp_path / "expected.png", picture_of_tiles(load_map(stored).tiles))
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "expected.png").read_bytes()
-
-
 def test_a_stored_map_has_no_trajectory(stored, tmp_path):
     with pytest.raises(InputError, match="a stored map holds no trajectory"):
         export(stored, "tum", tmp_path / "a.tum")
@@ -137,38 +114,9 @@ def test_what_is_no_source_is_refused(tmp_path, to):
     assert not (tmp_path / "out").exists()
 
 
-def test_an_unfinished_session_is_sent_to_recover(session, tmp_path):
-    broken = tmp_path / "veh1.mcap.active"
-    broken.write_bytes(session.read_bytes()[:-40])
-    with pytest.raises(InputError, match="corridor recover"):
-        export(broken, "png", tmp_path / "a.png")
-
-
 def test_a_pgm_has_a_name_that_leaves_room_for_its_yaml(stored, tmp_path):
     with pytest.raises(UsageError, match=r"write --out .*a\.pgm"):
         export(stored, "pgm", tmp_path / "a.yaml")
-
-
-def test_a_place_that_cannot_be_written_is_named(stored, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match=r"cannot write .*file/a\.png"):
-        export(stored, "png", tmp_path / "file" / "a.png")
-
-
-def test_an_export_that_is_broken_off_leaves_the_file_of_before(stored, tmp_path, monkeypatch):
-    export(stored, "pgm", tmp_path / "a.pgm")
-    before = (tmp_path / "a.pgm").read_bytes()
-    there = set(tmp_path.iterdir())
-
-    def half(path: Path, *_: object) -> None:
-        path.write_bytes(b"P5")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(export_module, "write_ros_map", half)
-    with pytest.raises(KeyboardInterrupt):
-        export(stored, "pgm", tmp_path / "a.pgm")
-    assert (tmp_path / "a.pgm").read_bytes() == before
-    assert set(tmp_path.iterdir()) == there
 
 
 def test_a_ros_map_is_exported_by_its_yaml(replayed, tmp_path):

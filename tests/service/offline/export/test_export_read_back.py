@@ -1,6 +1,5 @@
 """Every format is read back by a program that has nothing to do with the one that wrote it."""
 
-import csv
 import math
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -8,14 +7,13 @@ import xml.etree.ElementTree as ElementTree
 import gtsam
 import numpy as np
 import pytest
-from PIL import Image
 
-from service.errors import CorridorError, InputError, UsageError
+from service.errors import CorridorError, InputError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame, to_utm
 from service.geometry.se2 import SE2
 from service.mapstore.geo_file import write_geo
-from service.mapstore.picture import FREE_THRESH, picture_of_grid, to_pixels
+from service.mapstore.picture import picture_of_grid, to_pixels
 from service.mapstore.ros_map import write_ros_map
 from service.offline.export.export import export
 from service.offline.export.outlines import occupied_points, outlines
@@ -59,18 +57,6 @@ def anchored(replayed):
 
 def in_utm(x_m, y_m):
     return to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32, False)
-
-
-def test_pgm_and_yaml(replayed, tmp_path):
-    """As nav2's map_server reads them in its mode trinary: (255 - pixel) / 255 against both thresholds."""
-    export(replayed, "pgm", tmp_path / "hall.pgm")
-    about = dict(line.split(": ", 1) for line in (tmp_path / "hall.yaml").read_text().splitlines())
-    assert (about["image"], about["free_thresh"], about["resolution"]) == ("hall.pgm", "0.196", "0.5")
-    with Image.open(tmp_path / "hall.pgm") as image:
-        share = (255.0 - np.asarray(image)[::-1]) / 255.0
-    assert float(about["free_thresh"]) == FREE_THRESH
-    np.testing.assert_array_equal(share < float(about["free_thresh"]), cells() == FREE)
-    np.testing.assert_array_equal(share > float(about["occupied_thresh"]), cells() == OCCUPIED)
 
 
 def test_png_with_its_world_file_by_gdal(anchored, tmp_path):
@@ -170,16 +156,6 @@ def test_g2o_by_gtsam(replayed, tmp_path):
     assert poses.atPose2(1).x() == 1.5
 
 
-def test_csv_by_the_standard_library(replayed, tmp_path):
-    export(replayed, "csv", tmp_path / "way.csv")
-    with (tmp_path / "way.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["x_m"]) for row in rows] == [pose.x_m for pose in POSES]
-    assert [float(row["yaw_deg"]) for row in rows] == pytest.approx(
-        [math.degrees(p.theta_rad) for p in POSES]
-    )
-
-
 def test_tum_by_numpy(replayed, tmp_path):
     export(replayed, "tum", tmp_path / "way.tum")
     table = np.loadtxt(tmp_path / "way.tum")
@@ -217,11 +193,3 @@ def test_where_there_is_no_graph_it_says_how_to_get_one(replayed, tmp_path):
     (replayed / "graph.g2o").unlink()
     with pytest.raises(InputError, match=r"no graph\.g2o in it; its profile has no graph"):
         export(replayed, "g2o", tmp_path / "hall.g2o")
-
-
-def test_a_session_is_not_overwritten_by_its_export(tmp_path):
-    session = tmp_path / "drive.mcap"
-    session.write_bytes(b"\x89MCAP0\r\n, say")
-    with pytest.raises(UsageError, match="would be overwritten"):
-        export(session, "tum", session)
-    assert session.read_bytes() == b"\x89MCAP0\r\n, say"

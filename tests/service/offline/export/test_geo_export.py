@@ -7,21 +7,17 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-import rasterio
 
 from service.errors import InputError
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame, to_utm
 from service.geometry.se2 import SE2
-from service.mapstore.files import save_map
 from service.mapstore.geo_file import write_geo
-from service.mapstore.picture import picture_of_grid, picture_of_tiles
+from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
 from service.offline.export.export import export
-from service.offline.export.outlines import outlines
 from service.offline.score.trajectory import write_tum
 from service.outputs import Grid
-from tests.service.mapstore.tile_makers import tile
 
 ORIGIN = LocalFrame(48.1, 11.6, 520.0)
 REFERENCE = GeoReference(ORIGIN, SE2(12.0, -7.0, math.radians(30.0)), 0.8, math.radians(0.3), 41)
@@ -73,20 +69,6 @@ def test_geojson_is_cut_where_it_crosses_the_meridian_of_180_degrees(replayed, t
     assert north_m == pytest.approx(0.4 * east_m, abs=2e-3)
 
 
-def test_geojson_of_a_stored_map_has_its_walls_on_the_earth(tmp_path):
-    save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
-    export(tmp_path / "depot", "geojson", tmp_path / "walls.geojson")
-    (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
-    assert feature["geometry"]["type"] == "MultiLineString"
-    rings = feature["geometry"]["coordinates"]
-    expected = outlines(picture_of_tiles([tile(0, 0, 1)]))
-    assert len(rings) == len(expected) > 0
-    for ring, wall in zip(rings, expected, strict=True):
-        assert ring[0] == ring[-1]
-        longitude, latitude = ring[0]
-        assert (latitude, longitude) == pytest.approx(REFERENCE.to_geodetic(*wall[0]), abs=1e-8)
-
-
 def test_kml_is_the_same_line(replayed, tmp_path):
     export(replayed, "kml", tmp_path / "way.kml")
     root = ElementTree.parse(tmp_path / "way.kml").getroot()
@@ -106,12 +88,6 @@ def test_csv_has_both_frames_and_the_compass(replayed, tmp_path):
     assert float(rows[0]["heading_deg"]) == pytest.approx(60.0)  # 30 degrees north of east
 
 
-def test_csv_without_a_reference_is_in_metres_alone(replayed, tmp_path):
-    (replayed / "geo.json").unlink()
-    export(replayed, "csv", tmp_path / "way.csv")
-    assert (tmp_path / "way.csv").read_text().splitlines()[0] == "stamp_s,x_m,y_m,yaw_deg"
-
-
 def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
     export(replayed, "png", tmp_path / "map.png")
     a, d, b, e, c, f = map(float, (tmp_path / "map.pgw").read_text().split())
@@ -119,34 +95,6 @@ def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
         x_m, y_m = -4.0 + 0.5 * (column + 0.5), -9.0 + 0.5 * (40 - row - 0.5)
         expected = to_utm(*REFERENCE.to_geodetic(x_m, y_m), 32, False)
         assert (a * column + b * row + c, d * column + e * row + f) == pytest.approx(expected, abs=1e-3)
-
-
-@pytest.mark.parametrize(("latitude_deg", "epsg"), [(3e-5, 32631), (-3e-5, 32731)])
-def test_the_world_file_of_a_map_across_the_equator_is_in_the_grid_of_its_origin(
-    replayed, tmp_path, latitude_deg, epsg
-):
-    reference = GeoReference(LocalFrame(latitude_deg, 1.0, 0.0), SE2(), 0.8, 0.01, 41)
-    write_geo(replayed / "geo.json", reference)
-    export(replayed, "png", tmp_path / "map.png")  # rows from 11 m north to 9 m south of the origin
-    a, d, b, e, *_ = map(float, (tmp_path / "map.pgw").read_text().split())
-    assert (a, d, b, e) == pytest.approx((0.5, 0.0, 0.0, -0.5), abs=1e-3)
-    with rasterio.open(tmp_path / "map.png") as raster:
-        assert raster.crs.to_epsg() == epsg
-        assert raster.crs == rasterio.crs.CRS.from_epsg(epsg)
-
-
-def test_the_world_file_of_a_map_without_a_reference_is_in_metres_of_the_map(replayed, tmp_path):
-    (replayed / "geo.json").unlink()
-    export(replayed, "png", tmp_path / "map.png")
-    numbers = list(map(float, (tmp_path / "map.pgw").read_text().split()))
-    assert numbers == [0.5, 0.0, 0.0, -0.5, -3.75, 10.75]  # the middle of the upper left cell
-    assert "SRS" not in (tmp_path / "map.png.aux.xml").read_text()
-
-
-def test_a_stored_map_keeps_its_reference_for_its_picture(tmp_path):
-    save_map(tmp_path / "depot", [tile(0, 0, 1)], 1, geo=REFERENCE)
-    export(tmp_path / "depot", "png", tmp_path / "depot.png")
-    assert (tmp_path / "depot.pgw").exists()
 
 
 @pytest.mark.parametrize("to", ["geojson", "kml"])

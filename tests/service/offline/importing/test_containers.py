@@ -20,7 +20,7 @@ from service.encoding import encode_pose
 from service.errors import InputError, StorageError
 from service.geometry.se2 import SE2
 from service.offline.past.recorded_moments import RecordedMoments
-from service.offline.replay.replay import group_sessions, result_folders
+from service.offline.replay.replay import group_sessions
 from service.outputs import MapperOutput
 from service.recording.mcap_source import open_session
 from service.recording.opening import open_recording
@@ -139,34 +139,6 @@ def test_a_drive_is_read_to_the_last_byte_out_of_every_container(container: str,
     assert read == [(m.channel, m.type, m.log_ns, m.payload) for m in DRIVE]
 
 
-def test_a_span_of_times_is_read_out_of_every_container(tmp_path: Path):
-    first, last = DRIVE[11], DRIVE[19]
-    expected = [m.payload for m in DRIVE[12:20:2]]
-    for k, make in enumerate((CONTAINERS["bag"], db3, mcap)):
-        (tmp_path / str(k)).mkdir()
-        recording = open_recording([make(tmp_path / str(k))])
-        read = recording.messages(["/front/scan"], first.log_ns, last.log_ns)
-        assert [m.payload for m in read] == expected
-        assert (recording.first_log_ns, recording.last_log_ns) == (DRIVE[0].log_ns, DRIVE[-1].log_ns)
-
-
-def test_a_folder_stands_for_every_recording_in_it(tmp_path: Path):
-    bag, folder, session = CONTAINERS["bag"](tmp_path), CONTAINERS["ROS 2 folder"](tmp_path), mcap(tmp_path)
-    (tmp_path / "notes.txt").write_text("no recording")
-    assert group_sessions([tmp_path]) == [[folder], [bag], [session]]
-    assert [path.name for path in result_folders([[folder], [bag], [session]], tmp_path)] == [
-        "drive",
-        "drive_2",
-        "drive_3",
-    ]
-
-
-def test_results_are_named_after_the_recording_without_its_container(tmp_path: Path):
-    names = ["a.bag", "b.db3.zstd", "c.mcap.gz", "d.bag.active"]
-    folders = result_folders([[Path(name)] for name in names], tmp_path)
-    assert [folder.name for folder in folders] == ["a", "b", "c", "d"]
-
-
 def test_replay_and_import_read_a_bag_by_the_command_line(tmp_path: Path):
     bag, out = CONTAINERS["bag of lz4 chunks"](tmp_path), tmp_path / "out"
     assert main(["replay", str(bag), "--out", str(out)]) == 0
@@ -239,11 +211,3 @@ def test_no_place_to_unpack_is_a_storage_error(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("service.recording.unpacking.mkdtemp", full)
     with pytest.raises(StorageError, match=r"cannot unpack .*drive.mcap.gz to .*: No space left on device"):
         open_session([path])
-
-
-def test_what_was_unpacked_goes_with_the_recording(tmp_path: Path):
-    unpacked = Unpacked(CONTAINERS["mcap.gz"](tmp_path))
-    folder = unpacked.path.parent
-    assert folder.is_dir()
-    del unpacked
-    assert not folder.exists()

@@ -1,6 +1,5 @@
 """Bags are written here by rosbags' writers; their ROS 1 messages by rosbags' own definitions of Noetic."""
 
-import json
 import math
 from dataclasses import dataclass
 from itertools import starmap
@@ -14,8 +13,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
-from service.cli import main
-from service.errors import InputError, StorageError, UsageError
+from service.errors import InputError, StorageError
 from service.offline.importing.carmen import import_carmen
 from service.offline.importing.rosbag import import_rosbag
 from service.recording.mcap_source import open_session
@@ -205,14 +203,6 @@ def test_a_bag_becomes_a_session_with_its_sensors_and_mountings(kind, tmp_path):
     assert [f.rate_radps[2] for f in frames if isinstance(f, ImuSample)] == [0.5 + k for k in range(SCANS)]
 
 
-def test_an_import_reports_as_json_what_it_counted(tmp_path, capsys):
-    bag = BAGS["ROS 1"](tmp_path)
-    assert main(["import", "rosbag", str(bag), str(tmp_path / "out.mcap"), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["frames"]["scans of base"] == SCANS
-    assert facts["mountings"]["base"]["x_m"] == 0.25
-
-
 def test_a_bag_without_odometry_gives_that_of_its_tf(tmp_path):
     ros = noetic()
     rows = [row for row in drive(ros, ("/tf", TF_1)) if row[0] != "/odom"]
@@ -228,28 +218,6 @@ def test_a_bag_without_odometry_gives_that_of_its_tf(tmp_path):
         (T0_NS + k * 10**8, 0.5 * k, 1.0) for k in range(SCANS)
     ]
     assert [s.theta_rad for s in samples] == pytest.approx([0.1 * k for k in range(SCANS)])
-
-
-def test_an_import_tells_of_covariances_that_are_none(tmp_path):
-    ros = humble()
-    rows = drive(ros)
-    for topic, _, _, message in rows:
-        if topic == "/odom":
-            message.pose.covariance[:] = np.nan
-    report = import_rosbag(write_ros2(tmp_path / "bag", rows), tmp_path / "out.mcap")
-    assert report.frames["odometry samples of odom"] == SCANS
-    assert f"/odom: the covariance of {SCANS} of {SCANS} messages is none" in str(report)
-
-
-def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path, capsys):
-    rows = [row for row in drive(noetic()) if row[1] != SCAN]
-    bag = write_ros1(tmp_path / "drive.bag", rows)
-    assert main(["import", "rosbag", str(bag), str(tmp_path / "out.mcap")]) == InputError.exit_code
-    said = capsys.readouterr().err
-    assert (
-        "sensor_msgs/msg/PointCloud2 that can be mapped; it holds /imu/data (sensor_msgs/msg/Imu, 5)" in said
-    )
-    assert not list(tmp_path.glob("out*"))
 
 
 def test_a_bag_without_a_beam_that_came_back_is_refused(tmp_path):
@@ -282,33 +250,12 @@ def test_an_output_that_cannot_be_written_shows_before_the_input_is_read(importe
             importer(tmp_path / "in.mcap", out)
 
 
-def test_the_folder_of_an_import_is_made(tmp_path):
-    bag = BAGS[next(iter(BAGS))](tmp_path)
-    import_rosbag(bag, tmp_path / "new" / "folder" / "out.mcap")
-    assert (tmp_path / "new" / "folder" / "out.mcap").is_file()
-
-
 @pytest.mark.parametrize("path", ["nowhere.bag", "nowhere", "empty"])
 def test_a_missing_bag_is_named(path, tmp_path):
     (tmp_path / "empty").mkdir()
     why = "no recording in this folder" if path == "empty" else ""
     with pytest.raises(InputError, match=f"{path}.*{why}"):
         import_rosbag(tmp_path / path, tmp_path / "out.mcap")
-
-
-@pytest.mark.parametrize("kind", BAGS)
-def test_no_import_overwrites_what_it_reads(kind, tmp_path):
-    bag = BAGS[kind](tmp_path)
-    files = [bag] if bag.is_file() else sorted(bag.iterdir())
-    before = [file.read_bytes() for file in files]
-    for file in files:
-        with pytest.raises(UsageError, match="would be overwritten"):
-            import_rosbag(bag, file)
-    link = tmp_path / "link.mcap"
-    link.symlink_to(files[0])
-    with pytest.raises(UsageError, match="would be overwritten"):
-        import_rosbag(bag, link)
-    assert [file.read_bytes() for file in files] == before
 
 
 def test_a_scan_of_another_definition_is_passed_over(tmp_path):

@@ -1,5 +1,3 @@
-import csv
-
 import numpy as np
 import pytest
 
@@ -15,28 +13,6 @@ CHANGES = MapChanges(
     np.array([9_000, 8_000]),
     np.array([12, 7]),
 )
-
-
-def test_a_changed_cell_is_a_line(tmp_path):
-    write_changes(tmp_path / "changes.csv", CHANGES)
-    with (tmp_path / "changes.csv").open(encoding="ascii") as file:
-        lines = list(csv.DictReader(file))
-    assert lines[0] == {
-        "x_m": "1.25",
-        "y_m": "-0.35",
-        "change": "new",
-        "first_stamp_ns": "1000",
-        "last_stamp_ns": "9000",
-        "scans": "12",
-    }
-    assert [line["change"] for line in lines] == ["new", "gone"]
-    assert CHANGES.as_dict() == {"cells_new": 1, "cells_gone": 1, "cell_m": 0.1}
-
-
-def test_where_no_one_watched_no_file_of_before_stays(tmp_path):
-    write_changes(tmp_path / "changes.csv", CHANGES)
-    write_changes(tmp_path / "changes.csv", None)
-    assert not (tmp_path / "changes.csv").exists()
 
 
 def test_what_is_written_is_read_again(tmp_path):

@@ -46,15 +46,6 @@ class Asking:
         return self.ask("map_edit", version=version, who=who, change={"what": what, **change})
 
 
-def test_a_page_is_reported_versions_pairs_and_key_frames(folder, bent):
-    facts = Asking(folder).ask("map_look")
-    assert (facts["version"], len(facts["versions"]), facts["pairs"]) == (1, 1, [])
-    assert facts["user"] == map_edit.user_name()
-    assert (facts["keyframes"]["count"], facts["keyframes"]["every"]) == (len(bent.graph), 1)
-    np.testing.assert_allclose(facts["keyframes"]["x_m"], bent.graph.map[:, 0], atol=1e-3)
-    np.testing.assert_allclose(facts["keyframes"]["at_s"], 0.1 * np.arange(len(bent.graph)), atol=1e-3)
-
-
 def test_the_points_of_a_key_frame_lie_in_the_map(folder, bent):
     facts = Asking(folder).ask("map_keyframe", version=1, keyframe=ROUND + 3)
     k = ROUND + 3

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.mapper.graph.edit.editing import without_time
 from service.offline.maps.corrected_path import corrected_path
 from tests.service.mapper.graph.edit.test_editing import saved_of
 
@@ -27,13 +26,6 @@ def driven(graph):
     return stamp_ns, se2.compose(np.repeat(graph.map[:-1], 4, axis=0), ahead)
 
 
-def test_in_the_same_map_the_way_is_as_driven(graph, driven):
-    stamp_ns, poses = driven
-    same_ns, way = corrected_path(stamp_ns, poses, graph, graph)
-    np.testing.assert_array_equal(same_ns, stamp_ns)
-    np.testing.assert_allclose(way, poses, atol=1e-9)
-
-
 def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, driven):
     stamp_ns, poses = driven
     moved = graph.map.copy()
@@ -46,14 +38,6 @@ def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, dri
     whole = se2.compose(np.array([0.3, -0.1, 0.04]), poses[between])
     share = ((stamp_ns[between] - graph.stamp_ns[9]) / (graph.stamp_ns[10] - graph.stamp_ns[9]))[:, None]
     np.testing.assert_allclose(way[between], poses[between] + share * (whole - poses[between]), atol=1e-9)
-
-
-def test_what_was_cut_out_is_gone_from_the_way(graph, driven):
-    stamp_ns, poses = driven
-    cut = without_time(graph, int(graph.stamp_ns[5]), int(graph.stamp_ns[7]), is_bridged=True)
-    left_ns, way = corrected_path(stamp_ns, poses, graph, cut)
-    np.testing.assert_allclose(way, np.delete(poses, np.arange(20, 32), axis=0), atol=1e-9)
-    np.testing.assert_array_equal(left_ns, np.delete(stamp_ns, np.arange(20, 32)))
 
 
 def test_without_a_trajectory_there_is_no_way(graph):

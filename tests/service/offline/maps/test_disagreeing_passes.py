@@ -7,14 +7,8 @@ import pytest
 
 from service.mapper.graph.edit.editing import solved, with_pair
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.refused_loops import BY_HAND, CONTRADICTED, IN_FREE_SPACE
-from service.mapper.saved_graph import SavedGraph
 from service.offline.maps.disagreeing_passes import POINTS, disagreeing_passes
 from tests.service.offline.maps.bent_maps import ROUND, BentMap
-
-
-def with_reason(graph: SavedGraph, reason: int) -> SavedGraph:
-    return replace(graph, refused=replace(graph.refused, reason=np.full_like(graph.refused.reason, reason)))
 
 
 def test_the_points_proposed_straighten_the_map_and_then_nothing_is_proposed(bent: BentMap):
@@ -31,19 +25,6 @@ def test_the_points_proposed_straighten_the_map_and_then_nothing_is_proposed(ben
     assert bent.error_m(bent.graph) > 0.5
     assert bent.error_m(graph) < 0.10
     assert disagreeing_passes(graph) == []
-
-
-def test_a_stretch_of_30_m_is_proposed_once_with_the_best_fit(bent: BentMap):
-    graph = replace(bent.graph, way_m=10.0 * bent.graph.way_m)  # more stretches of the same drive
-    proposed = disagreeing_passes(graph)
-    assert len(proposed) > 2
-    assert [one["on_map"] for one in proposed] == sorted((one["on_map"] for one in proposed), reverse=True)
-    assert proposed[0] == disagreeing_passes(bent.graph)[0]
-
-
-@pytest.mark.parametrize(("reason", "count"), [(CONTRADICTED, 1), (IN_FREE_SPACE, 0), (BY_HAND, 0)])
-def test_what_did_not_fit_or_was_taken_back_by_hand_is_not_proposed(bent: BentMap, reason: int, count: int):
-    assert len(disagreeing_passes(with_reason(bent.graph, reason))) == count
 
 
 def test_passes_whose_points_are_gone_are_not_proposed(bent: BentMap):

@@ -14,7 +14,6 @@ from service.mapper.profiles import mapping_config
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
 from service.mapstore.in_use import InUse
-from service.mapstore.manifest import digest_of
 from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.maps.log import map_log
 from service.outputs import TileUpdate
@@ -78,26 +77,6 @@ def test_an_erased_area_is_gone_and_all_else_is_as_it_was(ring, graph):
     assert cell(after.tiles, 4.3, -0.7) == -1
 
 
-def test_an_area_is_free_where_scans_see_through_and_unknown_elsewhere(ring):
-    """Over the cabinet, and the floor before it."""
-    before = load_map(ring).tiles
-    assert cell(before, 4.3, -0.45) < 10
-    edit(ring, "--erase", 3.7, -0.9, 4.9, -0.9, 4.9, -0.2, 3.7, -0.2)
-    for _ in range(2):  # and when it is drawn again
-        after = load_map(ring)
-        assert cell(after.tiles, 4.3, -0.45) < 10
-        assert cell(after.tiles, 4.3, -0.7) <= 50
-        assert cell(after.tiles, 4.3, -0.85) == -1  # within the cabinet
-        edit(ring, "--optimize")
-
-
-def test_an_area_can_be_free_instead(ring):
-    edit(ring, "--erase", *CABINET.ravel(), "--free")
-    assert 0 <= cell(load_map(ring).tiles, 4.3, -0.7) < 10
-    edit(ring, "--optimize")
-    assert 0 <= cell(load_map(ring).tiles, 4.3, -0.7) < 10
-
-
 def test_what_was_erased_stays_gone_when_the_map_is_drawn_again(ring):
     edit(ring, "--erase", *CABINET.ravel(), "--unknown")
     edit(ring, "--optimize")
@@ -117,12 +96,6 @@ def test_a_wall_is_on_the_map_for_other_programs_and_for_sessions(ring, capsys):
     edit(ring, "--erase", 5.5, -1, 6.5, -1, 6.5, 1, 5.5, 1)
     assert cell(load_map(ring).tiles, 6.0, 0.0) < 10
     assert len(begin_in(ring, mapping_config()).shown.wall_cells) == 0
-
-
-def test_a_wall_may_stand_beyond_all_that_was_seen(picture):
-    edit(picture, "--wall", -20.0, 30.0, -22.0, 30.0)
-    assert cell(load_map(picture).tiles, -21.0, 30.0) == 97
-    assert cell(load_map(picture).tiles, 1.0, 1.0) == 97
 
 
 def test_a_picture_can_be_drawn_in_and_nothing_else(picture, capsys):
@@ -217,18 +190,6 @@ def test_nothing_is_changed_under_a_session_that_goes_on_in_the_map(picture):
             undo(picture, 1, "ada", 1)
     assert map_log(picture)["current"] == 1
     edit_map(picture, "wall", wall([0, 0, 1, 0]), "ada", 1)
-
-
-def test_an_older_map_is_edited_and_the_older_version_kept(ring, graph):
-    """Of format 2: nothing by hand in it, and no word of edits."""
-    path = ring / "v000001" / "manifest.json"
-    manifest = json.loads(path.read_text()) | {"format": 2}
-    del manifest["sha256"], manifest["edit"]
-    path.write_text(json.dumps(manifest | {"sha256": digest_of(manifest)}))
-    edit(ring, "--wall", 0, 0, 1, 0)
-    assert load_map(ring).number == 2
-    assert load_map(ring, 1).edit is None
-    assert load_map(ring, 1).graph is not None
 
 
 @pytest.mark.parametrize("change", [["--optimize"], ["--undo"]])

@@ -1,24 +1,20 @@
 """`corridor map loops`: what holds a map together, what was not believed, and why."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from service.cli import main
-from service.cli.map_names import map_and_version
-from service.geometry.poses import between
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.refusals import MAX_REFUSED, Refusals
-from service.mapper.refused_loops import BY_HAND, CONTRADICTED, NOT_SUPPORTED, WORDS
+from service.mapper.refused_loops import BY_HAND, NOT_SUPPORTED, WORDS
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
-from service.offline.maps.loops import as_pairs, map_loops
-from tests.service.mapper.graph.edit.test_editing import saved_of
+from service.offline.maps.loops import map_loops
 from tests.service.mapper.graph.loops.rings import key_frames
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.test_commands import Asking
@@ -54,47 +50,11 @@ def test_the_loops_of_a_map_are_reported_with_place_and_evidence(tmp_path, graph
         assert loop["back_at_s"] - loop["from_s"] > 10.0
 
 
-def test_a_loop_that_the_rest_contradicted_is_reported_with_the_reason(tmp_path, graph):
-    save_map(tmp_path, TILES, 1, graph=graph)
-    (false,) = [loop for loop in map_loops(tmp_path)["refused"] if loop["keyframes"] == [10, 80]]
-    assert false["why"] == WORDS[CONTRADICTED] == "the rest of the graph contradicts it"
-    assert false["points"] == 300
-    assert false["off_mm"] > 1000.0
-
-
-def test_a_loop_without_another_that_agrees_has_that_as_its_reason(tmp_path):
-    save_map(tmp_path, TILES, 1, graph=saved_of(1.4, LoopsConfig(consensus_span_m=1000.0)))
-    facts = map_loops(tmp_path)
-    assert facts["accepted"] == []
-    assert [loop["why"] for loop in facts["refused"]].count(WORDS[NOT_SUPPORTED]) > 3
-
-
 def test_no_loop_is_reported_twice(graph):
     accepted = {tuple(ends) for ends in graph.loop_ends.tolist()}
     refused = [tuple(ends) for ends in graph.refused.ends.tolist()]
     assert len(refused) == len(set(refused))
     assert not accepted & set(refused)
-
-
-def test_who_takes_a_loop_back_finds_it_among_the_refused(tmp_path, graph):
-    save_map(tmp_path, TILES, 1, graph=graph)
-    gone = map_loops(tmp_path)["accepted"][1]
-    assert main(["map", "edit", str(tmp_path), "--refuse-loop", "1", "--who", "ada"]) == 0
-    facts = map_loops(tmp_path)
-    assert gone["keyframes"] not in [loop["keyframes"] for loop in facts["accepted"]]
-    (found,) = [loop for loop in facts["refused"] if loop["keyframes"] == gone["keyframes"]]
-    assert found["why"] == "taken back by hand"
-    assert found["points"] == gone["points"]
-    assert len(map_loops(tmp_path, 1)["accepted"]) == len(facts["accepted"]) + 1
-
-
-def test_what_was_refused_is_known_to_the_session_after(graph):
-    again = LoopBackEnd(LoopsConfig(), None, graph).work(Batch([], "checkpoint")).saved
-    assert isinstance(again, SavedGraph)
-    for name, array in small_arrays(graph).items():
-        if name == "piece":
-            continue  # numbered again with each session
-        np.testing.assert_array_equal(small_arrays(again)[name], array, err_msg=name)
 
 
 def test_a_graph_of_before_tells_what_it_has(graph):
@@ -132,14 +92,6 @@ def test_a_picture_has_no_loops(tmp_path, capsys):
     assert "it has no loops" in capsys.readouterr().err
 
 
-def test_a_version_is_named_behind_the_folder(tmp_path):
-    assert map_and_version("maps/office@12") == (Path("maps/office"), 12)
-    assert map_and_version("maps/office") == (Path("maps/office"), None)
-    assert map_and_version("maps/me@home") == (Path("maps/me@home"), None)
-    (tmp_path / "a@3").mkdir()
-    assert map_and_version(str(tmp_path / "a@3")) == (tmp_path / "a@3", None)
-
-
 def test_a_loop_is_refused_and_accepted_again_as_the_page_asks(tmp_path, graph):
     save_map(tmp_path, TILES, 1, graph=graph)
     asking = Asking(tmp_path)
@@ -153,16 +105,3 @@ def test_a_loop_is_refused_and_accepted_again_as_the_page_asks(tmp_path, graph):
     pairs = [{"points": points, "keyframes": keyframes} for points in loop["pairs"]]
     assert asking.edit(2, "add-pair", pairs=pairs)["ok"]
     assert max(pair["apart_mm"] for pair in asking.ask("map_look")["pairs"]) < 50.0
-
-
-def test_pairs_of_a_loop_say_what_it_measured(graph):
-    """Where the graph agrees with a loop, its pairs are of one place each."""
-    of, to = graph.loop_ends[0].tolist()
-    measured = between(graph.map[of], graph.map[to])
-    ((first, second),) = as_pairs(graph, np.array([[of, to]]), measured[None])
-    for a, b in (first, second):
-        assert a == pytest.approx(b, abs=2e-5)
-    assert np.hypot(*np.subtract(first[0], second[0])) == pytest.approx(10.0)
-    off = measured + np.array([0.3, 0.0, 0.0])
-    ((first, _),) = as_pairs(graph, np.array([[of, to]]), off[None])
-    assert np.hypot(*np.subtract(*first)) == pytest.approx(0.3, abs=1e-4)

@@ -14,7 +14,7 @@ from service.encoding import Message, encode_frame, encode_tf_static
 from service.errors import InputError, UsageError
 from service.geometry.se2 import SE2
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.saved_graph import SavedGraph, small_arrays
+from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, load_map, save_map
 from service.offline.maps.edit import undo
 from service.offline.maps.remap import map_remap
@@ -124,22 +124,6 @@ def test_of_the_graph_only_points_in_the_area_went_and_key_frames_came(remapped)
     assert gone == facts["points_gone"] > 100
     assert int(after.graph.point_count[count:].sum()) == facts["points_new"] > 100
     assert len(after.graph.loop_ends) == len(before.graph.loop_ends) + 2  # what holds the drive to the map
-
-
-def test_the_version_says_who_and_what_and_an_undo_takes_it_back(remapped, folder):
-    before, facts, after = remapped
-    assert after.edit is not None
-    assert (after.edit.who, after.edit.what, after.saved_ns) == ("ada", "remap", NOW_NS)
-    assert "m2 about" in after.edit.words
-    assert facts["version"] == after.number == before.number + 1
-    undo(folder, None, "ada", NOW_NS + 1)
-    back = load_map(folder)
-    assert back.graph is not None
-    assert before.graph is not None
-    for name, array in small_arrays(before.graph).items():
-        np.testing.assert_array_equal(small_arrays(back.graph)[name], array, err_msg=name)
-    for place, cells in cells_of(before).items():
-        np.testing.assert_array_equal(cells_of(back)[place], cells)
 
 
 def test_an_area_that_the_drive_did_not_see_is_refused_and_nothing_changes(folder, recording):

@@ -1,12 +1,9 @@
 import json
-from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from service.cli import main
 from service.errors import InputError
-from service.mapper.by_hand import DRAWN_WALL, ByHand, Drawing
 from service.mapstore.files import save_map
 from service.offline.maps.work import map_info, map_merge, map_verify
 from tests.service.mapstore.graphs import graph_of
@@ -25,20 +22,6 @@ def test_a_map_tells_what_it_holds(tmp_path):
     assert facts["disk_mb"] > 0.0
 
 
-def test_a_map_tells_from_when_to_when_it_was_driven(tmp_path):
-    graph = graph_of(6)
-    at_s = np.array([10.0, 11.0, 12.5, 100.0, 101.0, 102.0])
-    graph = replace(graph, stamp_ns=(at_s * 1e9).astype(np.int64), piece=np.array([3, 3, 3, 1, 1, 1]))
-    graph = replace(graph, by_hand=ByHand().and_drawn(Drawing(DRAWN_WALL, 0, np.eye(2)), graph.map))
-    save_map(tmp_path, TILES, 1, graph=graph)
-    facts = map_info(tmp_path)
-    assert facts["walls"] == 1
-    first, second = facts["stretches"]
-    assert (first["from"], first["to"]) == ("1970-01-01T00:00:10Z", "1970-01-01T00:00:12Z")
-    assert (first["from_s"], first["to_s"], first["keyframes"]) == (0.0, 2.5, 3)
-    assert (second["from_s"], second["to_s"]) == (90.0, 92.0)
-
-
 def test_an_older_version_has_figures_of_its_own(tmp_path, capsys):
     save_map(tmp_path, TILES, 1, graph=graph_of(5))
     save_map(tmp_path, TILES, 2, graph=graph_of(60))
@@ -46,13 +29,6 @@ def test_an_older_version_has_figures_of_its_own(tmp_path, capsys):
     assert map_info(tmp_path)["disk_mb"] > map_info(tmp_path, 1)["disk_mb"]
     assert main(["map", "info", f"{tmp_path}@1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["version"] == 1
-
-
-def test_a_map_without_a_graph_says_so(tmp_path):
-    save_map(tmp_path, TILES, 1)
-    facts = map_info(tmp_path)
-    assert facts["can_be_gone_on_in"] is False
-    assert "keyframes" not in facts
 
 
 def test_every_version_is_verified_and_damage_named(tmp_path):

@@ -10,8 +10,7 @@ from service.cli import main
 from service.errors import InputError, StorageError
 from service.offline.past.moments import GO_TO, Moment, MomentCommands, thinned
 from service.offline.past.recording_view import RecordingView
-from tests.browser.scene import Scene, stamp
-from tests.service.offline.past.past_recordings import LASTS_S, write_past
+from tests.service.offline.past.past_recordings import write_past
 from tests.service.recording.sessions import drive, write_file
 from tests.service.web.conftest import TIMEOUT_S, talk
 
@@ -39,29 +38,6 @@ async def at_second(client, socket, seconds):
         moment = await client.next(socket, "moment")
         if abs(moment["position_s"] - seconds) < 1e-6:
             return moment
-
-
-def test_the_last_moment_is_shown_first_and_then_any(shown):
-    async def look(client):
-        async with client.socket() as socket:
-            hello = await client.next(socket, "hello")
-            assert (hello["vehicle"], hello["verbs"]) == ("drive_0001", [GO_TO])
-            path = await client.next(socket, PATH)
-            assert len(np.frombuffer(path, "<f4", offset=8)) > 200
-            last = await client.next(socket, "moment")
-            assert last["position_s"] == last["duration_s"] == pytest.approx(LASTS_S + 0.005)
-            await client.ask(socket, type="token", token=shown.token)
-            for seconds in (11.0, 2.5, 13.0):
-                moment = await at_second(client, socket, seconds)
-                assert moment["at_s"] == pytest.approx(stamp(seconds) / 1e9, abs=1e-6)
-                expected = Scene().pose(seconds - 0.1)  # its pose came 8 ms after it was measured
-                assert moment["poses"][-1]["x_m"] == pytest.approx(expected.x_m, abs=1e-6)
-                health = await client.next(socket, "health")
-                while health["stamp_s"] != moment["at_s"]:
-                    health = await client.next(socket, "health")
-                assert health["latency_ms"]["front"] == pytest.approx(5.0, abs=0.01)
-
-    talk(shown, look)
 
 
 def test_a_scan_comes_with_its_moment(shown):
@@ -117,14 +93,6 @@ def test_what_cannot_be_meant_is_refused(verb, request_, words):
     assert not answer.ok
     assert words in json.loads(answer.body)["error"]
     assert shown == line.asked == []
-
-
-def test_behind_the_end_is_the_end():
-    line, shown = Line(), []
-    commands = MomentCommands(line, lambda at_ns, payloads: shown.append(at_ns))
-    for position_s in (0.0, 10.0, 1e9):
-        assert json.loads(commands.answer(GO_TO, json.dumps({"position_s": position_s}).encode()).body)["ok"]
-    assert shown == [10**9, 11 * 10**9, 11 * 10**9]
 
 
 def test_a_way_is_thinned_evenly():

@@ -1,8 +1,5 @@
 import json
 import struct
-import subprocess
-import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,7 +14,6 @@ from service.mapstore.files import load_map
 from service.offline.past.replay_page import ReplayPage
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.outputs import UNKNOWN
-from service.recording.mcap_source import Session
 from tests.in_background import started
 from tests.service.offline.replay.test_replay import RecordDrive, record_drive  # noqa: F401 - a fixture
 from tests.service.web.conftest import TIMEOUT_S, talk
@@ -143,25 +139,6 @@ def test_when_it_is_finished_any_moment_can_be_gone_to(
     talk(page.server, look)
 
 
-def test_of_frames_that_were_made_again_only_the_way_is_shown(
-    record_drive: RecordDrive,  # noqa: F811
-    show: Callable[..., ReplayPage],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    ready: list[str] = []
-    session = record_drive(scans=20)
-    monkeypatch.setattr(Session, "metadata", {"from_raw": {}})
-    page = show()
-    monkeypatch.setattr(page.server, "put_ready", lambda payloads: ready.extend(payloads))
-    replay([session], ReplayOptions(), watch=page)
-    assert page.moments is not None
-    session.unlink()  # as that of frames made again
-    ready.clear()
-    page.moments.go_to(0)
-    assert "moment" in ready
-    assert not any(key.startswith("scan/") for key in ready)
-
-
 async def path_of(client: Any, socket: Any) -> Any:
     """The next whole path; pieces that go on from it are passed over."""
     while (message := await client.next(socket, PATH))[1]:
@@ -176,25 +153,6 @@ def cells_of(message: bytes) -> dict[tuple[int, int], bytes]:
     places = np.frombuffer(body, "<i4", 2 * count).reshape(-1, 2).tolist()
     cells = [body[8 * count + k * edge * edge : 8 * count + (k + 1) * edge * edge] for k in range(count)]
     return {(ix, iy): square for (ix, iy), square in zip(places, cells, strict=True)}
-
-
-def test_what_stands_is_shown_while_it_is_mapped_and_not_of_the_finished_map(
-    record_drive: RecordDrive,  # noqa: F811
-    show: Callable[..., ReplayPage],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    facts: list[bytes] = []
-    page = show()
-    put_ready = page.server.put_ready
-    monkeypatch.setattr(
-        page.server,
-        "put_ready",
-        lambda ready: (facts.extend(v for k, v in ready.items() if k == "standing"), put_ready(ready)),
-    )
-    replay([record_drive(scans=60)], ReplayOptions(), watch=page)
-    cells = [struct.unpack_from("<II", payload, 16) for payload in facts]
-    assert cells[0] == cells[-1] == (0, 0)
-    assert any(width * height > 100 for width, height in cells)
 
 
 def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
@@ -251,26 +209,6 @@ def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
     assert len(working.result(TIMEOUT_S).outputs) == 40
 
 
-def test_two_recordings_are_shown_one_after_the_other(
-    record_drive: RecordDrive,  # noqa: F811
-    show: Callable[..., ReplayPage],
-) -> None:
-    page = show()
-    replay([record_drive("a", scans=60)], ReplayOptions(), watch=page)
-    done = replay([record_drive("b", scans=10)], ReplayOptions(), watch=page)
-
-    async def look(client: Any) -> None:
-        async with client.socket() as socket:
-            way = await path_of(client, socket)
-            while not len(way) or way.max() > 0.15:
-                way = await path_of(client, socket)
-            shown = cells_of(await client.next(socket, TILES))
-            known = {key for key, cells in shown.items() if cells.strip(b"\xff")}
-            assert known == {(t.ix, t.iy) for t in done.tiles}
-
-    talk(page.server, look)
-
-
 def test_a_port_that_is_taken_is_reported(show: Callable[..., ReplayPage], caplog: pytest.LogCaptureFixture):
     taken = show().address.removeprefix("http://").partition("/")[0]
     with pytest.raises(StorageError, match="--listen"):
@@ -288,25 +226,3 @@ def test_a_port_that_is_taken_is_reported(show: Callable[..., ReplayPage], caplo
 )
 def test_what_does_not_go_together_is_refused(arguments: list[str]) -> None:
     assert main(["replay", *arguments]) == UsageError.exit_code
-
-
-def test_the_command_writes_says_and_goes_on_showing(
-    record_drive: RecordDrive,  # noqa: F811
-    tmp_path: Path,
-) -> None:
-    command = [sys.executable, "-m", "service", "replay", str(record_drive()), "--web", "--json"]
-    command += ["--listen", ANY_PORT, "--out", str(tmp_path / "out")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        facts = json.loads(process.stdout.readline())
-        assert facts["scans"] == 40
-        assert (tmp_path / "out" / "trajectory.tum").is_file()
-        said: list[str] = []
-        deadline_s = time.monotonic() + TIMEOUT_S
-        while not said or "stays until" not in said[-1]:
-            assert time.monotonic() < deadline_s
-            said.append(process.stderr.readline())
-        assert any(line.startswith("The map, live: http://127.0.0.1:") and "#token=" in line for line in said)
-        process.send_signal(2)
-        assert process.wait(TIMEOUT_S) == 0

@@ -135,18 +135,6 @@ def test_an_export_is_that_of_the_edited_version(edited, tmp_path, to):
     assert made["after"] != made["before"]
 
 
-def test_the_files_of_an_edited_result_are_those_of_its_exports(edited, tmp_path):
-    before, after, _ = edited
-    for name, to in (("trajectory.tum", "tum"), ("graph.g2o", "g2o"), ("map.pgm", "pgm")):
-        export(after, to, tmp_path / name)
-        assert (after / name).read_bytes() == (tmp_path / name).read_bytes()
-        assert (after / name).read_bytes() != (before / name).read_bytes()
-    assert (after / "map.yaml").read_bytes() == (tmp_path / "map.yaml").read_bytes()
-    assert (after / "map.png").read_bytes() != (before / "map.png").read_bytes()
-    live = "trajectory_live.tum"
-    assert (after / live).read_bytes() == (before / live).read_bytes()
-
-
 def test_the_trajectory_moves_with_the_key_frames(edited, bent):
     before, after, _ = edited
     error_m = []
@@ -198,15 +186,6 @@ def test_the_edits_of_the_page_are_in_the_files_too(result):
         view.close()
     assert answer.ok, answer.body
     assert (result / "map.pgm").read_bytes() != before["map.pgm"]
-
-
-def test_summary_and_graph_of_an_edited_result_agree(result):
-    edit(result, "--cut", 6.0, 7.5, "--bridge")
-    summary = json.loads((result / "summary.json").read_text())
-    graph = (result / "graph.g2o").read_text()
-    assert summary["keyframes"] == graph.count("VERTEX_SE2") == len(graph_in(result / "map"))
-    assert summary["map_version"] == 2
-    assert open_result(result).summary == summary
 
 
 def test_a_session_that_extends_the_map_moves_the_trajectory_as_often_as_it_saves(result, bent):

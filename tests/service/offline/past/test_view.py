@@ -1,25 +1,22 @@
 import json
 import struct
-import subprocess
-import sys
 import zlib
 
 import numpy as np
 import pytest
 
-from service.errors import InputError, StorageError
+from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapstore.files import save_map
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
-from service.mapstore.tiles import tiles_of_grid
 from service.offline.maps.change_file import write_changes
 from service.offline.past.view import View
 from service.offline.score.trajectory import write_tum
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.offline.maps.bent_maps import ROUND, save_bent
 from tests.service.offline.maps.test_change_file import CHANGES
-from tests.service.web.conftest import TIMEOUT_S, talk
+from tests.service.web.conftest import talk
 
 TILES, PATH, GRAPH, CHANGED = 1, 3, 4, 6
 ANY_PORT = "127.0.0.1:0"
@@ -57,24 +54,6 @@ def test_a_stored_map_is_shown_as_it_was_saved_and_takes_no_command(show, tmp_pa
             assert mapping["values"]["state"] == "stored"
 
     talk(show(tmp_path / "office"), look)
-
-
-def test_the_result_of_a_replay_is_shown_with_its_path(show, tmp_path):
-    write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
-    write_tum(tmp_path / "trajectory.tum", [(k * 10**9 + 1, SE2(float(k), 0.5, 0.0)) for k in range(4)])
-
-    async def look(client):
-        async with client.socket() as socket:
-            path = await client.next(socket, PATH)
-            assert np.frombuffer(path, "<f4", offset=8).reshape(-1, 2).tolist() == [
-                [0.0, 0.5],
-                [1.0, 0.5],
-                [2.0, 0.5],
-                [3.0, 0.5],
-            ]
-            assert struct.unpack_from("<I", await client.next(socket, TILES), 8) == (6,)
-
-    talk(show(tmp_path), look)
 
 
 def test_a_result_shows_what_had_changed_since_its_map_was_stored(show, tmp_path):
@@ -166,40 +145,6 @@ def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
         View(tmp_path, ANY_PORT)
 
 
-@pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 6.4), (-1.35, -7.05), (12.349, 0.02)])
-def test_every_cell_of_a_grid_lies_in_a_tile_where_it_lay(origin):
-    shown = grid(*origin)
-    found = {}
-    for tile in tiles_of_grid(shown):
-        for row, column in np.argwhere(tile.cells != UNKNOWN).tolist():
-            found[tile.ix * 64 + column, tile.iy * 64 + row] = tile.cells[row, column]
-    column, row = round(origin[0] / 0.05), round(origin[1] / 0.05)
-    expected = {
-        (column + int(c), row + int(r)): shown.cells[r, c] for r, c in np.argwhere(shown.cells != UNKNOWN)
-    }
-    assert found == expected
-
-
 def test_a_folder_without_a_map_is_refused(tmp_path):
     with pytest.raises(InputError, match="no map in it"):
         View(tmp_path, ANY_PORT)
-
-
-def test_a_port_that_is_taken_is_reported(show, tmp_path, caplog):
-    save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
-    first = show(tmp_path / "m")
-    taken = first.address.partition("#")[0].removeprefix("http://").rstrip("/")
-    with pytest.raises(StorageError, match="--listen"):
-        View(tmp_path / "m", taken)
-    assert caplog.text == ""  # said once, by the error
-
-
-def test_the_command_says_where_it_shows_until_it_is_interrupted(tmp_path):
-    save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
-    command = [sys.executable, "-m", "service", "view", "--json", str(tmp_path / "m"), "--listen", ANY_PORT]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        said = json.loads(process.stdout.readline())
-        assert said["address"].startswith("http://127.0.0.1:")
-        process.send_signal(2)
-        assert process.wait(TIMEOUT_S) == 0

@@ -1,6 +1,5 @@
 import json
 import math
-import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -279,37 +278,6 @@ def test_samples_that_are_not_used_are_counted(record_drive: RecordDrive, caplog
     assert "/base/odom: the covariance of 1 of 40 messages is none" in caplog.text
 
 
-@pytest.mark.parametrize("jobs", ["1", in_soak("2")])
-def test_why_scans_were_lost_is_reported_at_the_end(
-    jobs: str, record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
-    sessions = record_drive("a", covered=range(6)), record_drive("b")
-    asked = ["replay", *map(str, sessions), "--out", str(tmp_path / "out"), "--jobs", jobs, "--json"]
-    assert main(asked) == 0
-    said = capfd.readouterr()
-    summary, plain = (json.loads(said.out)[str(session)] for session in sessions)
-    assert summary["state"]["lost"] == 6
-    (covered,) = summary["state_reasons"]["lost"]
-    assert covered == {
-        "id": "few_returns",
-        "reason": f"front: 0 of {BEAMS} beams returned (at least 5); is the window covered, or is there "
-        "nothing in range?",
-        "scans": 6,
-        "first_s": 0.0,
-    }
-    assert plain["state_reasons"]["lost"] == []
-    assert [line for line in summary["warnings"] if " were lost" in line] == [
-        f"6 of 40 scans were lost; 6 of them, from 0.0 s on: {covered['reason']}"
-    ]
-    assert len(plain["warnings"]) == 1  # the laser's time_increment is 0
-    lost = [line for line in said.err.splitlines() if " were lost" in line]
-    assert len(lost) == 1
-    assert "WARNING" in lost[0]
-    assert lost[0].endswith(
-        f"{sessions[0]}: 6 of 40 scans were lost; 6 of them, from 0.0 s on: {covered['reason']}"
-    )
-
-
 def test_recorded_requests_are_fulfilled_where_they_stand(record_drive: RecordDrive):
     """Request k comes before scan k was read; scan k is at k centimetres."""
     done = replay([record_drive(requests={10: "pause", 20: "resume", 30: "reset_map"})], ReplayOptions())
@@ -330,18 +298,6 @@ def test_a_reset_at_the_very_end_leaves_the_map_before_to_be_shown(record_drive:
     assert len(done.outputs) == 40
     assert done.summary["map_tiles"] == plain.summary["map_tiles"] > 0
     write_replay(done, tmp_path / "out")
-
-
-def test_each_result_has_a_folder_of_its_own():
-    a, b, c = Path("a/v_20261121T101500Z_0001.mcap"), Path("b/v_20261121T101500Z_0001.mcap"), Path("c/x.mcap")
-    assert result_folders([[a]], Path("o")) == [Path("o")]
-    assert result_folders([[c]], None) == [Path("out/replay_x")]
-    assert result_folders([[a], [c]], Path("o")) == [Path("o/v_20261121T101500Z"), Path("o/x")]
-    assert result_folders([[a], [b], [b]], None) == [
-        Path("out/replay_v_20261121T101500Z"),
-        Path("out/replay_v_20261121T101500Z_2"),
-        Path("out/replay_v_20261121T101500Z_3"),
-    ]
 
 
 def test_the_same_recording_gives_the_same_bytes_alone_and_among_others(
@@ -387,23 +343,6 @@ def test_a_session_that_cannot_be_read_keeps_no_other_back(
     assert facts[str(bad)]["error"] in said.err
 
 
-def test_the_recorded_config_counts_unless_another_is_given(record_drive: RecordDrive, tmp_path: Path):
-    """Where the laser is believed to sit moves the map."""
-    session = record_drive(config=CONFIG % 1.0)
-    (tmp_path / "other.yaml").write_text(CONFIG % 2.0)
-    pictures = []
-    for options in (ReplayOptions(), ReplayOptions(config=tmp_path / "other.yaml")):
-        write_replay(replay([session], options), tmp_path / "out")
-        pictures.append((tmp_path / "out" / "map.pgm").read_bytes())
-    assert pictures[0] != pictures[1]
-
-
-def test_without_a_recorded_config_the_defaults_and_tf_static_serve(record_drive: RecordDrive):
-    done = replay([record_drive(config=None)], ReplayOptions())
-    assert done.summary["profile"] == "corridor"
-    assert len(done.outputs) == 40
-
-
 def test_a_recorded_config_that_cannot_be_read_asks_for_one(record_drive: RecordDrive):
     session = record_drive(config=CONFIG % 0.0 + "radar: {}\n")
     with pytest.raises(ConfigError, match=r"radar: unknown key(.|\n)*--config"):
@@ -415,38 +354,10 @@ def test_an_unknown_profile_is_a_config_error(record_drive: RecordDrive):
         replay([record_drive()], ReplayOptions(profile="fast"))
 
 
-def test_a_recording_without_a_usable_scan_is_bad_input(record_drive: RecordDrive):
-    with pytest.raises(InputError):
-        replay([record_drive(scans=0)], ReplayOptions())
-
-
-def test_a_paced_replay_takes_its_time(record_drive: RecordDrive):
-    session = record_drive(scans=20)
-    replay([session], ReplayOptions())  # kernels and caches
-    began_s = time.monotonic()
-    replay([session], ReplayOptions(rate=2.0))
-    assert time.monotonic() - began_s >= 19 * 0.02 / 2.0
-
-
 def test_a_folder_that_cannot_be_written_is_a_storage_error(record_drive: RecordDrive, tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="cannot write to"):
         write_replay(replay([record_drive()], ReplayOptions()), tmp_path / "file")
-
-
-def test_files_of_one_session_are_one_drive(tmp_path: Path):
-    names = [
-        "v_20261121T101500Z_0002.mcap",
-        "v_20261121T101500Z_0001.mcap",
-        "v_20261121T120000Z_0001.mcap",
-        "x.mcap",
-    ]
-    for name in names:
-        (tmp_path / name).touch()
-    groups = [[path.name for path in group] for group in group_sessions([tmp_path])]
-    assert groups == [[names[1], names[0]], [names[2]], [names[3]]]
-    given = [tmp_path / names[3], tmp_path / names[0], tmp_path / names[0]]
-    assert group_sessions(given) == [[given[0]], [given[1]]]
 
 
 def test_a_folder_without_recordings_is_bad_input(tmp_path: Path):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.cli.arguments import new_parser
-from service.errors import InputError, UsageError
-from service.mapstore.begin_in import MapVersion, begin_in
+from service.errors import UsageError
+from service.mapstore.begin_in import MapVersion
 from service.mapstore.files import load_map, save_map
 from service.offline.replay.setup import ReplayOptions, set_up
 from service.outputs import TileUpdate
@@ -52,23 +51,9 @@ def session(tmp_path: Path, office: Path) -> Session:
     return open_session(recorder.finish())
 
 
-def test_without_a_version_it_is_the_recorded_one(session: Session, office: Path):
-    setup = set_up(session, ReplayOptions(map=office))
-    assert (setup.map_version, setup.is_as_live) == (1, True)
-    begun = begin_in(office, setup.mapping, setup.map_version)
-    assert len(begun.graph.stamp_ns) == 4
-
-
 def test_a_copy_of_the_map_is_the_same_map(session: Session, office: Path, tmp_path: Path):
     shutil.copytree(office, tmp_path / "elsewhere", symlinks=True)
     assert set_up(session, ReplayOptions(map=tmp_path / "elsewhere")).map_version == 1
-
-
-def test_a_version_that_is_named_counts(session: Session, office: Path):
-    parsed = new_parser().parse_args(["replay", "f.mcap", "--map", f"{office}@2"])
-    assert parsed.map == (office, 2)
-    setup = set_up(session, ReplayOptions(map=office, version=2))
-    assert (setup.map_version, setup.is_as_live) == (2, False)
 
 
 def test_another_map_begins_in_its_newest_version(session: Session, tmp_path: Path):
@@ -103,12 +88,6 @@ def test_an_older_recording_names_the_map_of_its_config(
     set_up(session, ReplayOptions())
     assert f"--map {office} begins there" in caplog.text
     assert set_up(session, ReplayOptions(map=office)).is_as_live
-
-
-def test_a_version_that_is_not_there_is_refused_with_those_there_are(session: Session, office: Path):
-    setup = set_up(session, ReplayOptions(map=office, version=9))
-    with pytest.raises(InputError, match="no version 9; there are 1, 2"):
-        begin_in(office, setup.mapping, setup.map_version)
 
 
 @pytest.mark.parametrize(

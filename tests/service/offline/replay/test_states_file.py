@@ -33,15 +33,6 @@ UNKNOWN = replace(
 )
 
 
-def test_a_row_has_the_sigmas_along_and_across_the_vehicle(tmp_path: Path):
-    write_states(tmp_path / "states.csv", [OUTPUT, UNKNOWN], ["front", "rear, low"])
-    assert (tmp_path / "states.csv").read_text() == (
-        HEADS
-        + "1700000000.000000123,ok,,0.030000,0.010000,2.000000,0.8750,front\n"
-        + '1700000000.000000124,lost,off_map,inf,inf,inf,0.0300,"rear, low"\n'
-    )
-
-
 def test_what_was_written_is_read_back(tmp_path: Path):
     write_states(tmp_path / "states.csv", [OUTPUT, UNKNOWN], ["front", "rear, low"])
     states = read_states(tmp_path / "states.csv")

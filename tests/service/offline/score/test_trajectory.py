@@ -5,7 +5,7 @@ import pytest
 
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.offline.score.trajectory import Trajectory, parse_stamp, read_tum, tum_line, write_tum
+from service.offline.score.trajectory import parse_stamp, read_tum, write_tum
 
 
 def test_a_trajectory_comes_back_with_its_stamps_to_the_nanosecond(tmp_path):
@@ -17,11 +17,6 @@ def test_a_trajectory_comes_back_with_its_stamps_to_the_nanosecond(tmp_path):
     back = read_tum(path)
     assert back.stamp_ns.tolist() == stamps.tolist()
     np.testing.assert_allclose(back.pose, [[p.x_m, p.y_m, p.theta_rad] for p in poses], atol=1e-9)
-
-
-def test_a_line_is_what_tum_readers_expect():
-    line = tum_line(1_211_667_623_000_000_001, SE2(1.5, -2.0, math.pi / 2))
-    assert line == "1211667623.000000001 1.500000000 -2.000000000 0 0 0 0.707106781187 0.707106781187\n"
 
 
 @pytest.mark.parametrize(
@@ -75,18 +70,3 @@ def test_a_file_that_is_none_is_refused(tmp_path):
         read_tum(tmp_path / "binary")
     with pytest.raises(InputError, match="1 pose; a trajectory has at least 2"):
         read_tum(tmp_path / "one")
-
-
-def test_between_two_poses_it_turns_the_short_way():
-    trajectory = Trajectory(np.array([0, 100]), np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]]))
-    quarter, half = trajectory.at(np.array([25, 50]))
-    np.testing.assert_allclose(quarter, [0.25, 0.5, 3.0 + 0.25 * (2 * math.pi - 6.0)])
-    np.testing.assert_allclose(half[:2], [0.5, 1.0])
-    assert abs(half[2]) == pytest.approx(math.pi)
-
-
-def test_at_its_own_stamps_it_gives_its_own_poses():
-    random = np.random.default_rng(2)
-    stamps = 10**18 + np.cumsum(random.integers(1, 10**9, 50))
-    poses = random.uniform(-3.0, 3.0, (50, 3))
-    np.testing.assert_allclose(Trajectory(stamps, poses).at(stamps), poses, atol=1e-12)

@@ -1,7 +1,5 @@
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -71,10 +69,6 @@ def test_a_unit_that_was_kept_is_reported_by_what_it_starts(tmp_path: Path):
     assert "the unit starts" not in str(install_unit(tmp_path))
 
 
-def test_a_program_that_the_unit_may_not_see_is_reported(tmp_path: Path):
-    assert "may not look" in install_unit(tmp_path, program="/home/me/venv/bin/corridor").warning
-
-
 def test_the_command_that_runs_is_the_one_that_the_unit_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -89,28 +83,3 @@ def test_a_root_that_is_not_there_or_takes_no_files_is_reported(tmp_path: Path):
     (tmp_path / "etc").write_text("")
     with pytest.raises(StorageError, match="cannot be written"):
         install_unit(tmp_path, program=PROGRAM)
-
-
-@pytest.mark.parametrize(
-    ("tool", "package", "arguments"),
-    [
-        ("systemd-sysusers", "systemd", ["--root={root}", "--dry-run", "corridor.conf"]),
-        ("systemd-tmpfiles", "systemd", ["--root={root}", "--create", "--dry-run", "corridor.conf"]),
-        ("udevadm", "udev", ["verify", "--no-style", "{root}/etc/udev/rules.d/60-corridor.rules"]),
-    ],
-)
-def test_the_tools_that_read_these_files_accept_them(
-    tool: str, package: str, arguments: list[str], tmp_path: Path
-):
-    if shutil.which(tool) is None:
-        pytest.skip(f"no {tool}; on Debian and Ubuntu: apt install {package}")
-    help_text = subprocess.run(
-        [tool, "--help"], capture_output=True, text=True, timeout=60, check=True
-    ).stdout
-    option = next(word for word in ("verify", "--dry-run") if word in arguments)
-    if option not in help_text:
-        pytest.skip(f"this {tool} has no {option}; systemd 256 brings it")
-    install_unit(tmp_path, program=PROGRAM)
-    command = [tool, *(argument.format(root=tmp_path) for argument in arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr

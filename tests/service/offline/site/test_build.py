@@ -27,7 +27,6 @@ from service.mapstore.files import load_map, save_map
 from service.offline.cluster.engines import Ended, in_turn
 from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.replay.setup import ReplayOptions
-from service.offline.score.trajectory import read_tum
 from service.offline.site.build import site_build
 from service.offline.site.manifest import SITE_FILE
 from service.offline.site.tasks import Find, FindLoops
@@ -145,14 +144,6 @@ def test_a_drive_of_another_place_is_left_out_by_its_name(three):
     assert "overlap too little" in report["left_out"]["elsewhere"]
 
 
-def test_each_path_is_written_in_the_map_of_the_site(three):
-    out, _ = three
-    path = read_tum(out / "paths" / "b.tum")
-    graph = load_map(out).graph
-    np.testing.assert_allclose(path.pose, graph.map[COUNT : 2 * COUNT], atol=1e-8)
-    np.testing.assert_array_equal(path.stamp_ns, graph.stamp_ns[COUNT : 2 * COUNT])
-
-
 def test_the_order_in_which_tasks_end_does_not_change_a_byte(three, drives, tmp_path):
     out, _ = three
     again = tmp_path / "map"
@@ -268,14 +259,6 @@ def test_a_drive_that_contradicts_another_one_is_named_in_a_warning(grown, drive
     assert [line for line in lines if line.startswith("warning: ")] == [f"warning: {one}" for one in warnings]
     assert lines[-1].endswith("; 1 warning") == bool(warned)
     assert not warned or "b: at its loops to a, 3.7 % of the points" in warnings[0]
-
-
-def test_a_drive_that_was_left_out_and_mapped_again_is_looked_for_again(three, tmp_path):
-    out = Path(shutil.copytree(three[0], tmp_path / "map", symlinks=True))
-    store(tmp_path / "elsewhere", driven("d", 9))
-    report = build([tmp_path / "elsewhere"], out)
-    assert names_in(report) == ["a", "b", "c", "elsewhere"]
-    assert report["left_out"] == {}
 
 
 def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
