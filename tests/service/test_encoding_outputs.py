@@ -10,7 +10,7 @@ from service import encoding
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import ApplyResult
-from service.outputs import NO_REASON, Grid, MapperOutput
+from service.outputs import NO_REASON, Grid, MapperOutput, TileUpdate
 from tests.service.test_encoding import STORE, T0_NS, serialized
 
 OUTPUT = MapperOutput(
@@ -92,6 +92,14 @@ def test_a_grid_survives_and_its_rows_run_along_x():
     decoded = encoding.decode_grid(message.payload)
     assert (decoded.cell_m, decoded.x_min_m, decoded.y_min_m) == (0.05, -1.5, 2.0)
     np.testing.assert_array_equal(decoded.cells, cells)
+
+
+def test_a_tile_lies_where_its_indices_say():
+    tile = TileUpdate(level=1, ix=-2, iy=3, version=9, cell_m=0.5, cells=np.zeros((4, 4), dtype=np.int8))
+    message = encoding.encode_tile(tile, T0_NS, T0_NS)
+    assert message.channel == "map/tile/1/-2/3"
+    decoded = encoding.decode_grid(message.payload)
+    assert (decoded.x_min_m, decoded.y_min_m) == (-4.0, 6.0)
 
 
 def test_a_grid_of_another_size_than_it_says_is_refused():

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.sick_lms100.protocol import Decoder, Dialect, Telegram, encode, reader
+from drivers.sick_lms100.protocol import Decoder, Dialect, Telegram, encode, reader, writer
 from drivers.sick_lms100.telegrams import (
     ScanDataConfig,
     read_scan,
@@ -389,3 +389,17 @@ def test_garbage_is_answered_with_nothing():
         assert bench.say(b"\x00\xff\x02garbage" * 100) == b""
     assert bench.device.counters["garbage"] > 0
     assert bench.say(b"\x02sRN SCdevicestate\x03") != b""
+
+
+def test_name_comment_position_and_encoder_are_sent_where_asked_for():
+    layout = replace(
+        ScanDataConfig(1, False, False), name=True, comment=True, position=True, encoder=1, time=False
+    )
+    w = writer(ASCII)
+    layout.write(w)
+    bench = streaming()
+    bench.say(LOGIN)
+    assert bench.say(b"\x02sWN LMDscandatacfg " + w.body + b"\x03") == b"\x02sWA LMDscandatacfg\x03"
+    [(_, scan), *_] = bench.scans(100)
+    assert (scan.name, scan.comment, scan.encoders, scan.time) == ("not defined", "", ((0, 0),), None)
+    assert scan.position == (0.0,) * 7

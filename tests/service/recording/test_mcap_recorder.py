@@ -56,6 +56,15 @@ def test_what_was_put_is_what_rosbags_reads(recorder, tmp_path):
     assert recording.library == "corridor 0.1.0"
 
 
+def test_a_log_time_that_steps_back_is_written_as_it_is_and_counted(recorder):
+    session = recorder()
+    for index in (0, 2, 1):
+        session.put(scan_message(index))
+    (path,) = session.finish()
+    assert session.health.steps_back == 1
+    assert [log_ns for _, log_ns, _ in read_back(path)] == sorted(scan_message(i).log_ns for i in range(3))
+
+
 def test_each_rotated_file_is_complete_by_itself(recorder):
     session = recorder(rotate_s=1.0, metadata={"config": {"vehicle": "veh1"}})
     messages = drive(120)

@@ -29,6 +29,13 @@ def test_the_first_is_due_at_once_and_the_next_after_the_interval() -> None:
     assert schedule().is_due(DUE_NS, is_waiting=False)
 
 
+def test_it_is_made_where_the_pause_to_the_next_scan_is_as_long_as_a_fork() -> None:
+    assert schedule().is_due(DUE_NS + 12 * MS, is_waiting=False)
+    assert not schedule().is_due(DUE_NS + 13 * MS, is_waiting=False)
+    assert not schedule().is_due(DUE_NS + 30 * MS, is_waiting=False)  # a scan is overdue
+    assert schedule().is_due(DUE_NS + 200 * MS, is_waiting=False)  # the laser is silent
+
+
 def test_it_is_not_made_while_items_wait_until_it_is_overdue() -> None:
     assert not schedule().is_due(DUE_NS, is_waiting=True)
     late = schedule(LATE_NS - 30 * MS)
