@@ -106,3 +106,27 @@ def test_notices_cover_no_instruction_and_keep_their_buttons_whole(phone, size):
     assert max(heights) <= 40
     phone.run("document.getElementById('notices').replaceChildren()")
     phone.element("map").send_keys(Keys.ESCAPE)
+
+
+def test_a_tap_shows_why_a_control_is_disabled_and_what_a_column_is(still):
+    tap = (
+        "const {x, y, width, height} = arguments[0].getBoundingClientRect();"
+        "const at = {clientX: x + width / 2, clientY: y + height / 2, bubbles: true};"
+        "arguments[0].parentElement.dispatchEvent(new PointerEvent('pointerup', {...at, pointerType: arguments[1]}))"
+    )
+    still.resize(PHONE)
+    still.choose("control")
+    still.run("corridor.connection.on.verbs({verbs: ['save_map', 'pause', 'resume']})")
+    resume = still.element("do-resume")
+    why = resume.get_attribute("title")
+    assert not resume.is_enabled()
+    assert why
+    still.run(tap, resume, "mouse")
+    assert still.texts(".notice span") == []
+    still.run(tap, resume, "touch")
+    assert still.texts(".notice span") == [f"{why}."]
+    still.press("Close notice")
+    still.choose("information")
+    still.run(tap, still.driver.find_element("xpath", "//th[text()='Delay ms']"), "touch")
+    assert still.texts(".notice span") == ["from the measurement to its arrival."]
+    still.press("Close notice")

@@ -19,12 +19,22 @@ export const setText = (node, text) => {
   if (node.textContent !== text) node.textContent = text;
 };
 
-/** Disable a control, and say why where the pointer rests and to who hears the page; "": it works. */
+/** Disable a control, and say why where the pointer rests, where a finger taps and to who hears the page; "": it works. */
 export const setRefused = (control, reason) => {
   control.hint ??= control.title; // what it does
   control.disabled = reason !== "";
   control.title = reason || control.hint;
 };
+
+/** A finger does not rest on anything: what a disabled control or the head of a column says is shown when it is tapped. */
+export const showTitlesOnTap = () => document.addEventListener("pointerup", ({ pointerType, target, clientX, clientY }) => {
+  if (pointerType !== "touch") return;
+  for (const one of document.querySelectorAll(":disabled[title], th[title]")) {
+    const { left, right, top, bottom } = one.getBoundingClientRect(); // a disabled control may hear nothing itself
+    const isHit = left <= clientX && clientX <= right && top <= clientY && clientY <= bottom;
+    if (one.title && isHit && one.parentElement.contains(target)) notice(`${one.title}.`);
+  }
+});
 
 export const NO_TOKEN = "Only with the token: enter it under Control";
 

@@ -2,7 +2,7 @@
 
 import { Connection } from "./connection.js";
 import { Control } from "./control.js";
-import { byId, element, setText, swatched } from "./dom.js";
+import { byId, element, setText, showTitlesOnTap, swatched } from "./dom.js";
 import { clockTime, counted, fixed } from "./format.js";
 import { Edit } from "./edit.js";
 import { drawCrossHair } from "./edit_tools.js";
@@ -44,7 +44,7 @@ const connection = new Connection({
     setText(byId("vehicle"), hello.vehicle);
     byId("vehicle").title = hello.vehicle; // it may be cut off
     document.title = `${hello.vehicle} \u00b7 corridor`;
-    information.causes = hello.causes;
+    information.causes = hello.causes ?? [];
     information.putEvents([]); // all of them come again
     history.events = [];
     control.putHello(hello);
@@ -270,6 +270,7 @@ for (const change of ["focus", "blur"]) byId("map").addEventListener(change, () 
 byId("confirm-no").addEventListener("click", () => byId("confirm").close("no"));
 byId("confirm-other").addEventListener("click", () => byId("confirm").close("other"));
 setUpTabs();
+showTitlesOnTap();
 setUpLayers();
 setUpTheme(() => {
   view.readColours();
