@@ -8,6 +8,7 @@ A page that cannot be served is said in health and tried again; mapping goes on 
 
 import asyncio
 import contextlib
+import gzip
 import hashlib
 import json
 import logging
@@ -51,6 +52,7 @@ RETRY_S = 5.0
 SERVED_WITHIN_S = 5.0
 HEARTBEAT_S = 20.0
 CLOSE_TIMEOUT_S = 5.0
+LASTING = "public, max-age=31536000, immutable"  # a year
 COMMAND_THREADS = 4
 WRITE_BUFFER = 262_144  # bytes that wait in the process for a browser that does not read
 NO_PLACE = WSCloseCode.TRY_AGAIN_LATER, "the places without a token are taken"
@@ -115,7 +117,8 @@ class WebServer:
         self._scheme = "https" if config.tls_certificate else "http"
         self._view = LiveView(time.monotonic_ns)
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
-        self._files = _static_files()
+        self._edition, self._files = _static_files()
+        self._packed: dict[str, bytes] = {}  # by name, once somebody has asked for it
         self._manual = Manual()
         self._downloads = Downloads(self._resources(folders) if folders else None)
         self._browsers: dict[Browser, None] = {}  # the oldest first
@@ -270,6 +273,7 @@ class WebServer:
         app.router.add_get("/", partial(self._file, "index.html"))
         for name in self._files:
             app.router.add_get(f"/{name}", partial(self._file, name))
+            app.router.add_get(f"/{self._edition}/{name}", partial(self._lasting_file, name))
         self._manual.add_to(app)
         app.router.add_get("/ws", self._websocket)
         app.router.add_get("/download/{ticket}/{name}", self._downloads.hand_out)
@@ -292,6 +296,15 @@ class WebServer:
         if request.headers.get("If-None-Match") == tag:
             return web.Response(status=304, headers={"ETag": tag})
         return web.Response(body=content, headers={"Content-Type": content_type, "ETag": tag})
+
+    async def _lasting_file(self, name: str, request: web.Request) -> web.Response:
+        """By an address that no other content will have: a browser that has it asks no more."""
+        content, content_type, _ = self._files[name]
+        headers = {"Content-Type": content_type, "Cache-Control": LASTING, "Vary": "Accept-Encoding"}
+        if "gzip" in request.headers.get("Accept-Encoding", ""):
+            headers["Content-Encoding"] = "gzip"
+            content = self._packed.setdefault(name, gzip.compress(content, mtime=0))
+        return web.Response(body=content, headers=headers)
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if not self._seats.has_place(self._browsers):
@@ -382,7 +395,8 @@ def start_serving(server: WebServer) -> None:
 
 async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
     """To every response, refusals and downloads too."""
-    response.headers.update(HEADERS)
+    for name, value in HEADERS.items():
+        response.headers.setdefault(name, value)
 
 
 def _post(browser: Browser, shown: Shown) -> None:
@@ -392,17 +406,23 @@ def _post(browser: Browser, shown: Shown) -> None:
         browser.send_queue.note(shown.payload)
 
 
-def _static_files() -> Mapping[str, tuple[bytes, str, str]]:
-    """By name: content, type, tag. Read once; nothing else of the disk can be asked for."""
+def _static_files() -> tuple[str, Mapping[str, tuple[bytes, str, str]]]:
+    """Name of their edition, another one for other content; and by name: content, type, tag. Read once;
+    nothing else of the disk can be asked for.
+    """
     files = {}
     for file in package_files("service.web").joinpath("static").iterdir():
         kind = file.name.rpartition(".")[2]
         if kind in _TYPES:
             files[file.name] = file.read_bytes()
+    edition = hashlib.sha256(b"".join(files[name] for name in sorted(files))).hexdigest()[:16]
     modules = sorted(name for name in files if name.endswith(".js") and name != "help.js")
     links = "".join(f'  <link rel="modulepreload" href="{name}">\n' for name in modules)  # all at once
-    files["index.html"] = files["index.html"].replace(b"</head>", links.encode() + b"</head>")
-    return {
+    page = files["index.html"].decode().replace("</head>", f"{links}</head>")
+    for name in (*modules, "page.css"):
+        page = page.replace(f'"{name}"', f'"{edition}/{name}"')
+    files["index.html"] = page.encode()
+    return edition, {
         name: (content, _TYPES[name.rpartition(".")[2]], f'"{hashlib.sha256(content).hexdigest()[:16]}"')
         for name, content in files.items()
     }

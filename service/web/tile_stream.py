@@ -10,6 +10,7 @@ from service.outputs import TileUpdate
 from service.web.protocol import encode_tiles
 
 MAX_CELLS = 2**20  # in one message, 1 MiB before deflating: what a pose may have to wait for
+FIRST_CELLS = 2**17  # ... in the first one: the sooner there is something to see
 KEPT_BATCHES = 8
 
 
@@ -62,14 +63,14 @@ class TileFeed:
         newer = [tile for tile in self._source.since(version) if tile.level == 0]
         if not newer:
             return None
-        count = _batch_size(newer)
+        count = _batch_size(newer, MAX_CELLS if version else FIRST_CELLS)
         return Batch(encode_tiles(newer[:count]), newer[count - 1].version, count == len(newer))
 
 
-def _batch_size(tiles: Sequence[TileUpdate]) -> int:
+def _batch_size(tiles: Sequence[TileUpdate], max_cells: int) -> int:
     """How many of the tiles, oldest change first, make a message: of one shape, and no version in two."""
     shape, cell_m = tiles[0].cells.shape, tiles[0].cell_m
-    most = max(1, MAX_CELLS // tiles[0].cells.size)
+    most = max(1, max_cells // tiles[0].cells.size)
     count = 1
     while count < len(tiles) and tiles[count].cells.shape == shape and tiles[count].cell_m == cell_m:
         if count >= most and tiles[count].version != tiles[count - 1].version:

@@ -111,8 +111,9 @@ def test_notices_cover_no_instruction_and_keep_their_buttons_whole(phone, size):
 def test_a_tap_shows_why_a_control_is_disabled_and_what_a_column_is(still):
     tap = (
         "const {x, y, width, height} = arguments[0].getBoundingClientRect();"
-        "const at = {clientX: x + width / 2, clientY: y + height / 2, bubbles: true};"
-        "arguments[0].parentElement.dispatchEvent(new PointerEvent('pointerup', {...at, pointerType: arguments[1]}))"
+        "const at = {clientX: x + width / 2, clientY: y + height / 2, pointerType: arguments[1]};"
+        "const up = new PointerEvent('pointerup', {...at, bubbles: true});"
+        "arguments[0].parentElement.dispatchEvent(up)"
     )
     still.resize(PHONE)
     still.choose("control")

@@ -10,8 +10,8 @@ import { FleetLayer } from "./fleet_layer.js";
 import { Gestures } from "./gestures.js";
 import { History } from "./history.js";
 import { Information, LEVELS } from "./information.js";
-import { drawCompass, drawMetres, northOf, savePicture } from "./map_frame.js";
-import { MapView, scaleBar } from "./map_view.js";
+import { drawCompass, drawMetres, drawScale, northOf, savePicture } from "./map_frame.js";
+import { MapView } from "./map_view.js";
 import { setUpPast } from "./past.js";
 import { setUpReplay } from "./replay.js";
 import { Resources } from "./resources.js";
@@ -127,6 +127,7 @@ function showState() {
 view.overlays = [
   (...drawing) => fleet.draw(...drawing),
   (context, camera, colours) => { if (view.layers.grid) drawMetres(context, camera, colours, view.gridStep_m); },
+  drawScale,
   (context, camera, colours) => drawCompass(context, camera, colours, northOf(health)),
   (...drawing) => edit.draw(...drawing),
   (...drawing) => tool?.draw(...drawing),
@@ -223,9 +224,6 @@ function explainChange() {
 }
 
 view.onDrawn = () => {
-  const bar = scaleBar(view.camera.scale, 140);
-  byId("scale-bar").style.width = `${bar.pixels.toFixed(1)}px`;
-  setText(byId("scale-text"), bar.text);
   if (tool?.text) setText(byId("hint"), tool.text);
 };
 

@@ -74,7 +74,26 @@ export const northOf = (health) => {
   return yaw === undefined ? null : ((90 - Number(yaw)) * Math.PI) / 180;
 };
 
-/** The view as it is shown, with its scale and a line of words, as a PNG file; resolves to the blob. */
+/** A bar of a round length in the lower left corner. */
+export const drawScale = (context, camera, colours) => {
+  const bar = scaleBar(camera.scale, 140), [x, y] = [14, camera.height - 14];
+  context.font = "13px system-ui, sans-serif";
+  context.fillStyle = colours.paper;
+  context.fillRect(x - 6, y - 14, bar.pixels + context.measureText(bar.text).width + 20, 22);
+  context.strokeStyle = context.fillStyle = colours.text;
+  context.lineWidth = 2;
+  context.beginPath();
+  context.moveTo(x, y - 6);
+  context.lineTo(x, y);
+  context.lineTo(x + bar.pixels, y);
+  context.lineTo(x + bar.pixels, y - 6);
+  context.stroke();
+  context.textAlign = "left";
+  context.textBaseline = "alphabetic";
+  context.fillText(bar.text, x + 8 + bar.pixels, y + 1);
+};
+
+/** The view as it is shown, with a line of words, as a PNG file; resolves to the blob. */
 export const pictureOf = async (view, words) => {
   const { canvas, camera, dpr, colours } = view, strip = 26;
   const sheet = new OffscreenCanvas(canvas.width, canvas.height + Math.round(strip * dpr));
@@ -83,19 +102,10 @@ export const pictureOf = async (view, words) => {
   context.fillRect(0, 0, sheet.width, sheet.height);
   context.drawImage(canvas, 0, 0);
   context.scale(dpr, dpr);
-  const bar = scaleBar(camera.scale, 140), y = camera.height + strip - 9;
-  context.strokeStyle = context.fillStyle = colours.text;
-  context.lineWidth = 2;
-  context.beginPath();
-  context.moveTo(10, y - 6);
-  context.lineTo(10, y);
-  context.lineTo(10 + bar.pixels, y);
-  context.lineTo(10 + bar.pixels, y - 6);
-  context.stroke();
+  context.fillStyle = colours.text;
   context.font = "13px system-ui, sans-serif";
-  context.fillText(bar.text, 18 + bar.pixels, y + 1);
   context.textAlign = "right";
-  context.fillText(words, camera.width - 10, y + 1);
+  context.fillText(words, camera.width - 10, camera.height + strip - 8);
   return sheet.convertToBlob({ type: "image/png" });
 };
 

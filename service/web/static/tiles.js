@@ -22,14 +22,8 @@ const blockKey = (column, row) => column * 2097152 + row; // both far below 2^20
 const reduced = (a, b, c, d) => {
   const most = Math.max(a, b, c, d);
   if (most >= OCCUPIED || most < 0) return most;
-  let sum = 0, known = 0;
-  for (const value of [a, b, c, d]) {
-    if (value >= 0) {
-      sum += value;
-      known += 1;
-    }
-  }
-  return Math.round(sum / known);
+  const known = (a >= 0) + (b >= 0) + (c >= 0) + (d >= 0); // what is not known is -1
+  return Math.round((a + b + c + d + 4 - known) / known);
 };
 
 export class TileMap {
@@ -172,12 +166,11 @@ export class TileMap {
       const toX = Math.floor(x / 2), toY = Math.floor(y / 2);
       const block = this.#block(level, Math.floor(toX / BLOCK), Math.floor(toY / BLOCK));
       const left = toX - block.column * BLOCK, low = toY - block.row * BLOCK;
+      const { cells } = below, made = block.cells;
       for (let row = 0; row < size; row += 1) {
-        for (let column = 0; column < size; column += 1) {
-          const at = (evenY + 2 * row) * BLOCK + evenX + 2 * column;
-          const cells = below.cells;
-          const value = reduced(cells[at], cells[at + 1], cells[at + BLOCK], cells[at + BLOCK + 1]);
-          block.cells[(low + row) * BLOCK + left + column] = value;
+        let at = (evenY + 2 * row) * BLOCK + evenX;
+        for (let to = (low + row) * BLOCK + left, end = to + size; to < end; to += 1, at += 2) {
+          made[to] = reduced(cells[at], cells[at + 1], cells[at + BLOCK], cells[at + BLOCK + 1]);
         }
       }
       block.isStale = true;

@@ -1,6 +1,7 @@
 import asyncio
 import contextlib
 import json
+import re
 import shutil
 import socket as sockets
 import ssl
@@ -60,6 +61,31 @@ def test_the_page_and_all_it_needs_come_with_strict_headers(serve):
                 tag = response.headers["ETag"]
             async with client.session.get(f"{client.address}{name}", headers={"If-None-Match": tag}) as again:
                 assert again.status == 304
+
+    talk(serve(), look)
+
+
+def test_files_of_the_page_lie_where_a_browser_that_has_them_asks_no_more(serve):
+    async def look(client):
+        async with client.session.get(client.address) as response:
+            page = await response.text()
+            assert response.headers["Cache-Control"] == "no-cache"
+        (edition,) = set(re.findall(r'"([0-9a-f]{16})/[a-z_]+\.(?:js|css)"', page))
+        for name in ("main.js", "page.css", "tiles.js"):
+            assert f'"{edition}/{name}"' in page
+            async with client.session.get(f"{client.address}{edition}/{name}") as packed:
+                assert packed.headers["Content-Encoding"] == "gzip"
+                assert "immutable" in packed.headers["Cache-Control"]
+                assert packed.headers["Content-Security-Policy"].startswith("default-src 'none'")
+                content = await packed.read()
+            whole = {"Accept-Encoding": "identity"}
+            async with client.session.get(f"{client.address}{edition}/{name}", headers=whole) as plain:
+                assert "Content-Encoding" not in plain.headers
+                assert await plain.read() == content
+        other = edition[::-1]
+        async with client.session.get(f"{client.address}{other}/main.js") as gone:
+            assert gone.status == 404
+            assert gone.headers["Cache-Control"] == "no-cache"
 
     talk(serve(), look)
 
