@@ -138,7 +138,7 @@ def refuse_line(corners: Floats) -> None:
     if len(corners) < 2:
         raise EditError(f"a wall goes through 2 points or more, not {len(corners)}")
     for piece in pairwise(corners):
-        _refuse_if_large(np.array(piece), "a piece of the wall", "draw it through more points")
+        _refuse_if_large(np.array(piece), "a part of the wall", "draw it through more points")
 
 
 def _refuse_if_large(points: Floats, what: str, instead: str) -> None:

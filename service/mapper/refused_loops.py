@@ -18,7 +18,7 @@ WORDS = (
     "no other loop near it says the same",
     "the rest of the graph contradicts it",
     "taken back by hand",
-    "it is farther from where the way leads than that can have drifted",
+    "it is farther from where the path leads than that can have drifted",
 )
 PREFIX = "refused_"  # of the names in a file
 

@@ -81,7 +81,7 @@ def test_a_loop_of_a_running_session_is_listed_shown_refused_and_accepted(page, 
     name = f"Loop at {worst['back_at_s']:.0f} s"
     page.wait_for("return document.querySelector('.loops .stored-name')")
     assert page.run(LIST, "Accepted loops")[0] == name
-    for words in ("% on walls", "in free space", "residual", "sigma", "of path between them"):
+    for words in ("points on walls", "in free space", "residual", "sigma", "of path later"):
         assert words in page.text("edit")
     press(page, "Accepted loops", 0, "Show")  # fetches the key frames first
     places = "const {a, b} = corridor.edit.pairs.places;"

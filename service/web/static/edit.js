@@ -273,7 +273,7 @@ export class Edit {
   #entry({ version, is_current, saved, who, words }) {
     const when = new Date(saved).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
     const entry = element("li", {}, element("p", { className: "stored-name" }, `${version}: ${words}`),
-      element("p", { className: "note" }, `${who}, ${when}${is_current ? ", the present one" : ""}`));
+      element("p", { className: "note" }, `${who === "-" ? "" : `${who}, `}${when}${is_current ? ", the present one" : ""}`));
     if (!is_current) {
       entry.append(element("div", { className: "row" },
         element("button", { type: "button", onclick: () => this.#goBack(version) }, `Go back to version ${version}\u2026`),

@@ -102,7 +102,7 @@ export class EditLoops {
 const nameOf = ({ loop, back_at_s }) => (loop === undefined ? `loop at ${fixed(back_at_s, 0, " s")}` : `loop ${loop}`);
 
 const evidence = ({ x_m, y_m, from_s, back_at_s, way_m, points, on_map, in_free, off_mm, off_deg, sigma_mm, sigma_deg }) => [
-  `${fixed(from_s, 0)} to ${fixed(back_at_s, 0, " s")}, ${fixed(way_m, 0, " m")} of path between them, at x ${fixed(x_m, 1)}, y ${fixed(y_m, 1, " m")}`,
-  `${points || "\u2013"} points, ${fixed(100 * on_map, 0, " %")} on walls${in_free === null ? "" : `, ${fixed(100 * in_free, 0, " %")} in free space`}`,
+  `Driven at ${fixed(from_s, 0, " s")} and, ${fixed(way_m, 0, " m")} of path later, at ${fixed(back_at_s, 0, " s")}, at x ${fixed(x_m, 1)}, y ${fixed(y_m, 1, " m")}`,
+  `${fixed(100 * on_map, 0, " %")} of ${points || "the"} points on walls${in_free === null ? "" : `, ${fixed(100 * in_free, 0, " %")} in free space`}`,
   `residual ${fixed(off_mm, 1, " mm")}, ${fixed(off_deg, 2, "\u00b0")}`,
   ...(sigma_mm === undefined ? [] : [`sigma ${fixed(sigma_mm, 0, " mm")}, ${fixed(sigma_deg, 2, "\u00b0")}`])].join("; ");

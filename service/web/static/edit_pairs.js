@@ -125,7 +125,7 @@ export class EditPairs {
 
   #otherPass() {
     const k = this.edit.keyframes.otherPass(this.places.a.keyframe);
-    if (k === null) this.edit.say("No other pass: the way is shorter than 10 m", "error");
+    if (k === null) this.edit.say("No other pass: the path is shorter than 10 m", "error");
     else this.places.b.choose(k);
   }
 

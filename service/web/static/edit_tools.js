@@ -150,14 +150,14 @@ export class KeyframeTool {
   constructor(view, keyframes, what, chosen) {
     this.view = view;
     this.keyframes = keyframes;
-    this.hint = `Click the way: ${what}. Esc ends.`;
+    this.hint = `Click the path: ${what}. Esc ends.`;
     this.chosen = chosen;
   }
 
   click(point) {
     const k = this.keyframes.nearest(this.view.camera, point, SNAP_PIXELS);
     if (k !== null) this.chosen(k);
-    else this.text = "The way does not lead along there; click nearer to it, or move the map.";
+    else this.text = "The path does not lead along there; click nearer to it, or move the map.";
     this.view.invalidate();
   }
 

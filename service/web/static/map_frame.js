@@ -76,7 +76,7 @@ export const northOf = (health) => {
 
 /** A bar of a round length in the lower left corner. */
 export const drawScale = (context, camera, colours) => {
-  const bar = scaleBar(camera.scale, 140), [x, y] = [14, camera.height - 14];
+  const bar = scaleBar(camera.scale, 140), [x, y] = [18, camera.height - 22];
   context.font = "13px system-ui, sans-serif";
   context.fillStyle = colours.paper;
   context.fillRect(x - 6, y - 14, bar.pixels + context.measureText(bar.text).width + 20, 22);

@@ -120,7 +120,7 @@ def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None
         if not 0 <= k < len(graph):
             raise EditError(f"there is no key frame {k}; they are numbered from 0 to {len(graph) - 1}")
     if first == second:
-        raise EditError(f"both points are held by key frame {first}: a pair is of two key frames")
+        raise EditError(f"both points are of key frame {first}: a pair is of two key frames")
     seen = se2.points_seen(graph.map[[first, second]], xy_map)
     return replace(graph, by_hand=graph.by_hand.and_paired((first, second), seen))
 

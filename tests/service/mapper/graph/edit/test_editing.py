@@ -163,7 +163,7 @@ def test_a_pair_that_no_one_saw_is_refused(ring: SavedGraph):
         with_pair(ring, nowhere)
     with pytest.raises(EditError, match="there is no key frame 9999"):
         with_pair(ring, nowhere, (0, 9999))
-    with pytest.raises(EditError, match="both points are held by key frame 3"):
+    with pytest.raises(EditError, match="both points are of key frame 3"):
         with_pair(ring, nowhere, (3, 3))
     with pytest.raises(EditError, match="there is no pair 0; there is no pair at all"):
         without_pair(ring, 0)
