@@ -78,7 +78,7 @@ class ImuSample:
 class OdometrySample:
     """Dead reckoning of the wheels: pose of the base in a frame that starts where the driver started.
 
-    Only differences of poses mean something; covariance is that of the pose and grows with the way.
+    Only differences of poses mean something; covariance is that of the pose and grows with the distance.
     """
 
     sensor: str

@@ -72,7 +72,7 @@ class ConfigError(CorridorError):
         self.faults = faults
 
     def __reduce__(self) -> tuple[type["ConfigError"], tuple[list[str]]]:
-        """For the way from another process: not made of the joined lines, as other exceptions are."""
+        """To come from another process: not made of the joined lines, as other exceptions are."""
         return type(self), (self.faults,)
 
 

@@ -16,18 +16,18 @@ from simulators.world import PERSON_RADIUS_M, Mover, Walk, World
 
 STEP_S = 0.1  # between the places that a walk or a path is made of
 FLOOR_STEP_S = 0.02
-LOOK_AHEAD_S = 60.0  # of the drive: whoever walks ahead of the vehicle knows its way so far
+LOOK_AHEAD_S = 60.0  # of the drive: whoever walks ahead of the vehicle knows its path so far
 FOR_EVER_S = 1e9
 SWAY_RADPS = (3.0, 6.0)  # of a person to and fro: about a step a second
 FLOOR_REFLECTIVITY = 0.3
 FLOOR_HALF_M = 50.0  # of the line, to either side
 
-Offset = tuple[float, float]  # m ahead of the base, along the way of the vehicle, and m left of it
+Offset = tuple[float, float]  # m ahead of the base, along the path of the vehicle, and m left of it
 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """The wheels roll by another way than the vehicle moves: 0 frozen (towed, carried), above 1 they spin."""
+    """The wheels roll otherwise than the vehicle moves: 0 frozen (towed, carried), above 1 they spin."""
 
     from_s: float
     to_s: float
@@ -35,7 +35,7 @@ class Slip:
     turn_scale: float = 0.0
 
     def scales(self, time_s: float) -> tuple[float, float]:
-        """Of the way and of the turn, at that time."""
+        """Of distance and turn, at that time."""
         return (self.way_scale, self.turn_scale) if self.from_s <= time_s < self.to_s else (1.0, 1.0)
 
 
@@ -63,7 +63,7 @@ class GyroFault:
 
 
 def rolled(drive: Trajectory, slips: Sequence[Slip], time_s: Floats) -> Floats:
-    """(N, 2) way m and turn rad that the wheels have rolled since the drive began."""
+    """(N, 2) distance m and turn rad that the wheels have rolled since the drive began."""
     travel = drive.travel(time_s)
     for slip in slips:
         begun = drive.travel(np.array([slip.from_s]))
@@ -103,8 +103,8 @@ def with_companions(
 ) -> World:
     """The world with people who walk along with the vehicle from from_s to to_s, one at each of `offsets`.
 
-    They follow the way of the vehicle, before and behind it too, and sway a little.
-    speed_mps  of their own, along that way; None: as fast as the vehicle
+    They follow the path of the vehicle, before and behind it too, and sway a little.
+    speed_mps  of their own, along that path; None: as fast as the vehicle
     stay       they stand where they are at to_s from then on; else there is no one before and after
     """
     time_s = np.append(np.arange(from_s, to_s, STEP_S), to_s)
@@ -140,7 +140,7 @@ def with_train(
     speed_mps: float | None = None,
     reflectivity: float = 0.5,
 ) -> World:
-    """The world with a train, a truck, a row of trolleys on the way of the vehicle, from from_s to to_s.
+    """The world with a train, a truck, a row of trolleys on the path of the vehicle, from from_s to to_s.
 
     left_m     of its near side from the middle of the vehicle; negative: on the right
     speed_mps  None: as fast as the vehicle, its middle beside it all the time; else its middle passes the
@@ -186,13 +186,13 @@ def with_floor_seen(
 
 
 def _way_m(drive: Trajectory, time_s: Floats, speed_mps: float | None) -> Floats:
-    """(N,) along the way of the vehicle, from where the vehicle is at the first of these times."""
+    """(N,) along the path of the vehicle, from where the vehicle is at the first of these times."""
     way_m = drive.travel(time_s)[:, 0]
     return way_m if speed_mps is None else way_m[0] + speed_mps * (time_s - time_s[0])
 
 
 def _beside_way(drive: Trajectory, time_s: Floats, way_m: Floats, left_m: Floats) -> Floats:
-    """(N, 3) x m, y m, theta rad left of the vehicle's way; straight on beyond its ends."""
+    """(N, 3) x m, y m, theta rad left of the vehicle's path; straight on beyond its ends."""
     seconds = np.arange(0.0, float(time_s[-1]) + LOOK_AHEAD_S, STEP_S / 2.0)
     way, first = np.unique(drive.travel(seconds)[:, 0], return_index=True)
     poses = drive.poses(seconds[first])

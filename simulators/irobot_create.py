@@ -1,7 +1,7 @@
 """A pretended Create 1, Create 2 or Roomba: Open Interface bytes in and out, wheels fed by a WheelSource.
 
 Source: the manuals named in drivers.irobot_create.protocol. Drive commands are obeyed as far as the wire
-shows it (packets 39 to 42) but move nothing: the vehicle's way comes from the world.
+shows it (packets 39 to 42) but move nothing: the vehicle's motion comes from the world.
 """
 
 import math

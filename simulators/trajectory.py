@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 NODE_S = 0.01  # a drive is stored at these steps; cubic between them
 STEP_M = 0.005  # path samples while it is being shaped
-EASE_M = 0.3  # curvature ramps over twice this way: a moving mean of this width, applied twice
+EASE_M = 0.3  # curvature ramps over twice this distance: a moving mean of this width, applied twice
 SAME_POSE = 1e-6  # m and rad; a drive that repeats ends where it began
 
 WAY, X, Y, THETA, SPEED, TURN_RATE = range(6)  # columns of a node
@@ -64,7 +64,7 @@ class Trajectory:
     or drives the same again for ever where `repeats` is set.
     """
 
-    nodes: Floats  # (M, 6) at NODE_S: way m, x m, y m, theta rad (unwrapped), speed m/s, turn rate rad/s
+    nodes: Floats  # (M, 6) at NODE_S: distance m, x m, y m, theta rad (unwrapped), speed m/s, turn rate rad/s
     repeats: bool
 
     @property
@@ -93,7 +93,7 @@ class Trajectory:
         return slope * self._moving(time_s)[:, None]
 
     def travel(self, time_s: Floats) -> Floats:
-        """(N, 2) way driven m and angle turned rad since the drive began."""
+        """(N, 2) distance driven m and angle turned rad since the drive began."""
         values = self._interpolate(time_s)
         return np.column_stack([values[:, WAY], values[:, THETA] - self.nodes[0, THETA]])
 
@@ -112,7 +112,7 @@ class Trajectory:
         return moving
 
     def _locate(self, time_s: Floats) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
-        """Node before each time, share of the way to the next, laps finished."""
+        """Node before each time, share of the interval to the next, laps finished."""
         laps = np.floor(time_s / self.duration_s) if self.repeats else np.zeros_like(time_s)
         laps = np.maximum(laps, 0.0)
         place = np.clip((time_s - laps * self.duration_s) / NODE_S, 0.0, len(self.nodes) - 1)
@@ -120,7 +120,7 @@ class Trajectory:
         return index, place - index, laps
 
     def _interpolate(self, time_s: Floats) -> Floats:
-        """(N, 4) cubic Hermite of way, x, y, theta."""
+        """(N, 4) cubic Hermite of distance, x, y, theta."""
         index, share, laps = self._locate(time_s)
         here, there = self.nodes[index], self.nodes[index + 1]
         u = share[:, None]
@@ -132,7 +132,7 @@ class Trajectory:
 
 
 def _slopes(nodes: Floats) -> Floats:
-    """(N, 4) time derivatives of way, x, y, theta."""
+    """(N, 4) time derivatives of distance, x, y, theta."""
     speed, theta = nodes[:, SPEED], nodes[:, THETA]
     return np.column_stack([speed, speed * np.cos(theta), speed * np.sin(theta), nodes[:, TURN_RATE]])
 

@@ -334,7 +334,7 @@ def _cosine_on(rays: Floats, ends: Floats) -> Floats:
 
 
 def _nearest_face(rays: Floats, faces: Floats) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """(N,) way along rays (N, 4) to the nearest of the faces (F, 9), m, inf for none; which one that is."""
+    """(N,) distance along rays (N, 4) to the nearest face (F, 9), m, inf for none; which one that is."""
     c, s = np.cos(rays[:, 2:3]), np.sin(rays[:, 2:3])
     ends = faces[None, :, :4] + rays[:, None, 3:] * faces[None, :, 4:8]
     ex, ey = ends[..., 2] - ends[..., 0], ends[..., 3] - ends[..., 1]
@@ -390,7 +390,7 @@ class WheelTruth:
         return float(left_m), float(right_m)
 
     def _rolled_m(self, time_s: Floats) -> Floats:
-        """(N, 2) way of the left and the right wheel, before its errors."""
+        """(N, 2) travel of the left and the right wheel, before its errors."""
         way_m, turned_rad = rolled(self._ride.world.drive, self._model.slips, time_s).T
         half_m = turned_rad * self._model.wheel_base_m / 2
         return np.column_stack([way_m - half_m, way_m + half_m])

@@ -94,7 +94,7 @@ def walk(
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """A rigid thing with flat faces on its way: a train, the line where a tilted laser meets the floor."""
+    """A rigid thing with flat faces on its path: a train, the line where a tilted laser meets the floor."""
 
     faces: Floats  # (F, 4) x0, y0, x1, y1 in its own frame, m
     path: (

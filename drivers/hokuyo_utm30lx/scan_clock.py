@@ -26,7 +26,7 @@ WINDOW_NS = 4_800_000_000  # shorter than a motor's speed wanders, long enough f
 LINE_AFTER_NS = 1_500_000_000  # a shorter window says too little of the period
 PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # so measured it outlives a restart of the device's clock
 FIT_EVERY = 8  # scans
-MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be on their way
+MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be under way
 NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 said
 
 Stamps = npt.NDArray[np.int64]

@@ -47,7 +47,7 @@ class IrobotCreateConfig(Section):
     wheel_base_m: float = Field(default=math.nan, gt=0.0, le=2.0)  # this and the next two: likewise
     wheel_diameter_m: float = Field(default=math.nan, gt=0.0, le=1.0)
     counts_per_revolution: float = Field(default=math.nan, gt=0.0, le=100_000.0)
-    # True way / reported way, from a calibration drive.
+    # True distance / reported distance, from a calibration drive.
     left_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     right_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     travel_variance_m2_per_m: float = Field(default=1e-4, gt=0.0, le=1.0)  # of each wheel, per metre rolled

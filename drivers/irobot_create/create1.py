@@ -1,4 +1,4 @@
-"""Session with a Create 1: no encoders, so ask for way and turn, and mend what the robot cuts off.
+"""Session with a Create 1: no encoders, so ask for distance and turn, and mend what the robot cuts off.
 
 Packets 19 and 20 give whole millimetres and degrees since they were last read and drop the fraction. In a
 stream, every 15 ms, a turn below 67 deg/s would read as no turn at all. So they are asked for seldom, by a

@@ -275,7 +275,7 @@ def _reach_m(since: Reading, arrived_ns: int) -> float:
 def _started_over(before: Reading, now: Reading) -> bool:
     """Whether the robot was reset in the silence between the two: not all of them send a banner then.
 
-    One that did roll to where both counters are near 0 is taken for one that was reset: its way is not
+    One that did roll to where both counters are near 0 is taken for one that was reset: its motion is not
     counted, the covariance takes it in.
     """
     near_zero = all(abs(counts_between(0, count)) <= NEAR_ZERO_COUNTS for count in (now.left, now.right))

@@ -17,7 +17,7 @@ FASTEST_MPS = 0.5  # of a wheel, by the manual's range of opcode 145
 
 
 def counts_between(old: int, new: int) -> int:
-    """Way from one 16-bit counter reading to the next, -32768..32767 counts, across the wrap either way."""
+    """Travel from one 16-bit counter reading to the next, -32768..32767 counts, across the wrap."""
     half = COUNTER_MODULUS // 2
     return (new - old + half) % COUNTER_MODULUS - half
 

@@ -1,4 +1,4 @@
-"""ROS 2 messages as bytes: the types used, their definitions, and the pieces all of them share."""
+"""ROS 2 messages as bytes: the types used, their definitions, and the parts all of them share."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -9,7 +9,7 @@ from service.geometry.poses import Floats
 
 Cells = npt.NDArray[np.int64]  # (K, 2) row and column, by rising row and column
 
-HALF_WIDTH_CELLS = 0.75  # of a line: so wide that no way between cells, diagonal ones among them, crosses it
+HALF_WIDTH_CELLS = 0.75  # of a line: so wide that no path between cells, diagonal ones among them, crosses it
 
 
 def is_inside(xy: Floats, corners: Floats) -> npt.NDArray[np.bool_]:

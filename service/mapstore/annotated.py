@@ -1,4 +1,4 @@
-"""A map for people: cropped to what is known, with the way driven, the origin and a scale bar.
+"""A map for people: cropped to what is known, with the path driven, the origin and a scale bar.
 
 Marks have colours of a palette whose other entries are the greys themselves: a pixel's index is its grey.
 """

@@ -62,7 +62,7 @@ def write_graph(
 
 
 def ways_of(folder: Path) -> list[Floats]:
-    """(N, 2) m in the map each: the key frames of each stretch of the way that odometry holds together, in
+    """(N, 2) m in the map each: the key frames of each stretch of the path that odometry ties together, in
     the order driven; none where the folder holds no graph.
     """
     if not (folder / GRAPH_FILE).exists():

@@ -1,4 +1,4 @@
-"""The map as tiles with versions, held for whoever asks: subscribers, checkpoints, the whole-map picture.
+"""The map as tiles with versions, kept for whoever asks: subscribers, checkpoints, the whole-map picture.
 
 Tiles come from the mapping thread; everything else reads. An update never waits for a picture in the making.
 """
@@ -64,7 +64,7 @@ class TileStore:
 
     @property
     def version(self) -> int:
-        """The highest version held; 0 while the map is empty."""
+        """The highest version kept; 0 while the map is empty."""
         return self._version
 
     @property
@@ -83,7 +83,7 @@ class TileStore:
         return (max(columns) - min(columns) + 1) * edge_m, (max(rows) - min(rows) + 1) * edge_m
 
     def update(self, tiles: Iterable[TileUpdate]) -> int:
-        """Take tiles in; one that is not newer than what is held is left out. Returns how many were taken."""
+        """Take tiles in; one that is not newer than what is kept is left out. Returns how many were taken."""
         taken = 0
         with self._lock:
             for tile in tiles:

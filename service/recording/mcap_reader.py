@@ -102,7 +102,7 @@ class Recording:
         """Messages by rising log time, those of equal log time as they stand in the file.
 
         from_ns, to_ns    log times of the first and the last that are wanted, both included; None: all.
-                          Of a file with an index only the pieces that hold them are read.
+                          Of a file with an index only the parts that have them are read.
 
         Raises InputError at a damaged place.
         """

@@ -68,7 +68,7 @@ class RecoveryReport:
     messages: int = 0
     first_log_ns: int = 0
     last_log_ns: int = 0
-    bad_chunks: int = 0  # in the middle; what they held is lost
+    bad_chunks: int = 0  # in the middle; their content is lost
     skipped_bytes: int = 0  # of records that are cut off or damaged, even if messages were saved from them
     orphans: int = 0  # messages whose channel's definition was lost
     kept_original: Path | None = None

@@ -154,7 +154,7 @@ class Session:
         """Frames and requests by rising log time, in our sessions the order in which the mapper had them.
 
         Where a foreign recording gives a scan and a sample one log time, the sample goes first: a scan that
-        is mapped before the odometry of its own moment has to guess the last piece of its way.
+        is mapped before the odometry of its own moment has to guess the last part of its motion.
 
         A message that is no use to a mapper is counted and left out. Raises InputError at a damaged place.
         """

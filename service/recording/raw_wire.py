@@ -60,7 +60,7 @@ class WireReplay:
 
     The frames are those of then, to the bit, where the driver is the same and no chunk is missing. Where a
     session raises, the rest of its connection is passed over, as the link closed it, and so are the frames
-    that it held back. Chunks before the first connection are passed over: a session cannot begin in
+    that it kept back. Chunks before the first connection are passed over: a session cannot begin in
     mid-stream.
 
     new_session           what the registry's `session_maker` makes for the sensor's config

@@ -164,7 +164,7 @@ class BackEndProcess:
             self._close_listener()
 
     def submit(self, batch: Any) -> int:
-        """Number of the piece of work."""
+        """Number of the work."""
         self._submitted += 1
         self._send(_Work(self._submitted, batch))
         return self._submitted

@@ -16,7 +16,7 @@ from service.sinks.sink import MapStorage, SessionRecorder, Sink, SinkContext
 
 log = logging.getLogger(__name__)
 
-FLUSH_S = 20.0  # that a sink may take to bring out what it held back
+FLUSH_S = 20.0  # that a sink may take to bring out what it kept back
 CLOSE_S = 40.0  # and to end; the recorder waits 30 s for its disk
 STALL_S = 3.0  # so long where this process neither computes nor writes meanwhile
 LOOK_S = 0.1

@@ -117,7 +117,7 @@ class Sink(Protocol):
         return
 
     def flush(self) -> None:
-        """Nothing is mapped any more: bring out what was held back, and emit what all sinks should have.
+        """Nothing is mapped any more: bring out what was kept back, and emit what all sinks should have.
 
         Ends within 20 s (FLUSH_S of the fan-out), or is left behind.
 

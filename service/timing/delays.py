@@ -29,7 +29,7 @@ Stamps = npt.NDArray[np.int64]
 class Clock:
     """A topic's stamps against log times.
 
-    offset_ns, sigma_ns  log time less stamp less the shortest way of a message, and how well it is known; of
+    offset_ns, sigma_ns  log time less stamp less the shortest transport, and how well it is known; of
                          scans the sweep is in it
     distinct             how many of the stamps differ
     """

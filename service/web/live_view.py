@@ -96,7 +96,7 @@ def kind_of(text: str) -> str:
 
 
 class DrivenPath:
-    """The way driven, thinned: points at least `step_m` apart, never more than `most`. A point of NaN stands
+    """The path driven, thinned: points at least `step_m` apart, never more than `most`. A point of NaN stands
     where the pose jumped, between two stretches.
     """
 
@@ -205,13 +205,13 @@ class LiveView:
         ]
 
     def put_path(self, points_map: FloatArray) -> None:
-        """Take a way in place of the path so far; (N, 2), m, map frame. From any thread."""
+        """Take poses in place of the path so far; (N, 2), m, map frame. From any thread."""
         with self._lock:
             self._came.path = points_map
             self._came.way.clear()
 
     def put_way(self, points_map: FloatArray) -> None:
-        """Take a piece of way behind the path so far; (N, 2), m, map frame. From any thread."""
+        """Take a stretch behind the path so far; (N, 2), m, map frame. From any thread."""
         with self._lock:
             self._came.way.append(points_map)
 

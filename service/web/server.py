@@ -159,11 +159,11 @@ class WebServer:
         self._view.put(message, origin_ns)
 
     def put_path(self, points_map: FloatArray) -> None:
-        """Show this way in place of what was driven; (N, 2), m, map frame."""
+        """Show this path in place of what was driven; (N, 2), m, map frame."""
         self._view.put_path(points_map)
 
     def put_way(self, points_map: FloatArray) -> None:
-        """Show that this was driven, too: a way between two poses of which not all are put; (N, 2), m."""
+        """Show that this was driven, too: a stretch between two poses of which not all are put; (N, 2), m."""
         self._view.put_way(points_map)
 
     def put_ready(self, payloads: Mapping[str, Payload]) -> None:

@@ -1,4 +1,4 @@
-"""Corridors, where a scan says little of the way along."""
+"""Corridors, where a scan says little of the position along."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A library of 45 x 30 m: bookcases in rows, a long glass cabinet, tables and chairs, a way round of 116 m.
+"""A library of 45 x 30 m: bookcases in rows, a long glass cabinet, tables and chairs, a lap of 116 m.
 
 +------------------------------------------+
 | t    <--------------------------     t   |

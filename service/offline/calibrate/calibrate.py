@@ -1,6 +1,6 @@
 """Where the sensors of a recorded drive sit, how wheels count, and whose clock is late; with uncertainties.
 
-Each laser maps the drive alone; its way is then compared with what the wheels counted, what the gyro felt and
+Each laser maps the drive alone; its path is then compared with the wheels, the gyro and
 where the other lasers were. What the drive leaves open is said, and stays as it is configured.
 """
 

@@ -58,7 +58,7 @@ class Fit:
 def fit_wheels(laser: LaserTrack, wheels: WheelTrack, wheel_base_m: float | None) -> Fit:
     """x_m, y_m, yaw_rad: pose_base_laser; scale, turn_scale, turn_per_m of the wheels; offset_s.
 
-    wheel_base_m   as configured: unequal wheels then cost way in turns, too; None: that is left out
+    wheel_base_m   as configured: unequal wheels then cost distance in turns, too; None: that is left out
     offset_s       by how much the wheels' stamps are late against the laser's
 
     Raises InputError where both hardly overlap or nothing was driven.
@@ -195,7 +195,7 @@ def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], w
     """Gauss and Newton with weights. Raises InputError where the numbers make no sense.
 
     way     (N,) of each step: the variance of a step is q * way + 2 r^2, and neighbours share -r^2, with q
-            the noise that grows with the way and r that of a pose; both are read off the residuals
+            the noise that grows with the distance and r that of a pose; both are read off the residuals
     """
     start = np.array([unknown.start for unknown in unknowns])
     believed = np.array([BELIEVED[unknown.unit] for unknown in unknowns]) ** -2.0
@@ -249,7 +249,7 @@ def _whiten(jacobian: Floats, r: Floats, way: Floats, weigh: Floats) -> tuple[Fl
 
 
 def _noise(r: Floats, way: Floats) -> tuple[float, float]:
-    """Variance of a pose, and variance a unit of way, by the scatter of steps and of their neighbours."""
+    """Variance of a pose, and variance a metre, by the scatter of steps and of their neighbours."""
     spread = float(np.median(np.abs(r))) / 0.6745
     core = np.clip(r, -MAX_SIGMAS * spread, MAX_SIGMAS * spread) if spread else r
     core = core - core.mean()

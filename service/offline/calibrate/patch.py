@@ -19,7 +19,7 @@ Changes = dict[str, dict[str, Any]]  # sensor -> key -> value; a mapping is merg
 def wheel_settings(fit: Fit, wheel_base_m: float, left_scale: float, right_scale: float) -> dict[str, float]:
     """Settings by which irobot_create counts the true path; the arguments are as it was.
 
-    With both wheels' scales s (1 - e) and s (1 + e) the way is s times that counted, the turn s b / b' times
+    With both wheels' scales s (1 - e) and s (1 + e) the distance is s times, the turn s b / b' times
     that counted, and 2 s e / b' rad a metre counted come on top.
     """
     scale, turn_scale = fit["scale"], fit["turn_scale"]

@@ -19,7 +19,7 @@ from service.outputs import MapperOutput
 
 Stamps = npt.NDArray[np.int64]
 
-MAX_LOST = 0.05  # of a laser's scans that may fit nowhere; with more its way is not to be trusted
+MAX_LOST = 0.05  # of a laser's scans that may fit nowhere; with more its motion is not to be trusted
 MIN_SCANS = 100
 SMALL_RAD = 1e-6  # below it the chord of an arc is its length
 

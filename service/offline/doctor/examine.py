@@ -1,4 +1,4 @@
-"""`corridor doctor`: looks at everything, changes nothing on this machine, and says what is in the way."""
+"""`corridor doctor`: looks at everything, changes nothing on this machine, and says what is wrong."""
 
 import threading
 from collections.abc import Sequence

@@ -19,7 +19,7 @@ _LABEL_WIDTH = 7
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at. A note is worth knowing, a fault is in the way."""
+    """One thing that was looked at. A note is worth knowing, a fault has to be mended."""
 
     severity: Severity
     who: str  # a sensor's name, or the part of the machine: disk, clock, zenoh

@@ -1,4 +1,4 @@
-"""A device on the network: the way to it before it is called, and why a call failed, in words."""
+"""A device on the network: the route to it before it is called, and why a call failed, in words."""
 
 import errno
 import ipaddress
@@ -15,7 +15,7 @@ _ARP_COMPLETE = 0x2
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The way this machine takes to an address; `gateway` is "" within the interface's own net."""
+    """The route of this machine to an address; `gateway` is "" within the interface's own net."""
 
     interface: str
     gateway: str
@@ -54,7 +54,7 @@ def route_to(machine: Machine, address: str) -> Route | None:
 
 
 def look_at_route(machine: Machine, who: str, address: str, port: int) -> Finding | None:
-    """A fault where this machine has no way to the address, or a way without a cable."""
+    """A fault where this machine has no route to the address, or one without a cable."""
     if not machine.text("/proc/net/route"):
         return None  # no table to be seen: the call itself will tell
     route = route_to(machine, address)

@@ -20,7 +20,7 @@ BAR_SHARE = 0.2  # of the width: about how long the scale bar is
 
 
 def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: GeoReference | None) -> None:
-    """Walls, the way driven, the map's origin, a scale bar and a north arrow, at 1 : 100, y upwards.
+    """Walls, the path driven, the map's origin, a scale bar and a north arrow, at 1 : 100, y upwards.
 
     poses      pose_map_base, may be empty
     reference  None: no one knows where north is, and the arrow shows the map's y axis instead
@@ -69,7 +69,7 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
 
 
 def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
-    """Closed polylines on layer WALLS, the way on TRAJECTORY, the origin on ORIGIN; units are metres.
+    """Closed polylines on layer WALLS, the path on TRAJECTORY, the origin on ORIGIN; units are metres.
 
     Raises OSError, and CorridorError where ezdxf is not installed.
     """

@@ -35,9 +35,9 @@ def write_csv(path: Path, poses: Poses, reference: GeoReference | None) -> None:
 
 
 def write_geojson(path: Path, poses: Poses, walls: Sequence[Points], reference: GeoReference) -> None:
-    """The way as one LineString, walls as a MultiLineString of closed outlines; longitude before latitude.
+    """The path as one LineString, walls as a MultiLineString of closed outlines; longitude before latitude.
 
-    What crosses the meridian of 180 degrees is cut there; the way is a MultiLineString then. What is empty is
+    What crosses the meridian of 180 degrees is cut there; it is a MultiLineString then. What is empty is
     left out. Source: RFC 7946, for the cut section 3.1.9. Raises OSError.
     """
     features = []
@@ -69,7 +69,7 @@ def _feature(kind: str, coordinates: object, about: Mapping[str, object]) -> dic
 
 
 def write_kml(path: Path, poses: Poses, reference: GeoReference) -> None:
-    """The way as one line on the ground (OGC KML 2.3). Raises OSError."""
+    """The path as one line on the ground (OGC KML 2.3). Raises OSError."""
     places = " ".join(
         f"{longitude:.8f},{latitude:.8f},0" for longitude, latitude in _coordinates(poses, reference)
     )

@@ -463,7 +463,7 @@ def _odometry_of(log: _Log, choice: OdometryChoice, report: ImportReport) -> lis
 
 
 def _chained(logged: Sequence[_Odometry]) -> list[_Odometry]:
-    """The way between corrections, put end to end: a pose without a time starts again without moving."""
+    """The motion between corrections, put end to end: a pose without a time starts again without moving."""
     chain, last, result = SE2(), SE2(), []
     for sample in logged:
         if sample.stamp_ns:
@@ -474,7 +474,7 @@ def _chained(logged: Sequence[_Odometry]) -> list[_Odometry]:
 
 
 def _samples(logged: Sequence[_Odometry]) -> list[OdometrySample]:
-    """Twists come from the log, or from the way since the sample before where the log has only zeros."""
+    """Twists come from the log, or from the motion since the sample before where the log has only zeros."""
     has_twist = any(sample.tv_mps or sample.rv_radps for sample in logged)
     samples = []
     last: _Odometry | None = None

@@ -22,7 +22,7 @@ _FITS = (NOT_SUPPORTED, CONTRADICTED, TOO_FAR)  # reasons that leave the alignme
 
 
 def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:
-    """One for each two stretches of the way that disagree with the map by more than two loops that say the
+    """One for each two stretches of the path that disagree with the map by more than two loops that say the
     same; that with the best fit first.
 
     keyframes     the earlier and the later one

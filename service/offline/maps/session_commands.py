@@ -1,7 +1,7 @@
 """Shows the operator's page the map of a running session: a process of its own.
 
 The session goes on extending its map while a person looks at it. So what is looked at is a version as it was
-saved, held here. Key frames of it and of the map as it is later are the same where their stamps are.
+saved, kept here. Key frames of it and of the map as it is later are the same where their stamps are.
 
 One request a line of stdin, its answer a line of stdout, both JSON: {"verb", "map", "request"} and
 {"ok", "error" or what was asked for}. It ends with its stdin, or where nothing is asked for IDLE_S.

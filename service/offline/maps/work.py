@@ -54,7 +54,7 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
 
 
 def stretches(graph: SavedGraph) -> list[dict[str, Any]]:
-    """From when to when each session or piece lasts, also in seconds after the first key frame of the map."""
+    """From when to when each session or detached map lasts, also in s after the first key frame."""
     first_ns = int(graph.stamp_ns.min())
     facts = []
     for piece in dict.fromkeys(graph.piece.tolist()):  # in the order driven

@@ -1,4 +1,4 @@
-"""The moments of a trajectory: where the vehicle was on its way through a map that is finished."""
+"""The moments of a trajectory: where the vehicle was in a map that is finished."""
 
 from bisect import bisect_right
 from collections.abc import Sequence

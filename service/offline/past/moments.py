@@ -142,7 +142,7 @@ def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payloa
 
 
 def thinned(xy_map: Floats, step_m: float, most: int) -> list[int]:
-    """Rows of a way that lie at least `step_m` apart, the step doubled until there are at most `most`.
+    """Rows of a path that lie at least `step_m` apart, the step doubled until there are at most `most`.
 
     xy_map    (N, 2), m; row 0 is among the rows given, where there is one
     """

@@ -136,7 +136,7 @@ def graph_picture(result: Result) -> GraphPicture:
 
 
 def _graph_of_g2o(path: Path) -> GraphPicture:
-    """Poses along the way, and the edges that do not lead from one to the next: loops."""
+    """Poses along the path, and the edges that do not lead from one to the next: loops."""
     if not path.is_file():
         return NO_GRAPH
     places: dict[int, tuple[float, float]] = {}

@@ -73,7 +73,7 @@ def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> Non
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
     as UTM reaches. Raises StorageError.
 
-    map.png is for people: cropped, with the way, the origin and a scale bar.
+    map.png is for people: cropped, with the path, the origin and a scale bar.
     Poses are written as a subscriber or an export of the live session has them, to the last digit.
     """
     try:

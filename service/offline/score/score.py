@@ -104,7 +104,7 @@ class TrajectoryScore:
     alignment: tuple[float, float, float]  # x m, y m, theta rad: takes the estimate to the truth
     rpe_step_m: float
     rpe_pairs: int
-    rpe_m: Spread | None  # None where the way is shorter than a step
+    rpe_m: Spread | None  # None where the path is shorter than a step
     rpe_deg: Spread | None
     closure_m: float  # first to last pose, against the truth's
     closure_deg: float
