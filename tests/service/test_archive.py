@@ -123,3 +123,8 @@ def test_file_urls_are_local_paths():
 def test_a_url_of_no_known_kind_is_wrong_usage(capfd: pytest.CaptureFixture[str]):
     assert main(["replay", "gopher://a/b.mcap"]) == UsageError.exit_code
     assert "gopher://a/b.mcap cannot be opened" in capfd.readouterr().err
+
+
+def test_a_server_that_is_not_there_is_named(capfd: pytest.CaptureFixture[str]):
+    assert main(["replay", "http://127.0.0.1:9/a.mcap"]) == InputError.exit_code
+    assert "http://127.0.0.1:9/a.mcap" in capfd.readouterr().err

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.mapstore.annotated import annotated
+from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.picture import picture_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
 
@@ -17,10 +17,27 @@ def picture():
     return picture_of_grid(Grid(1, CELL_M, X_MIN_M, Y_MIN_M, cells))
 
 
+def pixels_of(picture):
+    return np.vstack(list(picture.bands()))
+
+
 def at(picture, x_m, y_m):
     """Row and column of a place."""
     top_m = picture.y_min_m + picture.height * picture.cell_m
     return int((top_m - y_m) / picture.cell_m), int((x_m - picture.x_min_m) / picture.cell_m)
+
+
+def test_what_is_unknown_around_is_cut_off_and_the_rest_keeps_its_place(picture):
+    shown = annotated(picture)
+    pixels, whole = pixels_of(shown), pixels_of(picture)
+    assert pixels.shape == (shown.height, shown.width)
+    assert shown.width == 200 + 24
+    assert 120 < shown.height < 180
+    marked = np.isin(pixels, list(PALETTE))
+    for x_m, y_m in ((-2.9, -2.9), (6.9, 2.9), (-2.975, 1.0), (3.0, 2.975), (4.0, -2.0)):
+        row, column = at(shown, x_m, y_m)
+        assert not marked[row, column]
+        assert pixels[row, column] == whole[at(picture, x_m, y_m)]
 
 
 def test_a_map_of_which_nothing_is_known_is_shown_whole():

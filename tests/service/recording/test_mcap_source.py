@@ -7,7 +7,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
-from drivers.frames import GnssFix, ImuSample, LaserScan, OdometrySample
+from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan, OdometrySample
 from service import encoding
 from service.encoding import Message, decode_frame, encode_frame, encode_pose
 from service.errors import InputError
@@ -294,6 +294,28 @@ def test_what_cannot_be_used_is_reported_by_topic_and_why(foreign):
         "/odom: the covariance of 2 of 5 messages is none (not finite, or beyond all sense) and counts as "
         "unknown; their poses are used",
     ]
+
+
+@pytest.mark.parametrize(
+    ("span_deg", "beam_interval_ns", "is_reported"),
+    [(359.0, 0, True), (359.0, 300_000, False), (180.0, 0, False)],
+)
+def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_reported(
+    foreign, span_deg: float, beam_interval_ns: int, is_reported: bool
+):
+    beams = 360
+    scan = LaserScan(
+        "front", 1_000_000_000, 1_000_000_000, beam_interval_ns, 100_000_000, -math.pi,
+        math.radians(span_deg) / (beams - 1), 0.1, 12.0, np.full(beams, 2.0, np.float32), NO_INTENSITY,
+    )  # fmt: skip
+    foreign.add_message("/scan", encode_frame(scan))
+    session = open_session(foreign.close())
+    assert len(list(session.frames())) == 1
+    if not is_reported:
+        assert session.losses == []
+        return
+    (loss,) = session.losses
+    assert loss.startswith("/scan: 1 scan (of 1) of more than 200 deg with a time_increment of 0")
 
 
 def test_a_second_odometry_or_imu_in_a_topic_is_refused(foreign):
