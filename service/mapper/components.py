@@ -32,12 +32,11 @@ class Points:
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
     range_sigma_m: float = 0.01  # noise of a range, as the sensor has shown it so far
+    usual_gap: int = 0  # beams from one return to the next, above 1 where not all are measured; 0: by `beam`
 
-    @property
-    def usual_gap(self) -> int:
-        """Beams of the scan from one return to the next; above 1 where the laser measures only some."""
-        gap: int = usual_gap(self.beam)
-        return gap
+    def __post_init__(self) -> None:
+        if not self.usual_gap:
+            object.__setattr__(self, "usual_gap", usual_gap(self.beam))
 
     @property
     def spacing_rad(self) -> float:

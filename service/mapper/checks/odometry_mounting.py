@@ -73,10 +73,12 @@ class OdometryMounting:
         if last is None or stamp_ns - last[0] > LONGEST_STEP_NS:
             self._last = stamp_ns, pose_odom_base, odometry
             return
-        matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
-        way_m = max(math.hypot(matched.x_m, matched.y_m), math.hypot(driven.x_m, driven.y_m))
-        if way_m < MOUNTING_STEP_M and abs(matched.theta_rad) < MOUNTING_STEP_RAD:
+        if not (
+            pose_odom_base.is_step_from(last[1], MOUNTING_STEP_M, MOUNTING_STEP_RAD)
+            or odometry.is_step_from(last[2], MOUNTING_STEP_M, math.inf)
+        ):
             return
+        matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
         self._last = stamp_ns, pose_odom_base, odometry
         self._steps.append(
             (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)

@@ -69,11 +69,14 @@ class OdometryWait:
 
 
 def _are_same(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> bool:
-    """Whether two scans' ranges are equal; no return is equal to no return.
-
-    Takes a quarter of the time of np.array_equal.
+    """Whether two scans' ranges are equal; no return is equal to no return. The first beam that is not ends
+    it, nearly always.
     """
-    if a.shape != b.shape:
-        return False
+    if a.shape != b.shape or not len(a):
+        return a.shape == b.shape
     differs = a != b
-    return not differs.any() or bool((np.isnan(a) & np.isnan(b))[differs].all())
+    first = differs.argmax()
+    first = differs.argmax() if len(a) else 0
+    if a[first] == a[first] or b[first] == b[first]:  # no NaN
+        return not differs[first]
+    return bool((np.isnan(a) & np.isnan(b))[differs].all())

@@ -130,15 +130,15 @@ def _walked(elapsed_s: float) -> tuple[float, float]:
 
 def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     reckoned = begin.reckoned.inverse() @ end.reckoned
-    off = reckoned.inverse() @ begin.matched.inverse() @ end.matched
+    matched = begin.matched.inverse() @ end.matched
+    off_m2 = (matched.x_m - reckoned.x_m) ** 2 + (matched.y_m - reckoned.y_m) ** 2
     travel_m = end.travel_m - begin.travel_m
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
     scale_m = USUAL.odometry_scale_sigma * travel_m
     way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
     way_m2 += turn_rad2 * travel_m**2 / 3.0  # the heading walks along the path
-    turn_chi2 = wrap_angle(off.theta_rad) ** 2 / turn_rad2
-    chi2 = (off.x_m**2 + off.y_m**2) / way_m2 + turn_chi2
-    if chi2 <= CHI2_999_OF_3:
+    turn_chi2 = wrap_angle(matched.theta_rad - reckoned.theta_rad) ** 2 / turn_rad2
+    if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:
         return None
     covariance = np.diag([way_m2, way_m2, turn_rad2])
     return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)

@@ -69,6 +69,7 @@ class RangeBias:
             points.sensor_base,
             points.scan,
             points.range_sigma_m,
+            points.usual_gap,
         )
 
     def is_due(self, sensor: str, travel_m: float) -> bool:

@@ -284,6 +284,7 @@ class SurfelSubmaps:
         self._pause_s = 0.0  # in which nobody measured the way to the piece; 0: it was measured
         self._misses = 0  # scans in a row that fitted neither the map nor the piece
         self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
+        self._is_same_place = False  # as that of the key frame before
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
         self._lasers: dict[str, int] = {}
@@ -376,8 +377,9 @@ class SurfelSubmaps:
         self._advance(points, pose)
         if not self._pair or self._travelled_m >= self._config.spacing_m:
             self._begin_submap()
+        error_left = self._error_left(match, self._pair[0])
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(is_keyframe=True, error_left=self._error_left(match), piece=self._joined_piece)
+        return MapChange(is_keyframe=True, error_left=error_left, piece=self._joined_piece)
 
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
         """Put a lost scan into the piece, if it was matched to it, or begins one; few returns do neither."""
@@ -400,13 +402,19 @@ class SurfelSubmaps:
         if not self._is_keyframe(points, pose, self._detached):
             return MapChange(piece=self._piece)
         self._advance(points, pose)
+        error_left = self._error_left(match, self._detached)
         self._insert_keyframe([self._detached], points, pose)
-        return MapChange(is_keyframe=True, error_left=self._error_left(match), piece=self._piece)
+        return MapChange(is_keyframe=True, error_left=error_left, piece=self._piece)
 
-    def _error_left(self, match: Match) -> float:
-        """What lay on the map keeps it from taking over the pose's error; what is new has all of it."""
+    def _error_left(self, match: Match, submap: Submap) -> float:
+        """What lay on the map keeps it from taking over the pose's error; what is new has all of it, but of
+        the n + 1 scans that a new map has of one place no more than its share.
+        """
         kept = math.exp(-self._moved_m / self._config.memory_m - self._turned)
-        return max(min(kept, match.inlier_ratio), NEW_PIECE_ERROR)
+        known = match.inlier_ratio
+        if self._is_same_place and submap.scan_count < FIRST_SCANS:
+            known = max(known, submap.scan_count / (submap.scan_count + 1))
+        return max(min(kept, known), NEW_PIECE_ERROR)
 
     def _begin_keyframes(self) -> None:
         self._last_keyframe = None
@@ -420,7 +428,9 @@ class SurfelSubmaps:
         return pose.is_step_from(last, self._config.keyframe_distance_m, self._config.keyframe_turn_rad)
 
     def _advance(self, points: Points, pose: SE2) -> None:
-        last = self._last_keyframe
+        last, limits = self._last_keyframe, self._config
+        step = limits.keyframe_distance_m, limits.keyframe_turn_rad
+        self._is_same_place = last is not None and not pose.is_step_from(last, *step)
         self._last_of[points.scan.sensor] = pose
         self._moved_m = math.hypot(pose.x_m - last.x_m, pose.y_m - last.y_m) if last is not None else 0.0
         self._travelled_m += self._moved_m

@@ -63,7 +63,7 @@ def test_normals_know_how_far_apart_returns_are_and_not_how_fine_the_grid_is() -
     noise = np.random.default_rng(2)
     points = points_of(square().xy_base + 0.03 * noise.standard_normal((360, 2)))
     fine = replace(points.scan, angle_step_rad=points.scan.angle_step_rad / 4.0)
-    sparse = replace(points, scan=fine, beam=4 * points.beam)
+    sparse = replace(points, scan=fine, beam=4 * points.beam, usual_gap=4)
     np.testing.assert_allclose(submaps().on_walls(sparse)[1], submaps().on_walls(points)[1], rtol=1e-12)
 
 
@@ -304,6 +304,17 @@ def test_a_scan_of_hardly_any_returns_begins_no_piece_and_none_that_follows_is_l
     change = chain.insert(few, match_at(SE2(1.0, 0.0, 0.0), few, state="lost"))
     assert (change.is_keyframe, change.piece) == (False, 0)
     assert chain.detached is None
+
+
+def test_of_a_standing_vehicle_each_scan_takes_over_no_more_than_its_share(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(FIRST_SCANS, 25)
+    chain = submaps()
+    room = square()
+    chain.insert(room, match_at(SE2(), room))
+    left = [chain.insert(room, replace(match_at(SE2(), room), inlier_ratio=0.6)).error_left for _ in range(3)]
+    assert left == pytest.approx([0.6, 2.0 / 3.0, 0.75])
 
 
 @pytest.mark.parametrize(
