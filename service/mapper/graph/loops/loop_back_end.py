@@ -362,13 +362,16 @@ class LoopBackEnd:
         """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
         config, way = self._config, self.keyframes.way_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
-        group = [
-            loop
-            for loop in self._candidates
-            if abs(way[loop.to] - way[found.to]) <= WITHIN_M
-            and abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
-            and agree(self.keyframes, found, loop, base, growth)
-        ]
+
+        def says_the_same(loop: Loop) -> bool:
+            is_near = abs(way[loop.to] - way[found.to]) <= WITHIN_M
+            is_near &= abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
+            return is_near and agree(self.keyframes, found, loop, base, growth)
+
+        if any(map(says_the_same, self._refusals.by_hand(self._loops))):
+            self._refusals.add([found], BY_HAND)
+            return
+        group = [loop for loop in self._candidates if says_the_same(loop)]
         is_one_spot = np.ptp([way[loop.to] for loop in group]) < config.consensus_span_m
         if is_one_spot and not self._drift.confirms(found):
             return
@@ -447,8 +450,7 @@ class LoopBackEnd:
     def _search_again(self) -> None:
         """Stretches against the passes that lie near them now: revisits that were missed on the way."""
         config, way = self._config, self.keyframes.way_m
-        ends = [(loop.of, loop.to) for loop in self._loops] + self._refusals.by_hand()
-        done = {(round(way[to] / 3.0), round(way[of] / 3.0)) for of, to in ends}
+        done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
         first_m = config.place_m + float(way[self.keyframes.stored])

@@ -41,9 +41,10 @@ class Refusals:
         """The key frames have other numbers now."""
         self._by_ends.clear()
 
-    def by_hand(self) -> list[tuple[int, int]]:
-        """Ends of those that a person took back: no search brings them in again."""
-        return [ends for ends, (_, reason) in self._by_ends.items() if reason == BY_HAND]
+    def by_hand(self, accepted: Collection[Loop]) -> list[Loop]:
+        """Those that a person took back, and did not bring back."""
+        ends = {(loop.of, loop.to) for loop in accepted}
+        return [loop for at, (loop, why) in self._by_ends.items() if why == BY_HAND and at not in ends]
 
     def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
         """Those that were not accepted after all."""
