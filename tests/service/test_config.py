@@ -1,3 +1,4 @@
+import math
 import re
 from pathlib import Path
 
@@ -10,10 +11,13 @@ from service.config import (
     load_config,
     load_replay_config,
     mapped_lasers,
+    mounted_upside_down,
     mountings,
     parse_config,
     parse_replay_config,
+    tf_static,
 )
+from service.encoding import decode_transforms
 from service.errors import ConfigError
 from service.sensor_kinds import SENSOR_KINDS
 
@@ -219,6 +223,17 @@ def test_every_laser_is_mapped_unless_it_says_no_or_others_are_named():
     without = text.replace("host: b}", "host: b, map: false}")
     assert mapped_lasers(parse_config(without, "c.yaml")) == ("rear",)
     assert mapped_lasers(parse_config(with_line("", 3), "c.yaml")) == ()
+
+
+def test_a_sensor_upside_down_and_its_height_stand_in_its_mounting():
+    text = with_line("  front: {type: sick_lms100, host: a, mounting: {x_m: 0.2, z_m: 0.3, yaw_deg: 30.0, "
+                     "upside_down: true}}", 3)  # fmt: skip
+    sensors = parse_config(text, "c.yaml").sensors
+    assert mounted_upside_down(sensors) == {"front"}
+    pose = mountings(sensors)["front"]
+    assert (pose.x_m, math.degrees(pose.theta_rad)) == (0.2, pytest.approx(30.0))
+    (edge,) = decode_transforms(tf_static(sensors, 0).payload)
+    assert edge.translation_m == (0.2, 0.0, 0.3)
 
 
 @pytest.mark.parametrize(

@@ -426,6 +426,19 @@ def test_a_process_that_has_ended_is_killed_once_and_not_again(drive: Drive, mon
     assert [pid for pid in killed if pid] == [first, second]
 
 
+def test_everything_ends_with_the_link(drive: Drive):
+    drive.start().scan(3)
+    drive.until_mapped()
+    drive.until(lambda: drive.link.standby_pid != 0)
+    pids = [drive.link.pid, drive.link.standby_pid]
+    folder = folder_of(drive.link)
+    assert drive.link.finish(TIMEOUT_S)
+    drive.stop()
+    for pid in pids:
+        drive.until(lambda pid=pid: not _is_there(pid))
+    assert not folder.exists()
+
+
 def _is_there(pid: int) -> bool:
     try:
         os.kill(pid, 0)
