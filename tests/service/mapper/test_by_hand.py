@@ -48,16 +48,6 @@ def test_without_the_key_frame_that_held_it_a_drawing_is_held_by_the_next(drawn)
     assert drawn.without_keyframes(np.array([True, False, True, True]), POSES).pair_ends.tolist() == [[0, 1]]
 
 
-def test_of_two_maps_both_keep_what_was_drawn(drawn):
-    away = np.array((100.0, 0.0, 0.0))
-    both = drawn.and_also(drawn, 4)
-    drawings = both.drawings(np.vstack((POSES, POSES + away)))
-    np.testing.assert_allclose(drawings[2].corners_map, LINE + away[:2], atol=1e-12)
-    assert [d.until for d in drawings] == [4, 4, 8, 8]
-    assert both.pair_ends.tolist() == [[0, 2], [4, 6]]
-    assert both.problem(8) == ""
-
-
 def test_areas_come_behind_the_scans_they_were_erased_from_and_walls_at_last(drawn):
     drawn = replace(drawn, until=np.array([4, 2]))
     scans = [(k, ScanToRender(np.zeros((0, 2), np.float32), (0.0, 0.0), None)) for k in (0, 1, 3)]

@@ -17,7 +17,6 @@ from service.mapper.map_changes import (
     MIN_VOTES,
     ChangeWatch,
     MapChanges,
-    group_sizes,
 )
 from tests.service.mapper.maps.points import points_of
 
@@ -214,15 +213,3 @@ def test_cells_are_reported_as_if_each_were_asked_by_itself(seed: int, share: fl
     ):
         assert found.dtype == np.int64
         np.testing.assert_array_equal(found, of[row, column].astype(np.int64) * unit)
-
-
-def test_a_group_that_winds_is_one() -> None:
-    """A spiral, of which neighbours are joined in many steps."""
-    row, column, spiral = 20, 20, [(20, 20)]
-    for k in range(1, 18):
-        dr, dc = ((0, 1), (1, 0), (0, -1), (-1, 0))[k % 4]
-        for _ in range(2 * ((k + 1) // 2)):
-            row, column = row + dr, column + dc
-            spiral.append((row, column))
-    rows, columns = np.array(sorted(spiral)).T
-    assert group_sizes(rows, columns).tolist() == [len(spiral)] * len(spiral)

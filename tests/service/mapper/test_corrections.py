@@ -2,7 +2,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
@@ -30,15 +29,6 @@ def test_the_way_meets_the_corrected_scans_and_bends_evenly_between():
     assert (poses[2], poses[8]) == (SE2(0.2, 0.0, 0.0), SE2(0.8, 0.6, 0.0))
     rises = [b.y_m - a.y_m for a, b in pairwise(poses)]
     np.testing.assert_allclose(rises, [0.0] * 2 + [0.1] * 6 + [0.0] * 2, atol=1e-12)
-
-
-def test_headings_are_bent_the_short_way():
-    turned = [output(0, SE2(0.0, 0.0, 3.1)), output(1, SE2(0.0, 0.0, 3.1)), output(2, SE2(0.0, 0.0, 3.1))]
-    ends = [
-        Correction(0, SE2(0.0, 0.0, 3.1), SE2(0.0, 0.0, 3.1)),
-        Correction(2, SE2(0.0, 0.0, 3.1), SE2(0.0, 0.0, -3.1)),
-    ]
-    assert abs(corrected(turned, ends)[1].theta_rad) == pytest.approx(np.pi, abs=1e-9)
 
 
 def test_what_was_driven_before_a_piece_of_the_map_begins_does_not_bend_to_it():

@@ -24,10 +24,6 @@ def state(evidence: Evidence, **changes: object) -> str:
     return judge(replace(evidence, **changes), RATIOS)[0]  # type: ignore[arg-type]
 
 
-def test_what_lies_on_the_map_is_ok() -> None:
-    assert judge(GOOD, RATIOS) == ("ok", "")
-
-
 def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> None:
     assert state(NEW_GROUND) == "degraded"
     assert state(NEW_GROUND, is_measured=False) == "lost"
@@ -171,10 +167,6 @@ def test_a_sigma_that_measures_nothing_is_not_told_as_a_number(much: float) -> N
 def test_an_open_direction_is_an_axis_with_one_name(direction_deg: float, axis: str) -> None:
     reason = judge(replace(GOOD, weakest=(0.2, math.radians(direction_deg))), RATIOS)[1]
     assert f"the direction {axis} deg from" in reason
-
-
-def test_a_scan_without_returns_is_lost() -> None:
-    assert state(GOOD, used=0, on_map=0, in_free=0, is_measured=False) == "lost"
 
 
 def test_the_sigma_of_a_position_is_that_of_its_worst_direction() -> None:

@@ -117,16 +117,6 @@ def test_a_laser_that_is_not_to_be_mapped_passes(mapper: MappingSession, made: l
     assert mapper.counters == {"scans": 2, "scans_not_mapped": 2}
 
 
-def test_without_a_laser_nothing_is_mapped(made: list[FakeMapper]):
-    mapper = MappingSession(FakeMapper, [])
-    assert mapper.process(scan(1)) is None
-    assert mapper.counters == {"scans_not_mapped": 1}
-
-
-def test_a_request_that_is_fulfilled_already_changes_nothing(mapper: MappingSession):
-    assert [mapper.carry_out(s) for s in ("resume", "pause", "pause", "resume")] == [False, True, False, True]
-
-
 def test_a_reset_gives_a_fresh_mapper_counters_go_on_and_a_pause_lasts(
     mapper: MappingSession, made: list[FakeMapper]
 ):
@@ -227,16 +217,6 @@ def test_work_comes_in_a_fixed_time_after_it_went_out(
         graph.waiting += k in (2, 4)
         mapper.process(scan(k * period_ns))
     assert graph.applied_at == applied_at
-
-
-def test_work_comes_in_when_told_where_no_time_is_given(made: list[FakeMapper]):
-    mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after_ns=None)
-    made[0].graph.waiting = 1
-    for k in range(1, 100):
-        mapper.process(scan(k))
-    assert made[0].graph.applied_at == []
-    mapper.apply_result()
-    assert made[0].graph.applied_at == [99]
 
 
 def test_a_reset_ends_the_old_graph_and_what_it_had_out(made: list[FakeMapper]):

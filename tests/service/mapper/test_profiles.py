@@ -33,7 +33,6 @@ from tests.service.mapper.drives import (
     down_the_corridor,
     drive,
     round_the_room,
-    standing,
 )
 from tests.soaked import in_soak
 
@@ -205,15 +204,6 @@ def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
     assert max(farthest_m) < 0.2
 
 
-def test_standing_still_the_pose_stays() -> None:
-    still = drive(ROOM, standing, 4.0, wheel_scale=None)
-    outputs = run(still.frames)
-    away = errors(outputs, still.truth)
-    assert np.hypot(away[:, 0], away[:, 1]).max() < 0.004
-    assert np.degrees(np.abs(away[:, 2]).max()) < 0.1
-    assert np.abs(away[-50:, :2].mean(axis=0) - away[50:100, :2].mean(axis=0)).max() < 0.001
-
-
 def test_covariance_is_sane_and_honest(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
     outputs = room_outputs
     away = errors(outputs, room_drive.truth)
@@ -319,15 +309,6 @@ def test_a_blank_scan_after_a_lost_one_is_lost(room_drive: Drive) -> None:
     assert "0 of 541 beams returned" in outputs[4].reason
 
 
-def test_a_blank_scan_maps_nothing(room_drive: Drive) -> None:
-    scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:4]
-    seen, more = new_mapper(), new_mapper()
-    run(scans[:3], seen)
-    run([*scans[:3], *without_returns(scans[3:], {scans[3].stamp_ns})], more)
-    assert more.counters["keyframes"] == seen.counters["keyframes"]
-    assert [tile.cells.tobytes() for tile in more.tiles()] == [tile.cells.tobytes() for tile in seen.tiles()]
-
-
 def test_blind_from_the_first_scan_the_map_begins_with_the_first_that_sees(room_drive: Drive) -> None:
     scans = [f for f in room_drive.frames if isinstance(f, LaserScan)]
     blind = [replace(s, range_m=np.full(541, np.nan, np.float32)) for s in scans[:3]]
@@ -339,16 +320,6 @@ def test_a_laser_without_a_mounting_is_refused_by_name(room_drive: Drive) -> Non
     scan = next(f for f in room_drive.frames if isinstance(f, LaserScan))
     with pytest.raises(InputError, match=r"front: .*known: rear"):
         mapper.process(scan)
-
-
-def test_the_shown_map_has_the_walls_and_the_floor_between(
-    room_mapped: tuple[list[MapperOutput], list[TileUpdate]],
-) -> None:
-    tiles = room_mapped[1]
-    start = round_the_room(0.001234567)
-    for world_xy, expected in (((0.0, -2.0), "wall"), ((6.0, 0.0), "wall"), ((1.0, 0.4), "floor")):
-        place = start.inverse() @ SE2(*world_xy, 0.0)
-        assert shown(tiles, place.x_m, place.y_m) == expected
 
 
 def shown(tiles: list[TileUpdate], x_m: float, y_m: float) -> str:

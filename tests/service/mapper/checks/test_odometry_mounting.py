@@ -109,20 +109,6 @@ def test_a_mounting_that_is_right_again_is_believed():
     assert check.fault == ""
 
 
-def test_who_was_carried_makes_no_step():
-    """A metre to the side, again and again, which odometry does not see: the place was lost each time."""
-    check = OdometryMounting()
-    check.add_odometry(sample(-1, SE2()))
-    for k in range(4 * BATCH):
-        if k % 2 == 0:
-            check.interrupt()
-        stamp_ns = k * 200_000_000
-        check.add_odometry(sample(stamp_ns, SE2(0.5 * k, 0.0, 0.0)))
-        check.add_pose(stamp_ns, SE2(0.5 * k, float(k // 2), 0.0))
-    assert len(check._steps) == 2 * BATCH
-    assert check.fault == ""
-
-
 def test_a_pause_of_odometry_or_scans_makes_no_step():
     check = OdometryMounting()
     for k in range(2 * BATCH):  # a metre to the side in each pause of odometry

@@ -1,6 +1,5 @@
 import pickle
 
-import numba
 import numpy as np
 import pytest
 
@@ -35,12 +34,6 @@ def test_a_room_is_free_inside_occupied_at_its_walls_and_unknown_beyond() -> Non
     assert cell(tiles, -3.1, 0.0) == -1
 
 
-def test_the_map_frame_counts_and_not_the_base() -> None:
-    shown = new_map()
-    shown.insert(points_of(np.array([[2.0, 0.0]])), SE2(10.0, -5.0, np.pi / 2.0))
-    assert cell(shown.changed_tiles(), 10.0, -3.0) > 60
-
-
 def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
     shown = new_map()
     shown.insert(points_of(np.array([[1.0, 0.01], [8.0, 0.01]])), SE2())
@@ -67,38 +60,6 @@ def test_the_rest_is_handed_out_with_the_next_call() -> None:
     assert [(t.ix, t.iy, t.version, t.cells.tolist()) for t in handed_out] == [
         (t.ix, t.iy, t.version, t.cells.tolist()) for t in whole.changed_tiles()
     ]
-
-
-def test_who_only_looks_on_changes_nothing_of_what_is_handed_out() -> None:
-    watched, alone = new_map(), new_map()
-    for k in range(6):
-        for shown in (watched, alone):
-            shown.insert(square(2.01, k * SECOND_NS), SE2(0.3 * k, 0.0, 0.0))
-        seen = watched.tiles()
-    handed_out = alone.changed_tiles()
-    for tiles in (seen, watched.changed_tiles(), watched.tiles()):
-        assert [(t.ix, t.iy, t.cells.tolist()) for t in tiles] == [
-            (t.ix, t.iy, t.cells.tolist()) for t in handed_out
-        ]
-    assert alone.changed_tiles() == []
-
-
-def test_handed_out_cells_never_change_afterwards() -> None:
-    shown = new_map()
-    shown.insert(points_of(np.array([[1.0, 0.01]])), SE2())
-    (tile,) = shown.changed_tiles()
-    before = tile.cells.copy()
-    shown.insert(points_of(np.array([[2.0, 0.01]]), SECOND_NS), SE2())
-    shown.changed_tiles()
-    np.testing.assert_array_equal(tile.cells, before)
-
-
-def test_evidence_that_is_full_changes_no_tile() -> None:
-    shown = new_map()
-    for k in range(30):
-        shown.insert(square(2.01, k * SECOND_NS), SE2())
-        tiles = shown.changed_tiles()
-    assert tiles == []
 
 
 @pytest.mark.parametrize(
@@ -166,24 +127,6 @@ def test_a_part_takes_the_place_of_its_cells_alone_also_while_scans_wait_to_be_d
     assert cell(tiles, 1.0, 1.01) > 60
 
 
-def test_a_rendered_map_that_shows_the_same_changes_no_tile() -> None:
-    shown = new_map()
-    seen = ScanToRender(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
-    shown.replace_by(shown.renderer.render([seen]), [])
-    assert shown.changed_tiles()
-    shown.replace_by(shown.renderer.render([seen]), [])
-    assert shown.changed_tiles() == []
-
-
-def test_a_rendered_map_is_of_the_same_types_whether_it_was_drawn_here_or_in_another_process() -> None:
-    """Else the first loop that closes live compiles a kernel, and scans wait for it."""
-    wall = ScanToRender(np.array([[1.0, 0.01], [9.0, 0.01]], np.float32), (0.0, 0.0), SE2())
-    here = new_map().renderer.render([wall])
-    there = pickle.loads(pickle.dumps(here))
-    for name in ("tile_row", "tile_column", "evidence"):
-        assert numba.typeof(getattr(here, name)) == numba.typeof(getattr(there, name))
-
-
 ROOM = ScanToRender(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
 GLASS = np.array([(1.0, -0.5), (1.0, 0.5)])
 CORNER = np.array([(0.4, 0.4), (2.5, 0.4), (2.5, 2.5), (0.4, 2.5)])
@@ -228,10 +171,3 @@ def test_walls_are_there_again_when_a_stored_map_is_gone_on_in() -> None:
     for k in range(20):
         later.insert(square(2.01, stamp_ns=(k + 1) * SECOND_NS), SE2())
     assert cell(later.changed_tiles(), 1.0, 0.0) > 90
-
-
-def test_a_map_without_walls_has_none_after_it_is_replaced() -> None:
-    shown = new_map()
-    shown.replace_by(shown.renderer.render([ROOM, WallToRender(GLASS)]), ())
-    shown.replace_by(shown.renderer.render([ROOM, ROOM, ROOM]), ())
-    assert cell(shown.changed_tiles(), 1.0, 0.0) < 20

@@ -9,7 +9,7 @@ from service.geometry.grid import TileRange
 from service.kernels import tiles as tile_kernels
 from service.kernels.tiles import NO_TILE, take_slot
 from service.mapper.maps import tiles
-from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
+from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from tests.service.kernels.inner import from_python
 
 find_tile = from_python(tile_kernels.find_tile)
@@ -50,18 +50,6 @@ def test_a_map_grows_in_all_directions_without_moving_a_cell() -> None:
     assert np.isnan(read(tile_map, 2, 2))
 
 
-def test_tiles_whose_slots_are_marked_come_in_the_same_order() -> None:
-    tile_map = TileMap(TilePool(LAYERS, 5000))
-    for row, column in ((3, -2), (-1, 4), (3, 5), (0, 0), (-1, -1)):
-        put(tile_map, row, column, 1.0)
-    every = tile_map.tiles()
-    assert [(row, column) for row, column, _ in every] == [(-1, -1), (-1, 4), (0, 0), (3, -2), (3, 5)]
-    marked = np.zeros(8, np.uint8)
-    assert tile_map.tiles(marked) == []
-    marked[[every[k][2] for k in (1, 3, 4)]] = 1, 2, 255
-    assert tile_map.tiles(marked) == [every[1], every[3], every[4]]
-
-
 def test_a_pickled_map_is_the_same_and_weighs_what_its_tiles_do() -> None:
     tile_map = TileMap(TilePool(LAYERS, 1 << 20))
     slots = [put(tile_map, 0, column, float(column)) for column in range(6)]
@@ -74,31 +62,6 @@ def test_a_pickled_map_is_the_same_and_weighs_what_its_tiles_do() -> None:
     assert put(again, 9, 9, 1.0) == put(tile_map, 9, 9, 1.0) == slots[3]
     assert put(again, 9, 8, 1.0) == put(tile_map, 9, 8, 1.0) == slots[2]
     assert put(again, 9, 7, 1.0) == put(tile_map, 9, 7, 1.0) == 6
-
-
-def test_growing_step_by_step_is_rare() -> None:
-    tile_map = TileMap(TilePool(LAYERS, 5000))
-    sizes = set()
-    for column in range(300):
-        put(tile_map, 0, -column, 1.0)
-        sizes.add(tile_map.slots.shape)
-    assert len(sizes) < 20
-
-
-def test_covering_what_is_covered_keeps_the_index() -> None:
-    tile_map = TileMap(TilePool(LAYERS, 5000))
-    tile_map.cover(TileRange(-3, -3, 3, 3))
-    slots = tile_map.slots
-    tile_map.cover(TileRange(-2, 0, 3, 1))
-    assert tile_map.slots is slots
-
-
-def test_two_maps_share_a_pool_and_not_a_tile() -> None:
-    pool = TilePool(LAYERS, 64)
-    one, two = TileMap(pool), TileMap(pool)
-    assert put(one, 0, 0, 1.0) != put(two, 0, 0, 2.0)
-    assert (read(one, 0, 0), read(two, 0, 0)) == (1.0, 2.0)
-    assert pool.used_count == 2
 
 
 def test_released_tiles_are_used_again_and_come_clean() -> None:
@@ -149,10 +112,6 @@ def test_reserved_space_costs_no_memory_until_it_is_touched() -> None:
     pool = TilePool((Layer((64, 64), np.float32),), 100_000)  # 1.6 GB
     pool.arrays[0][99_999] = 1.0
     assert resident_kb() - before_kb < 20_000
-
-
-def test_the_reach_of_points_is_that_of_the_farthest() -> None:
-    assert reach_of(np.array([[1.0, 0.0], [-3.0, 4.0], [0.0, 2.0]])) == 5.0
 
 
 def test_a_place_is_covered_as_far_as_its_reach_and_a_margin_of_cells() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
-from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
+from service.mapper.matchers.covariances import in_base_axes
 
 
 def test_what_is_known_badly_ahead_in_the_map_is_known_badly_to_the_right_of_a_base_turned_left() -> None:
@@ -19,17 +19,3 @@ def test_errors_drawn_in_the_map_scatter_so_in_base_axes(theta_rad: float) -> No
     errors = np.random.default_rng(1).standard_normal((200_000, 3)) @ root.T
     seen = np.column_stack([moved_by(SE2(0.0, 0.0, -theta_rad), errors[:, :2]), errors[:, 2]])
     np.testing.assert_allclose(in_base_axes(root @ root.T, theta_rad), np.cov(seen.T), atol=4e-4)
-
-
-def test_a_diagonal_is_of_sigmas_and_its_inverse_is_their_information() -> None:
-    covariance = diagonal(0.1, 0.02)
-    np.testing.assert_allclose(covariance, np.diag([0.01, 0.01, 0.0004]))
-    np.testing.assert_allclose(inverse(covariance), np.diag([100.0, 100.0, 2500.0]))
-
-
-def test_points_move_with_their_frame() -> None:
-    pose = SE2(1.0, 2.0, math.pi / 2.0)
-    moved = moved_by(pose, np.array([[1.0, 0.0], [0.0, 3.0]]))
-    np.testing.assert_allclose(moved, [[1.0, 3.0], [-2.0, 2.0]], atol=1e-12)
-    there = pose @ SE2(0.4, -0.7, 0.0)
-    np.testing.assert_allclose(moved_by(pose, np.array([[0.4, -0.7]])), [[there.x_m, there.y_m]])

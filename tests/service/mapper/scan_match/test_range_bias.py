@@ -7,12 +7,10 @@ import pytest
 
 from drivers.frames import LaserScan
 from service.mapper.profiles import mapping_config
-from service.mapper.scan_match import range_bias
-from service.mapper.scan_match.range_bias import NODE_M, NODES, RangeBias
+from service.mapper.scan_match.range_bias import NODE_M, NODES
 from simulators.trajectory import Limits
 from simulators.worlds import WORLDS
 from simulators.worlds.mall import mall
-from tests.service.mapper.maps.points import square
 from tests.simulated import LMS100_50HZ, Drive, Imu, Wheels, drives, run
 
 RANGE_M = NODE_M * np.arange(NODES)
@@ -70,15 +68,3 @@ def test_people_who_walk_along_teach_nothing_of_ranges() -> None:
     done = run(mapping_config(), made)
     curve_m = done.mapper.components.matcher.bias_m("front")
     assert np.abs(curve_m[RANGE_M <= 8.0]).max() < 0.003
-
-
-def test_the_prior_is_made_once_a_laser_not_with_every_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It takes half as long as all the rest of a scan."""
-    made = []
-    learnt = range_bias._Learnt
-    monkeypatch.setattr(range_bias, "_Learnt", lambda: made.append(learnt()) or made[-1])
-    bias, points = RangeBias(), square()
-    for sensor in ("front", "rear", "front", "front"):
-        same = bias.without(replace(points, scan=replace(points.scan, sensor=sensor)))
-        np.testing.assert_array_equal(same.xy_base, points.xy_base)
-    assert len(made) == 2

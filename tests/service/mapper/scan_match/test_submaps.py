@@ -67,11 +67,6 @@ def test_normals_know_how_far_apart_returns_are_and_not_how_fine_the_grid_is() -
     np.testing.assert_allclose(submaps().on_walls(sparse)[1], submaps().on_walls(points)[1], rtol=1e-12)
 
 
-def test_before_the_first_scan_there_is_nothing_to_match_to() -> None:
-    assert submaps().matched_to is None
-    assert submaps().detached is None
-
-
 def test_the_older_of_two_is_matched_to_and_the_younger_takes_over() -> None:
     chain = submaps(spacing_m=2.0)
     numbers = []
@@ -123,15 +118,6 @@ def test_scans_between_key_frames_are_left_out() -> None:
     assert points_in(chain.matched_to) == before
     assert insert(chain, 0.3, theta_rad=0.06).is_keyframe
     assert points_in(chain.matched_to) > before
-
-
-def test_a_young_map_takes_its_first_scans_even_standing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FIRST_SCANS, 4)
-    chain = submaps()
-    for _ in range(10):
-        insert(chain, 0.0)
-    assert chain.matched_to is not None
-    assert chain.matched_to.scan_count == 4
 
 
 def test_a_lost_scan_begins_a_detached_piece_that_a_fit_drops() -> None:
@@ -200,15 +186,6 @@ def test_the_error_against_the_map_fades_with_the_way_and_not_with_time(
     assert insert(chain, 0.3).error_left == pytest.approx(math.exp(-1.0))
 
 
-def test_a_scan_without_returns_changes_nothing() -> None:
-    chain = submaps()
-    nothing = points_of(np.empty((0, 2)))
-    for state in ("ok", "lost"):
-        chain.insert(nothing, match_at(SE2(), nothing, state))  # type: ignore[arg-type]
-    assert chain.matched_to is None
-    assert chain.detached is None
-
-
 @pytest.mark.parametrize("place", [(0.0, 0.0), (-1234.5, 876.5), (-0.05, -0.05)])
 def test_a_room_is_the_same_wherever_it_stands(place: tuple[float, float]) -> None:
     chain = submaps()
@@ -225,30 +202,6 @@ def test_a_room_is_the_same_wherever_it_stands(place: tuple[float, float]) -> No
             found.append(max(abs(x), abs(y)))
     np.testing.assert_allclose(found, 2.0, atol=3e-5)
     assert len(found) > 100
-
-
-def test_what_was_moved_away_is_forgotten_and_tiles_handed_back_know_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(FIRST_SCANS, 20)
-    chain = submaps(spacing_m=0.5, keyframe_distance_m=0.01)
-    room = square().xy_base
-    box = np.where((np.abs(np.arctan2(room[:, 1], room[:, 0])) < 0.3)[:, None], 0.5 * room, room)
-    for k, xy in enumerate([box] * 4 + [room] * 4):
-        points = points_of(xy, stamp_ns=k * 50_000_000)
-        chain.insert(points, match_at(SE2(), points, "ok", 0))
-    oldest = chain.matched_to
-    assert oldest is not None
-    grid = oldest.grid()
-    slots = grid.tiles.slots
-    held = grid.surfels[slots[slots >= 0]][..., 0].sum()
-    off = oldest.weighed(points_of(box), np.ones((len(box), 3)), np.zeros(3))[:, 2]
-    is_box = np.hypot(*box.T) < 1.5
-    assert off[is_box].max() < 0.2 * off[~is_box].mean()
-    assert 0 < held <= 8 * np.count_nonzero(~is_box) + 4 * np.count_nonzero(is_box)  # the box itself is gone
-    oldest.release()
-    for sighted in chain._pool.arrays[2:]:
-        assert not sighted[slots[slots >= 0]].any()
 
 
 def test_points_where_nothing_stands_and_points_behind_walls_contradict_the_map(

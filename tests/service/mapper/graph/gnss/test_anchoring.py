@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from service.geometry.geodesy import LocalFrame
-from service.geometry.se2 import SE2
-from service.mapper.graph.gnss import anchoring
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
 from simulators.gnss import GnssModel, Reflection
@@ -198,36 +196,3 @@ def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Out
     assert result.geo is None
     assert result.fixes["fixes_contradicting"] > 50
     assert result.all == bare.all
-
-
-def test_a_lever_arm_that_is_reported_wrong_shows_in_the_place(drive: Outing):
-    """On a way in one direction, where it is said to be 6 m behind where it is."""
-    straight = outing(WAY_M, 1, GnssModel(lasting_sigma_m=0.2), route=lambda way_m: SE2(way_m, 0.0, 0.0))
-    right = fed(straight)[1][-1]
-    wrong = LoopBackEnd(NO_SEARCH, None)
-    for batch in batches(straight):
-        fixes = [replace(fix, antenna_xy_m=(fix.antenna_xy_m[0] - 6.0, 0.1)) for fix in batch.fixes]
-        wrong.work(replace(batch, fixes=fixes))
-    off = wrong.work(Batch([], is_last=True))
-    assert np.median(errors_m(right, straight)) < 0.5
-    assert np.median(errors_m(off, straight)) == pytest.approx(6.0, abs=0.5)
-
-
-def test_a_reference_stays_with_its_fixes_where_none_is_believed_any_more(drive: Outing, monkeypatch):
-    back_end = LoopBackEnd(NO_SEARCH, None)
-    for batch in batches(drive):
-        back_end.work(batch)
-    before = back_end.work(Batch([]))
-    found = anchoring.find_consensus
-
-    def nothing(way):
-        consensus = found(way)
-        return replace(consensus, is_accepted=np.zeros_like(consensus.is_accepted))
-
-    monkeypatch.setattr(anchoring, "find_consensus", nothing)
-    back_end._anchoring._asked = 0
-    after = back_end.work(Batch([], is_last=True))
-    assert before.geo is not None
-    assert after.geo is not None
-    assert after.geo.fixes == before.geo.fixes
-    assert after.fixes["fixes_contradicting"] > 80

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.geometry.polygons import is_inside
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import EDIT_MAP
 from service.mapper.graph.edit.editing import without_loops
@@ -266,17 +265,3 @@ def test_so_many_changes_can_be_taken_back(open_ring: bytes, monkeypatch: pytest
     back_end = pickle.loads(open_ring)
     walls = [asked(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]
     assert [answer.told["undoable"] for answer in walls] == [1, 2, 2]
-
-
-def test_what_was_seen_in_an_area_is_searched_no_more_once_it_is_erased(open_ring: bytes):
-    """Every key frame with a point there loses it, in places that were gathered before, too."""
-    back_end = pickle.loads(open_ring)
-    submap = back_end._submap_about(SPOTS[0])
-    back_end.pieces.make_ready(np.flatnonzero(back_end._usable()))
-    corners = np.array([(3.9, -1.2), (4.7, -1.2), (4.7, -0.6), (3.9, -0.6)])  # a cabinet
-    asked(back_end, what="erase", corners=[*map(tuple, corners.tolist())])
-    assert back_end._submap_about(SPOTS[0]) is not submap
-    assert back_end.pieces._known_map is None
-    keyframes = back_end.keyframes
-    for pose, points in zip(keyframes.map, keyframes.thinned, strict=True):
-        assert not is_inside(se2.points_from(pose, points.xy_base.astype(np.float64)), corners).any()

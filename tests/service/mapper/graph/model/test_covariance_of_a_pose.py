@@ -59,16 +59,6 @@ def test_points_that_two_poses_saw_say_how_well_the_last_is_known(
     assert np.trace(expected) < 0.9 * np.trace(covariance_of(chain(loops), COUNT - 1))
 
 
-def test_two_pairs_of_points_join_what_nothing_else_does():
-    whole = chain([])
-    kept = [k for k in range(len(whole.edges.of)) if k != 20]
-    cut = PoseGraph(whole.poses, rows(whole.edges, kept))
-    assert np.trace(covariance_of(cut, 39)[:2, :2]) > 1e3
-    joined = covariance_of(pairs_of(cut, [(2, 38), (10, 39)]), 39)
-    assert np.trace(joined[:2, :2]) < 0.1
-    assert joined[2, 2] < 0.01
-
-
 def test_a_loop_over_a_step_that_nothing_measures_says_how_well_the_pose_is_known():
     graph = chain([(5, 30)])
     graph.edges.covariance[:-1] = np.diag([1e-8, 1e-8, 1e-10])

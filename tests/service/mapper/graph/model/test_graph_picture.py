@@ -7,17 +7,6 @@ from service.mapper.saved_graph import SavedGraph
 NONE = np.empty((0, 2), np.int64)
 
 
-def test_key_frames_of_unknown_place_and_their_loops_are_left_out() -> None:
-    xy = np.column_stack((np.arange(6.0), np.zeros(6)))
-    picture = draw(
-        7, xy, np.array([0, 0, -1, 1, 1, 1]), np.array([(0, 5), (1, 2)]), np.array([(2, 4), (0, 3)])
-    )
-    assert picture.stamp_ns == 7
-    assert [way.tolist() for way in picture.ways] == [[[0, 0], [1, 0]], [[3, 0], [4, 0], [5, 0]]]
-    assert picture.accepted.tolist() == [[[0, 0], [5, 0]]]
-    assert picture.refused.tolist() == [[[0, 0], [3, 0]]]
-
-
 def test_a_long_way_is_thinned_and_keeps_its_end() -> None:
     count = 10 * MAX_KEYFRAMES + 1
     xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))

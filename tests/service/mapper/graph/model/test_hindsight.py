@@ -82,15 +82,6 @@ def test_without_a_loop_it_is_known_as_the_motion_model_says(odd: dict[str, Sequ
     )
 
 
-@pytest.mark.parametrize(
-    "odd", [{}, {"wide": (7, 8)}, {"doubtful": (5, 6, 11)}, {"piece": (18, 19)}], ids=str
-)
-def test_a_loop_makes_it_no_larger(odd: dict[str, Sequence[int]]) -> None:
-    found = known(driven(**odd), loop=(2, COUNT - 2))
-    assert np.linalg.eigvalsh(found.motion_covariance - found.covariance)[0] > -1e-6
-    assert np.trace(found.covariance) < np.trace(known(driven()).covariance)
-
-
 def test_a_pose_in_the_middle_is_no_better_known_than_what_led_there() -> None:
     graph = graph_of(driven(wide=(7, 8)))
     for k in (5, 12):

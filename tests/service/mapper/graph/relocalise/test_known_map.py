@@ -22,7 +22,7 @@ from service.mapper.graph.relocalise.detached_search import (
     CandidatePose,
     DetachedSearch,
 )
-from service.mapper.graph.relocalise.known_map import MAP_UNKNOWN_LIKELIHOOD, MAX_OF_WALL, KnownMap, Weight
+from service.mapper.graph.relocalise.known_map import MAX_OF_WALL, KnownMap, Weight
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.drives import cast
 
@@ -226,20 +226,6 @@ def test_after_an_unmeasured_way_a_place_must_beat_new_ground_and_dead_reckoning
     assert ahead > 10.0
     assert best_of(200.0, 0.05, rival=199.0 + ahead - CLEARLY_LIKELIER) is not None
     assert best_of(200.0, 0.05, rival=201.0 + ahead - CLEARLY_LIKELIER) is None
-
-
-def test_ground_that_the_map_does_not_know_says_little_in_the_search_and_free_ground_speaks_against():
-    keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
-    facing = KnownMap(keyframes, np.arange(keyframes.count))._facing
-
-    def likelihoods(x_m: float, y_m: float) -> np.ndarray:
-        row, column = math.floor(y_m / facing.cell_m), math.floor(x_m / facing.cell_m)
-        return facing.levels[:, 0, row - facing.first_row, column - facing.first_column]
-
-    assert set(likelihoods(15.0, 2.0)) == {int(255 * MAP_UNKNOWN_LIKELIHOOD)}  # between the rooms
-    assert set(likelihoods(3.0, 2.0)) == {0}
-    wall = likelihoods(3.0, 0.05)  # by the way that it faces; of its back the map knows nothing
-    assert (wall.min(), wall.max()) == (int(255 * MAP_UNKNOWN_LIKELIHOOD), 255)
 
 
 def test_the_room_behind_a_wall_of_the_map_is_a_candidate():

@@ -34,12 +34,6 @@ def test_poses_between_samples_lie_on_the_arc() -> None:
     assert as_tuple(way) == pytest.approx(as_tuple(SE2.exp(0.644, 0.0, 0.322)), abs=1e-9)
 
 
-def test_beyond_the_samples_the_last_speed_holds() -> None:
-    way = circling(1000).between(900 * MS, 1300 * MS)
-    assert way is not None
-    assert as_tuple(way) == pytest.approx(as_tuple(SE2.exp(0.4, 0.0, 0.2)), abs=1e-9)
-
-
 def test_too_far_beyond_the_samples_nothing_is_reported() -> None:
     filled = circling(1000)
     assert filled.between(900 * MS, 2001 * MS) is None

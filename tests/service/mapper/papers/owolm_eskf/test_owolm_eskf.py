@@ -18,7 +18,6 @@ from tests.service.mapper.drives import (
     down_the_corridor,
     drive,
     round_the_room,
-    standing,
 )
 from tests.soaked import in_soak
 
@@ -149,13 +148,6 @@ def test_along_a_bare_corridor_the_state_is_not_ok_and_the_covariance_covers_the
     along = np.array([math.sqrt(o.covariance[0, 0]) for o in outputs])
     assert np.all(np.abs(away[:, 0]) < 3.0 * along + 0.05)
     assert "ok" not in {o.state for o in outputs[100:]}
-
-
-def test_standing_still_the_pose_stays():
-    still = drive(ROOM, standing, 2.0, wheel_scale=None)
-    outputs = run(with_imu(still.frames, standing, 2.0), new_mapper())
-    away = errors(outputs, still.truth)
-    assert np.hypot(away[:, 0], away[:, 1]).max() < 0.02
 
 
 def test_a_laser_covered_for_a_moment_is_degraded_and_the_imu_goes_on(room_drive):  # B13

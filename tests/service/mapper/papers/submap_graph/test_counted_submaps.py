@@ -1,12 +1,8 @@
-import math
-
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.kernels.surfels import TILE_CELLS
 from service.mapper.papers.submap_graph.counted_submaps import (
     CountedChange,
-    CountedMap,
     CountedSubmaps,
     CountedSubmapsConfig,
 )
@@ -77,30 +73,6 @@ def test_memory_stays_that_of_one_sub_map() -> None:
         drive(submaps, 0.5 * k, k)
         used.append(submaps.tile_count)
     assert max(used[100:]) <= max(used[:20])
-
-
-# D15, D16
-def test_blocks_are_made_where_a_random_walk_leads_and_nowhere_else() -> None:
-    rng = np.random.default_rng(4)
-    pool = CountedMap.new_pool(4096)
-    drawn = CountedMap(pool, CONFIG)
-    place, touched, hits = np.zeros(2), set(), {}
-    for step in range(400):
-        place += rng.normal(0.0, 3.0, 2)
-        drawn.insert(np.zeros((1, 2)), np.zeros(2), np.array([*place, 0.0]))  # hits the cell it stands in
-        cell = tuple(np.floor(place / CONFIG.cell_m).astype(int).tolist())
-        hits[cell] = hits.get(cell, 0) + 1
-        touched.add((cell[1] // TILE_CELLS, cell[0] // TILE_CELLS))
-        assert pool.used_count == len(touched) or step == 0
-    assert min(row for row, _ in touched) < 0 < max(row for row, _ in touched)
-    tiles = {(row, column): slot for row, column, slot in drawn.tiles()}
-    assert set(tiles) == touched
-    grid = drawn.grid()
-    for (column, row), count in hits.items():
-        slot = tiles[row // TILE_CELLS, column // TILE_CELLS]
-        assert grid.hits[slot, row % TILE_CELLS, column % TILE_CELLS] == count
-    assert grid.hits.sum() == 400
-    assert math.isclose(sum(layer.tile_bytes for layer in pool._layers), TILE_CELLS**2 * 10)
 
 
 def test_a_map_that_begins_again_closes_its_sub_map_and_draws_nothing_of_it_again() -> None:

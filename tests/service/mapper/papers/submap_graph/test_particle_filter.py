@@ -162,17 +162,6 @@ def test_drawn_around_the_scan_a_room_is_followed_as_well(short_drive: Drive) ->
     assert {o.state for o in outputs} == {"ok"}
 
 
-# D1
-def test_a_room_is_followed_without_wheels() -> None:
-    what = drive(ROOM, round_the_room, 3.0, wheel_scale=None)
-    outputs = outputs_of(mapper(particles=4), what)
-    away = [what.truth[o.stamp_ns].inverse() @ o.pose_map_base for o in outputs]
-    assert (
-        max(np.hypot(e.x_m, e.y_m) for e in away) < 0.04
-    )  # 0.08 where particles are not aligned, but searched for
-    assert max(abs(e.theta_rad) for e in away) < 0.02
-
-
 def test_wheels_that_say_forwards_for_backwards_are_found_out() -> None:
     """Three scans a second: so far off that aligning alone does not lead back."""
     what = drive(ROOM, round_the_room, 4.0, wheel_scale=-1.0)
