@@ -2,6 +2,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import zenoh
 
 import corridor
 from service.api import subscription
@@ -9,6 +10,7 @@ from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from tests.service.mapstore.tile_makers import same, tile
+from tests.service.publishing.conftest import client_config
 
 TIMEOUT_S = 20.0
 
@@ -96,6 +98,14 @@ def test_a_closed_subscription_gives_what_waits_and_ends_the_loop(publisher, sub
     subscribed.close()
     subscribed.close()
     assert [update.stamp_ns for update in subscribed] == [7]
+
+
+def test_a_session_of_the_program_is_used(publisher, store):
+    store.update([tile(0, 0, 1)])
+    session = zenoh.open(client_config(publisher.endpoints[0]))
+    with corridor.subscribe(session, ["tile"], timeout_s=TIMEOUT_S) as updates:
+        assert same(next(updates), tile(0, 0, 1))
+    assert session.is_closed()
 
 
 LEFT_OPEN = """
