@@ -65,7 +65,7 @@ def test_odometry_that_stands_still_is_left_out_once_a_turn_has_shown_it() -> No
 @pytest.mark.parametrize(
     ("place", "fault", "seconds", "seed"),
     [
-        ("office", "dead", 20.0, 11),
+        in_soak("office", "dead", 20.0, 11),
         in_soak("library", "dead after 20 s", 30.0, 11),
         ("ring", "dead after 20 s", 40.0, 1),
     ],
@@ -92,7 +92,7 @@ def diagnostics(done: Run) -> set[str]:
         (ImuSample, None, set()),
         (ImuSample, upside_down, {"the IMU's turns"}),
         in_soak(ImuSample, in_degrees, {"the IMU's turns"}),
-        (ImuSample, silent, {"the IMU's turns"}),
+        in_soak(ImuSample, silent, {"the IMU's turns"}),
         (OdometrySample, backwards, {"odometry"}),
         (OdometrySample, frozen, {"odometry"}),
     ],

@@ -123,7 +123,7 @@ def test_a_jump_back_onto_the_map_is_possible_where_the_pose_is_little_known() -
 @pytest.mark.parametrize(
     ("world", "worst_m"),
     [
-        ("library", 0.05),  # a third of the returns, on ground never seen
+        in_soak("library", 0.05),  # a third of the returns, on ground never seen
         ("ring", 0.15),  # a twelfth of them, and nothing else along the way
     ],
 )

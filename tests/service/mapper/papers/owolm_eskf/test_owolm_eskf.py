@@ -132,7 +132,7 @@ def test_along_a_bare_corridor_wheels_and_imu_say_how_far_it_was_and_the_state_s
     assert "does not fix the position along the direction" in outputs[-1].reason
 
 
-@pytest.mark.parametrize("source", ["imu", in_soak("wheels"), "nothing"])
+@pytest.mark.parametrize("source", [in_soak("imu"), in_soak("wheels"), "nothing"])
 def test_along_a_bare_corridor_the_state_is_not_ok_and_the_covariance_covers_the_error(source):
     """Without a second witness of the motion the dots of the walls may still hold the pose back."""
     long = drive(CORRIDOR, down_the_corridor, 6.0)
