@@ -13,6 +13,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
+from service.cli import main
 from service.errors import InputError, StorageError
 from service.offline.importing.carmen import import_carmen
 from service.offline.importing.rosbag import import_rosbag
@@ -218,6 +219,17 @@ def test_a_bag_without_odometry_gives_that_of_its_tf(tmp_path):
         (T0_NS + k * 10**8, 0.5 * k, 1.0) for k in range(SCANS)
     ]
     assert [s.theta_rad for s in samples] == pytest.approx([0.1 * k for k in range(SCANS)])
+
+
+def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path, capsys):
+    rows = [row for row in drive(noetic()) if row[1] != SCAN]
+    bag = write_ros1(tmp_path / "drive.bag", rows)
+    assert main(["import", "rosbag", str(bag), str(tmp_path / "out.mcap")]) == InputError.exit_code
+    said = capsys.readouterr().err
+    assert (
+        "sensor_msgs/msg/PointCloud2 that can be mapped; it holds /imu/data (sensor_msgs/msg/Imu, 5)" in said
+    )
+    assert not list(tmp_path.glob("out*"))
 
 
 def test_a_bag_without_a_beam_that_came_back_is_refused(tmp_path):
