@@ -13,7 +13,7 @@ SEED = 12
 
 
 @pytest.mark.soak  # the first corner of it: tests/service/mapper/test_inconsistent_sensors.py
-def test_odometry_backwards_is_not_held_to_in_a_corridor() -> None:
+def test_odometry_backwards_is_not_followed_in_a_corridor() -> None:
     """At each scan it puts the vehicle 24 cm off, and all of the scan lies on the map there, too."""
     trip = Trip(WORLDS["ring"], LMS100_10HZ, imu=Imu(), change=WRONG["backwards"])
     ((_, done),) = trip.runs([SEED])

@@ -21,7 +21,7 @@ WHOLE = {
 
 
 @pytest.mark.parametrize("block", YAML, ids=map(str, YAML))
-def test_a_config_or_a_piece_of_one_is_accepted(block):
+def test_a_config_or_a_part_of_one_is_accepted(block):
     piece = yaml.safe_load(block.text)
     if "faults" in piece:
         assert parse_faults(block.text, str(block), DEVICES)

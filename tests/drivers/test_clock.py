@@ -120,7 +120,7 @@ def test_restart_that_only_looks_late_is_recovered_within_three_seconds():
     assert np.abs(error_ms[1500 + round(3.0 / PERIOD_S) :] - LATENCY_S * 1e3).max() < 1.0
 
 
-def test_messages_held_back_by_the_network_are_late_and_no_restart():
+def test_messages_delayed_by_the_network_are_late_and_no_restart():
     stream = Stream(2)
     held = (stream.sent_s > 80.0) & (stream.sent_s < 83.0)
     stream.arrived_s[held] = np.maximum(stream.arrived_s[held], 83.0)

@@ -280,7 +280,7 @@ def test_scans_that_another_program_asked_for_are_named():
     assert len(t.frames) == before
 
 
-def test_line_that_damages_every_scan_is_told_from_one_that_is_cut():
+def test_line_that_damages_every_scan_is_distinguished_from_one_that_is_cut():
     t = talk().run(4.0)
     deliver = t.session.receive_data
     t.session.receive_data = lambda data, arrived_ns: deliver(b"?" + data[1:], arrived_ns)

@@ -74,7 +74,7 @@ def test_a_motor_that_wanders_is_followed(wander_us):
 
 
 @pytest.mark.parametrize("every", [400, 20, 5])
-def test_scans_that_are_held_up_and_stamped_in_a_bunch_do_not_shorten_the_period(every):
+def test_scans_that_are_delayed_and_stamped_in_a_bunch_do_not_shorten_the_period(every):
     """As a unit does that stamps what it sends: eight sweeps of each bunch lie one millisecond apart."""
     clock = ScanClock(25e6, round(DELAY_MS * MS))
     held_until_ms = last_ms = 0

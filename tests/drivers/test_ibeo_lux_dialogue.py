@@ -88,7 +88,7 @@ def test_what_differs_is_changed_with_the_scanner_stopped_and_read_back():
         ((1600, 320), (10.0, -50.0), [Parameter.END_ANGLE, Parameter.START_ANGLE]),
     ],
 )
-def test_start_angle_stays_above_the_end_angle_on_the_way(stored, wanted, order):
+def test_start_angle_stays_above_the_end_angle_meanwhile(stored, wanted, order):
     parameters = AS_WANTED | {0x1100: stored[0] & 0xFFFF, 0x1101: stored[1] & 0xFFFF}
     t = talk(LuxSetup(parameters=parameters), first_angle_deg=wanted[0], last_angle_deg=wanted[1]).run(2.0)
     assert changes(t) == order

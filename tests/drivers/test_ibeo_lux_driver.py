@@ -139,7 +139,7 @@ def test_scans_of_one_number_and_time_are_taken_where_their_points_differ():
     assert "its clock stands still, stamps are those of arrival" in session.status
 
 
-def test_device_whose_number_and_clock_stand_still_is_told_of():
+def test_device_whose_number_and_clock_stand_still_is_reported():
     _, session = frames_of(*[scan()] * 30)
     assert session.counters["scans_repeated"] == 29
     assert "the same scan again and again, not used" in session.status

@@ -118,7 +118,7 @@ def test_status_says_versions_serial_and_temperature():
     assert replace(STATUS, temperature_raw=0xFFFF).temperature_c is None
 
 
-def test_errors_and_warnings_are_told_in_words():
+def test_errors_and_warnings_are_reported_in_words():
     registers = ErrorRegisters(0x0102, 0x0001, 0x0010, 0x8002)
     assert ErrorRegisters.read(registers.write()) == registers
     assert len(registers.write()) == 16

@@ -132,7 +132,7 @@ def test_bytes_behind_a_frame_in_its_read_do_not_make_it_late():
         assert abs(sample.stamp_ns - i * 15 * MS) < 1000
 
 
-def test_text_of_the_robot_costs_one_frame_and_no_way():
+def test_text_of_the_robot_costs_one_frame_and_no_distance():
     wheels = Curve()
     table = bench(wheels, text_every_ns=2 * S)
     samples = table.run(20.0)
@@ -145,7 +145,7 @@ def test_text_of_the_robot_costs_one_frame_and_no_way():
     assert len(samples) == round(expected)
 
 
-def test_damaged_bytes_cost_frames_and_no_way():
+def test_damaged_bytes_cost_frames_and_no_distance():
     rng = np.random.default_rng(1)
 
     def spoil(data: bytes, now_ns: int) -> bytes:
@@ -180,7 +180,7 @@ def test_impossible_step_of_the_encoders_is_counted_and_not_driven():
     assert moved.x_m == pytest.approx(before.x_m + 2 * CONFIG.left_m_per_count)
 
 
-def test_damaged_reading_adds_nothing_and_the_way_around_it_is_kept():
+def test_damaged_reading_adds_nothing_and_the_path_around_it_is_kept():
     table = bench(STANDING)
     table.run(1.0)
     before = table.samples[-1]
@@ -196,7 +196,7 @@ def test_damaged_reading_adds_nothing_and_the_way_around_it_is_kept():
 
 
 @pytest.mark.parametrize(("lost", "speed_mps"), [(1, 0.5), (10, 0.5), (200, 0.5), (35, 1.0)])
-def test_way_through_lost_frames_is_kept_even_of_a_vehicle_that_rolls_faster(lost, speed_mps):
+def test_path_through_lost_frames_is_kept_even_of_a_vehicle_that_rolls_faster(lost, speed_mps):
     wheels = Curve(speed_mps, 0.0)
     gone = []
 
@@ -246,7 +246,7 @@ def test_reset_robot_is_started_again_without_a_jump():
 
 
 @pytest.mark.parametrize("counts", [(3_000, 2_800), (-200, -1_500), (30_000, 31_000)])
-def test_a_reset_without_a_banner_is_not_taken_for_a_way(counts: tuple[int, int]):
+def test_a_reset_without_a_banner_is_not_taken_for_motion(counts: tuple[int, int]):
     def spoil(data: bytes, now_ns: int) -> bytes:
         return b"\xb1\xff\xb1\xff\xff\xff" if BANNER in data else data  # as a Roomba 690 says it
 
@@ -262,7 +262,7 @@ def test_a_reset_without_a_banner_is_not_taken_for_a_way(counts: tuple[int, int]
     assert samples[0].covariance[0] - before.covariance[0] == pytest.approx((0.5 * gap_s) ** 2 / 3, rel=0.01)
 
 
-def test_robot_that_was_stopped_by_somebody_else_is_started_again():
+def test_robot_that_was_stopped_by_someone_else_is_started_again():
     table = bench()
     table.run(1.0)
     table.robot.receive_data(bytes([173]), table.now_ns)

@@ -100,7 +100,7 @@ def test_covariance_agrees_with_ten_thousand_noisy_drives():
     np.testing.assert_allclose(claimed / scale, sampled / scale, atol=0.05)
 
 
-def test_covariance_grows_in_any_cutting_of_the_way():
+def test_covariance_grows_in_any_cutting_of_the_path():
     whole, cut = reckoning(), reckoning()
     whole.roll(1.0, 1.0)
     traces = []

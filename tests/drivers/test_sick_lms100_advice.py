@@ -35,7 +35,7 @@ def test_other_settings_are_those_that_explain_silence(changes: dict[str, object
         assert str(getattr(other.config, key)) == value
 
 
-def test_another_family_of_scanners_is_doubted():
+def test_another_family_of_scanners_is_questioned():
     assert ADVICE.doubt(config(), {"device": "LMS10x_FieldEval"}) == ""
     assert ADVICE.doubt(config(), {}) == ""
     assert "it calls itself TiM551" in ADVICE.doubt(config(), {"device": "TiM551"})

@@ -218,7 +218,7 @@ def test_login_answered_with_nothing_counts_as_accepted():
     assert scripted(Scripted(answers)).run(60.0).frames
 
 
-def test_login_that_is_refused_for_another_reason_than_the_password_is_repeated_and_told_with_it():
+def test_login_that_is_refused_for_another_reason_than_the_password_is_repeated_and_reported_with_it():
     busy = {"SCdevicestate": b"\1", "SetAccessMode": b"sFA\0\x0d"}
     with pytest.raises(DeviceError, match="SetAccessMode refused 5 times: error D: server busy"):
         scripted(Scripted(busy)).run(60.0)

@@ -121,7 +121,7 @@ def test_telegram_survives_any_cutting_of_the_stream_and_garbage_before_it(wire,
         assert decoder.skipped_bytes == len(garbage)
 
 
-def test_two_dialects_in_one_stream_are_told_apart():
+def test_two_dialects_in_one_stream_are_distinguished():
     wires = [bytes.fromhex(wire) for wire, _ in REAL]
     assert Decoder().receive_data(b"".join(wires)) == [telegram for _, telegram in REAL]
 

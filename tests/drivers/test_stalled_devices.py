@@ -11,7 +11,7 @@ from drivers.xsens_mtig.mtdata2 import Kind, join, split, write_item
 from tests.drivers import lms100, lux, mtig, utm30lx
 
 
-def test_lms100_that_repeats_its_scan_is_said_to_stall():
+def test_lms100_that_repeats_its_scan_is_reported_to_stall():
     t = lms100.talk().run(4.0)
     receive, before = t.session.receive_data, len(t.frames)
     first: list[bytes] = []

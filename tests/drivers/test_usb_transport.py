@@ -67,7 +67,7 @@ def test_one_of_several_is_chosen_by_its_serial_number():
         ({"bulk": False}, "no interface with bulk endpoints"),
     ],
 )
-def test_what_hinders_is_told_in_words(changes: dict[str, object], diagnostic: str):
+def test_what_hinders_is_reported_in_words(changes: dict[str, object], diagnostic: str):
     with pytest.raises(TransportError, match=diagnostic):
         open_usb(FakeBus(unit(**changes)))
 

@@ -251,7 +251,7 @@ def test_errors_warnings_and_clipping_are_reported_and_forgotten():
         (0b10011, "filter valid, gyro bias not learnt, it moved"),
     ],
 )
-def test_status_bits_are_told_in_words(status, words):
+def test_status_bits_are_reported_in_words(status, words):
     t = talk(mtdata2()).run(1.0)
     deliver(t, status=status)
     assert words in t.session.status

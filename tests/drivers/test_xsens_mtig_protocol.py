@@ -123,7 +123,7 @@ def test_baud_codes_are_those_of_the_manual():
     assert BAUD_OF_CODE[0x0A] == BAUD_OF_CODE[0x80] == 921_600
 
 
-def test_errors_and_warnings_are_told_in_words():
+def test_errors_and_warnings_are_reported_in_words():
     assert error_text(Message(Mid.ERROR, b"\x04")) == "error 0x04: message invalid or not implemented"
     assert error_text(Message(Mid.ERROR, b"\x28\x00\x00\x00\x12\x01")).endswith("device error (0000001201)")
     assert "in no manual" in error_text(Message(Mid.ERROR, b"\xee"))

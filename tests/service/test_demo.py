@@ -215,7 +215,7 @@ def test_faults_that_cannot_be_are_a_config_error(tmp_path: Path):
         pass
 
 
-def test_simulators_that_end_on_the_way_end_the_demo():
+def test_simulators_that_end_early_end_the_demo():
     with subprocess.Popen([sys.executable, "-c", "raise SystemExit(3)"]) as process:
         process.wait(10.0)
         assert Simulators(process, []).fault() == "the simulators ended with exit code 3"

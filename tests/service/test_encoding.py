@@ -368,7 +368,7 @@ def test_a_fix_is_an_ordinary_ros_message():
         assert tuple(content.position_covariance) == covariance
 
 
-def test_a_receiver_without_a_fix_is_told_of_without_a_place():
+def test_a_receiver_without_a_fix_has_no_place():
     lost = GnssFix("imu", 1, 2, -1, 0.0, 0.0, 0.0, (1.0,) * 9)
     decoded = through_the_wire(lost)
     assert isinstance(decoded, GnssFix)

@@ -44,7 +44,7 @@ def base_at(world: World, time_s: float) -> SE2:
     return SE2(*world.drive.poses(np.array([time_s]))[0].tolist())
 
 
-def test_companions_keep_their_place_beside_the_way_of_the_vehicle(world: World) -> None:
+def test_companions_keep_their_place_beside_the_path_of_the_vehicle(world: World) -> None:
     people = with_companions(world, beside(2, 0.8), FROM_S, TO_S, sway_m=0.0).people
     for time_s in (FROM_S, MIDDLE_S):
         seen = [base_at(world, time_s).inverse() @ SE2(*person.place(time_s), 0.0) for person in people]

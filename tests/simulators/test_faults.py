@@ -232,7 +232,7 @@ def test_a_slow_start_is_deaf_and_dumb_after_each_start():
     assert device.device.heard == []
 
 
-def test_what_is_held_is_lost_with_the_link():
+def test_what_waits_is_lost_with_the_link():
     device = faulty("kind: delay, for_s: 9, up_to_ms: 5000")
     device.connected(ZERO_NS)
     list(run(device, 0.1))

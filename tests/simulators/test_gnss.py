@@ -16,7 +16,7 @@ def errors_m(model: GnssModel, seed: int, times_s: np.ndarray) -> np.ndarray:
     return np.array([ORIGIN.to_enu(f.latitude_deg, f.longitude_deg, 51.7)[:2] for f in fixes])
 
 
-def test_the_error_is_as_large_as_said_and_lasts_as_long():
+def test_the_error_is_as_large_as_configured_and_lasts_as_long():
     model = GnssModel(lasting_sigma_m=1.5, correlation_s=45.0)
     off = np.array([errors_m(model, seed, np.array([0.0, 500.0, 545.0])) for seed in range(400)])
     assert off.std() == pytest.approx(1.5, rel=0.08)
@@ -24,7 +24,7 @@ def test_the_error_is_as_large_as_said_and_lasts_as_long():
     assert after_45_s == pytest.approx(math.exp(-1.0), abs=0.1)
 
 
-def test_a_reflection_comes_and_goes_at_once_and_is_not_told():
+def test_a_reflection_comes_and_goes_at_once_and_is_not_reported():
     model = GnssModel(reflections=[Reflection(10.0, 20.0, 3.0, -4.0)])
     times_s = np.arange(0.0, 30.0, 0.25)
     off = errors_m(model, 1, times_s) - errors_m(GnssModel(), 1, times_s)

@@ -38,7 +38,7 @@ def stamps(world: World, seconds: float = 0.0):
     return START_NS + np.arange(count, dtype=np.int64) * STEP_NS
 
 
-def test_rates_add_up_to_the_turn_and_forces_to_the_way(world):
+def test_rates_add_up_to_the_turn_and_forces_to_the_motion(world):
     at = stamps(world)
     felt = truth(world).inertial(at)
     dt = STEP_NS * 1e-9

@@ -19,7 +19,7 @@ def test_drive_starts_at_the_origin_and_goes_on_for_ever(world: World):
     assert world.drive.repeats
 
 
-def test_people_walk_where_they_are_told_of():
+def test_people_walk_where_the_world_says():
     assert {name for name in WORLDS if build_world(name).people} == set(PEOPLED)
 
 

@@ -122,7 +122,7 @@ def jumps(done: Replay) -> int:
     return sum(a != b for a, b in pairwise(moved))
 
 
-def test_a_drive_whose_loops_closed_on_the_way_replays_to_the_last_bit(tmp_path: Path):
+def test_a_drive_whose_loops_closed_while_driving_replays_to_the_last_bit(tmp_path: Path):
     live = Live(tmp_path, SCANS)
     assert live.outputs.counters["loop_closures"] >= 3
     assert live.outputs.graph_fault == ""

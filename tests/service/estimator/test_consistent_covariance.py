@@ -36,7 +36,7 @@ def drive_on(model: Estimator, from_ms: int, until_ms: int, has_odometry: bool =
     return np.sqrt(np.diag(covariance)[:2])
 
 
-def test_a_way_that_no_one_measured_is_not_known() -> None:
+def test_a_motion_that_no_one_measured_is_not_known() -> None:
     model = Estimator(EstimatorConfig())
     along_m, across_m = drive_on(model, 0, 1000)
     assert along_m > 0.05

@@ -83,7 +83,7 @@ def later(sample, offset_ns: int):
     return replace(sample, stamp_ns=sample.stamp_ns + offset_ns, arrived_ns=sample.arrived_ns + offset_ns)
 
 
-def test_a_straight_way_is_the_least_squares_solution_over_all_of_it() -> None:
+def test_a_straight_path_is_the_least_squares_solution_over_all_of_it() -> None:
     """Along x everything is linear: positions and speeds of all scans at once, solved by QR, say the same."""
     config = EstimatorConfig(
         odometry_scale_sigma=0.0, odometry_lag_sigma_s=0.0, odometry_jitter_s=0.0, odometry_position_walk=1e-9
@@ -218,7 +218,7 @@ def test_what_a_step_adds_is_the_same_however_far_the_pose_has_drifted() -> None
     np.testing.assert_allclose(added[1], added[0], atol=1e-9)
 
 
-def test_a_way_that_scans_do_not_see_teaches_nothing_of_the_scale() -> None:
+def test_a_path_that_scans_do_not_see_teaches_nothing_of_the_scale() -> None:
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(0, 20_001, 20):
         model.add(odometry(stamp_ms, SE2(1.05 * stamp_ms * 1e-3, 0.0, 0.0)))

@@ -126,7 +126,7 @@ def test_a_corridor_teaches_no_scale(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", FEW_SEEDS)
-def test_a_straight_way_teaches_neither_turn_scale_nor_lag(seed: int) -> None:
+def test_a_straight_path_teaches_neither_turn_scale_nor_lag(seed: int) -> None:
     learnt = learnt_on(seed, 60.0, EVERYWHERE, FaultyWheels())
     assert (learnt.over_sigma < 3.0).all()
     assert (learnt.sigma[1:] > 0.5 * np.array([0.02, 0.05])).all()
@@ -199,7 +199,7 @@ def test_a_gyro_measures_the_rotation_alone() -> None:
     assert rotation == 1.0
 
 
-def test_a_turn_that_begins_after_a_long_straight_way_is_no_surprise() -> None:
+def test_a_turn_that_begins_after_a_long_straight_path_is_no_surprise() -> None:
     """One of 0.07 rad within 0.125 s is no more sigmas than the prior's distribution takes for possible."""
     model, dt = Estimator(EstimatorConfig()), 0.125
     for k in range(600):

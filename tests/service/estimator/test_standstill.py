@@ -104,7 +104,9 @@ def test_odometry_that_dies_in_a_turn_on_the_spot_is_found_out_before_the_turn_i
 
 
 @pytest.mark.parametrize(("braked_s", "gone_m"), [(0.5, 0.25), (0.02, 3.0), (0.003, 3.0)])
-def test_wheels_that_stand_at_once_while_no_scan_comes_measure_no_way(braked_s: float, gone_m: float) -> None:
+def test_wheels_that_stand_at_once_while_no_scan_comes_measure_no_motion(
+    braked_s: float, gone_m: float
+) -> None:
     """1 m/s until 4 s, then they brake, a vehicle does within 0.5 s; no scan until 7 s, when they roll on."""
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(0, 9_001, 20):

@@ -91,7 +91,7 @@ def test_where_one_is_not_there_nothing_is_brought(machines, endpoint, open_clie
     assert not (tmp_path / "veh1" / PUSHED).exists()
 
 
-def test_what_is_damaged_on_the_way_does_not_become_a_map(
+def test_what_is_damaged_in_transfer_does_not_become_a_map(
     machines, endpoint, open_client, site_map, tmp_path
 ):
     client, source = open_client(endpoint), site_map / "v000001"

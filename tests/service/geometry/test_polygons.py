@@ -29,7 +29,7 @@ def test_half_of_random_points_lie_in_half_of_the_square():
 
 
 @pytest.mark.parametrize("end", [(4.0, 0.0), (3.0, 2.9), (0.3, -4.0), (2.0, 0.7)])
-def test_no_way_between_cells_crosses_a_line(end):
+def test_no_step_between_cells_crosses_a_line(end):
     """Ground on both sides of a line across a field is two parts, diagonal steps allowed."""
     towards = np.array(end) / np.hypot(*end)
     cells = cells_along(np.stack((-10.0 * towards, 10.0 * towards)), 0.1)

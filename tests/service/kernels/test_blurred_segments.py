@@ -36,7 +36,7 @@ def test_a_point_where_two_walls_meet_is_in_both():  # B20
     assert tuple(segment[0]) == (0, 0)
 
 
-def test_a_gap_parts_a_wall_and_short_pieces_are_left_out():  # B21
+def test_a_gap_parts_a_wall_and_short_parts_are_left_out():  # B21
     pieces = [wall((0, 0), (2, 0), 60), wall((2.5, 0), (4, 0), 60), wall((5, 0), (5.8, 0), 60)]
     segment, counts = found(np.vstack(pieces))
     assert counts[0] == 2

@@ -37,7 +37,7 @@ def test_drawings_stay_where_they_were_drawn_and_go_with_the_nearest_key_frame(d
     np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
 
 
-def test_without_the_key_frame_that_held_it_a_drawing_is_held_by_the_next(drawn):
+def test_without_the_key_frame_of_a_drawing_the_next_one_keeps_it(drawn):
     left = np.array([True, True, False, True])
     cut = drawn.without_keyframes(left, POSES)
     wall, area = cut.drawings(POSES[left])

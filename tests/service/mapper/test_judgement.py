@@ -146,7 +146,7 @@ def test_along_walls_that_leave_it_open_a_position_that_odometry_knows_badly_is_
 
 
 @pytest.mark.parametrize("much", [185363.8, math.inf])
-def test_a_sigma_that_measures_nothing_is_not_told_as_a_number(much: float) -> None:
+def test_a_sigma_that_measures_nothing_is_not_reported_as_a_number(much: float) -> None:
     reason = judge(replace(GOOD, weakest=(much, 0.5)), RATIOS)[1]
     assert "heading (sigma not known, expected at most 0.1 m)" in reason
     for sigma in ((much, 0.01), (0.01, much)):

@@ -42,7 +42,7 @@ def test_what_is_learnt_later_adds_nothing_and_takes_nothing():
     )
 
 
-def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_way_since():
+def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_path_since():
     step = SE2(0.3, 0.0, 0.05)
     by_motion = walked(200, np.zeros((3, 3)), step)
     by_graph = np.diag([1e-4, 1e-4, 1e-5])

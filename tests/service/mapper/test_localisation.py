@@ -48,7 +48,7 @@ def judged(
     return place, match.state, match.reason
 
 
-def test_a_scan_on_a_piece_that_was_found_has_the_pose_of_the_find_and_its_covariance():
+def test_a_scan_on_a_detached_map_that_was_found_has_the_pose_of_the_find_and_its_covariance():
     place, *facts = judged(FOUND, "lost", "contradicted")
     assert facts == ["degraded", FOUND_ONCE]
     assert place.pose_map_odom == OF_FIND
@@ -58,7 +58,7 @@ def test_a_scan_on_a_piece_that_was_found_has_the_pose_of_the_find_and_its_covar
 @pytest.mark.parametrize(
     ("state", "piece", "measured"), [("lost", 1, MEASURED), ("lost", 2, None), ("ok", 2, MEASURED)]
 )
-def test_a_find_says_nothing_of_another_piece_of_a_scan_beside_it_and_of_one_on_the_map(
+def test_a_find_says_nothing_of_another_detached_map_of_a_scan_beside_it_and_of_one_on_the_map(
     state: State, piece: int, measured: Measurement | None
 ):
     place, *facts = judged(FOUND, state, "", piece, measured)
@@ -90,7 +90,7 @@ def test_who_is_lost_is_reported_between_which_places_and_that_the_pose_a_person
     assert judged(PlaceNews(pose_refused=(7.0, 8.0, 0.5)), "lost", "why")[2] == f"{refused}; why"
 
 
-def test_what_the_graph_has_said_holds_until_it_says_else_or_ends():
+def test_what_the_graph_has_decided_holds_until_it_says_else_or_ends():
     place, *_ = judged(FOUND, "lost")
     lost = Match(MOTION, POINTS, 0.9, "lost", "why", measured=MEASURED)
     place.take(GraphUpdate({"loop_closures": 1}))

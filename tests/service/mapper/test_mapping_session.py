@@ -169,7 +169,7 @@ def real_mapper() -> MappingSession:
     return MappingSession(lambda: build_mapper(mapping_config(), {"front": SE2()}), ["front"])
 
 
-def test_the_way_driven_in_a_pause_is_known_after_it():
+def test_the_motion_in_a_pause_is_known_after_it():
     """A pause that is longer than the motion model keeps its samples; the vehicle soon stops in it."""
 
     def x_m(at_s: float) -> float:

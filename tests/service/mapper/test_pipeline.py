@@ -122,7 +122,7 @@ def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> It
         yield output
 
 
-def test_nothing_is_rendered_while_lost_and_a_piece_is_mapped_apart():
+def test_nothing_is_rendered_while_lost_and_a_detached_map_is_mapped_apart():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     outputs = carried_into_another_room(mapper)
     first = next(outputs)
@@ -152,7 +152,7 @@ class FindingGraph(NoGraph):
         return GraphUpdate({}, place=PlaceNews(found_once=once))
 
 
-def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
+def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     graph = FindingGraph(piece=1)
     mapper.components = replace(mapper.components, graph=graph)
@@ -174,7 +174,7 @@ def test_a_piece_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_
     assert withdrawn.covariance[2, 2] != pytest.approx(output.covariance[2, 2])
 
 
-def test_where_another_piece_was_found_says_nothing_of_this_one():
+def test_where_another_detached_map_was_found_says_nothing_of_this_one():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     mapper.components = replace(mapper.components, graph=FindingGraph(piece=2))
     outputs = carried_into_another_room(mapper)
@@ -234,7 +234,7 @@ def rear_mounted_at(mounting: SE2) -> tuple[set[str], Mapper, float]:
     return reasons, mapper, farthest_m
 
 
-def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_told_by_how_much():
+def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_reported_by_how_much():
     reasons, mapper, farthest_m = rear_mounted_at(REAR @ SE2(0.0, 0.0, math.radians(4.0)))
     (reason,) = reasons
     assert re.match(

@@ -163,7 +163,7 @@ def test_the_twist_is_that_of_the_truth(room_drive: Drive, room_outputs: list[Ma
     assert np.sqrt((away[:, 2] ** 2).mean()) < 0.1
 
 
-def test_the_free_direction_of_a_corridor_is_held_on_odometry() -> None:
+def test_the_free_direction_of_a_corridor_follows_odometry() -> None:
     corridor = drive(CORRIDOR, down_the_corridor, 6.0, wheel_scale=1.05)
     outputs = run(corridor.frames)
     away = errors(outputs, corridor.truth)
@@ -250,7 +250,7 @@ def test_a_late_scan_and_a_late_sample_are_dropped_and_counted(room_drive: Drive
     }  # fmt: skip
 
 
-def test_a_sample_of_a_stamp_that_was_there_is_told_apart_from_a_late_one(room_drive: Drive) -> None:
+def test_a_sample_of_a_stamp_that_was_there_is_distinguished_from_a_late_one(room_drive: Drive) -> None:
     mapper = new_mapper()
     samples = [f for f in room_drive.frames if isinstance(f, OdometrySample)]
     turn = ImuSample("imu", samples[1].stamp_ns, samples[1].arrived_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8))

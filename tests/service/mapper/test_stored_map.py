@@ -236,7 +236,7 @@ def test_a_pose_that_does_not_fit_is_given_up_and_that_is_reported(first):
     assert mapper.pose_refused is None
 
 
-def test_who_is_found_elsewhere_than_said_is_reported_so(first, second):
+def test_who_is_found_elsewhere_than_set_is_reported_so(first, second):
     drove, begin = first
     mapper = new_mapper(begin)
     true = drove.world_first.inverse() @ second.world_first
@@ -258,7 +258,7 @@ def test_what_a_graph_does_not_do_is_refused_with_all_that_it_does(first):
         new_mapper(first[1]).graph.request("add_landmark", {})
 
 
-def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_way(first, second, monkeypatch):
+def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_path(first, second, monkeypatch):
     monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", 16)
     drove, begin = first
     mapper = new_mapper(begin)

@@ -227,7 +227,7 @@ def test_a_damaged_geo_reference_makes_a_version_damaged(tmp_path):
     assert "geo.json" in stored.problems[0]
 
 
-def test_a_geo_json_of_somebody_else_is_not_written_over(tmp_path):
+def test_a_geo_json_of_someone_else_is_not_written_over(tmp_path):
     (tmp_path / "geo.json").write_text("mine")
     with pytest.raises(StorageError, match=r"geo\.json is a file of somebody else"):
         save_map(tmp_path, TILES, 1, geo=GEO)

@@ -69,7 +69,9 @@ def workshop() -> Workshop:
         ("wash", b" " * 65_537, "a request of 65537 bytes; at most 65536 are read"),
     ],
 )
-def test_what_cannot_be_done_is_told_in_words(workshop: Workshop, verb: str, request_: object, words: str):
+def test_what_cannot_be_done_is_reported_in_words(
+    workshop: Workshop, verb: str, request_: object, words: str
+):
     facts = workshop.ask(verb, request_)
     assert words in facts["error"]
     assert workshop.begun == []

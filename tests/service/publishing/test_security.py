@@ -91,7 +91,7 @@ def test_subscribers_of_every_role_get_what_is_published(service, client_of):
 
 
 @pytest.mark.parametrize("name", ["viewer", "operator", "veh2"])
-def test_a_pose_or_a_map_that_somebody_else_sends_reaches_no_subscriber(service, client_of, name):
+def test_a_pose_or_a_map_that_someone_else_sends_reaches_no_subscriber(service, client_of, name):
     """They get those of the service alone. veh2 is of this site, and has no role here."""
     heard, stranger = Inbox(), client_of(service.endpoints[0], name)
     viewer = client_of(service.endpoints[0], "viewer")

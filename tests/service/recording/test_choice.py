@@ -112,7 +112,7 @@ def test_one_robot_of_two_is_mapped_with_its_own_odometry(foreign, choice, in_tf
         assert "odometry is robot2/odom to robot2/base_link (5) of /tf" in session.notes
 
 
-def test_robots_with_the_same_frames_are_told_apart_by_their_namespaces(foreign):
+def test_robots_with_the_same_frames_are_distinguished_by_their_namespaces(foreign):
     foreign.tf(("base_link", "laser", (0.2, 0.0, 0.1), LEVEL))
     for k in range(2 * SCANS):  # robot2 says more
         for name in ("robot1", "robot2") if k < SCANS else ("robot2",):

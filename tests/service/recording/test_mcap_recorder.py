@@ -203,7 +203,7 @@ def test_what_is_so_already_is_reported(recorder, changes):
     assert changes.next() == SessionChange(False, [], "the recorder is being stopped")
 
 
-def test_a_full_disk_is_told_to_who_wants_to_record(recorder, changes):
+def test_a_full_disk_is_reported_to_who_wants_to_record(recorder, changes):
     free = [PLENTY]
     session = recorder(keep_free_bytes=1_000_000, free_bytes_of=lambda _: free[0])
     session.end_session(changes)

@@ -199,7 +199,7 @@ def test_of_foreign_receivers_one_is_read_and_its_antenna_may_be_tilted(foreign)
     assert sum(isinstance(frame, GnssFix) for frame in session.frames()) == 2
 
 
-def test_a_receiver_without_a_chain_is_taken_as_unmounted_and_said_so(foreign):
+def test_a_receiver_without_a_chain_is_taken_as_unmounted_and_reported(foreign):
     foreign.add_message("/scan", scan_message(0)).add_message("/fix", fix_message(1, "gps"))
     session = open_session(foreign.close())
     assert session.antennas == {}
@@ -241,7 +241,7 @@ def two_lasers_in_one_topic(foreign, front=6, rear=3):
         foreign.add_message("/scan", scan_message(index, sensor="rear" if index % 3 == 2 else "front"))
 
 
-def test_two_lasers_in_one_topic_are_told_apart_each_with_its_mounting(foreign):
+def test_two_lasers_in_one_topic_are_distinguished_each_with_its_mounting(foreign):
     foreign.tf(
         ("base_link", "front", (0.2, 0.0, 0.0), LEVEL),
         ("base_link", "rear", (-0.3, 0.0, 0.0), turn(yaw=180.0)),

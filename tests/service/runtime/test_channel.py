@@ -30,7 +30,7 @@ def test_a_sender_never_waits_and_what_the_socket_does_not_take_comes_all_the_sa
     theirs.close()
 
 
-def test_an_end_that_breaks_while_it_is_sent_to_is_told_to_who_receives_next():
+def test_an_end_that_breaks_while_it_is_sent_to_is_reported_to_who_receives_next():
     class Broken:
         """Can be written to, as the socket says, and then cannot."""
 

@@ -413,7 +413,7 @@ def test_a_recording_begun_in_a_pause_says_so_first(machine: Machine):
     assert [event["event"] for event in events(second)] == ["start_recording", "pause", "resume"]
 
 
-def test_a_disk_that_is_full_is_told_to_who_wants_to_record(machine: Machine, free_bytes: list[int]):
+def test_a_disk_that_is_full_is_reported_to_who_wants_to_record(machine: Machine, free_bytes: list[int]):
     machine.scan()
     machine.ask("stop_recording")
     free_bytes[0] = 10

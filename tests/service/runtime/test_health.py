@@ -158,7 +158,7 @@ def test_a_stepped_wall_clock_is_reported():
     assert "stepped by -3600.000 s" in facts.message
 
 
-def test_a_mapping_that_goes_to_and_fro_is_told_of_at_most_each_ten_seconds():
+def test_a_mapping_that_goes_to_and_fro_is_reported_at_most_each_ten_seconds():
     made = report(streaming())
     made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
     facts = []

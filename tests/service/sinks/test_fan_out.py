@@ -111,7 +111,7 @@ def test_every_sink_gets_every_message_and_every_tile():
 
 
 @pytest.mark.parametrize("what", ["put", "put_tiles"])
-def test_a_sink_that_raises_is_an_error_in_health_said_once_and_the_next_gets_all(
+def test_a_sink_that_raises_is_an_error_in_health_reported_once_and_the_next_gets_all(
     what: str, caplog: pytest.LogCaptureFixture
 ):
     broken, well = ListSink("broken", [what]), ListSink("well")
@@ -164,7 +164,7 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
     hangs.may_end.set()
 
 
-def test_what_commands_need_is_found_or_said_to_be_missing():
+def test_what_commands_need_is_found_or_reported_missing():
     with pytest.raises(LookupError, match="records sessions"):
         open_all(ListSink()).session_recorder()
     with pytest.raises(LookupError, match="stores maps"):

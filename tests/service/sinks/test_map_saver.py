@@ -60,7 +60,7 @@ def test_the_map_is_recorded_and_saved_at_the_end(tmp_path: Path):
     assert stored.about == {"vehicle": "veh1", "profile": "corridor"}
 
 
-def test_checkpoints_are_made_on_the_way_until_told_to_stop(tmp_path: Path):
+def test_checkpoints_are_made_until_asked_to_stop(tmp_path: Path):
     kept = Kept(tmp_path / "map", checkpoint_s=0.01)
     kept.tiles.update([tile(1)])
     kept.saver.start()
@@ -255,7 +255,7 @@ def test_a_run_that_began_in_a_stored_map_and_is_reset_at_once_has_a_folder_of_i
     assert load_map(saver.folder).number == 1
 
 
-def test_a_map_that_somebody_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path):
+def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path):
     """The mapper puts it away a moment after it was asked to."""
     tiles = TileStore()
     kept = GraphFolder(tmp_path / "graphs")
@@ -314,7 +314,7 @@ def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(tmp
         saver.flush()
 
 
-def test_the_graph_that_was_told_last_stays_while_the_back_end_puts_away_others(tmp_path: Path):
+def test_the_graph_that_was_reported_last_stays_while_the_back_end_puts_away_others(tmp_path: Path):
     """As at the end of a run where the back end is given up after it has written more of them."""
     tiles = TileStore()
     config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)

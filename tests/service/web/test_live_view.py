@@ -76,7 +76,7 @@ def test_a_graph_is_shown_every_two_seconds_at_most_and_kept_for_who_comes_late(
     assert [s.payload[0] for s in view.snapshot() if s.key == "graph"] == [4]
 
 
-def test_a_way_that_was_put_goes_behind_the_path_and_a_path_in_its_place(view):
+def test_a_path_that_was_put_goes_behind_the_path_and_a_path_in_its_place(view):
     view.put_way(np.array([[0.0, 0.0], [1.0, 0.0]], np.float32))
     (more,) = view.due()
     assert (more.key, more.payload[:2]) == ("", bytes([3, 1]))
@@ -121,7 +121,7 @@ def test_health_says_since_when_it_is_so_whatever_its_words(view):
     assert facts(4, "ok", "") == stamp(4) / 1e9
 
 
-def test_health_says_how_long_a_frame_is_on_its_way(view):
+def test_health_says_how_long_a_frame_is_under_way(view):
     for message in Scene().messages(1.0):
         view.put(message)
     (health,) = texts(view.due(), "health")

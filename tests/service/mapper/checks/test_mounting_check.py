@@ -57,7 +57,7 @@ def test_a_mounting_that_is_off_is_measured_beside_such_scans():
     )
 
 
-def test_a_laser_that_is_mounted_turned_by_90_degrees_is_said_to_be():
+def test_a_laser_that_is_mounted_turned_by_90_degrees_is_reported():
     assert compare([TURNED] * BATCH).fault.startswith("is off its configured mounting by +90.0 deg")
 
 

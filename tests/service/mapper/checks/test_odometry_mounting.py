@@ -158,7 +158,7 @@ def test_turns_of_dead_odometry_are_not_the_other_way():
     assert not turns_are_opposed(steps)
 
 
-def test_who_drives_straight_is_not_told_where_the_vehicle_turns():
+def test_a_straight_drive_shows_no_point_about_which_the_vehicle_turns():
     """Three degrees beside the heading, and never a turn."""
     random = np.random.default_rng(5)
     way_m = 0.5 + random.normal(0.0, 0.005, 200)

@@ -71,7 +71,7 @@ def test_the_rest_is_handed_out_with_the_next_call() -> None:
         (SE2(0.0, 0.0, 0.0), 0.6, True),
     ],
 )
-def test_a_scan_is_drawn_after_a_way_a_turn_or_a_while(pose: SE2, after_s: float, drawn: bool) -> None:
+def test_a_scan_is_drawn_after_a_distance_a_turn_or_a_while(pose: SE2, after_s: float, drawn: bool) -> None:
     shown = new_map()
     shown.insert(square(), SE2())
     shown.changed_tiles()

@@ -162,7 +162,7 @@ def lost_over(metres: float, room: Ground, scans: list[Points]) -> list[Match]:
     return matches
 
 
-def test_a_vehicle_that_is_not_found_over_a_long_way_begins_its_map_again(room: Ground) -> None:
+def test_a_vehicle_that_is_not_found_over_a_long_path_begins_its_map_again(room: Ground) -> None:
     matches = lost_over(RESTART_M, room, [square()])
     assert [match.state for match in matches[:-1]] == ["lost"] * (len(matches) - 1)
     assert matches[-1].state == "degraded"

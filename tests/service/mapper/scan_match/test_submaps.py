@@ -120,7 +120,7 @@ def test_scans_between_key_frames_are_left_out() -> None:
     assert points_in(chain.matched_to) > before
 
 
-def test_a_lost_scan_begins_a_detached_piece_that_a_fit_drops() -> None:
+def test_a_lost_scan_begins_a_detached_map_that_a_fit_drops() -> None:
     chain = submaps()
     assert insert(chain, 0.0).piece == 0
     before, tiles = points_in(chain.matched_to), chain.tile_count
@@ -136,7 +136,7 @@ def test_a_lost_scan_begins_a_detached_piece_that_a_fit_drops() -> None:
     assert chain.tile_count <= tiles + 6  # of the key frame at 1.2 m; those of the piece went back
 
 
-def test_what_is_lost_grows_the_piece_and_leaves_the_map_alone() -> None:
+def test_what_is_lost_grows_the_detached_map_and_leaves_the_map_alone() -> None:
     chain = submaps()
     insert(chain, 0.0)
     before = points_in(chain.matched_to)
@@ -147,7 +147,7 @@ def test_what_is_lost_grows_the_piece_and_leaves_the_map_alone() -> None:
     assert points_in(chain.matched_to) == before
 
 
-def test_a_piece_is_matched_to_only_once_the_graph_has_joined_it() -> None:
+def test_a_detached_map_is_matched_to_only_once_the_graph_has_joined_it() -> None:
     chain = submaps()
     insert(chain, 0.0)
     insert(chain, 50.0, state="lost", is_matched=False)
@@ -165,7 +165,7 @@ def test_a_piece_is_matched_to_only_once_the_graph_has_joined_it() -> None:
     assert chain.matched_to is detached
 
 
-def test_scans_that_fit_neither_map_nor_piece_begin_another_one() -> None:
+def test_scans_that_fit_neither_map_nor_detached_map_begin_another_one() -> None:
     chain = submaps()
     insert(chain, 0.0)
     pieces = [insert(chain, 50.0, state="lost", is_matched=k == 1).piece for k in range(MAX_MISSES + 3)]
@@ -176,7 +176,7 @@ def test_scans_that_fit_neither_map_nor_piece_begin_another_one() -> None:
     assert chain.detached.scan_count == 1
 
 
-def test_the_error_against_the_map_fades_with_the_way_and_not_with_time(
+def test_the_error_against_the_map_fades_with_the_distance_and_not_with_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(FIRST_SCANS, 100)
@@ -249,7 +249,7 @@ def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
     assert planar_share(0.03) > 0.6
 
 
-def test_a_scan_of_hardly_any_returns_begins_no_piece_and_none_that_follows_is_lost_by_it() -> None:
+def test_a_scan_of_hardly_any_returns_begins_no_detached_map_and_none_that_follows_is_lost_by_it() -> None:
     chain = submaps()
     room = square()
     chain.insert(room, match_at(SE2(), room))

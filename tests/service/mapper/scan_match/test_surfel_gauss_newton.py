@@ -93,7 +93,7 @@ def test_another_room_where_the_walls_of_this_one_should_be_seen_is_lost() -> No
     assert "behind its walls" in result.reason
 
 
-def test_after_a_pause_in_which_no_one_saw_the_way_a_scan_has_to_lie_on_the_map() -> None:
+def test_after_a_pause_in_which_no_one_saw_the_motion_a_scan_has_to_lie_on_the_map() -> None:
     """Half of the room is another: new ground where the way is known, not after 5 s without odometry."""
     xy = square().xy_base
     opened = points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy))
@@ -104,7 +104,7 @@ def test_after_a_pause_in_which_no_one_saw_the_way_a_scan_has_to_lie_on_the_map(
     assert new_matcher().match(square(), unseen, mapped(square())).state == "ok"
 
 
-def test_where_no_one_measured_the_way_the_map_is_asked_again_when_the_graph_has_found_the_piece() -> None:
+def test_where_no_one_measured_the_motion_the_map_is_asked_again_when_the_graph_has_found_the_place() -> None:
     """The same walls prove nothing, for others may look alike."""
     chain, matcher, points = mapped(square()), new_matcher(), square()
     pieces = []
@@ -125,7 +125,7 @@ def test_where_no_one_measured_the_way_the_map_is_asked_again_when_the_graph_has
     assert matcher.match(points, predicted(SE2()), chain).state == "ok"
 
 
-def test_without_a_graph_that_looks_for_pieces_the_map_is_asked_at_once() -> None:
+def test_without_a_graph_that_looks_for_detached_maps_the_map_is_asked_at_once() -> None:
     chain, points = mapped(square()), square()
     chain.detach(5.0)
     chain.attach()
@@ -195,7 +195,7 @@ def lost_at(chain: SurfelSubmaps, matcher: SurfelGaussNewton, points: Points, st
     return result
 
 
-def test_what_is_lost_is_matched_to_the_detached_piece_and_stays_lost() -> None:
+def test_what_is_lost_is_matched_to_the_detached_map_and_stays_lost() -> None:
     chain, matcher, far = mapped(square()), new_matcher(), square(3.0)
     assert lost_at(chain, matcher, far, predicted(SE2(50.0, 0.0, 0.0), is_measured=False)).measured is None
     result = lost_at(chain, matcher, far, predicted(SE2(50.03, 0.0, 0.01), is_measured=False))
@@ -208,7 +208,7 @@ def test_what_is_lost_is_matched_to_the_detached_piece_and_stays_lost() -> None:
     assert (result.state, result.submap) == ("ok", 1)
 
 
-def test_back_on_the_map_the_gap_of_the_piece_is_reported() -> None:
+def test_back_on_the_map_the_gap_of_the_detached_map_is_reported() -> None:
     """Through the piece the pose was known to 0.2 m only, which the estimator did not know."""
     chain, matcher = mapped(square()), new_matcher()
     lost_at(chain, matcher, square(8.0), predicted(SE2(0.2, 0.0, 0.0), sigma=0.2))
@@ -222,7 +222,7 @@ def test_back_on_the_map_the_gap_of_the_piece_is_reported() -> None:
     assert chain.detached is None
 
 
-def test_too_far_for_the_way_since_it_was_lost_a_fit_is_not_believed() -> None:
+def test_too_far_for_the_motion_since_it_was_lost_a_fit_is_not_believed() -> None:
     chain, matcher = mapped(square()), new_matcher()
     lost_at(chain, matcher, square(8.0), predicted(SE2(0.6, 0.0, 0.0), sigma=0.02))
     result = lost_at(chain, matcher, square(), predicted(SE2(0.6, 0.0, 0.0), sigma=0.02))

@@ -63,7 +63,9 @@ def test_room_on_the_disk_is_measured_against_what_is_kept(
     assert words in finding.measured
 
 
-def test_sessions_whose_writer_died_are_told_from_one_that_is_written(tree: FakeTree, config: ServiceConfig):
+def test_sessions_whose_writer_died_are_distinguished_from_one_that_is_written(
+    tree: FakeTree, config: ServiceConfig
+):
     assert look_at_leftovers(tree.machine(), config) == []
     tree.write("/data/sessions/dead.mcap.active", "")
     alive = tree.write("/data/sessions/alive.mcap.active", "")

@@ -53,7 +53,7 @@ def test_silence_by_way_of_a_gateway_blames_the_missing_net(tree: FakeTree):
     assert "ip addr add" in finding.remedy
 
 
-def test_an_address_that_no_one_has_is_told_from_a_silent_device(tree: FakeTree):
+def test_an_address_that_no_one_has_is_distinguished_from_a_silent_device(tree: FakeTree):
     tree.write("/proc/net/route", HEAD + VEHICLE_NET)
     arp = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:06:77:00:00:01 * eth1\n"
     tree.write("/proc/net/arp", arp.format(0))

@@ -37,5 +37,5 @@ def test_sensors_know_each_other_by_their_bytes():
 
 
 @given(st.binary(min_size=1, max_size=16_384))
-def test_any_bytes_can_be_said(data: bytes):
+def test_any_bytes_can_be_named(data: bytes):
     assert describe(data).isprintable()

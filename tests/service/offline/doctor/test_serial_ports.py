@@ -90,7 +90,7 @@ def test_who_holds_the_port_is_named(tree: FakeTree, port: Path, terminal: str):
     assert "kill 77" in finding.remedy
 
 
-def test_a_running_service_is_told_from_a_stranger(tree: FakeTree, port: Path, terminal: str):
+def test_a_running_service_is_distinguished_from_a_stranger(tree: FakeTree, port: Path, terminal: str):
     tree.process(90, "corridor", "/usr/bin/python3", "/opt/bin/corridor", "run", "v.yaml", holds=terminal)
     (finding,) = look_at_port(tree.machine(), "base", PORT).findings
     assert "the service itself is running" in finding.remedy

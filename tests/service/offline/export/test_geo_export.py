@@ -98,7 +98,7 @@ def test_a_world_file_puts_each_pixel_where_it_lies_in_utm(replayed, tmp_path):
 
 
 @pytest.mark.parametrize("to", ["geojson", "kml"])
-def test_without_a_reference_the_way_on_the_earth_is_refused_in_words(replayed, tmp_path, to):
+def test_without_a_reference_the_path_on_the_earth_is_refused_in_words(replayed, tmp_path, to):
     (replayed / "geo.json").unlink()
     with pytest.raises(InputError, match=rf"no geo.json in it: .* which {to} needs.*summary\.json"):
         export(replayed, to, tmp_path / "way")

@@ -40,5 +40,5 @@ def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, dri
     np.testing.assert_allclose(way[between], poses[between] + share * (whole - poses[between]), atol=1e-9)
 
 
-def test_without_a_trajectory_there_is_no_way(graph):
+def test_without_a_trajectory_there_is_no_path(graph):
     assert corrected_path(np.empty(0, np.int64), np.empty((0, 3)), graph, graph)[1].shape == (0, 3)

@@ -95,7 +95,7 @@ def test_what_cannot_be_meant_is_refused(verb, request_, words):
     assert shown == line.asked == []
 
 
-def test_a_way_is_thinned_evenly():
+def test_a_path_is_thinned_evenly():
     way = np.column_stack((np.arange(0.0, 10.0, 0.01), np.zeros(1000)))
     rows = thinned(way, 0.05, 1000)
     assert np.diff(way[rows, 0]).min() >= 0.05 - 1e-9

@@ -54,7 +54,7 @@ def test_it_begins_paused_goes_to_a_time_and_pauses_there() -> None:
     assert steps.taken == list(range(50))
 
 
-def test_a_pause_ends_the_way_to_a_time() -> None:
+def test_a_pause_ends_going_to_a_time() -> None:
     pace = Pace(1e-6)
     pace.go_to(3 * S)
     pace.pause()

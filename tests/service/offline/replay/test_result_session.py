@@ -39,7 +39,7 @@ def test_another_reader_of_ros_2_messages_finds_poses_map_states_and_loops(out: 
         assert topics.count(topic) == SCANS
 
 
-def test_a_map_that_is_too_large_for_a_message_is_left_out_and_said(
+def test_a_map_that_is_too_large_for_a_message_is_left_out_and_reported(
     record_drive: RecordDrive,  # noqa: F811
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

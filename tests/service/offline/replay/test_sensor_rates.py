@@ -30,7 +30,7 @@ def test_only_the_longest_gaps_are_listed_and_all_are_counted():
     assert [at_s for at_s, _ in facts["longest_gaps"]] == [round(0.02 * k, 3) for k in begins[:MAX_GAPS]]
 
 
-def test_kinds_of_one_sensor_are_told_apart_and_a_single_frame_has_no_rate():
+def test_kinds_of_one_sensor_are_distinguished_and_a_single_frame_has_no_rate():
     rates = SensorRates()
     rates.add(replace(odometry_at(0, 0.0), sensor="front"))
     rates.add(room_scan(T0_NS, 0.0))

@@ -45,7 +45,7 @@ def good_replay() -> Replay:
         ),
     ],
 )
-def test_wrong_times_are_mended_and_said(name: str, dropped: int, warning: str):
+def test_wrong_times_are_mended_and_reported(name: str, dropped: int, warning: str):
     good = good_replay()
     assert good.summary["warnings"] == []
     done = replay([CASES / f"{name}.mcap"], ReplayOptions())

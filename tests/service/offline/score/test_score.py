@@ -207,7 +207,7 @@ def test_poses_without_a_truth_are_left_out_and_counted(tmp_path):
     assert found.ate_m.max < 1e-6
 
 
-def test_a_way_shorter_than_a_step_has_no_rpe(tmp_path):
+def test_a_path_shorter_than_a_step_has_no_rpe(tmp_path):
     path = tum(tmp_path / "a.tum", [0, S], [SE2(), SE2(0.5)])
     found = score(path, path)
     assert (found.rpe_pairs, found.rpe_m, found.rpe_deg) == (0, None, None)

@@ -146,7 +146,7 @@ def seam_m(graph: SavedGraph, truth) -> np.ndarray:
     return np.array(off)
 
 
-def test_a_pair_is_held_by_the_passes_that_saw_its_points(open_ring: SavedGraph):
+def test_a_pair_is_tied_to_the_passes_that_saw_its_points(open_ring: SavedGraph):
     of_first = points_map(open_ring)[open_ring.point_count[:10].sum() + 50]
     k = 10 + ROUND
     of_second = points_map(open_ring)[open_ring.point_count[:k].sum() + 50]
@@ -180,7 +180,7 @@ def test_a_loop_is_taken_back_and_the_others_stay(ring: SavedGraph):
     np.testing.assert_array_equal(opened.graph.map, ring.map)  # with nothing to agree with, nothing moves
 
 
-def test_a_loop_that_alone_holds_a_piece_is_not_taken_back(ring: SavedGraph):
+def test_a_loop_that_alone_holds_a_detached_map_is_not_taken_back(ring: SavedGraph):
     piece = ring.piece.copy()
     piece[ROUND:] = 7
     torn = replace(ring, piece=piece)

@@ -68,7 +68,7 @@ def test_maps_of_two_buildings_are_not_merged(first):
         merge_graphs(first[1], elsewhere, None)
 
 
-def test_loops_and_pieces_of_both_keep_their_key_frames(first, second):
+def test_loops_and_detached_maps_of_both_keep_their_key_frames(first, second):
     a, b = first[1], second[1]
     both = together(a, b)
     both.checked()

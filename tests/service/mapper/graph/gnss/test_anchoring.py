@@ -69,7 +69,7 @@ def moved_m(a: Result, b: Result) -> float:
     )
 
 
-def test_fixes_bend_a_drifting_way_back_and_say_where_it_lies():
+def test_fixes_bend_a_drifting_path_back_and_say_where_it_lies():
     drive = outing(LONG_M, seed=1, turn_walk_rad=0.001)
     anchored, bare = (fed(what)[1][-1] for what in (drive, replace(drive, fixes=[])))
     assert bare.geo is None
@@ -83,7 +83,7 @@ def test_fixes_bend_a_drifting_way_back_and_say_where_it_lies():
     assert anchored.g2o.count("VERTEX_SE2") == len(drive.frames) + 1
 
 
-def test_a_way_that_is_too_short_gives_no_reference_and_moves_nothing(drive: Outing):
+def test_a_path_that_is_too_short_gives_no_reference_and_moves_nothing(drive: Outing):
     short = replace(drive, frames=drive.frames[:100], fixes=drive.fixes[:80])
     result, bare = fed(short)[1][-1], fed(replace(short, fixes=[]))[1][-1]
     assert result.geo is None
@@ -184,7 +184,7 @@ def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing):
     assert moved_m(result, without(drive, hung)) < 0.3
 
 
-def test_fixes_that_have_nothing_to_do_with_the_way_give_no_reference(drive: Outing, bare: Result):
+def test_fixes_that_have_nothing_to_do_with_the_path_give_no_reference(drive: Outing, bare: Result):
     noise = np.random.default_rng(2)
     elsewhere = LocalFrame(60.161, 24.546, 51.7)
 

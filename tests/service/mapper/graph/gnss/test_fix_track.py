@@ -83,7 +83,7 @@ def test_a_fix_as_old_as_the_one_before_and_one_of_another_receiver_are_named():
         [(100_000_000, -1), (200_000_000, -1)],  # no key frame yet
     ],
 )
-def test_a_fix_whose_way_no_one_knows_is_counted(scans):
+def test_a_fix_whose_motion_no_one_knows_is_counted(scans):
     track = FixTrack()
     track.add_fix(GOOD, (0.0, 0.0))
     for stamp_ns, keyframe in scans:

@@ -241,7 +241,7 @@ def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
     np.testing.assert_array_equal(after.point_count, before.point_count)
 
 
-def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_held(open_ring: bytes):
+def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_kept(open_ring: bytes):
     """Some in the middle are of a piece whose place is not found: these are not stored."""
     back_end = pickle.loads(open_ring)
     for piece, after_ns in ((1, 10**12), (0, 2 * 10**12)):

@@ -62,7 +62,7 @@ def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
     return np.array(off)
 
 
-def test_a_ring_is_closed_and_the_way_bent_back(
+def test_a_ring_is_closed_and_the_path_bent_back(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
     frames, truth = ring
@@ -105,7 +105,7 @@ def test_after_a_long_drive_the_finish_searches_where_no_loop_ties_it(
     assert not tied & {last - round(2.5 / STEP_M) for last in searched}  # the middles of the queries
 
 
-def test_a_closed_ring_is_known_better_than_the_way_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):
+def test_a_closed_ring_is_known_better_than_the_path_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):
     """Also where the motion model said how far each step may have erred."""
     variance = np.array([1e-4, 1e-4, 4e-5])
     by_motion, frames = np.zeros((3, 3)), []
@@ -158,7 +158,7 @@ def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
     assert not any(ends.tolist() in believed for ends in last.refused)
 
 
-def test_memory_grows_with_the_area_and_not_with_the_way():
+def test_memory_grows_with_the_area_and_not_with_the_distance():
     frames, truth = key_frames(3.8)
     back_end, _ = fed(frames, LoopsConfig(keep_passes=2), renders=False)
     has_points = back_end.keyframes.has_points
@@ -231,7 +231,7 @@ def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE
 
 
 @pytest.mark.parametrize("is_known", [True, False], ids=["known", "unknown"])
-def test_a_lap_that_ends_where_it_began_is_closed_where_the_way_is_known(is_known: bool):
+def test_a_lap_that_ends_where_it_began_is_closed_where_the_path_is_known(is_known: bool):
     """What the last metres see again is one spot: there is no company."""
     frames, truth = key_frames(1.0, turn_error_radpm=2e-4)
     known = [
@@ -267,7 +267,7 @@ def test_a_false_loop_that_the_rest_contradicts_is_dropped(
     assert seam_m(list(finished.all), truth).max() < 0.02
 
 
-def test_who_undoes_the_last_loops_gets_the_way_before_them(ring_fed: tuple[bytes, list[Result]]):
+def test_who_undoes_the_last_loops_gets_the_path_before_them(ring_fed: tuple[bytes, list[Result]]):
     back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
     before = results[-1].loops
     undone = [back_end.work(Batch([], "undo")) for _ in range(before)]
@@ -319,7 +319,7 @@ def piece_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]
     return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
 
 
-def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
+def test_a_detached_map_that_is_found_twice_four_metres_apart_is_joined(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]
@@ -343,7 +343,7 @@ def test_a_piece_that_is_found_twice_four_metres_apart_is_joined(
         assert abs(away.theta_rad) < 0.01
 
 
-def test_where_a_piece_was_found_is_told_from_the_first_find_until_it_is_joined(
+def test_where_a_detached_map_was_found_is_reported_from_the_first_find_until_it_is_joined(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]
@@ -363,7 +363,7 @@ def test_where_a_piece_was_found_is_told_from_the_first_find_until_it_is_joined(
         assert 0.05 < math.sqrt(once.known.covariance[0, 0]) < 0.2
 
 
-def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
+def test_a_detached_map_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
     """Standing, a room looks like any other of its kind."""
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
@@ -372,7 +372,7 @@ def test_a_piece_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFram
         assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
 
 
-def test_a_piece_that_is_not_joined_is_neither_laid_on_nor_rendered(
+def test_a_detached_map_that_is_not_joined_is_neither_laid_on_nor_rendered(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]

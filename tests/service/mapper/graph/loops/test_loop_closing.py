@@ -34,7 +34,7 @@ def scan(k: int, x_m: float) -> MappedScan:
     return MappedScan(k * 10**8, POINTS, match, MapChange(), np.eye(3), PRIOR)
 
 
-def test_a_key_frame_is_in_doubt_by_all_predictions_since_the_one_before() -> None:
+def test_a_key_frame_is_uncertain_by_all_predictions_since_the_one_before() -> None:
     worker = Taken(None)
     graph = LoopClosing(LoopsConfig(keyframe_distance_m=0.3, search_every_m=0.5), None, lambda _: worker)
     for k in range(8):

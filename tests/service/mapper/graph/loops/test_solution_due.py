@@ -41,7 +41,7 @@ def test_one_loop_is_news_if_it_moves_the_map_visibly(off_m: float, is_news: boo
     assert not due.has_news(laps(), [loop(COUNT - 40, off_m)])  # of long ago
 
 
-def test_loops_that_agree_are_brought_in_after_some_way() -> None:
+def test_loops_that_agree_are_brought_in_after_some_distance() -> None:
     keyframes, agreeing = laps(), [loop(COUNT - 1, 0.001)]
     assert SolutionDue(LoopsConfig(), 0.0).has_news(keyframes, agreeing)
     due = SolutionDue(LoopsConfig(), 0.0)

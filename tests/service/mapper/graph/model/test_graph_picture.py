@@ -7,7 +7,7 @@ from service.mapper.saved_graph import SavedGraph
 NONE = np.empty((0, 2), np.int64)
 
 
-def test_a_long_way_is_thinned_and_keeps_its_end() -> None:
+def test_a_long_path_is_thinned_and_keeps_its_end() -> None:
     count = 10 * MAX_KEYFRAMES + 1
     xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))
     loops = np.column_stack((np.arange(2000), np.arange(2000) + 3000))
@@ -18,7 +18,7 @@ def test_a_long_way_is_thinned_and_keeps_its_end() -> None:
     assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
 
 
-def test_a_stretch_ends_at_another_piece_another_session_and_a_gap() -> None:
+def test_a_stretch_ends_at_another_detached_map_another_session_and_a_gap() -> None:
     way_m = np.array([0.0, 1.0, 2.0, 103.0, 104.0, 105.0, 106.0])
     piece = np.array([0, 0, 0, 0, 1, 1, 1])
     known = np.array([True, True, True, True, True, False, True])

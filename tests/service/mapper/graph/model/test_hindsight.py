@@ -91,7 +91,7 @@ def test_a_pose_in_the_middle_is_no_better_known_than_what_led_there() -> None:
         )
 
 
-def test_in_a_piece_whose_place_is_not_known_the_newest_key_frame_before_it_counts() -> None:
+def test_in_a_detached_map_whose_place_is_not_known_the_newest_key_frame_before_it_counts() -> None:
     """What odometry measured since comes on top of it."""
     keyframes = driven(piece=range(15, COUNT))
     found = known(keyframes)

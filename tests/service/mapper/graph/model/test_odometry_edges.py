@@ -69,19 +69,21 @@ def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
 
 
 @pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
-def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_doubted(score: float, added: float) -> None:
+def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_uncertain(score: float, added: float) -> None:
     """The others lie on it with 0.9, and 60 % of that is 0.54."""
     doubted = SOUND + added * np.diag([MAX_DOUBT[0], *MAX_DOUBT])
     check(edges(score=score), doubted, doubted)
 
 
-def test_a_match_in_doubt_is_known_as_well_as_the_predictions() -> None:
+def test_a_doubtful_match_is_known_as_well_as_the_predictions() -> None:
     doubted = SOUND + np.diag([1e-4, 1e-4, 4e-6])
     check(edges(score=0.53, doubt=(1e-4, 4e-6)), doubted, doubted)
 
 
 @pytest.mark.parametrize(("ahead_m", "sigma"), [(2.0 * STEP_M, 0.0), (2.0 * STEP_M + 3.0, 0.3)])
-def test_a_way_without_scans_is_doubted_by_its_length_beyond_two_steps(ahead_m: float, sigma: float) -> None:
+def test_a_path_without_scans_is_uncertain_by_its_length_beyond_two_steps(
+    ahead_m: float, sigma: float
+) -> None:
     """By a tenth of it, m and rad."""
     check(edges(ahead_m), SOUND + sigma**2 * np.eye(3), SOUND)
 
@@ -94,7 +96,7 @@ def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
     np.testing.assert_allclose(found[ODD], SOUND)
 
 
-def test_no_one_knows_the_way_into_another_piece_and_back_it_is_counted_from_where_it_was_left() -> None:
+def test_no_one_knows_the_motion_into_another_map_and_back_it_is_counted_from_where_it_was_left() -> None:
     found = edges(piece=1)
     np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
     assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
@@ -112,7 +114,7 @@ def test_no_one_knows_the_way_into_another_piece_and_back_it_is_counted_from_whe
         ({"gap_s": 1.5, "motion_covariance": None}, False),
     ],
 )
-def test_into_another_piece_dead_reckoning_knows_the_way_where_no_one_can_have_carried_the_vehicle(
+def test_into_another_map_dead_reckoning_knows_the_motion_where_no_one_can_have_carried_the_vehicle(
     odd: dict[str, Any], is_known: bool, by_motion: bool
 ) -> None:
     found = edges(by_motion=by_motion, piece=1, **odd).covariance[ODD - 1]
@@ -121,7 +123,7 @@ def test_into_another_piece_dead_reckoning_knows_the_way_where_no_one_can_have_c
 
 
 @pytest.mark.parametrize("is_lost", [False, True])
-def test_a_match_in_doubt_is_doubted_beside_the_motion_model_too(is_lost: bool) -> None:
+def test_a_doubtful_match_is_uncertain_beside_the_motion_model_too(is_lost: bool) -> None:
     """What was not matched cannot be a wrong match: odometry alone says how well it is known."""
     odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
     added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance

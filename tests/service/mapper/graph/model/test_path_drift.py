@@ -63,14 +63,14 @@ def loop(x_m: float, y_m: float, theta_rad: float, of: int = 0) -> Loop:
     return Loop(of, STEPS, np.array([x_m, y_m, theta_rad]), SURE, 0.5)
 
 
-def test_the_drift_of_a_way_is_the_sum_of_its_steps():
+def test_the_drift_of_a_path_is_the_sum_of_its_steps():
     drift = straight()
     assert drift.chi2(loop(10.0, 0.0, 0.0)) == pytest.approx(0.0, abs=1e-6)
     sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
     assert drift.chi2(loop(10.0 + 3.0 * sigma_m, 0.0, 0.0)) == pytest.approx(9.0, rel=0.01)
 
 
-def test_a_loop_beyond_that_is_not_allowed_unless_no_one_knows_the_way():
+def test_a_loop_beyond_that_is_not_allowed_unless_no_one_knows_the_motion():
     off_m = 1.1 * np.sqrt(MAX_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
     assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
     assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
@@ -78,7 +78,7 @@ def test_a_loop_beyond_that_is_not_allowed_unless_no_one_knows_the_way():
 
 
 @pytest.mark.parametrize("odd", [{"lost": 20}, {"beside": (20, 21, 22)}], ids=["unseen", "beside"])
-def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_way(odd: dict[str, Any]):
+def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_path(odd: dict[str, Any]):
     """At the end of a row of vines nothing may be seen for a scan, or a piece be begun and left again."""
     drift = straight(**odd)
     assert drift.chi2(loop(10.0, BESIDE_M, 0.0)) == pytest.approx(
@@ -87,13 +87,13 @@ def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_way
     assert not drift.allows(loop(10.0, 4.0 * BESIDE_M, 0.0))
 
 
-def test_no_one_knows_the_way_from_a_piece_beside_it():
+def test_no_one_knows_the_motion_from_a_detached_map_beside_it():
     drift = straight(beside=(20, 21, 22))
     assert drift.allows(loop(0.25 * (STEPS - 21), 4.0 * BESIDE_M, 0.0, of=21))
     assert not drift.allows(loop(0.25 * (STEPS - 19), 4.0 * BESIDE_M, 0.0, of=19))
 
 
-def test_a_loop_is_where_the_way_leads_if_that_is_known_well_and_says_so():
+def test_a_loop_is_where_the_path_leads_if_that_is_known_well_and_says_so():
     sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
     there, aside = loop(10.0 + 3.0 * sigma_m, 0.0, 0.0), loop(10.0 + 4.0 * sigma_m, 0.0, 0.0)
     assert straight().confirms(there)

@@ -39,7 +39,9 @@ def test_where_dead_reckoning_leads_the_vehicle_may_be_unless_what_is_seen_contr
 
 
 @pytest.mark.parametrize("is_disputed", [False, True])
-def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_told(is_disputed: bool) -> None:
+def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_reported(
+    is_disputed: bool,
+) -> None:
     keyframes = SimpleNamespace(odom=np.zeros((1, 3)), motion_covariance=np.eye(3)[None])
     search = DetachedSearch(LoopsConfig(), keyframes)  # type: ignore[arg-type]
     assert search.found_once is None

@@ -201,7 +201,7 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     assert best_of(60.0, 0.0, beside_m=0.05) is not None
 
 
-def test_after_an_unmeasured_way_a_place_must_beat_new_ground_and_dead_reckoning_counts() -> None:
+def test_after_an_unmeasured_motion_a_place_must_beat_new_ground_and_dead_reckoning_counts() -> None:
     keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
     search = DetachedSearch(LoopsConfig(), keyframes)
     loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)

@@ -34,7 +34,7 @@ def test_prediction_and_scan_share_the_pose_by_the_covariances_that_are_reported
     assert (joined.x_m - alone.x_m) / 0.008 == pytest.approx(0.5, abs=0.2)
 
 
-def test_smooth_walls_say_little_of_the_way_along_them() -> None:
+def test_smooth_walls_say_little_of_the_position_along_them() -> None:
     """The cells of a wall are rough: their slopes along it would fix the way to 4 mm, where no one knows it.
 
     What is left, 22 mm a scan, are normals of short pieces, tilted by the noise of the ranges.

@@ -138,7 +138,7 @@ def test_a_scan_that_was_not_placed_is_not_drawn() -> None:
 
 
 # C26
-def test_a_scan_is_drawn_after_some_way_or_turn_and_not_before() -> None:
+def test_a_scan_is_drawn_after_some_distance_or_turn_and_not_before() -> None:
     patches = PatchMap(PatchMapConfig(), MemoryPatches)
     drawn = []
     for x_m, theta_rad in ((0.0, 0.0), (0.1, 0.0), (0.19, 0.09), (0.21, 0.0), (0.21, 0.11)):

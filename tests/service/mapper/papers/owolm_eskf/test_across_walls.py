@@ -52,7 +52,7 @@ def sigma_m(information: np.ndarray, axis: int) -> float:
 @pytest.mark.parametrize("theta_rad", [0.0, 0.6])
 @pytest.mark.parametrize("noise_m", [0.01, 0.04])
 @pytest.mark.parametrize("weigh_segments", [True, False])
-def test_a_bare_corridor_says_nothing_of_the_way_along_it(theta_rad, noise_m, weigh_segments) -> None:
+def test_a_bare_corridor_says_nothing_of_the_position_along_it(theta_rad, noise_m, weigh_segments) -> None:
     across, slopes, _segment = informations(CORRIDOR, theta_rad, noise_m, weigh_segments=weigh_segments)
     assert sigma_m(across, 0) > 50.0 * sigma_m(across, 1)
     assert sigma_m(slopes, 0) < 10.0 * sigma_m(slopes, 1)  # what its dots seem to say

@@ -80,7 +80,7 @@ def test_behind_a_stretch_that_wheels_alone_measured_the_map_is_known_no_better_
         assert sigma_x_m(motions[-1]) < 0.02
 
 
-def test_a_stretch_that_no_one_measured_is_told_from_then_on() -> None:
+def test_a_stretch_that_no_one_measured_is_reported_from_then_on() -> None:
     model = InertialMotion(InertialMotionConfig())
     for k in range(41):
         model.predict(STEP_MS * k * MS)

@@ -84,7 +84,7 @@ def test_a_burst_alone_says_nothing_of_a_speed() -> None:
     assert way.x_m == pytest.approx(0.19)
 
 
-def test_the_way_since_the_last_scan_is_known_however_long_ago_it_was() -> None:
+def test_the_motion_since_the_last_scan_is_known_however_long_ago_it_was() -> None:
     filled = track()
     for k in range(20_000):  # 300 s, faster than 4096 samples last
         filled.add(odometry(15.0 * k, SE2(0.001 * k, 0.0, 0.0)))

@@ -46,7 +46,7 @@ def test_a_lost_scan_and_one_from_the_same_place_draw_nothing() -> None:
 
 
 # D2, D5
-def test_a_particle_that_takes_over_has_the_map_and_the_way_of_the_other() -> None:
+def test_a_particle_that_takes_over_has_the_map_and_the_path_of_the_other() -> None:
     submaps = CountedSubmaps(CONFIG)
     drive(submaps, 0.0)
     for k, particle in enumerate(submaps.particles):

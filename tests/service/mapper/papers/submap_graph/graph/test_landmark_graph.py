@@ -120,7 +120,7 @@ def test_scans_are_laid_on_walls_and_what_is_carried_stays_where_it_was_laid() -
 
 
 # D3, D12
-def test_landmarks_take_out_what_the_ways_disagree_in(trip) -> None:
+def test_landmarks_take_out_what_the_paths_disagree_in(trip) -> None:
     closed, truth = trip
     back_end = LandmarkBackEnd(CONFIG, OccupancyTiles(OccupancyConfig(), 0.05).renderer)
     results = [pickle.loads(pickle.dumps(back_end.work(Batch("submap", closed=one)))) for one in closed]
