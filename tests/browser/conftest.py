@@ -145,6 +145,12 @@ class Page:
             )
         )
 
+    def thread_s(self) -> float:
+        """Processor time of the thread that runs and draws the page: other programs hardly change it."""
+        self.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+        metrics = self.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+        return float(next(metric["value"] for metric in metrics if metric["name"] == "ThreadTime"))
+
     def leave(self) -> None:
         """For a browser that remembers nothing of the page."""
         self.run("try { sessionStorage.clear(); localStorage.clear(); } catch { /* no page was opened */ }")

@@ -153,13 +153,20 @@ def measure_phone(page: Page, address: str, tiles: int) -> dict[str, float]:
     page.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": SLOWER})
     try:
         page.driver.get("about:blank")
+        before_s = page.thread_s()
         page.driver.get(address)
         page.wait_for("return window.corridor && corridor.report().tiles > 0 && corridor.view.frames > 0")
         first_ms = page.run("return corridor.view.firstMap_ms")
         page.wait_for("return corridor.report().tiles >= arguments[0]", tiles)
         opened_ms = page.run("return performance.now()")
+        thread_ms = 1000 * (page.thread_s() - before_s)
         page.run("corridor.view.fit()")
-        return {"first_picture_ms": round(first_ms), "opened_ms": round(opened_ms), **pan(page)}
+        return {
+            "first_picture_ms": round(first_ms),
+            "opened_ms": round(opened_ms),
+            "opened_thread_ms": round(thread_ms),
+            **pan(page),
+        }
     finally:
         page.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
         page.resize(DESKTOP)
