@@ -112,6 +112,11 @@ def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session,
     assert topics.counts()["answered"]["refused"] == 1
 
 
+def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
+    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url="office")
+    assert (response.result, response.map.info.width) == (0, 0)
+
+
 @pytest.mark.parametrize(
     ("url", "result"),
     [("nowhere", 1), ("office", 255), ("package://nav2/maps/office.yaml", 255), ("/etc", 1), ("../..", 1)],

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.runtime.early_mapper import MapperSocket, mapping_section
+from service.runtime.early_mapper import EarlyMapper, MapperSocket, mapping_section
 
 
 @pytest.mark.parametrize("content", [b"mapping: 3", b"- mapping", b"", b"\xff\xfe", b"vehicle: a"])
@@ -15,6 +15,19 @@ def test_a_file_without_a_section_has_an_empty_one(tmp_path: Path, content: byte
     path = tmp_path / "vehicle.yaml"
     path.write_bytes(content)
     assert mapping_section(path) == {}
+
+
+@pytest.mark.parametrize("is_reported", [False, True])
+def test_a_process_that_no_one_takes_over_ends_with_its_folder(is_reported: bool):
+    with EarlyMapper() as early:
+        if is_reported:
+            early.tell({"profile": "corridor"})
+        folder = early.mapper_socket.folder
+        assert folder.exists()
+        with pytest.raises(subprocess.TimeoutExpired):
+            early.process.wait(0.05)
+    assert early.process.returncode is not None
+    assert not folder.exists()
 
 
 MAKES = (

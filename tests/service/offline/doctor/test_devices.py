@@ -64,6 +64,16 @@ def only(findings: list[Finding], severity: str = "fault") -> Finding:
 
 
 @pytest.mark.usefixtures("any_rate_will_do")
+def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
+    finding = only(examine(lms100(on_tcp(fake_lms100())), WAITING), "ok")
+    assert "device LMS10x_FieldEval" in finding.measured
+    assert "serial 18090362" in finding.measured
+    assert finding.values["identity.dialect"] == "CoLa-A"
+    assert SLOW < float(finding.values["rate_hz"]) / 49.8 < BURST
+    assert float(finding.values["delay_ms_p50"]) > 3.0
+
+
+@pytest.mark.usefixtures("any_rate_will_do")
 def test_a_good_robot_is_named_with_rate_and_battery():
     with serve_pty(FakeCreate(STANDING, wakes_on_connect=True)) as path:
         finding = only(examine(create(path), WAITING), "ok")
@@ -90,7 +100,7 @@ def test_the_other_dialect_is_found_by_asking_in_it(on_tcp: OnTcp):
     assert finding.remedy == "write dialect: cola_b"
 
 
-def test_a_device_that_serves_someone_else_is_recognised(on_tcp: OnTcp):
+def test_a_device_that_serves_somebody_else_is_recognised(on_tcp: OnTcp):
     at = on_tcp(fake_lms100())
     with TcpTransport(*at):
         finding = only(examine(lms100(at)))
@@ -204,7 +214,7 @@ def test_a_busy_port_is_not_touched(serial_line: SerialLine, hold: Callable[[str
     assert not line.heard
 
 
-def test_a_port_used_by_a_process_that_is_hidden_is_busy_all_the_same(
+def test_a_port_held_by_a_process_that_is_hidden_is_busy_all_the_same(
     tree: FakeTree, serial_line: SerialLine, hold: Callable[[str], int]
 ):
     line = serial_line()

@@ -1,5 +1,6 @@
 """Bags are written here by rosbags' writers; their ROS 1 messages by rosbags' own definitions of Noetic."""
 
+import json
 import math
 from dataclasses import dataclass
 from itertools import starmap
@@ -202,6 +203,14 @@ def test_a_bag_becomes_a_session_with_its_sensors_and_mountings(kind, tmp_path):
     assert [sample.x_m for sample in samples] == [0.1 * k for k in range(SCANS)]
     assert samples[0].twist_mps_radps == (1.0, 0.0, 0.2)
     assert [f.rate_radps[2] for f in frames if isinstance(f, ImuSample)] == [0.5 + k for k in range(SCANS)]
+
+
+def test_an_import_reports_as_json_what_it_counted(tmp_path, capsys):
+    bag = BAGS["ROS 1"](tmp_path)
+    assert main(["import", "rosbag", str(bag), str(tmp_path / "out.mcap"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["frames"]["scans of base"] == SCANS
+    assert facts["mountings"]["base"]["x_m"] == 0.25
 
 
 def test_a_bag_without_odometry_gives_that_of_its_tf(tmp_path):

@@ -7,6 +7,7 @@ from service.offline.past.recorded_moments import RecordedMoments
 from service.outputs import OCCUPIED
 from tests.browser.scene import MOUNTINGS, Scene, stamp, statuses
 from tests.service.offline.past.past_recordings import (
+    MAPS_S,
     write_past,
 )
 from tests.service.recording.sessions import drive, write_file
@@ -40,6 +41,16 @@ def test_a_moment_has_what_was_known_then_and_nothing_that_came_later(moments, s
     assert {scan.sensor: scan.stamp_ns for scan in moment.scans} == dict.fromkeys(MOUNTINGS, stamp(scanned_s))
     assert moment.mountings["front"] == MOUNTINGS["front"]
     np.testing.assert_array_equal(moment.scans[0].range_m, Scene().scan("front", scanned_s).range_m)
+
+
+def test_the_map_is_the_newest_that_was_recorded_by_then(moments):
+    assert moments.tiles_at(stamp(4.9)) == ()
+    assert moments.at(stamp(4.9)).map_words == "no map was recorded by then"
+    for seconds, half_m in MAPS_S.items():
+        assert extent_m(moments.tiles_at(stamp(seconds))) == half_m
+        assert extent_m(moments.tiles_at(stamp(seconds + 4.9))) == half_m
+    assert moments.at(stamp(12.3)).map_words == "map recorded 2.3 s before"
+    assert moments.at(stamp(10.0)).map_words == "map recorded at this moment"
 
 
 def test_before_the_first_pose_there_is_none(tmp_path):

@@ -69,6 +69,10 @@ def test_a_unit_that_was_kept_is_reported_by_what_it_starts(tmp_path: Path):
     assert "the unit starts" not in str(install_unit(tmp_path))
 
 
+def test_a_program_that_the_unit_may_not_see_is_reported(tmp_path: Path):
+    assert "may not look" in install_unit(tmp_path, program="/home/me/venv/bin/corridor").warning
+
+
 def test_the_command_that_runs_is_the_one_that_the_unit_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -261,6 +261,14 @@ def test_a_drive_that_contradicts_another_one_is_named_in_a_warning(grown, drive
     assert not warned or "b: at its loops to a, 3.7 % of the points" in warnings[0]
 
 
+def test_a_drive_that_was_left_out_and_mapped_again_is_looked_for_again(three, tmp_path):
+    out = Path(shutil.copytree(three[0], tmp_path / "map", symlinks=True))
+    store(tmp_path / "elsewhere", driven("d", 9))
+    report = build([tmp_path / "elsewhere"], out)
+    assert names_in(report) == ["a", "b", "c", "elsewhere"]
+    assert report["left_out"] == {}
+
+
 def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
     (tmp_path / "a").symlink_to(drives / "a")
     (tmp_path / "later.mcap").touch()
