@@ -100,7 +100,7 @@ def test_the_other_dialect_is_found_by_asking_in_it(on_tcp: OnTcp):
     assert finding.remedy == "write dialect: cola_b"
 
 
-def test_a_device_that_serves_somebody_else_is_recognised(on_tcp: OnTcp):
+def test_a_device_that_serves_someone_else_is_recognised(on_tcp: OnTcp):
     at = on_tcp(fake_lms100())
     with TcpTransport(*at):
         finding = only(examine(lms100(at)))
@@ -214,7 +214,7 @@ def test_a_busy_port_is_not_touched(serial_line: SerialLine, hold: Callable[[str
     assert not line.heard
 
 
-def test_a_port_held_by_a_process_that_is_hidden_is_busy_all_the_same(
+def test_a_port_used_by_a_process_that_is_hidden_is_busy_all_the_same(
     tree: FakeTree, serial_line: SerialLine, hold: Callable[[str], int]
 ):
     line = serial_line()
