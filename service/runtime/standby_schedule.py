@@ -1,10 +1,36 @@
 """When the mapper forks its next stand-by: in a pause between scans that is long enough for a fork."""
 
-from service.runtime.scan_forecast import ScanForecast
+from collections import deque
 
 INTERVAL_NS = 4_000_000_000  # from one stand-by to the next, while items come
 URGENT_NS = 500_000_000  # to the next where the newest is gone: one that dies at once costs a fork each time
 OVERDUE_NS = 12_000_000_000  # since the last one: then one is made though items wait, or a scan is due
+ARRIVALS = 9  # of each laser: the median of the eight times between them is its period
+MAX_PERIODS = 3  # without a scan; then a laser is silent, and nothing is expected of it
+
+
+class ScanForecast:
+    """When the next scan is due. Host monotonic ns; `arrived` with each scan, in order; then `pause_ns`."""
+
+    def __init__(self) -> None:
+        self._arrived_ns: dict[str, deque[int]] = {}
+
+    def arrived(self, sensor: str, at_ns: int) -> None:
+        """The last byte of a scan of this laser was read."""
+        self._arrived_ns.setdefault(sensor, deque(maxlen=ARRIVALS)).append(at_ns)
+
+    def pause_ns(self, now_ns: int) -> int | None:
+        """From now to the next scan; 0 where one is overdue, None where no laser is known to send."""
+        pauses_ns = []
+        for arrivals in self._arrived_ns.values():
+            if len(arrivals) < 2:
+                continue
+            times_ns = sorted(b - a for a, b in zip(arrivals, list(arrivals)[1:], strict=False))
+            period_ns = times_ns[len(times_ns) // 2]
+            silent_ns = now_ns - arrivals[-1]
+            if silent_ns <= MAX_PERIODS * period_ns:
+                pauses_ns.append(max(period_ns - silent_ns, 0))
+        return min(pauses_ns, default=None)
 
 
 class StandbySchedule:

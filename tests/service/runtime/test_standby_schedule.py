@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from service.encoding import LASER_SCAN
 from service.runtime.mapper_messages import FrameItem
 from service.runtime.mapper_process import MapperProcess
-from service.runtime.standby_schedule import INTERVAL_NS, OVERDUE_NS, StandbySchedule
+from service.runtime.standby_schedule import INTERVAL_NS, OVERDUE_NS, ScanForecast, StandbySchedule
 
 MS = 1_000_000
 TOOK_NS = 8 * MS
@@ -59,3 +59,17 @@ def test_the_process_tells_of_scans_alone_and_of_each_when_it_is_taken() -> None
     process._take_up_to_scan()
     assert facts == [("front", 7)]
     assert taken == [odometry, scan]
+
+
+def forecast(**arrivals_ms: list[float]) -> ScanForecast:
+    made = ScanForecast()
+    for sensor, times in arrivals_ms.items():
+        for at_ms in times:
+            made.arrived(sensor, round(at_ms * MS))
+    return made
+
+
+def test_nothing_is_expected_of_a_laser_that_is_silent_or_unknown() -> None:
+    assert forecast(front=[0, 20, 40]).pause_ns(101 * MS) is None
+    assert forecast(front=[40]).pause_ns(41 * MS) is None
+    assert forecast(front=[0, 20, 40], rear=[60, 85, 110]).pause_ns(120 * MS) == 15 * MS
