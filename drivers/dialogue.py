@@ -69,7 +69,7 @@ class DialogueRunner(Generic[RequestT, AnswerT]):
         self._advance(answer, now_ns)
 
     def wait_again(self, now_ns: int) -> None:
-        """Begin the time-out of `awaited` again: the device has said that the answer follows."""
+        """Begin the time-out of `awaited` again: the device has announced that the answer follows."""
         assert self.awaited is not None
         self._deadline_ns = now_ns + round(self.awaited.timeout_s * 1e9)
 

@@ -56,7 +56,7 @@ class Session(Protocol):
     outbox: bytearray
     counters: Counter[str]  # what was received, dropped, resynchronised; names are for people
     status: str  # one line for health: "logging in", "streaming", "laser contaminated"
-    identity: dict[str, str]  # what the device said of itself: firmware, serial number
+    identity: dict[str, str]  # what the device reports of itself: firmware, serial number
 
     def receive_data(self, data: bytes, arrived_ns: int) -> Sequence[Frame]:
         """Take bytes as they came. Raises ProtocolError, DeviceError."""

@@ -235,7 +235,7 @@ class _Reader:
         return self._model(PublishingConfig, _section(root, "publishing"), ("publishing",))
 
     def _root(self) -> dict[str, Any] | None:
-        """None where there is nothing to look at; why is said then."""
+        """None where there is nothing to look at; why is reported then."""
         root = self._document.value
         if root is None and self._document.faults:
             return None
@@ -356,7 +356,7 @@ class _Reader:
         }
         lasers = [name for name, kind in kinds.items() if kind is not None and kind.laser]
         for index, name in enumerate(names):
-            if name not in lasers and kinds.get(name, kinds) is not None:  # a faulty type is said already
+            if name not in lasers and kinds.get(name, kinds) is not None:  # a faulty type is reported already
                 what = "gives no scans" if name in kinds else "is no sensor of this config"
                 offer = suggest(name, lasers) if lasers else "there is no laser at all"
                 self._fault(("mapping", "lasers", index), f"{name} {what}; {offer}")
@@ -404,7 +404,7 @@ class _Reader:
 
     def _fault(self, path: KeyPath, message: str) -> None:
         if any(fault.path == path for fault in self._document.faults):
-            return  # what is not even YAML is said once
+            return  # what is not even YAML is reported once
         self._document.faults.append(Fault(self._document.position(path), path, message))
 
 

@@ -25,7 +25,7 @@ from service.suggestion import suggest
 from simulators.device import FakeDevice, HasClock, ManyClients, Restartable
 
 DAY_S = 86_400.0
-JITTER_SHARE = 0.25  # of the period, where nothing else is said
+JITTER_SHARE = 0.25  # of the period, where nothing else is configured
 
 
 class Fault(Section):
@@ -259,5 +259,5 @@ class _Reader:
 
     def _refuse(self, path: KeyPath, message: str) -> None:
         if any(mistake.path == path for mistake in self._document.faults):
-            return  # once is enough, and what is not even YAML has been said
+            return  # once is enough, and what is not even YAML has been reported
         self._document.faults.append(Mistake(self._document.position(path), path, message))

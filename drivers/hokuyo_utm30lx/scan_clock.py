@@ -7,7 +7,7 @@ than a millisecond, the arrival itself lies above. Over some seconds of sweeps, 
 line that touches all these upper bounds from below is tight wherever the milliseconds roll over or the wire
 is prompt.
 
-The delay itself: what TM1 said at the start bounds the device's clock from both sides (Cristian 1989), and
+The delay itself: what TM1 answered at the start bounds its clock from both sides (Cristian 1989), and
 the stamps say in which millisecond each sweep began, so together they bound the delay.
 """
 
@@ -27,7 +27,7 @@ LINE_AFTER_NS = 1_500_000_000  # a shorter window says too little of the period
 PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # so measured it outlives a restart of the device's clock
 FIT_EVERY = 8  # scans
 MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be under way
-NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 said
+NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 answered
 
 Stamps = npt.NDArray[np.int64]
 
@@ -95,7 +95,7 @@ class ScanClock:
         return self._clock.offset_sigma_ns
 
     def synchronise(self, samples: Sequence[TimeSample]) -> bool:
-        """Take in what TM1 said; False where it contradicts itself."""
+        """Take in what TM1 answered; False where it contradicts itself."""
         bounds = bounds_of_time(samples)
         if bounds is None:
             self.contradictions += 1
@@ -176,7 +176,7 @@ class ScanClock:
         return first_ns + ((stamp_ms - first) * slope_ns).astype(np.int64)
 
     def _bound_delay(self, stamp_ms: Stamps, ideal_ns: Stamps) -> None:
-        """A sweep began in the millisecond of its stamp, and TM1 said when that was. No scan is stamped
+        """A sweep began in the millisecond of its stamp, and TM1 answered when that was. No scan is stamped
         behind its arrival, nor are many on their way: then the clock was set since TM1."""
         assert self._sync is not None
         device_ms, earliest_ns, latest_ns = self._sync

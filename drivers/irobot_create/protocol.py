@@ -18,7 +18,7 @@ from drivers.errors import ProtocolError
 FRAME_HEADER = 0x13
 FRAME_PERIOD_NS = 15_000_000
 MODE_SWITCH_NS = 100_000_000  # 128 wants 20 ms before the next command; libraries leave more
-BANNER_END_NS = 1_000_000_000  # so much quiet, and the robot has said all it says after a reset
+BANNER_END_NS = 1_000_000_000  # so much quiet, and the robot has sent all of its text after a reset
 MAX_LIST = 255  # the count byte of 148 and 149
 LONGEST_TEXT_LINE = 256  # a banner line is shorter; more is noise that happens to be printable
 SHORTEST_TEXT = 6  # so many printable bytes in a row are text; fewer are data that look like it

@@ -62,7 +62,7 @@ ADVICE = Advice(
     doubt=doubt,
     settings_of=settings_of,
     worries=("contamination", "device error", "temperature", "state "),
-    start_up_s=20.0,  # 50 Hz and 25 Hz need another angle step; half a minute is said, not waited for
+    start_up_s=20.0,  # 50 Hz and 25 Hz need another angle step; half a minute is reported, not waited for
     silence="just switched on it needs half a minute, after a lost connection up to one; is another host, "
     "SOPAS ET say, on this port? cut its power once, then look again",
 )

@@ -27,7 +27,7 @@ class CommandQueryable:
         self._queryable = session.declare_queryable(self._root + "*", taken, complete=True)
 
     def close(self) -> None:
-        """Take no more, and let those be answered that were taken; what is not in time is said in the log."""
+        """Take no more, and let those be answered that were taken; what is not in time is logged."""
         self._queryable.undeclare()  # type: ignore[no-untyped-call]
         self._workers.close()
 

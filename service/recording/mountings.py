@@ -43,7 +43,7 @@ class StaticTree:
     """The static transforms of a recording: child -> parent with its 4 x 4 matrix.
 
     They stand in /tf_static. Where that does not lead from a sensor to the base, those edges of /tf that
-    never change are taken too: tf 1 knew no other way, and said them again and again.
+    never change are taken too: tf 1 knew no other way, and repeated them.
     """
 
     def __init__(self, recording: Transforms) -> None:

@@ -56,8 +56,8 @@ class BackEndProcess:
 
     Each back end gets a process that is forked from this one, so it comes there whatever its size: what a
     vehicle looks for itself in is 280 MB for an office. A profile without a graph has none. The process
-    before ends once it has done what it was asked. When one dies where nothing can replace it, that is said
-    once in the log, and all work from then on is lost; it ends when this process ends, however it ends.
+    before ends once it has done what it was asked. When one dies where nothing can replace it, that is logged
+    once, and all work from then on is lost; it ends when this process ends, however it ends.
 
     is_waiting       called several times a second while result() waits
     patience_s       how long result() of all its work may keep others waiting, taken together

@@ -7,7 +7,7 @@ from drivers.counted import counted
 from service.encoding import OK, WARNING, Status
 from service.geometry.geo_reference import GeoReference
 
-RECENT_NS = 10_000_000_000  # what was counted within so long is said
+RECENT_NS = 10_000_000_000  # what was counted within so long is reported
 
 # By counter, the worst first: level and words.
 FAULTS = {

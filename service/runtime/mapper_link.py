@@ -53,7 +53,7 @@ from service.runtime.standstill import Standstill
 log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
-STUCK_S = 10.0  # items wait, and the mapper has said nothing for so long: it is ended
+STUCK_S = 10.0  # items wait, and the mapper has sent nothing for so long: it is ended
 STILL_S = 2.0  # so early where it does not even compute
 MAX_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
@@ -100,7 +100,7 @@ class MapperLink:
         self._process: subprocess.Popen[bytes] | None = None
         self._pid = 0  # of the active mapper; 0 once it is killed: another process may get its number
         self._last_pid = 0  # of the active mapper, or of the one before: copies of it are welcome
-        self._unidentified: list[Channel] = []  # connected, and have not said who they are
+        self._unidentified: list[Channel] = []  # connected, and have not named themselves
         self._standby: tuple[Channel, Hello] | None = None
         self._done_number = 0
         self._forgotten_number = 0  # items up to here are not kept any more
@@ -109,7 +109,7 @@ class MapperLink:
         self._refused: set[int] = set()
         self._heard_s = 0.0
         self._standstill = Standstill()
-        self._taken_number = 0  # as the mapper said last
+        self._taken_number = 0  # as the mapper reported last
         self._deaths = (0, 0)  # how many since the item that was done last
         self._back_ends_died_s: deque[float] = deque(maxlen=MAX_BACK_END_DEATHS)  # host monotonic
         self._orphaned: tuple[str, float] | None = None  # why there is no mapper, and since when
@@ -140,7 +140,7 @@ class MapperLink:
 
     @property
     def silent_s(self) -> float:
-        """For how long the mapper has said nothing; it tells its status several times a second."""
+        """For how long the mapper has sent nothing; it tells its status several times a second."""
         return time.monotonic() - self._heard_s
 
     @property

@@ -203,7 +203,7 @@ class ResultApplied(NamedTuple):
 
 
 class PoseRefused(NamedTuple):
-    """Where a person said that the vehicle is in the map, and what is seen does not fit: it is given up."""
+    """Where a person set the vehicle in the map, and what is seen does not fit: it is given up."""
 
     log_ns: int
     x_m: float

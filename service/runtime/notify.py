@@ -13,7 +13,7 @@ SEND_TIMEOUT_S = 0.2
 
 
 class Notifier:
-    """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: said once, and each word tries
+    """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: logged once, and each word tries
     it again, for a watchdog that hears nothing any more kills the service.
     """
 
@@ -56,7 +56,7 @@ class Notifier:
             self._disconnect()
 
     def close(self) -> None:
-        """Nothing more is said."""
+        """Nothing more is reported."""
         self._address = ""
         self._disconnect()
 

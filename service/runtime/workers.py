@@ -27,7 +27,7 @@ class Workers:
         return thread
 
     def join(self, thread: threading.Thread, timeout_s: float) -> bool:
-        """Wait for one thread to end; False, said in the log, if it does not within timeout_s."""
+        """Wait for one thread to end; False, and a warning, if it does not within timeout_s."""
         thread.join(timeout_s)
         if thread.is_alive():
             log.error("thread %s did not end within %.1f s; leaving it behind", thread.name, timeout_s)

@@ -26,7 +26,7 @@ class Sinks:
     """The open sinks, in the order of the registry.
 
     Thread-safe after `open`. `put` and its kin call one sink after the other, which never wait. What a sink
-    raises there is counted, said once in the log, and makes its row in health an error.
+    raises there is counted, logged once, and makes its row in health an error.
     """
 
     def __init__(self) -> None:

@@ -210,7 +210,7 @@ class FoxgloveSink(Sink):
         self._map_due_s = now_s + MAP_PERIOD_S
         try:
             grid = self._tiles.grid()
-        except StorageError as error:  # larger than one picture can be; said once
+        except StorageError as error:  # larger than one picture can be; reported once
             if self._map_version == 0:
                 log.warning("foxglove: %s", error)
             self._map_version = version

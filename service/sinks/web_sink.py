@@ -23,7 +23,7 @@ def open_sink(config: WebConfig, context: SinkContext) -> "WebSink | None":
 
 
 class WebSink(Sink):
-    """Takes commands from `start` on. A port or token it cannot have is said in health; mapping goes on."""
+    """Takes commands from `start` on. A port or token it cannot have shows in health; mapping goes on."""
 
     name = "web"
 

@@ -3,7 +3,7 @@
     any thread --put--> LiveView --twenty times a second--> a SendQueue a browser --> its websocket
                         TileStore --TileFeed, when the browser has taken what came before--'
 
-A page that cannot be served is said in health and tried again; mapping goes on without it.
+A page that cannot be served is reported in health and tried again; mapping goes on without it.
 """
 
 import asyncio

@@ -1,7 +1,7 @@
 """Where the sensors of a recorded drive sit, how wheels count, and whose clock is late; with uncertainties.
 
 Each laser maps the drive alone; its path is then compared with the wheels, the gyro and
-where the other lasers were. What the drive leaves open is said, and stays as it is configured.
+where the other lasers were. What the drive leaves open is reported, and stays as it is configured.
 """
 
 import logging

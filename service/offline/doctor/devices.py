@@ -80,7 +80,7 @@ def examine_sensor(
     patience: Patience,
     stop: threading.Event,
 ) -> list[Finding]:
-    """All that can be said of one sensor, the cause before what follows from it."""
+    """All that can be found out of one sensor, the cause before what follows from it."""
     kind, who, wire = SENSOR_KINDS[config.type], config.name, wire_of(config)
     found: list[Finding] = []
     if isinstance(wire, PortWire):

@@ -1,4 +1,4 @@
-"""What the doctor found, and how it is said."""
+"""What the doctor found, and how it is reported."""
 
 import textwrap
 from collections import Counter
@@ -24,7 +24,7 @@ class Finding:
     severity: Severity
     who: str  # a sensor's name, or the part of the machine: disk, clock, zenoh
     measured: str
-    expected: str = ""  # "" where that is said already
+    expected: str = ""  # "" where that is reported already
     remedy: str = ""  # "" where nothing has to be done
     values: Mapping[str, float | str] = field(default_factory=dict)  # for programs: rate_hz, identity.serial
 

@@ -25,7 +25,7 @@ class PortLook:
 
 
 def look_at_port(machine: Machine, who: str, device: str) -> PortLook:
-    """`device` is a path; what is said of it stops at the first thing that keeps it from being opened."""
+    """`device` is a path; what is reported of it stops at the first thing that keeps it from being opened."""
     path = machine.path(device)
     blocking = (
         _missing(machine, who, device, path)

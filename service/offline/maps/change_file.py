@@ -16,7 +16,7 @@ COLUMNS = ("x_m", "y_m", "change", "first_stamp_ns", "last_stamp_ns", "scans")
 
 def write_changes(path: Path, changes: MapChanges | None) -> None:
     """A line a cell: its middle in the map; "new" where something stands now, "gone" where something stood;
-    the stamps of the first and of the last scan that said so, and how many did. None: there is no file then,
+    the stamps of the first and of the last scan that saw it, and how many did. None: there is no file then,
     nor does one of before stay. Raises OSError.
     """
     path.unlink(missing_ok=True)

@@ -51,7 +51,7 @@ class MapCommands:
         self.verbs = tuple(self._table)
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        """JSON in, JSON out; what cannot be done is said in words."""
+        """JSON in, JSON out; what cannot be done is answered with the reason."""
         try:
             facts = asked_for.carry_out(self._table, verb, payload)
         except CorridorError as error:

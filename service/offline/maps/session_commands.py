@@ -36,7 +36,7 @@ class SessionMapCommands:
         self._name = ""  # of that look, unlike that of any other
 
     def answer(self, line: bytes) -> dict[str, Any]:
-        """What becomes of a request; what cannot be done is said in words."""
+        """What becomes of a request; what cannot be done is answered with the reason."""
         asked = json.loads(line)
         folder, request = Path(asked["map"]), json.dumps(asked["request"]).encode()
         table: Table = {

@@ -100,7 +100,7 @@ class MomentCommands:
             self._show(moment.at_ns, payloads_of(moment, moments.first_ns, moments.last_ns))
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        """JSON in, JSON out; what cannot be done is said in words."""
+        """JSON in, JSON out; what cannot be done is answered with the reason."""
         if verb != GO_TO:
             return refusal(f"this is a recording; it knows {GO_TO}")
         try:

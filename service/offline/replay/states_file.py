@@ -1,4 +1,4 @@
-"""states.csv of a replay: how good the pose of each scan was, as it would have been said live."""
+"""states.csv of a replay: how good the pose of each scan was, as it would have been published live."""
 
 import csv
 import math

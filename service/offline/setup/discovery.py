@@ -1,4 +1,4 @@
-"""Which of our devices is at a host or a port: asked as the live driver asks, until it has said who it is.
+"""Which of our devices is at a host or a port: asked as the live driver asks, until it has named itself.
 
 Nothing is sent to a host or a port that no one named, but for the serial ports of this machine. On a serial
 port it first listens, then asks in an order that cannot start a robot: bytes of another protocol are commands
@@ -119,7 +119,7 @@ def _asked_at(wire: Wire) -> dict[str, Mapping[str, Any]]:
 
 
 def _heard(device: str, stop: threading.Event) -> bytes:
-    """What comes by itself; b"" where the port cannot be opened, which is said when it is asked."""
+    """What comes by itself; b"" where the port cannot be opened, which is reported when it is asked."""
     return listen(partial(SerialTransport, device, LISTEN_BAUD), LISTEN_S, stop)
 
 
