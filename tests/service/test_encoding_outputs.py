@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.frames import OdometrySample
 from service import encoding
+from service.encoding import LogClock, Status, encode_frame, wire
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.mapper.mapping_session import ApplyResult
+from service.mapper.mapping_session import ApplyResult, SessionRequest
 from service.outputs import NO_REASON, Grid, MapperOutput, TileUpdate
 from tests.service.test_encoding import STORE, T0_NS, serialized
 
@@ -23,6 +25,17 @@ OUTPUT = MapperOutput(
     reason=NO_REASON,
     inlier_ratio=0.9,
 )
+
+
+def test_odom_has_a_covariance_of_its_own_that_no_loop_makes_smaller():
+    apart = replace(OUTPUT, odom_covariance=np.diag([4.0, 4.0, 0.01]))
+
+    def known(message):
+        return encoding.decode_pose(message.payload).covariance
+
+    np.testing.assert_allclose(known(encoding.encode_pose(apart, T0_NS)), OUTPUT.covariance, atol=1e-12)
+    np.testing.assert_allclose(known(encoding.encode_odom(apart, T0_NS)), apart.odom_covariance, atol=1e-12)
+    np.testing.assert_allclose(known(encoding.encode_odom(OUTPUT, T0_NS)), OUTPUT.covariance, atol=1e-12)
 
 
 def test_pose_covariance_is_in_the_axes_of_the_map():
@@ -73,6 +86,16 @@ def test_a_heading_that_may_be_any_and_what_is_no_number_are_not_known():
     np.testing.assert_allclose(decoded.covariance, 1e6 * np.eye(3), atol=1e-6)
 
 
+def test_wheels_do_not_claim_to_know_what_the_plane_leaves_open():
+    sample = OdometrySample(
+        "base", 1, 1, 1.0, 2.0, 0.5, (0.5, 0.0, 0.0), tuple(np.diag([0.1, 0.2, 0.3]).ravel())
+    )
+    content = STORE.deserialize_cdr(encode_frame(sample).payload, encoding.ODOMETRY)
+    np.testing.assert_array_equal(
+        content.pose.covariance.reshape(6, 6), np.diag([0.1, 0.2, 1e6, 1e6, 1e6, 0.3])
+    )
+
+
 def test_odom_and_tf_agree_with_pose():
     odom = encoding.decode_pose(encoding.encode_odom(OUTPUT, T0_NS).payload)
     assert (odom.frame, odom.pose.x_m, odom.pose.y_m) == ("odom", 1.0, 2.0)
@@ -80,6 +103,20 @@ def test_odom_and_tf_agree_with_pose():
     assert [(t.frame, t.child) for t in tf] == [("map", "odom"), ("odom", "base_link")]
     assert [t.translation_m for t in tf] == [(0.5, 0.0, 0.0), (1.0, 2.0, 0.0)]
     assert {t.stamp_ns for t in tf} == {T0_NS}
+
+
+def test_mountings_go_out_as_static_transforms():
+    mountings = {"front": SE2(0.2, 0.0, 0.0), "rear": SE2(-0.3, 0.1, math.pi)}
+    message = encoding.encode_tf_static(mountings, T0_NS, T0_NS)
+    transforms = encoding.decode_transforms(message.payload)
+    assert message.channel == "tf_static"
+    assert [(t.frame, t.child) for t in transforms] == [("base_link", "front"), ("base_link", "rear")]
+    assert transforms[1].translation_m == (-0.3, 0.1, 0.0)
+    assert transforms[1].rotation_wxyz == pytest.approx((0.0, 0.0, 0.0, 1.0))
+    once = encoding.decode_mountings(message.payload)
+    assert once["rear"].theta_rad == pytest.approx(math.pi)
+    again = encoding.encode_tf_static(once, T0_NS, T0_NS)
+    assert encoding.decode_mountings(again.payload) == once
 
 
 def test_a_grid_survives_and_its_rows_run_along_x():
@@ -92,6 +129,16 @@ def test_a_grid_survives_and_its_rows_run_along_x():
     decoded = encoding.decode_grid(message.payload)
     assert (decoded.cell_m, decoded.x_min_m, decoded.y_min_m) == (0.05, -1.5, 2.0)
     np.testing.assert_array_equal(decoded.cells, cells)
+
+
+def test_the_map_lies_below_what_is_drawn_on_it_and_that_below_scans_and_path():
+    """What lies at one height is drawn in any order by viewers in 3D: the map would hide the scans."""
+    cells = np.zeros((2, 2), dtype=np.int8)
+    grid, tile = Grid(0, 0.05, 0.0, 0.0, cells), TileUpdate(0, 0, 0, 1, 0.05, cells)
+    messages = [encoding.encode_grid(grid, T0_NS, T0_NS), encoding.encode_tile(tile, T0_NS, T0_NS)]
+    messages += [encoding.encode_grid(grid, T0_NS, T0_NS, on) for on in (encoding.CHANGES, encoding.STANDING)]
+    read = [STORE.deserialize_cdr(message.payload, message.type) for message in messages]
+    assert [content.info.origin.position.z for content in read] == [-0.02, -0.02, -0.01, -0.01]
 
 
 def test_a_tile_lies_where_its_indices_say():
@@ -112,10 +159,32 @@ def test_a_grid_of_another_size_than_it_says_is_refused():
         encoding.decode_grid(serialized(content, encoding.OCCUPANCY_GRID))
 
 
+def test_diagnostics_and_events_survive():
+    statuses = [Status("front", 0, "streaming", {"rate_hz": "50.0"}), Status("base", 2, "down", {})]
+    message = encoding.encode_diagnostics("diagnostics", statuses, T0_NS, T0_NS)
+    assert message.channel == "diagnostics"
+    assert encoding.decode_diagnostics(message.payload) == statuses
+    event = encoding.encode_event('{"event": "mark"}', T0_NS, T0_NS)
+    assert (event.channel, encoding.decode_event(event.payload)) == ("events", '{"event": "mark"}')
+
+
+@pytest.mark.parametrize("what", ["pause", "resume", "reset_map"])
+def test_a_request_to_the_mapper_is_read_from_its_event(what):
+    event = encoding.encode_event(f'{{"event": "{what}", "id": "7"}}', T0_NS, T0_NS)
+    assert encoding.decode_step(event.payload, T0_NS + 3) == SessionRequest(what, T0_NS + 3)
+
+
 @pytest.mark.parametrize("name", ["apply_result", "take_in"])
 def test_a_result_applied_is_read_by_its_name_and_by_that_of_older_recordings(name):
     event = encoding.encode_event(f'{{"event": "{name}"}}', T0_NS, T0_NS)
     assert encoding.decode_step(event.payload, T0_NS + 3) == ApplyResult(T0_NS + 3)
+
+
+@pytest.mark.parametrize(
+    "text", ['{"event": "mark", "text": "pause"}', '["pause"]', '{"event": ["pause"]}', "1"]
+)
+def test_other_events_are_no_requests(text):
+    assert encoding.decode_step(encoding.encode_event(text, 1, 1).payload, 1) is None
 
 
 @pytest.mark.parametrize("text", ["pause", "", "[" * 100_000])
@@ -131,3 +200,17 @@ def test_type_hashes_are_those_of_ros_2_jazzy():
     )
     assert "float32[] ranges" in encoding.schema_text(encoding.LASER_SCAN)
     assert "MSG: std_msgs/Header" in encoding.schema_text(encoding.LASER_SCAN)
+
+
+def test_warm_up_reads_every_type_that_the_service_writes(monkeypatch):
+    types = {value for value in vars(wire).values() if isinstance(value, str) and "/msg/" in value}
+    read = []
+    monkeypatch.setattr(encoding, "read", lambda type_name, payload: read.append(type_name))
+    encoding.warm_up()
+    of_others = {wire.INITIAL_POSE, wire.MULTI_ECHO_SCAN, wire.POINT_CLOUD}  # in recordings of others only
+    assert sorted(read) == sorted(types - of_others)
+
+
+def test_log_times_rise_strictly_and_follow_the_clock():
+    clock = LogClock()
+    assert [clock.next_ns(t) for t in (10, 10, 5, 20)] == [10, 12, 14, 20]

@@ -71,12 +71,47 @@ def planar(count=541, fov_deg=270.0, z=0.0):
     return {"x": r * np.cos(angle), "y": r * np.sin(angle), "z": np.full(count, z)}, angle, r
 
 
+LAYOUTS = {
+    "as they come": {},
+    "float64": {"formats": dict.fromkeys("xyz", "f8")},
+    "big-endian": {"big_endian": True},
+    "padded": {"padding": 3},
+    "organised, with rows padded": {"height": 7, "row_padding": 5},
+    "big-endian, padded, organised": {"big_endian": True, "padding": 1, "height": 7, "row_padding": 9},
+}
+
+
+@pytest.mark.parametrize("shuffled", [False, True], ids=["in order", "unordered"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_planar_lasers_cloud_gives_its_beams_back(layout, shuffled):
+    columns, angle, r = planar(539)
+    order = np.random.default_rng(1).permutation(539) if shuffled else np.arange(539)
+    payload = cloud({name: values[order] for name, values in columns.items()}, **LAYOUTS[layout])
+    scan = CloudConverter(ANY, LEVEL).scan(payload, "front", LOG_NS)
+    assert (scan.sensor, scan.stamp_ns, scan.arrived_ns) == ("front", STAMP_NS, LOG_NS)
+    assert scan.range_m.dtype == np.float32
+    assert scan.range_m.size == 539
+    assert scan.first_angle_rad == pytest.approx(angle[0], abs=1e-5)
+    assert scan.angle_step_rad == pytest.approx(angle[1] - angle[0], abs=1e-7)
+    np.testing.assert_allclose(scan.range_m, r, atol=1e-5)
+
+
 def test_millimetres_in_whole_numbers_are_no_metres_but_are_read():
     """A driver that sends them says metres all the same."""
     columns, _, _ = planar(181, 180.0)
     metres = {name: np.rint(values * 10.0) for name, values in columns.items()}
     scan = CloudConverter(ANY, LEVEL).scan(cloud(metres, dict.fromkeys("xyz", "i2")), "front", LOG_NS)
     assert np.nanmin(scan.range_m) > 15.0
+
+
+def test_points_that_came_back_from_nowhere_are_beams_without_return():
+    columns, _, r = planar(181, 180.0)
+    for k, nowhere in ((3, math.nan), (4, math.inf), (5, 0.0)):
+        columns["x"][k] = columns["y"][k] = nowhere
+    scan = CloudConverter(ANY, LEVEL).scan(cloud(columns), "front", LOG_NS)
+    assert np.flatnonzero(np.isnan(scan.range_m)).tolist() == [3, 4, 5]
+    came = np.isfinite(scan.range_m)
+    np.testing.assert_allclose(scan.range_m[came], r[came], atol=1e-5)
 
 
 def test_a_planar_laser_upside_down_is_turned_back():
@@ -155,6 +190,44 @@ def shifted(z_m, pitch_rad=0.0, yaw_rad=0.0):
     matrix = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]) @ pitch
     matrix[2, 3] = z_m
     return matrix
+
+
+def test_the_nearest_point_of_the_height_band_in_the_base_frame_is_the_beam():
+    """Ahead: the ground at 1 m, a wall at 4 m from the ground up, a lamp at 2 m above; a bumper at 0.1 m."""
+    base = np.array(
+        [[1.0, 0.0, 0.0], [4.0, 0.0, 0.5], [4.1, 0.0, 1.0], [2.0, 0.0, 1.9], [0.1, 0.0, 0.5], [0.0, 3.0, 0.8]]
+    )
+    matrix = shifted(0.6, math.radians(25.0), math.radians(40.0))
+    xyz = (base - matrix[:3, 3]) @ matrix[:3, :3]
+    payload = cloud(dict(zip("xyz", xyz.T, strict=True)), dict.fromkeys("xyz", "f8"))
+
+    def seen(**settings):
+        scan = CloudConverter(ConversionConfig(**settings), matrix).scan(payload, "lidar", LOG_NS)
+        angle = scan.first_angle_rad + scan.angle_step_rad * np.arange(scan.range_m.size)
+        came = np.isfinite(scan.range_m)
+        heading_deg = np.degrees(angle[came]) + 40.0
+        return dict(zip(heading_deg.round().tolist(), scan.range_m[came].round(3).tolist(), strict=True))
+
+    assert seen() == {0.0: 4.0, 90.0: 3.0}
+    assert seen(z_max_m=3.0) == {0.0: 2.0, 90.0: 3.0}
+    assert seen(z_min_m=0.9) == {0.0: pytest.approx(4.1)}
+    assert seen(z_min_m=-0.1) == {0.0: 1.0, 90.0: 3.0}
+    assert seen(min_range_m=0.0) == {0.0: pytest.approx(0.1), 90.0: 3.0}
+
+
+def test_without_a_transform_the_band_lies_about_the_laser_itself():
+    points, _ = spinning(1.0, rings_deg=(-10.0, 0.0, 10.0))
+    converter = CloudConverter(ANY, None)
+    scan = converter.scan(cloud(points), "lidar", LOG_NS)
+    assert (converter.z_min_m, converter.z_max_m, converter.is_planar) == (-0.3, 0.3, False)
+    assert np.isfinite(scan.range_m).any()
+
+
+@pytest.mark.parametrize("field", ["x", "y"])
+def test_a_cloud_without_x_or_y_is_not_used(field):
+    columns, _, _ = planar()
+    del columns[field]
+    assert CloudConverter(ANY, LEVEL).scan(cloud(columns), "front", LOG_NS) is None
 
 
 def test_a_cloud_without_z_is_planar():

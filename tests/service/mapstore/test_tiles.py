@@ -1,4 +1,5 @@
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,11 @@ from tests.in_background import in_background
 from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
 
 GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
+
+
+def test_an_empty_store_has_no_version_and_no_grid():
+    store = TileStore()
+    assert (store.version, store.since(0), store.grid()) == (0, [], None)
 
 
 def test_a_newer_tile_replaces_and_an_older_one_does_not():
@@ -66,6 +72,26 @@ def test_the_grid_agrees_with_rendering_cell_by_cell_while_the_map_grows_on_all_
         assert grid.version == max(t.version for t in store.since(0) if t.level == 0)
 
 
+def test_a_grid_given_out_never_changes():
+    store = TileStore()
+    store.update([tile(0, 0, 1, value=0)])
+    first = store.grid()
+    store.update([tile(0, 0, 2, value=100)])
+    second = store.grid()
+    assert first is not None
+    assert second is not None
+    assert (first.cells == 0).all()
+    assert (second.cells == 100).all()
+    with pytest.raises(ValueError, match="read-only"):
+        second.cells[0, 0] = 1
+
+
+def test_a_grid_is_not_made_again_while_nothing_changes():
+    store = TileStore()
+    store.update([tile(0, 0, 1)])
+    assert store.grid() is store.grid()
+
+
 def test_a_tile_far_away_is_refused_as_a_picture_and_kept_as_a_tile():
     store = TileStore()
     store.update([tile(0, 0, 1), tile(10_000, 10_000, 2)])
@@ -97,3 +123,81 @@ def test_updates_and_pictures_from_two_threads_end_in_the_same_map():
     for t in store.since(0):
         row, column = (t.iy + 3) * EDGE, (t.ix + 5) * EDGE
         assert (grid.cells[row : row + EDGE, column : column + EDGE] == t.cells[0, 0]).all()
+
+
+def test_an_emptied_map_is_unknown_tiles_with_new_versions_for_those_who_hold_the_old():
+    store = TileStore()
+    store.update([tile(0, 0, 5), tile(3, -2, 6), tile(0, 0, 2, level=1)])
+    emptied = store.start_over()
+    assert [(t.level, t.ix, t.iy, t.version) for t in emptied] == [(1, 0, 0, 7), (0, 0, 0, 8), (0, 3, -2, 9)]
+    assert all((t.cells == UNKNOWN).all() and not t.cells.flags.writeable for t in emptied)
+    assert [t.version for t in store.since(0)] == [7, 8, 9]
+    assert store.version == 9
+    store.update([tile(0, 0, 10, value=100)])
+    assert [(t.ix, t.version) for t in store.since(8)] == [(3, 9), (0, 10)]
+
+
+def test_the_picture_of_an_emptied_map_is_one_unknown_tile_and_the_next_map_does_not_span_the_old():
+    store = TileStore()
+    store.update([tile(k, 5, k + 1, value=100) for k in range(9)])
+    assert store.grid() is not None
+    store.start_over()
+    blank = store.grid()
+    assert blank is not None
+    assert (blank.version, blank.x_min_m, blank.y_min_m, blank.cells.shape) == (18, 0.0, 0.0, (EDGE, EDGE))
+    assert (blank.cells == UNKNOWN).all()
+    store.update([tile(-1, 0, 19, value=100)])
+    grid = store.grid()
+    assert grid is not None
+    assert (grid.version, grid.x_min_m, grid.cells.shape) == (19, -EDGE * CELL_M, (EDGE, 2 * EDGE))
+    assert np.count_nonzero(grid.cells == 100) == EDGE * EDGE
+
+
+def test_maps_are_handed_out_whole_one_after_another():
+    store = TileStore()
+    assert store.start_over() == []
+    assert store.number == 1
+    store.update([tile(0, 0, 1, value=100), tile(1, 0, 2, value=100)])
+    store.start_over()
+    store.start_over()  # nothing to empty
+    store.update([tile(0, 0, 5, value=50)])
+    assert store.number == 2
+    ended, present = store.take()
+    assert [(m.number, m.version, [t.version for t in m.tiles]) for m in ended] == [(1, 2, [1, 2])]
+    assert all((t.cells == 100).all() for t in ended[0].tiles)
+    assert (present.number, present.version, len(present.tiles)) == (2, 5, 1)
+    assert store.take()[0] == []
+
+
+def test_a_map_too_large_for_a_picture_is_no_fault_to_the_next():
+    store = TileStore()
+    store.update([tile(0, 0, 1), tile(100_000, 100_000, 2)])
+    with pytest.raises(StorageError, match="one picture holds at most"):
+        store.grid()
+    store.start_over()
+    store.update([tile(0, 0, 9, value=0)])
+    grid = store.grid()
+    assert grid is not None
+    assert (grid.cells == 0).all()
+
+
+def test_a_map_keeps_its_place_on_the_earth_when_another_begins():
+    store = TileStore()
+    store.update([tile(0, 0, 1)])
+    store.place(GEO)
+    store.start_over()
+    store.update([tile(0, 0, 5)])
+    (ended,), present = store.take()
+    assert ended.geo == GEO
+    assert present.geo is None
+
+
+def test_graph_and_place_of_a_map_that_ends_without_a_tile_are_not_those_of_the_next():
+    store = TileStore()
+    store.place(GEO)
+    store.keep_graph(Path("graphs/000001"))
+    assert store.start_over() == []
+    store.update([tile(0, 0, 1)])
+    ended, present = store.take()
+    assert ended == []
+    assert (present.geo, present.graph) == (None, None)

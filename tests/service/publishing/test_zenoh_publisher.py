@@ -3,13 +3,14 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 import zenoh
 import zenoh.ext
 
 from drivers.rmw_zenoh import Attachment
-from service.encoding import Message, decode_diagnostics, decode_grid
+from service.encoding import Message, decode_diagnostics, decode_grid, encode_tile
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 from tests.service.mapstore.tile_makers import tile
@@ -81,6 +82,34 @@ def test_fresh_things_go_first_and_bulk_last(publisher, client, store):
         assert quality(channel) == (zenoh.Priority.DATA_LOW, False, drop)
 
 
+def test_a_burst_of_what_belongs_together_arrives_whole(publisher, client):
+    inbox = Inbox()
+    subscribe(client, publisher, "**", inbox)
+    channels = [
+        f"{sensor}/{kind}" for sensor in ("front", "rear", "base") for kind in ("scan", "odom", "imu")
+    ]
+    for burst in range(1, 201):
+        for channel in (*channels, "pose", "odom", "tf"):
+            publisher.put(message(channel, burst, payload=bytes(4000)))
+        inbox.wait_for(12 * burst)
+
+
+def test_latency_is_reported_for_what_has_an_origin(open_publisher):
+    facts, done = [], threading.Event()
+
+    def note(latency_ns: int) -> None:
+        facts.append(latency_ns)
+        done.set()
+
+    publisher = open_publisher(on_latency=note)
+    publisher.put(message("front/scan", 1))
+    publisher.put(message("pose", 1), origin_ns=time.monotonic_ns() - 5_000_000)
+    assert done.wait(TIMEOUT_S)
+    publisher.close()
+    assert len(facts) == 1
+    assert 5_000_000 <= facts[0] < 2_000_000_000
+
+
 def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
     for number in (1, 2):
         publisher.put(message("pose", number))
@@ -101,6 +130,56 @@ def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
     wait_until(lambda: publisher.counts()["sent"]["map/changes"] >= 1)
     assert [s.payload.to_bytes() for s in get(client, "map/changes")] == [b"changed"]
     assert [s.payload.to_bytes() for s in get(client, "health")] == [b"health"]
+
+
+def test_a_late_joiner_with_history_gets_the_state_without_asking(publisher, client):
+    publisher.put(message("tf_static", 1, payload=b"tf"))
+    wait_until(lambda: publisher.counts()["sent"]["tf_static"] == 1)
+    inbox = Inbox()
+    zenoh.ext.declare_advanced_subscriber(
+        client,
+        f"{ROOT}/tf_static",
+        inbox,
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+    )
+    (sample,) = inbox.wait_for(1)
+    assert sample.payload.to_bytes() == b"tf"
+    assert attachment_of(sample).sequence == 1
+
+
+def test_what_is_not_there_yet_is_answered_by_nothing_at_once(publisher, client):
+    began_s = time.monotonic()
+    assert [get(client, key) for key in ("pose", "map", "map/meta", "map/tile/**")] == [[], [], [], []]
+    assert time.monotonic() - began_s < TIMEOUT_S  # which one that no one answers takes
+
+
+def test_changed_tiles_arrive_with_their_version(publisher, client, store):
+    inbox = Inbox()
+    subscribe(client, publisher, "map/tile/**", inbox)
+    tiles = [tile(-3, 2, 7), tile(0, 0, 8, level=1)]
+    store.update(tiles)
+    publisher.map_changed(tiles, 1, 2)
+    samples = {str(s.key_expr): s for s in inbox.wait_for(2)}
+    for t in tiles:
+        sample = samples[f"{ROOT}/map/tile/{t.level}/{t.ix}/{t.iy}"]
+        assert attachment_of(sample).sequence == t.version
+        assert attachment_of(sample).source_ns == 2
+        assert sample.payload.to_bytes() == encode_tile(t, 1, 2).payload
+
+
+def test_tiles_are_answered_since_a_version_and_by_key(publisher, client, store):
+    tiles = [tile(ix, iy, 1 + ix + 3 * iy) for iy in range(3) for ix in range(3)]
+    store.update(tiles)
+    publisher.map_changed([], 1, 2)
+
+    def versions(selector: str) -> list[int]:
+        return sorted(attachment_of(s).sequence for s in get(client, selector))
+
+    assert versions("map/tile/**") == versions("map/tile/**?since=0") == list(range(1, 10))
+    assert versions("map/tile/**?since=6") == [7, 8, 9]
+    assert versions("map/tile/**?since=9") == []
+    assert versions("map/tile/0/2/*") == [3, 6, 9]
+    assert versions("map/tile/0/1/1?since=4") == [5]
 
 
 @pytest.mark.parametrize("since", ["-1", "x", "1.5", ""])
@@ -153,6 +232,21 @@ def test_the_whole_map_is_made_only_for_who_listens_and_only_when_it_changed(
     assert publisher.counts()["sent"]["map"] == 2
 
 
+def test_the_whole_map_comes_at_most_once_a_period(open_publisher, open_client, store):
+    publisher = open_publisher(picture_period_s=0.3)
+    client = open_client(publisher.endpoints[0])
+    inbox = Inbox()
+    subscribe(client, publisher, "map", inbox)
+    pause, began_s = threading.Event(), time.monotonic()
+    for version in range(1, 60):
+        store.update([tile(0, 0, version)])
+        publisher.map_changed([tile(0, 0, version)], 1, 2)
+        pause.wait(0.01)
+    wait_until(lambda: inbox.samples and attachment_of(inbox.samples[-1]).sequence == 59)
+    assert len(inbox.samples) >= 2
+    assert time.monotonic() - began_s >= 0.3 * (len(inbox.samples) - 1)
+
+
 def test_map_meta_lists_every_tile_with_its_version(publisher, client, store):
     store.update([tile(0, -1, 1), tile(4, 0, 2), tile(0, 0, 3, level=1)])
     publisher.map_changed([], 1, 2)
@@ -179,6 +273,23 @@ def test_a_map_too_large_for_one_picture_is_counted_and_the_rest_goes_on(publish
     assert [r.levelname for r in caplog.records if "zenoh map" in r.message] == ["ERROR"]
 
 
+def test_liveliness_tokens_stand_while_a_component_works(publisher, client):
+    inbox = Inbox()
+    client.liveliness().declare_subscriber(f"{ROOT}/alive/**", inbox, history=True)
+    publisher.set_alive("front")
+    publisher.set_alive("front")
+    publisher.set_alive("mapper")
+    inbox.wait_for(2)
+    publisher.set_alive("front", False)
+    publisher.set_alive("front", False)
+    inbox.wait_for(3)
+    publisher.close()
+    seen = [(str(s.key_expr).rpartition("/")[2], s.kind == zenoh.SampleKind.PUT) for s in inbox.wait_for(4)]
+    assert sorted(seen[:2]) == [("front", True), ("mapper", True)]
+    assert seen[2:] == [("front", False), ("mapper", False)]
+    publisher.set_alive("front")  # too late, and no harm
+
+
 def test_a_taken_port_is_refused_with_who_has_it(publisher, open_publisher):
     with pytest.raises(StorageError) as caught:
         open_publisher(PublishingConfig(listen=(publisher.endpoints[0],)))
@@ -190,6 +301,54 @@ def test_a_taken_port_is_refused_with_who_has_it(publisher, open_publisher):
 def test_an_address_of_another_machine_is_refused_in_words(open_publisher):
     with pytest.raises(StorageError, match=r"192\.0\.2\.1:7447: this machine has no such address"):
         open_publisher(PublishingConfig(listen=("tcp/192.0.2.1:7447",), security="none"))
+
+
+def test_the_port_is_free_and_the_threads_are_gone_after_close(open_publisher, open_client):
+    before = set(threading.enumerate())
+    publisher = open_publisher()
+    publisher.put(message("pose", 1))
+    publisher.close()
+    publisher.close()
+    again = open_publisher(PublishingConfig(listen=(publisher.endpoints[0],)))
+    inbox = Inbox()
+    client = open_client(again.endpoints[0])
+    subscribe(client, again, "pose", inbox)
+    again.put(message("pose", 1))
+    inbox.wait_for(1)
+    client.close()
+    again.close()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(TIMEOUT_S)
+        assert not thread.is_alive()
+
+
+def test_what_was_put_before_the_close_is_sent(publisher, client):
+    """On a channel whose messages share a packet: a pose has its own, and Zenoh drops what a starved machine
+    does not take within a millisecond.
+    """
+    inbox = Inbox()
+    subscribe(client, publisher, "front/status", inbox)
+    for number in range(50):
+        publisher.put(message("front/status", number))
+    publisher.close()
+    assert [attachment_of(s).sequence for s in inbox.wait_for(50)] == list(range(1, 51))
+
+
+def test_a_router_that_is_not_there_is_not_waited_for_and_found_when_it_comes(open_publisher, open_client):
+    site = open_publisher()
+    endpoint = site.endpoints[0]
+    site.close()
+    began_s = time.monotonic()
+    vehicle = open_publisher(PublishingConfig(listen=("tcp/127.0.0.1:0",), connect=(endpoint,)))
+    vehicle.put(message("pose", 1))
+    wait_until(lambda: vehicle.counts()["sent"]["pose"] == 1)
+    assert time.monotonic() - began_s < TIMEOUT_S / 2
+    site = open_publisher(PublishingConfig(listen=(endpoint,)))
+    client = open_client(site.endpoints[0])
+    wait_until(lambda: get(client, "pose"))
+    site.close()
+    vehicle.put(message("pose", 2))  # the site is gone again
+    wait_until(lambda: vehicle.counts()["sent"]["pose"] == 2)
 
 
 LEFT_OPEN = """

@@ -11,10 +11,11 @@ from drivers.errors import ProtocolError, TransportError
 from drivers.frames import Frame, OdometrySample
 from drivers.link import LinkHealth, RawChunk, run_link
 from drivers.transport import ScriptedTransport
-from service.encoding import Message, decode_raw, encode_frame, encode_raw
+from service.encoding import BYTES, Message, decode_raw, encode_frame, encode_raw
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
+from service.recording.mcap_source import open_session
 from service.recording.raw_wire import WireReplay, frames_from_wire, raw_chunks
 from tests.drivers.faulty_devices import BENCHES, linked
 from tests.service.recording.sessions import T0_NS, drive
@@ -145,6 +146,19 @@ def test_a_driver_makes_the_very_frames_of_a_wire_with_faults(name: str, fault: 
     assert (wire.chunks_without_start, wire.requests_not_repeated) == (0, 0)
 
 
+def test_a_driver_that_sends_otherwise_than_then_is_noticed():
+    """Once it is silent where it asked, once it asks where it was silent."""
+    chunks = [
+        RawChunk(4, "connected"),
+        RawChunk(6, "received", b"\x02"),
+        RawChunk(6, "sent", b"how far?"),
+        RawChunk(7, "sent", b"and now?"),
+    ]
+    wire = WireReplay(lambda: AskingSession([0]))
+    assert len([frame for chunk in chunks for frame in wire.take(chunk)]) == 1
+    assert wire.requests_not_repeated == 2
+
+
 @pytest.mark.parametrize("error", [TransportError("silent"), OverflowError("int too large")])
 def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection(error: Exception):
     class Impatient(AskingSession):
@@ -163,6 +177,22 @@ def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection(er
         RawChunk(23, "received", b"\x02"),
     ]
     assert [f.stamp_ns for f in frames_from_wire(chunks, lambda: Impatient([0]))] == [22]
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        RawChunk(1, "connected"),
+        RawChunk(1, "waited"),
+        RawChunk(123_456_789_012_345, "received", bytes(range(256)) * 40),
+        RawChunk(2, "sent", b"\x02sRN"),
+    ],
+)
+def test_a_chunk_survives_to_the_nanosecond(chunk: RawChunk):
+    message = encode_raw("front", chunk, OFFSET_NS)
+    assert (message.channel, message.type) == ("front/raw", BYTES)
+    assert message.log_ns == chunk.at_ns + OFFSET_NS
+    assert decode_raw(message.payload, message.log_ns, OFFSET_NS) == chunk
 
 
 def test_bytes_of_another_program_are_no_chunk(tmp_path: Path):
@@ -192,3 +222,10 @@ def test_a_recording_without_its_clock_cannot_tell_when(tmp_path: Path):
     raw = encode_raw("front", RawChunk(T0_NS, "connected"), 0)
     with pytest.raises(InputError, match=r"no clock\.utc_offset_ns"):
         list(raw_chunks(Recording([record(tmp_path, [raw], {})]), "front"))
+
+
+def test_a_replay_does_not_look_at_the_wire(tmp_path: Path):
+    raw = [encode_raw("front", RawChunk(T0_NS + k, "received", b"x"), 0) for k in range(5)]
+    session = open_session([record(tmp_path, [*drive(3), *raw], CLOCK)])
+    assert session.sensors == {"/base/odom": "base", "/front/scan": "front"}
+    assert len(list(session.steps())) == 6

@@ -79,6 +79,16 @@ def test_an_import_reports_as_json_what_it_counted(tmp_path, capsys):
     assert facts["mountings"]["front"] == {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0}
 
 
+@pytest.mark.parametrize(
+    ("count", "first_deg", "last_deg"),
+    [(180, -90, 89), (181, -90, 90), (360, -90, 89.5), (361, -90, 90), (401, -50, 50), (91, -90, 90)],
+)
+def test_beams_of_flaser_point_where_carmen_has_them(imported, count, first_deg, last_deg):
+    _, _, (scan,), _ = imported(flaser("1.0", (0, 0, 0), ranges=(1.0,) * count))
+    assert math.degrees(scan.first_angle_rad) == pytest.approx(first_deg)
+    assert math.degrees(scan.first_angle_rad + (count - 1) * scan.angle_step_rad) == pytest.approx(last_deg)
+
+
 def test_robotlaser_says_its_own_angles_and_range(imported):
     text = robotlaser(
         "5.0", (1, 2, 0.5), (1, 2, 0.5), [4.0, 5.0, 81.91, 6.0], remissions=[7, 8]

@@ -230,6 +230,17 @@ def test_a_bag_without_odometry_gives_that_of_its_tf(tmp_path):
     assert [s.theta_rad for s in samples] == pytest.approx([0.1 * k for k in range(SCANS)])
 
 
+def test_an_import_tells_of_covariances_that_are_none(tmp_path):
+    ros = humble()
+    rows = drive(ros)
+    for topic, _, _, message in rows:
+        if topic == "/odom":
+            message.pose.covariance[:] = np.nan
+    report = import_rosbag(write_ros2(tmp_path / "bag", rows), tmp_path / "out.mcap")
+    assert report.frames["odometry samples of odom"] == SCANS
+    assert f"/odom: the covariance of {SCANS} of {SCANS} messages is none" in str(report)
+
+
 def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path, capsys):
     rows = [row for row in drive(noetic()) if row[1] != SCAN]
     bag = write_ros1(tmp_path / "drive.bag", rows)
