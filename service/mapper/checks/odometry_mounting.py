@@ -48,7 +48,7 @@ class OdometryMounting:
         self._waiting: tuple[int, SE2] | None = None  # a pose that is newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
-        self._new = 0
+        self._count = 0  # of steps
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """The next sample, in the order of stamps."""
@@ -83,9 +83,8 @@ class OdometryMounting:
         self._steps.append(
             (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
         )
-        self._new += 1
-        if self._new == BATCH:
-            self._new = 0
+        self._count += 1
+        if self._count < BATCH or self._count % BATCH == 0:
             self.fault = fault_of(np.array(self._steps))
 
     def interrupt(self) -> None:

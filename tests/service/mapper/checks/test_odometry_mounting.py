@@ -75,6 +75,20 @@ def test_a_wrong_mounting_is_reported_with_its_figures(offset: SE2, said: str):
     assert "corridor calibrate" in check.fault
 
 
+@pytest.mark.parametrize(("yaw_deg", "seconds"), [(180.0, 4.0), (30.0, 4.0), (6.0, 8.0)])
+def test_a_mounting_that_is_far_off_is_reported_within_metres(yaw_deg: float, seconds: float):
+    check = OdometryMounting()
+    drive(SE2(0.0, 0.0, math.radians(yaw_deg)), seconds, check, noise_m=0.01)
+    assert "by odometry the vehicle drives" in check.fault
+
+
+@pytest.mark.parametrize("seconds", [2.0, 3.0, 5.0, 8.0, 13.0])
+def test_few_steps_make_no_fault(seconds: float):
+    check = OdometryMounting()
+    drive(SE2(0.0, 0.0, math.radians(0.5)), seconds, check, noise_m=0.02)
+    assert check.fault == ""
+
+
 @pytest.mark.parametrize("offset", [SE2(), SE2(0.03, -0.03, math.radians(0.5))])
 def test_a_mounting_as_people_measure_it_is_not(offset: SE2):
     check = OdometryMounting()
