@@ -30,6 +30,7 @@ LONGEST_STEP_NS = 3_000_000_000
 MAX_SAMPLE_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
 SAMPLES_KEPT = 512  # of odometry that are kept
 STEPS = 200  # the newest count: 80 m and more
+MIN_STEPS = 3  # two measurements each, of four unknowns
 # Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
 MATCH_M, WALK_M, TURN_NOISE_M = 0.01, 0.02, 0.02
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
@@ -84,7 +85,7 @@ class OdometryMounting:
             (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
         )
         self._count += 1
-        if self._count < BATCH or self._count % BATCH == 0:
+        if MIN_STEPS <= self._count < BATCH or self._count % BATCH == 0:
             self.fault = fault_of(np.array(self._steps))
 
     def interrupt(self) -> None:
