@@ -27,7 +27,7 @@ export class PolarView extends Drawing {
     super("polar", (...sheet) => this.#draw(...sheet));
     this.colourOf = colourOf;
     this.causes = causes;
-    this.legend = element("p", { className: "returns" });
+    this.legend = element("p", { className: "key" });
     this.scan = null;
   }
 
