@@ -1,7 +1,9 @@
 import pytest
+import yaml
+from hypothesis import given
 from hypothesis import strategies as st
 
-from service.located_yaml import MAX_VALUES, load
+from service.located_yaml import MAX_VALUES, Position, load
 
 
 def faults(text: str) -> list[str]:
@@ -64,13 +66,36 @@ def test_plain_values_have_their_plain_meaning():
     assert not document.faults
 
 
+def test_a_key_twice_is_refused_and_says_where_it_stood():
+    assert faults("a: 1\nb:\n  c: 1\n  c: 2\n") == [
+        "f.yaml:4:3: b.c: this key stands already at 3:3; keep one of them"
+    ]
+
+
 def test_every_fault_is_listed():
     assert len(faults("a: no\nb: 012\na: 3\n")) == 3
+
+
+def test_positions_are_those_of_the_keys_and_of_list_items():
+    document = load("a:\n  b: [1,\n      2]\n")
+    assert document.position(("a", "b")) == Position(2, 3)
+    assert document.position(("a", "b", 1)) == Position(3, 7)
+    assert document.position(("a", "missing", "below")) == Position(1, 1)
+
+
+@pytest.mark.parametrize("text", ["a: [1,\nb: 2", "a: \x00", "a: 1\n---\nb: 2", "a: *nothing", "\ta: 1"])
+def test_what_is_not_yaml_is_one_fault_with_a_place(text: str):
+    (fault,) = faults(text)
+    assert "not YAML: " in fault
 
 
 def test_merge_keys_and_odd_keys_are_refused():
     assert faults("<<: {a: 1}\n") == ["f.yaml:1:1: <<: merge keys are not read here; write the keys out"]
     assert faults("[1, 2]: 3\n") == ["f.yaml:1:1: a key must be a single word"]
+
+
+def test_an_alias_inside_itself_ends():
+    assert any("nested deeper than 20 levels" in fault for fault in faults("a: &a [*a]"))
 
 
 def test_aliases_that_multiply_end():
@@ -80,6 +105,23 @@ def test_aliases_that_multiply_end():
     ]
 
 
+def test_an_empty_document_is_nothing():
+    assert load("").value is None
+    assert load("# only a comment\n").faults == []
+
+
 words = st.text("ab1:_. -#'", max_size=6)
 leaves = st.none() | st.booleans() | st.integers(-(10**9), 10**9) | words
 trees = leaves | st.lists(leaves, max_size=3) | st.dictionaries(words, leaves, max_size=3)
+
+
+@given(st.dictionaries(words, trees, max_size=4))
+def test_what_pyyaml_writes_is_read_back_or_refused(tree: dict[str, object]):
+    document = load(yaml.safe_dump(tree))
+    assert document.value == tree or document.faults
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_read_without_an_exception(text: str):
+    for fault in load(text).faults:
+        assert 1 <= fault.position.line <= len(text) + 1

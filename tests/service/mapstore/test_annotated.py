@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
+from PIL import Image
 
-from service.mapstore.annotated import PALETTE, annotated
-from service.mapstore.picture import picture_of_grid
+from service.mapstore.annotated import AXIS_X, AXIS_Y, INK, PALETTE, WAY, annotated, scale_bar_m
+from service.mapstore.picture import GREY_UNKNOWN, WHITE_FREE, picture_of_grid, picture_of_tiles
+from service.mapstore.png import write_png
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.service.mapstore.tile_makers import tile
 
 CELL_M, X_MIN_M, Y_MIN_M = 0.05, -20.0, -15.0
 
@@ -40,6 +43,51 @@ def test_what_is_unknown_around_is_cut_off_and_the_rest_keeps_its_place(picture)
         assert pixels[row, column] == whole[at(picture, x_m, y_m)]
 
 
+def test_the_way_the_origin_and_the_bar_are_where_they_belong(picture):
+    way = np.array([(-2.0, 2.0), (-2.0, -2.0), (6.0, -2.0)])
+    other = np.array([(4.0, 2.0), (6.0, 2.0)])
+    shown = annotated(picture, [way, other])
+    pixels = pixels_of(shown)
+    assert WAY not in pixels[:, at(shown, 1.5, 0.0)[1]][: at(shown, 0.0, -1.5)[0]]  # no line joins the two
+    for x_m, y_m in ((-2.0, 1.0), (-2.0, -1.9), (0.0, -2.0), (5.9, -2.0), (5.0, 2.0)):
+        row, column = at(shown, x_m, y_m)
+        assert WAY in pixels[row - 1 : row + 2, column - 1 : column + 2]
+    row, column = at(shown, 0.9, 0.0)
+    assert AXIS_X in pixels[row - 1 : row + 2, column]
+    row, column = at(shown, 0.0, 0.9)
+    assert AXIS_Y in pixels[row, column - 1 : column + 2]
+    rows, columns = np.nonzero(pixels == INK)
+    assert rows.min() > at(shown, 0.0, -3.0)[0]  # below the room
+    assert columns.max() - columns.min() == 2.0 / CELL_M  # 2 m
+
+
+def test_marks_lie_in_the_right_band_of_tiles():
+    tiles = [tile(x, y, 1, value=FREE, edge=32) for x in range(-1, 2) for y in range(-1, 2)]
+    by_bands = annotated(picture_of_tiles(tiles), [np.array([(-10.0, -10.0), (20.0, 20.0)])])
+    pixels = pixels_of(by_bands)
+    for x_m in (-9.0, 0.0, 7.0, 19.0):
+        row, column = at(by_bands, x_m, x_m)
+        assert np.isin(pixels[row - 1 : row + 2, column - 1 : column + 2], (WAY, AXIS_X, AXIS_Y)).any()
+
+
+def test_it_reads_as_a_picture_in_colour(picture, tmp_path):
+    shown = annotated(picture, [np.array([(-2.0, 2.0), (-2.0, -2.0)])])
+    write_png(tmp_path / "map.png", shown, PALETTE)
+    with Image.open(tmp_path / "map.png") as image:
+        colours = np.asarray(image.convert("RGB"))
+    row, column = at(shown, 3.0, 1.0)
+    assert colours[row, column].tolist() == [WHITE_FREE] * 3
+    assert colours[0, 0].tolist() == [GREY_UNKNOWN] * 3
+    assert (colours == PALETTE[WAY]).all(axis=2).sum() >= 80
+
+
 def test_a_map_of_which_nothing_is_known_is_shown_whole():
     empty = picture_of_grid(Grid(1, CELL_M, 0.0, 0.0, np.full((10, 10), UNKNOWN, dtype=np.int8)))
     assert annotated(empty).width >= 10
+
+
+@pytest.mark.parametrize(
+    ("width_m", "bar_m"), [(4.0, 1.0), (7.9, 1.0), (8.0, 2.0), (45.0, 10.0), (1600.0, 200.0), (0.5, 0.1)]
+)
+def test_the_bar_has_a_round_length(width_m, bar_m):
+    assert scale_bar_m(width_m) == pytest.approx(bar_m)

@@ -29,6 +29,8 @@ from service.runtime.mapper_messages import (
     Setup,
     Status,
     SwitchItem,
+    Tiles,
+    TilesItem,
 )
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
@@ -312,6 +314,18 @@ def test_samples_go_with_the_next_scan_and_soon_without_one(drive: Drive):
     assert [submit(1, ODOMETRY, 0), submit(2, IMU, 5), submit(3, LASER_SCAN, 10)] == [[], [], [1, 2, 3]]
     assert [submit(4, IMU, 20), submit(5, IMU, 45), submit(6, IMU, 46)] == [[], [], [4, 5, 6]]
     theirs.close()
+
+
+def test_tiles_after_a_takeover_hold_the_whole_map(drive: Drive):
+    drive.start().scan(10)
+    drive.until_mapped()
+    before = len(drive.heard.messages)
+    os.kill(drive.link.pid, signal.SIGKILL)
+    answers: list[Answer] = []
+    drive.scan(5)
+    drive.link.submit(TilesItem(drive.link.next_number(), 1), answers.append)
+    drive.until(lambda: bool(answers))
+    assert any(isinstance(m, Tiles) for m in drive.heard.messages[before:])
 
 
 def test_stand_bys_end_with_a_profile_that_has_none_and_come_back_with_one_that_has(drive: Drive):
