@@ -43,7 +43,7 @@ def test_what_is_unknown_around_is_cut_off_and_the_rest_keeps_its_place(picture)
         assert pixels[row, column] == whole[at(picture, x_m, y_m)]
 
 
-def test_the_way_the_origin_and_the_bar_are_where_they_belong(picture):
+def test_the_path_the_origin_and_the_bar_are_where_they_belong(picture):
     way = np.array([(-2.0, 2.0), (-2.0, -2.0), (6.0, -2.0)])
     other = np.array([(4.0, 2.0), (6.0, 2.0)])
     shown = annotated(picture, [way, other])
