@@ -73,6 +73,11 @@ class ByHand:
             return f"{PREFIX}corner_xy or {PREFIX}pair_xy holds what is no number"
         return ""
 
+    def pairs(self, ends: Ints) -> npt.NDArray[np.bool_]:
+        """(N,) whether a person has joined these key frames, (N, 2), by points."""
+        joined = {(of, to) for of, to in self.pair_ends.tolist()}
+        return np.array([(of, to) in joined for of, to in ends.tolist()], np.bool_)
+
     def drawings(self, map_poses: Floats) -> list[Drawing]:
         """Where they lie with the key frames at (N, 3)."""
         xy = se2.points_from(map_poses[self.corner_keyframe], self.corner_xy)

@@ -60,6 +60,7 @@ def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(loops, graph, tm
     loops.answer()
     loops.wait_for("return corridor.edit.version === 3 && !corridor.edit.isBusy")
     assert len(load_map(tmp_path).graph.by_hand.pair_ends) == 2
+    assert "taken back by hand" not in loops.run(LIST, "Loops not accepted")
     axe(loops, sizes=[DESKTOP], schemes=[False])
 
 

@@ -137,14 +137,20 @@ def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
 
 
 def _loops(graph: SavedGraph | None) -> dict[str, Any]:
-    """As `map loops` lists them; of each refused one the pairs by which it would be accepted."""
+    """As `map loops` lists them; of each refused one the pairs by which it would be accepted, without those
+    that a person has accepted so."""
     if graph is None:
         return {"accepted": [], "refused": []}
     accepted, refused = loops_of(graph)
     pairs = as_pairs(graph, graph.refused.ends, graph.refused.measured)
+    is_joined = graph.by_hand.pairs(graph.refused.ends)
     return {
         "accepted": accepted,
-        "refused": [{**loop, "pairs": points} for loop, points in zip(refused, pairs, strict=True)],
+        "refused": [
+            {**loop, "pairs": points}
+            for loop, points, is_accepted in zip(refused, pairs, is_joined, strict=True)
+            if not is_accepted
+        ],
     }
 
 

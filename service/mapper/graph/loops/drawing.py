@@ -48,7 +48,8 @@ class Drawing:
         self._due_ns = stamp_ns + PERIOD_NS
         is_joined = np.isin(keyframes.piece, list(joined))
         of_accepted = {name.removeprefix("loop_"): of_all for name, of_all in loop_arrays(accepted).items()}
-        of_refused = refusals.arrays(accepted).by_field()
+        refused = refusals.arrays(accepted)
+        of_refused = refused.by_field()
         picture = draw(
             stamp_ns,
             keyframes.map[:, :2],
@@ -57,9 +58,10 @@ class Drawing:
             of_refused["ends"],
         )
         off_m, _ = residuals(keyframes.map, of_accepted["ends"], of_accepted["measured"])
+        open_ones = refused.chosen(np.flatnonzero(~keyframes.by_hand.pairs(refused.ends))).by_field()
         shown = {
             "accepted": _evidence(of_accepted, off_m, keyframes, is_joined),
-            "refused": _evidence(of_refused, of_refused["score"], keyframes, is_joined),
+            "refused": _evidence(open_ones, open_ones["score"], keyframes, is_joined),
         }
         return replace(picture, evidence=shown)
 

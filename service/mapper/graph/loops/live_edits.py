@@ -201,7 +201,7 @@ class LiveEdits:
         of, to = self._ends(change, is_known)
         refused = self._refusals.arrays(loops)
         found = np.flatnonzero((refused.ends == (of, to)).all(axis=1))
-        if not len(found):
+        if not len(found) or before.pairs(np.array([(of, to)])).any():
             raise EditError(f"no refused loop joins the key frames {of} and {to} any more")
         by_hand = before
         for seen in points_of(refused.measured[found[0]]):

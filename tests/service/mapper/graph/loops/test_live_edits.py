@@ -166,6 +166,8 @@ def test_refused_loops_that_are_accepted_close_the_ring(open_ring: bytes):
         _, answer = asked(back_end, what="accept-loop", stamps_ns=apart[to])
         assert f"as pairs {2 * number}, {2 * number + 1}" in answer.told["done"]
     assert seam_m(saved(back_end), TRUTH).max() < 0.15
+    assert apart[to] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
+    assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=apart[to])[1].error
     accepted = ("0", "100000000")
     assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=accepted)[1].error
 
