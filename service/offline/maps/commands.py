@@ -138,7 +138,8 @@ def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
 
 def _loops(graph: SavedGraph | None) -> dict[str, Any]:
     """As `map loops` lists them; of each refused one the pairs by which it would be accepted, without those
-    that a person has accepted so."""
+    that a person has accepted so.
+    """
     if graph is None:
         return {"accepted": [], "refused": []}
     accepted, refused = loops_of(graph)
