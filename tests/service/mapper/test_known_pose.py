@@ -35,13 +35,6 @@ def test_what_a_step_adds_is_what_the_motion_model_put_in():
     np.testing.assert_allclose(both, np.stack((BY_STEP, BY_STEP)), atol=1e-12)
 
 
-def test_what_is_learnt_later_adds_nothing_and_takes_nothing():
-    before, after = np.diag([0.04, 0.04, 0.01]), np.diag([0.01, 0.05, 0.01])
-    np.testing.assert_allclose(
-        covariance_added(before, after, np.zeros(3)), np.diag([0.0, 0.01, 0.0]), atol=1e-12
-    )
-
-
 def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_path_since():
     step = SE2(0.3, 0.0, 0.05)
     by_motion = walked(200, np.zeros((3, 3)), step)

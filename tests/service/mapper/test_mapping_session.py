@@ -1,7 +1,5 @@
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -107,16 +105,6 @@ def test_in_a_pause_samples_go_on_and_scans_are_let_pass(mapper: MappingSession,
     assert mapper.counters == {"scans": 2, "scans_paused": 1}
 
 
-def test_a_laser_that_is_not_to_be_mapped_passes(mapper: MappingSession, made: list[FakeMapper]):
-    """What another laser sees comes between, newer and older than what is mapped; in a pause too."""
-    rear = replace(scan(3), sensor="rear")
-    assert [mapper.process(s) is None for s in (scan(1), rear, scan(2))] == [False, True, False]
-    mapper.carry_out("pause")
-    assert mapper.process(rear) is None
-    assert made[0].skipped == []
-    assert mapper.counters == {"scans": 2, "scans_not_mapped": 2}
-
-
 def test_a_reset_gives_a_fresh_mapper_counters_go_on_and_a_pause_lasts(
     mapper: MappingSession, made: list[FakeMapper]
 ):
@@ -195,16 +183,6 @@ def test_without_wheels_the_base_is_taken_to_stand_in_a_pause():
     after = drive(mapper, range(300, 301), lambda at_s: 0.5, wheels=False)
     assert after[0].state == "ok"
     assert after[0].pose_map_base.x_m == pytest.approx(before[-1].pose_map_base.x_m, abs=0.02)
-
-
-def test_a_pause_before_the_first_scan_does_not_fix_where_the_map_begins():
-    mapper = real_mapper()
-    mapper.carry_out("pause")
-    drive(mapper, range(20), lambda at_s: 0.5 * at_s)
-    mapper.carry_out("resume")
-    after = drive(mapper, range(20, 30), lambda at_s: 0.5 * at_s)
-    assert after[0].pose_map_base == SE2()
-    assert all(b.pose_map_base.x_m > a.pose_map_base.x_m for a, b in pairwise(after))
 
 
 @pytest.mark.parametrize(("period_ns", "applied_at"), [(10, [5, 7]), (15, [4, 6]), (100, [3, 5])])

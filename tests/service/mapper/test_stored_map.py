@@ -126,17 +126,6 @@ def test_who_is_only_localised_leaves_the_stored_map_as_it_is(first, before, loc
     np.testing.assert_array_equal(saved.map[: len(begin.graph)], begin.graph.map)
 
 
-def test_mapping_goes_on_in_the_stored_map(first, continued):
-    _, begin = first
-    outputs, finished = continued[0].outputs, continued[1]
-    saved = finished.update.saved
-    assert saved is not None
-    assert len(saved) > len(begin.graph)
-    assert len(saved.loop_ends) > len(begin.graph.loop_ends)
-    assert len(np.unique(saved.piece)) == len(np.unique(begin.graph.piece)) + 1  # odometry joins them nowhere
-    assert finished.corrections[0].stamp_ns >= outputs[0].stamp_ns  # none of the session before
-
-
 def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(first, second):
     """A wall across the way that the second session drives, and points that were erased elsewhere."""
     drove, begin = first

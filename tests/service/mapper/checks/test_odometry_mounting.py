@@ -15,7 +15,6 @@ from service.mapper.checks.odometry_mounting import (
     OdometryMounting,
     fault_of,
     offset_of,
-    turns_are_opposed,
 )
 from service.mapper.checks.stamp_check import BATCH
 from service.mapper.profiles import mapping_config
@@ -102,12 +101,6 @@ def test_between_samples_odometry_goes_on():
     assert "drives 3.0 deg to the right of its heading (sigma 0.3)" in check.fault, check.fault
 
 
-def test_odometry_whose_stamps_are_late_shows_no_mounting():
-    check = OdometryMounting()
-    drive(SE2(), 90.0, check, late_s=0.3)
-    assert check.fault == ""
-
-
 def test_what_scans_err_by_makes_no_fault():
     check = OdometryMounting()
     drive(SE2(), 60.0, check, noise_m=0.03)
@@ -165,11 +158,6 @@ def test_a_laser_that_is_mounted_upside_down_contrary_to_its_config_is_named(is_
         check.add_pose(stamp_ns, seen)
     assert check.fault.startswith("odometry turns the other way than the scans") is is_named
     assert bool(check.fault) is is_named
-
-
-def test_turns_of_dead_odometry_are_not_the_other_way():
-    steps = np.column_stack([np.full(50, 0.2), np.zeros(50), np.full(50, 0.5), np.zeros((50, 3))])
-    assert not turns_are_opposed(steps)
 
 
 def test_a_straight_drive_shows_no_point_about_which_the_vehicle_turns():

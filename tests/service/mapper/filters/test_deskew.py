@@ -21,15 +21,6 @@ def moving(*twist: float) -> Motion:
     return Motion(SE2(), (twist[0], twist[1], twist[2]), np.eye(3))
 
 
-def test_points_stand_in_the_base_frame_of_beam_zero() -> None:
-    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2(0.2, -0.1, math.pi / 2.0)})
-    points = deskew(scan([2.0, 2.0]), moving(1.0, 0.0, 0.0))
-    raw = [(0.2, 1.9), (0.2 - 2.0 * math.sin(0.1), -0.1 + 2.0 * math.cos(0.1))]
-    np.testing.assert_allclose(points.xy_raw, raw, atol=1e-9)
-    np.testing.assert_allclose(points.xy_base[1], [raw[1][0] + 0.001, raw[1][1]], atol=1e-9)
-    np.testing.assert_allclose(points.beam_time_s, [0.0, 0.001])
-
-
 def test_a_sweep_is_brought_to_its_middle() -> None:
     seen = scan([2.0, 2.0, 2.0], beam_ns=1_000_000)
     deskew = DeskewByMotion(BeamsConfig(), {"front": SE2()})

@@ -79,16 +79,6 @@ def test_a_scan_is_drawn_after_a_distance_a_turn_or_a_while(pose: SE2, after_s: 
     assert bool(shown.changed_tiles()) == drawn
 
 
-def test_who_walked_away_is_cleared() -> None:
-    shown = new_map()
-    person, gone = points_of(np.array([[1.0, 0.01]])), np.array([[3.0, 0.01]])
-    shown.insert(person, SE2())
-    assert cell(shown.changed_tiles(), 1.0, 0.01) > 60
-    for k in range(1, 6):
-        shown.insert(points_of(gone, k * SECOND_NS), SE2())
-    assert cell(shown.changed_tiles(), 1.0, 0.01) < 30
-
-
 def test_a_map_spreads_to_negative_tiles_and_keeps_what_it_had() -> None:
     shown = new_map()
     for k, (x, y) in enumerate([(0.0, 0.0), (-40.0, 3.0), (25.0, -60.0), (-5.0, 70.0)]):

@@ -64,18 +64,6 @@ def test_a_pickled_map_is_the_same_and_weighs_what_its_tiles_do() -> None:
     assert put(again, 9, 7, 1.0) == put(tile_map, 9, 7, 1.0) == 6
 
 
-def test_released_tiles_are_used_again_and_come_clean() -> None:
-    pool = TilePool(LAYERS, 64)
-    one, two = TileMap(pool), TileMap(pool)
-    slots = {put(one, 0, column, 5.0) for column in range(3)}
-    one.release()
-    assert pool.used_count == 0
-    assert one.tiles() == []
-    assert {put(two, 7, column, 2.0) for column in range(3)} == slots
-    assert read(two, 7, 1) == 2.0
-    assert put(one, 0, 0, 1.0) not in slots
-
-
 def test_a_pool_that_is_used_up_doubles_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
     pool = TilePool(LAYERS, 4)
     tile_map = TileMap(pool)

@@ -82,13 +82,6 @@ def room() -> Ground:
     return ground
 
 
-def test_a_matcher_that_confirms_the_prediction_exactly_has_matched(room: Ground) -> None:
-    match = JudgedMatching(JudgementConfig()).match(square(), predicted(SE2()), room, Reported())
-    assert (match.state, match.reason, match.inlier_ratio) == ("ok", "", 1.0)
-    assert match.measured is not None
-    assert match.measured.pose_odom_base == SE2()
-
-
 def opened() -> Points:
     """A quarter of the square; the rest far behind where its walls were."""
     xy = square().xy_base
@@ -178,10 +171,3 @@ def test_noise_begins_no_map(room: Ground) -> None:
     ]
     assert {match.state for match in lost_over(3.0 * RESTART_M, room, scans)} == {"lost"}
     assert not room.is_empty
-
-
-def test_too_few_returns_name_the_sensor(room: Ground) -> None:
-    few = points_of(square().xy_base[:4])
-    match = JudgedMatching(JudgementConfig()).match(few, predicted(SE2()), room, Reported())
-    assert match.state == "lost"
-    assert match.reason.startswith("front: 4 of 4 beams returned (at least 5)")

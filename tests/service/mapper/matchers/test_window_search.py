@@ -25,13 +25,6 @@ def random_field() -> LikelihoodField:
     return LikelihoodField(tiles.index(), pool.arrays[0], CELL_M)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("reach_m", "reach_rad", "cells", "steps"), [(0.25, 0.1, 3, 3), (0.3, 0.04, 3, 1)])
-def test_a_window_holds_all_that_is_within_reach_and_no_row_more(reach_m, reach_rad, cells, steps) -> None:
-    window = window_around(np.array([1.0, 2.0, 3.0]), (reach_m, reach_rad), layer_of(random_field()), 0.04)
-    assert (window.half_x, window.half_y, window.half_theta) == (cells, cells, steps)
-    np.testing.assert_array_equal(window.pose, [1.0, 2.0, 3.0])
-
-
 @pytest.mark.parametrize(("count", "most", "left"), [(541, 180, 181), (541, 1000, 541), (9, 4, 5)])
 def test_points_are_thinned_to_about_as_many_as_asked_for(count: int, most: int, left: int) -> None:
     xy = np.arange(2.0 * count).reshape(-1, 2)

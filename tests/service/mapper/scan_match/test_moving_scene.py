@@ -39,21 +39,10 @@ def conflict_of(matched_m: float, scans: int = 10) -> float | None:
     return None
 
 
-def test_paths_that_agree_are_no_conflict() -> None:
-    assert conflict_of(STEP_M) is None
-    assert conflict_of(1.05 * STEP_M) is None
-
-
 def test_a_matched_path_that_stands_while_odometry_drives_is_a_conflict_within_decimetres() -> None:
     pose_m = conflict_of(0.0)
     assert pose_m is not None
     assert STEP_M <= pose_m <= 0.2
-
-
-def test_without_odometry_there_is_no_conflict() -> None:
-    reckoning = Reckoning()
-    reckoning.restart(0, SE2())
-    assert reckoning.add(STEP_NS, predicted(None), SE2(3.0)) is None
 
 
 @pytest.mark.parametrize(("matched_m", "is_conflict"), [(0.0, True), (STEP_M, False)])

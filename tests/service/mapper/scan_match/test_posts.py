@@ -92,12 +92,6 @@ def with_lost(points: Points, share: float, seed: int = 5) -> Points:
     return Points(*(array[kept] for array in arrays), SE2(), fewer, SIGMA_M)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
-@pytest.mark.parametrize("wall_m", [1.0, 3.0, 8.0])
-def test_a_wall_of_which_returns_are_lost_is_no_row_of_posts(share: float, wall_m: float):
-    assert posts_of(with_lost(seen([], wall_m=wall_m), share)) is None
-
-
 def test_the_middles_of_posts_are_found_where_returns_are_lost():
     middles = 3.0 * np.array(
         [(math.cos(bearing), math.sin(bearing)) for bearing in np.arange(-1.5, 1.6, 0.5)]

@@ -40,11 +40,3 @@ def test_two_lasers_one_right_behind_the_other_make_no_step() -> None:
     assert motion_pose is not None
     forward_m, _, _ = apart(motion_pose, at(200))
     assert abs(forward_m) < 0.025
-
-
-@pytest.mark.parametrize(
-    ("stamps_ms", "asked_ms"),
-    [((), 100), ((0,), 100), ((0, 100), 100), ((0, 100), 1200), ((0, 2000), 2100)],
-)
-def test_it_says_nothing_where_nothing_is_known(stamps_ms: tuple[int, ...], asked_ms: int) -> None:
-    assert driven(*stamps_ms).pose_at(asked_ms * MS) is None

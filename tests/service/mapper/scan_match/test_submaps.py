@@ -59,14 +59,6 @@ def points_in(submap: Submap | None) -> float:
     return float(whole)
 
 
-def test_normals_know_how_far_apart_returns_are_and_not_how_fine_the_grid_is() -> None:
-    noise = np.random.default_rng(2)
-    points = points_of(square().xy_base + 0.03 * noise.standard_normal((360, 2)))
-    fine = replace(points.scan, angle_step_rad=points.scan.angle_step_rad / 4.0)
-    sparse = replace(points, scan=fine, beam=4 * points.beam, usual_gap=4)
-    np.testing.assert_allclose(submaps().on_walls(sparse)[1], submaps().on_walls(points)[1], rtol=1e-12)
-
-
 def test_the_older_of_two_is_matched_to_and_the_younger_takes_over() -> None:
     chain = submaps(spacing_m=2.0)
     numbers = []
@@ -74,16 +66,6 @@ def test_the_older_of_two_is_matched_to_and_the_younger_takes_over() -> None:
         insert(chain, 0.5 * k)
         numbers.append(number(chain))
     assert numbers == [0] * 8 + [1] * 4 + [2] * 4 + [3]
-
-
-def test_at_the_hand_over_the_new_one_is_already_filled() -> None:
-    chain = submaps(spacing_m=2.0)
-    for k in range(9):
-        insert(chain, 0.5 * k)
-    assert number(chain) == 1
-    assert chain.matched_to is not None
-    assert chain.matched_to.scan_count == 5
-    assert points_in(chain.matched_to) > 1000.0
 
 
 def test_finer_cells_hold_the_same_points_and_move_with_them() -> None:
@@ -108,16 +90,6 @@ def test_tiles_of_retired_submaps_go_back_to_the_pool() -> None:
         insert(chain, 0.5 * k)
         counts.append(chain.tile_count)
     assert max(counts[100:]) <= max(counts[:40])
-
-
-def test_scans_between_key_frames_are_left_out() -> None:
-    chain = submaps()
-    insert(chain, 0.0)
-    before = points_in(chain.matched_to)
-    assert not insert(chain, 0.3).is_keyframe
-    assert points_in(chain.matched_to) == before
-    assert insert(chain, 0.3, theta_rad=0.06).is_keyframe
-    assert points_in(chain.matched_to) > before
 
 
 def test_a_lost_scan_begins_a_detached_map_that_a_fit_drops() -> None:

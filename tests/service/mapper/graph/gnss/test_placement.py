@@ -9,12 +9,6 @@ def found(way_m: float = 10.0) -> Placement:
     return placement
 
 
-def test_without_a_stored_map_there_is_nothing_to_prove():
-    placement = Placement(is_in_stored=False)
-    placement.found(1.0)
-    assert placement.state == "proven"
-
-
 def test_a_find_is_unproven_until_it_is_seen_from_elsewhere():
     placement = found()
     assert placement.state == "unproven"

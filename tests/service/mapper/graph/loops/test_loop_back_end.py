@@ -245,16 +245,6 @@ def test_a_lap_that_ends_where_it_began_is_closed_where_the_path_is_known(is_kno
     assert bool(end_m < 0.03) is is_known, end_m
 
 
-def test_what_was_never_seen_twice_stays_as_odometry_has_it(ring: tuple[list[KeyFrame], list[SE2]]):
-    frames = ring[0][:100]
-    back_end, results = fed(frames)
-    assert all(not result.newest for result in results)
-    finished = back_end.work(Batch([], is_last=True))
-    for correction in finished.all:
-        away = correction.pose_odom_base.inverse() @ correction.pose_map_base
-        assert abs(away.x_m) + abs(away.y_m) + abs(away.theta_rad) < 1e-9
-
-
 def test_a_false_loop_that_the_rest_contradicts_is_dropped(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
@@ -275,12 +265,6 @@ def test_who_undoes_the_last_loops_gets_the_path_before_them(ring_fed: tuple[byt
     assert before > result.loops == undone[-1].loops == 0
     (newest,) = result.newest.values()
     assert newest.pose_map_base.x_m == pytest.approx(newest.pose_odom_base.x_m, abs=1e-3)
-
-
-def test_lost_key_frames_are_neither_looked_for_nor_trusted(ring: tuple[list[KeyFrame], list[SE2]]):
-    lost = [replace(frame, is_lost=True) for frame in ring[0]]
-    _, results = fed(lost)
-    assert {result.loops for result in results} == {0}
 
 
 @pytest.mark.parametrize("says_so", [True, False])
@@ -370,22 +354,3 @@ def test_a_detached_map_seen_from_one_place_only_is_not_joined(ring: tuple[list[
     back_end.work(Batch(known))
     for k, frame in enumerate(piece_after(known, known[10:11] * 6)):
         assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined
-
-
-def test_a_detached_map_that_is_not_joined_is_neither_laid_on_nor_rendered(
-    ring: tuple[list[KeyFrame], list[SE2]],
-):
-    known = ring[0][:SIDE]
-    back_end = LoopBackEnd(LoopsConfig(), OccupancyTiles(OccupancyConfig(), 0.05).renderer)
-    back_end.work(Batch(known))
-    alone = back_end.render()
-    back_end.work(Batch(piece_after(known, known[10:11] * 3)))
-    assert back_end.keyframes.count == SIDE + 3
-    rendered = back_end.render()
-    assert alone is not None
-    assert rendered is not None
-    np.testing.assert_array_equal(rendered.evidence, alone.evidence)
-    back_end._joined.add(1)
-    both = back_end.render()
-    assert both is not None
-    assert both.evidence.shape != alone.evidence.shape or (both.evidence != alone.evidence).any()

@@ -49,13 +49,6 @@ def test_loops_that_agree_are_brought_in_after_some_distance() -> None:
     assert not due.has_news(keyframes, agreeing)
 
 
-def test_without_a_loop_since_the_newest_solution_nothing_is_due() -> None:
-    keyframes = laps()
-    due = SolutionDue(LoopsConfig(), 0.25 * SOLVE_EVERY_M)
-    assert not due.has_news(keyframes, [])
-    assert not due.has_news(keyframes, [loop(round(0.2 * SOLVE_EVERY_M / STEP_M), 0.001)])
-
-
 @pytest.mark.parametrize("moved", [(0.6 * DRAW_AT_M, 0.0, 0.0), (0.0, 0.0, -0.6 * DRAW_AT_M / LEVER_M)])
 def test_the_map_is_drawn_again_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
     before = laps().map.copy()

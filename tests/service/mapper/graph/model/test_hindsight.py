@@ -16,9 +16,7 @@ from service.mapper.graph.model.keyframe_list import (
     KeyframeList,
     ThinnedScan,
 )
-from service.mapper.graph.model.odometry_edges import odometry_edges
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph
-from service.mapper.graph.model.pose_graph_solver import covariance_of
 from service.mapper.known_pose import KnownPose, carried
 
 STEP_M, COUNT = 0.25, 21
@@ -82,15 +80,6 @@ def test_without_a_loop_it_is_known_as_the_motion_model_says(odd: dict[str, Sequ
     )
 
 
-def test_a_pose_in_the_middle_is_no_better_known_than_what_led_there() -> None:
-    graph = graph_of(driven(wide=(7, 8)))
-    for k in (5, 12):
-        expected = known(driven()).covariance if k == COUNT - 1 else driven().motion_covariance[k]
-        np.testing.assert_allclose(
-            sigmas_mm(covariance_of(graph, k)), sigmas_mm(expected), rtol=0.01, atol=0.5
-        )
-
-
 def test_in_a_detached_map_whose_place_is_not_known_the_newest_key_frame_before_it_counts() -> None:
     """What odometry measured since comes on top of it."""
     keyframes = driven(piece=range(15, COUNT))
@@ -99,13 +88,6 @@ def test_in_a_detached_map_whose_place_is_not_known_the_newest_key_frame_before_
     np.testing.assert_array_equal(found.motion_covariance, keyframes.motion_covariance[14])
     assert sigmas_mm(found.covariance).max() < 20.0
     assert known_pose(keyframes, {0, 1}, graph_of(keyframes), 0).covariance[0, 0] > 100.0  # type: ignore[union-attr]
-
-
-def test_of_key_frames_that_the_motion_model_says_nothing_of_the_match_counts_without_doubt() -> None:
-    keyframes = driven(doubtful=(5, 6), is_known=False)
-    in_hindsight, solved = edges_in_hindsight(keyframes, STEP_M), odometry_edges(keyframes, STEP_M)
-    assert in_hindsight.covariance[:, 2, 2].max() < 1e-4 < 1e-2 < solved.covariance[:, 2, 2].max()
-    assert known_pose(keyframes, {0}, graph_of(keyframes), 0) is None
 
 
 def test_a_step_of_kilometres_in_one_direction_beside_millimetres_can_be_weighed() -> None:

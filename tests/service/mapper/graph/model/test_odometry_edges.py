@@ -52,18 +52,6 @@ def check(found: Edges, into: Floats, out_of: Floats) -> None:
     np.testing.assert_allclose(found.covariance, expected)
 
 
-def test_a_matched_step_is_known_as_well_as_its_match_at_best_to_the_floor() -> None:
-    check(edges(), SOUND, SOUND)
-
-
-def test_steps_at_a_key_frame_that_was_not_matched_are_known_as_the_motion_model_says() -> None:
-    added = np.diag([0.04, 0.04, 0.0])
-    found = edges(is_lost=True, motion_covariance=added + 1e-6 * ODD * np.eye(3))
-    np.testing.assert_allclose(found.covariance[ODD - 1], added + 1e-6 * np.eye(3) + STEP_FLOOR, atol=2e-6)
-    np.testing.assert_allclose(found.covariance[ODD], STEP_FLOOR, atol=2e-6)
-    np.testing.assert_allclose(found.covariance[[0, -1]], [SOUND, SOUND])
-
-
 def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
     check(edges(is_lost=True, motion_covariance=None), LOST_COVARIANCE, LOST_COVARIANCE)
 
@@ -73,11 +61,6 @@ def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_uncertain(score: f
     """The others lie on it with 0.9, and 60 % of that is 0.54."""
     doubted = SOUND + added * np.diag([MAX_DOUBT[0], *MAX_DOUBT])
     check(edges(score=score), doubted, doubted)
-
-
-def test_a_doubtful_match_is_known_as_well_as_the_predictions() -> None:
-    doubted = SOUND + np.diag([1e-4, 1e-4, 4e-6])
-    check(edges(score=0.53, doubt=(1e-4, 4e-6)), doubted, doubted)
 
 
 @pytest.mark.parametrize(("ahead_m", "sigma"), [(2.0 * STEP_M, 0.0), (2.0 * STEP_M + 3.0, 0.3)])

@@ -79,22 +79,6 @@ def test_odometry_and_landmark_terms_reach_the_least_squares_of_scipy():
     np.testing.assert_allclose(solution.poses[0], graph.poses[0], atol=1e-6)
 
 
-def test_edges_alone_reach_the_least_squares_of_scipy_exactly():
-    graph, _ = ring(12)
-    solution = solve(graph)
-    whiten = np.linalg.cholesky(np.linalg.inv(graph.edges.covariance[0])).T
-
-    def errors(flat: np.ndarray) -> np.ndarray:
-        poses = np.vstack((graph.poses[:1], flat.reshape(-1, 3)))
-        edges = graph.edges
-        apart = se2.between(edges.measured, se2.between(poses[edges.of], poses[edges.to]))
-        return (se2.log(apart) @ whiten.T).ravel()
-
-    best = least_squares(errors, graph.poses[1:].ravel(), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    np.testing.assert_allclose(solution.poses[1:], best.x.reshape(-1, 3), atol=1e-4)
-    np.testing.assert_allclose(edge_chi2(graph.edges, solution.poses).sum(), 2.0 * best.cost, rtol=1e-5)
-
-
 def test_a_false_edge_bends_nothing_if_it_is_robust():
     graph, truth = ring(40, noise=0.1)
     edges = graph.edges

@@ -21,16 +21,6 @@ def test_who_stands_and_looks_again_has_no_more_evidence_than_before():
     assert evidence[1] == pytest.approx(evidence[0], rel=0.25)
 
 
-def test_what_each_of_two_looks_has_seen_alone_counts_whole():
-    keyframes, noise = KeyframeList(), np.random.default_rng(1)
-    there = [(4.0, -2.0, 4.0, 2.0)], [(-4.0, -2.0, -4.0, 2.0)]
-    own = [append(keyframes, walls, SE2(), 0, noise) for walls in there]
-    seen = seen_cloud(keyframes, own, own[0])
-    assert (seen.shares == 1.0).all()
-    twice = seen_cloud(keyframes, [own[0], own[0]], own[0])
-    assert (twice.shares == 0.5).all()
-
-
 def test_walls_are_weighed_from_as_far_as_a_heading_is_known():
     keyframes, noise = KeyframeList(), np.random.default_rng(1)
     walls = [(WEIGHED_M - 1.0, -9.0, WEIGHED_M - 1.0, 0.0), (WEIGHED_M + 3.0, 0.0, WEIGHED_M + 3.0, 9.0)]

@@ -120,40 +120,12 @@ def test_the_measurement_looks_at_three_of_fifteen_with_an_arm():  # B9 B12
     assert not rows[:, 9:].any()
 
 
-@pytest.mark.parametrize("arm_m", [(0.0, 0.0, 0.0), (0.5, 0.3, 0.0)])
-def test_a_turn_on_the_spot_keeps_the_base_in_place(arm_m):  # B9: the IMU rides a circle, the base does not
-    arm = np.array(arm_m)
-    filter_ = ErrorStateFilter(arm, 9.81, DENSITIES)
-    rate = np.array([0.0, 0.0, 1.0])
-    filter_.velocity_mps = np.cross(rate, arm)
-    inward = np.cross(rate, np.cross(rate, arm)) + UP
-    for _ in range(200):
-        filter_.advance(0.005, inward, rate)
-    pose = filter_.pose
-    assert math.hypot(pose.x_m, pose.y_m) < 1e-4
-    assert pose.theta_rad == pytest.approx(1.0)  # left turn, z up
-    np.testing.assert_allclose(filter_.base_velocity(rate), 0.0, atol=1e-3)
-
-
 def test_biases_are_learnt():
     flight = Flight(3)
     flight.rate_bias = np.array([0.0, 0.0, 0.004])
     flight.fly(10.0)
     assert flight.filter.rate_bias[2] == pytest.approx(flight.rate_bias[2], abs=0.001)
     assert np.linalg.det(flight.filter.rotation) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_height_and_climb_stay_bounded_without_any_height():  # B12: the floor stands in for it
-    filter_ = ErrorStateFilter(np.zeros(3), 9.81, DENSITIES)
-    filter_.covariance = np.diag(FIRST_SIGMA**2)
-    for _ in range(800):
-        filter_.advance(0.025, np.array([0.0, 0.0, 9.85]), np.zeros(3))
-        filter_.settle()
-        filter_.observe_floor(0.05, 0.05)
-        filter_.observe_pose(SE2(), np.diag(MATCH_SIGMA**2))
-    assert abs(filter_.position_m[2]) < 0.05
-    assert np.linalg.eigvalsh(filter_.covariance)[0] > -1e-12
-    assert filter_.force_bias[2] == pytest.approx(0.04, abs=0.01)
 
 
 def test_prediction_and_update_are_those_of_filterpy_to_the_bit():

@@ -7,7 +7,6 @@ from drivers.frames import ImuSample
 from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.mapper.papers.owolm_eskf.inertial_motion import InertialMotion, InertialMotionConfig
-from service.mapper.papers.owolm_eskf.inertial_track import InertialTrack
 from tests.service.estimator.samples import MS, matched, odometry
 
 SURE = np.diag([1e-5, 1e-5, 1e-6])
@@ -40,18 +39,6 @@ def test_the_imu_carries_the_pose_between_scans():  # B6 B13
     assert predicted.twist_base[2] == pytest.approx(1.0, abs=0.02)
     assert predicted.covariance[0, 0] > 0.0
     assert predicted.is_measured
-
-
-def test_what_is_believed_lies_between_prediction_and_match():  # B14
-    model = InertialMotion(InertialMotionConfig())
-    driven(model, 0, 1000, 1.0)
-    model.add(imu(1000))
-    predicted = model.predict(1000 * MS)
-    ahead = SE2(1.0, 0.01, 0.0)
-    believed = model.correct(matched(ahead, SURE))
-    assert 0.0 < believed.pose_odom_base.y_m - predicted.pose_odom_base.y_m < 0.01
-    assert np.trace(believed.covariance) < np.trace(predicted.covariance)
-    assert np.trace(believed.covariance) < np.trace(SURE)
 
 
 @pytest.mark.parametrize("along_m", [0.0, 0.5])
@@ -101,16 +88,6 @@ def test_samples_that_are_no_numbers_are_left_out():
     model = InertialMotion(InertialMotionConfig())
     assert not model.add(imu(0, (0.0, 0.0, math.nan)))
     assert not model.add(imu(0, force=(math.inf, 0.0, 9.81)))
-
-
-def test_a_track_holds_samples_for_so_long_and_no_longer():
-    track = InertialTrack(0.0, max_hold_s=0.1)
-    for stamp_ms in (0, 50, 100):
-        track.add(imu(stamp_ms))
-    assert track.covers(0, 190 * MS)
-    assert not track.covers(0, 210 * MS)
-    track.add(imu(250))
-    assert not track.covers(0, 250 * MS)
 
 
 def test_standing_before_the_first_scan_gives_tilt_and_biases():  # B3

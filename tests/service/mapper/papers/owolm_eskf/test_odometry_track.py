@@ -42,15 +42,6 @@ def test_too_far_beyond_the_samples_nothing_is_reported() -> None:
     assert track().between(0, 1) is None
 
 
-def test_speed_is_taken_around_the_moment_that_is_asked() -> None:
-    filled = track()
-    for stamp_ms in range(0, 1001, 20):
-        metres = 1.0 * stamp_ms / 1e3 if stamp_ms <= 500 else 0.5 + 2.0 * (stamp_ms - 500) / 1e3
-        filled.add(odometry(stamp_ms, SE2(metres, 0.0, 0.0)))
-    assert filled.twist_at(300 * MS) == pytest.approx((1.0, 0.0, 0.0))
-    assert filled.twist_at(1000 * MS) == pytest.approx((2.0, 0.0, 0.0))
-
-
 def test_a_late_sample_is_refused() -> None:
     filled = circling(1000)
     assert not filled.add(odometry(1000, on_circle(1.0)))

@@ -37,14 +37,6 @@ def test_a_sub_map_is_closed_each_so_many_metres_and_the_next_begins_with_its_en
     assert closed[1].track[-1, 0] == 8.0
 
 
-def test_a_lost_scan_and_one_from_the_same_place_draw_nothing() -> None:
-    submaps = CountedSubmaps(CONFIG)
-    assert drive(submaps, 0.0).is_keyframe
-    assert not drive(submaps, 0.1).is_keyframe
-    assert not drive(submaps, 2.0, state="lost").is_keyframe
-    assert drive(submaps, 2.0).is_keyframe
-
-
 # D2, D5
 def test_a_particle_that_takes_over_has_the_map_and_the_path_of_the_other() -> None:
     submaps = CountedSubmaps(CONFIG)

@@ -48,16 +48,6 @@ def outputs_of(made: Mapper[CountedSubmaps], what: Drive) -> list[MapperOutput]:
     return [output for frame in what.frames if (output := made.process(frame)) is not None]
 
 
-# D1, D2, D5
-def test_a_room_is_followed_over_several_sub_maps(short_drive: Drive) -> None:
-    outputs = outputs_of(mapper(), short_drive)
-    away = [short_drive.truth[o.stamp_ns].inverse() @ o.pose_map_base for o in outputs]
-    assert max(np.hypot(e.x_m, e.y_m) for e in away) < 0.05
-    assert max(abs(e.theta_rad) for e in away) < 0.02
-    assert {o.state for o in outputs} == {"ok"}
-    assert all((np.linalg.eigvalsh(o.covariance) > 0.0).all() for o in outputs[1:])
-
-
 def test_the_seed_decides_and_nothing_else(short_drive: Drive) -> None:
     first, again, other = (
         [o.pose_odom_base for o in outputs_of(mapper(seed, 4), short_drive)] for seed in (1, 1, 2)
