@@ -271,6 +271,18 @@ class Terminal(io.StringIO):
         return True
 
 
+def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
+    terminal, pipe = Terminal(), io.StringIO()
+    for stream in (terminal, pipe):
+        shown = console.Progress("replay", stream)
+        for step in range(101):
+            shown(step / 100)
+        shown.end()
+    assert terminal.getvalue().startswith(f"{console.CLEAR}replay [..")
+    assert terminal.getvalue().endswith("] 100%\n")
+    assert pipe.getvalue().splitlines() == [f"replay: {tenth}0%" for tenth in range(1, 11)]
+
+
 def test_the_bar_says_how_long_the_rest_takes_once_the_pace_is_known():
     clock_s, terminal = [0.0], Terminal()
     shown = console.Progress("mapping", terminal, lambda: clock_s[0])

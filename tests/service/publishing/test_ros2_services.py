@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 
@@ -12,6 +13,7 @@ from drivers.rmw_zenoh import Attachment
 from service.encoding import ros_services
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
+from service.outputs import TileUpdate
 from service.publishing import query_workers
 from service.publishing.commands import refusal
 from service.publishing.config import PublishingConfig
@@ -110,6 +112,26 @@ def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session,
     assert "expected 33" in reply.err.payload.to_string()
     assert asked.heard == []
     assert topics.counts()["answered"]["refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("office", "office"),
+        ("file://{maps}/office", "office"),
+        ("file://{maps}/office/map.yaml", "office"),
+        ("file:///srv/office/map.yaml", "/srv/office/map.yaml"),  # which the command refuses
+        ("file://{maps}/../office", "{maps}/../office"),
+    ],
+)
+def test_load_map_takes_a_name_or_the_file_of_a_map_in_the_folder_of_maps(
+    session, asked, store, maps, url, name
+):
+    url, name = url.format(maps=maps), name.format(maps=maps)
+    store.update([TileUpdate(0, 0, 0, 3, 0.05, np.full((64, 64), 3, np.int8))])
+    response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
+    assert asked.heard == [("load_map", json.dumps({"map": name}).encode())]
+    assert (response.result, response.map.info.width, response.map.data.max()) == (0, 64, 3)
 
 
 def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
