@@ -62,13 +62,14 @@ export class EditLoops {
   #entry() {
     const name = element("p", { className: "stored-name" }), note = element("p", { className: "note" });
     const decide = element("button", { type: "button", onclick: () => this.#decide(entry.loop) });
-    const node = element("li", {}, name, note,
-      element("div", { className: "row" }, element("button", { type: "button", onclick: () => this.show(entry.loop) }, "Show"), decide));
+    const show = element("button", { type: "button", onclick: () => this.show(entry.loop) }, "Show");
+    const node = element("li", {}, name, note, element("div", { className: "row" }, show, decide));
     const entry = { node, put: (loop) => {
       entry.loop = loop;
       setText(name, loop.why ?? nameOf(loop).replace("l", "L"));
       setText(note, evidence(loop));
       setText(decide, loop.why ? "Accept\u2026" : "Refuse\u2026");
+      for (const button of [show, decide]) button.setAttribute("aria-label", `${button.textContent} ${nameOf(loop)}`); // there are many
     } };
     return entry;
   }
