@@ -186,7 +186,7 @@ class BackEndProcess:
             and (left_s := self._left_s - (time.monotonic() - began_s)) > 0.0
         ):
             self._receive(min(left_s, WAIT_S))
-            still_s = standstill.seconds(self._worker_pid) if self._worker_pid else 0.0
+            still_s = standstill.seconds(self._worker_pid)[0] if self._worker_pid else 0.0
             self._is_waiting()
         self._left_s = max(self._left_s - (time.monotonic() - began_s), 0.0)
         if number in self._answers:

@@ -37,6 +37,7 @@ from service.runtime.mapper_messages import (
     Heard,
     Hello,
     Item,
+    LongWork,
     MakeStandby,
     Mapped,
     PassedOver,
@@ -54,7 +55,9 @@ log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
 STUCK_S = 10.0  # items wait, and the mapper has sent nothing for so long: it is ended
-STILL_S = 2.0  # so early where it does not even compute
+# So early where it stood still for half of that, or computed for half of it and has announced no long work:
+# a scan takes milliseconds, and one that a busy machine leaves without a processor does neither.
+STILL_S = 2.0
 MAX_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
@@ -109,6 +112,7 @@ class MapperLink:
         self._refused: set[int] = set()
         self._heard_s = 0.0
         self._standstill = Standstill()
+        self._long_works = 0  # that the active mapper has announced and not ended
         self._taken_number = 0  # as the mapper reported last
         self._deaths = (0, 0)  # how many since the item that was done last
         self._back_ends_died_s: deque[float] = deque(maxlen=MAX_BACK_END_DEATHS)  # host monotonic
@@ -333,6 +337,9 @@ class MapperLink:
         if isinstance(message, CanCopy):
             self._keep_items(message.can_copy)
             return
+        if isinstance(message, LongWork):
+            self._long_works += 1 if message.has_begun else -1
+            return
         if isinstance(message, Progress):
             self.kernels, self.kernels_share = message.words, message.share
             return
@@ -388,8 +395,9 @@ class MapperLink:
                 self._send_held()
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
         if is_mapping and (self.waiting or self._is_finishing) and self.silent_s > STILL_S / 2.0:
-            still_s = self._standstill.seconds(self._pid)
-            if self.silent_s > STUCK_S or (self.silent_s > STILL_S and still_s > STILL_S / 2.0):
+            still_s, computed_s = self._standstill.seconds(self._pid)
+            idle_s = still_s if self._long_works else max(still_s, computed_s)
+            if self.silent_s > STUCK_S or (self.silent_s > STILL_S and idle_s > STILL_S / 2.0):
                 self._lost(f"said nothing for {self.silent_s:.1f} s while {self.waiting} items waited")
 
     def _lose_standby(self, channel: Channel) -> None:
@@ -452,7 +460,7 @@ class MapperLink:
         self._listener.taken_over(how)
         with self._lock:
             self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
-            self._heard_s = time.monotonic()
+            self._heard_s, self._long_works = time.monotonic(), 0
             self._standstill.reset()
             for message in (
                 Go(self._done_number, decisions, self._back_end_dies_again_and_again()),

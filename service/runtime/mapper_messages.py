@@ -160,6 +160,12 @@ class Progress(NamedTuple):
     share: float
 
 
+class LongWork(NamedTuple):
+    """What may compute for longer than a scan begins, or has ended; several may overlap."""
+
+    has_begun: bool
+
+
 class Ready(NamedTuple):
     """Kernels are there, and a stand-by where the profile can have one; frames are welcome."""
 
@@ -278,5 +284,5 @@ Heard = (
     | ChangesDrawn
     | PoseRefused
 )
-FromMapper = Heard | Answer | Ready | CanCopy | Progress | Finished
+FromMapper = Heard | Answer | Ready | CanCopy | Progress | LongWork | Finished
 Fatal = Failed | BackEndDied  # the process ends by it, and its stand-by goes on

@@ -51,6 +51,7 @@ from service.runtime.mapper_messages import (
     Go,
     Hello,
     Item,
+    LongWork,
     MakeStandby,
     Progress,
     Ready,
@@ -131,6 +132,7 @@ class MapperProcess:
         try:
             if not self._copy():
                 self._send(Ready(self._can_copy))
+                self._announce_kernels()
             while self._items or not self._is_finishing:
                 self._hear(0.0 if self._items or self._loop.has_tiles else IDLE_S)
                 self._take_up_to_scan()
@@ -181,12 +183,17 @@ class MapperProcess:
         else:
             self._items.append(message)
 
+    def _announce_kernels(self) -> None:
+        if self._seldom is not None:
+            self._send(LongWork(True))  # a scan may have to compile one
+
     def _load_seldom(self) -> None:
         if self._seldom is None or self._items:
             return
         self._seldom.load_next()
         if self._seldom.is_done:
             self._seldom = None
+            self._send(LongWork(False))
 
     def _send(self, message: FromMapper) -> None:
         self._channel.send(message)
@@ -244,6 +251,7 @@ class MapperProcess:
         assert isinstance(first, Go)
         self._stays = first.stays
         self._back_end.need()
+        self._announce_kernels()
         self._loop.go_on(first)
         self._copy()  # it may be needed before everything has come again
         self._schedule.make_next_at_once()  # and once more when it has

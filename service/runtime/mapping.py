@@ -4,7 +4,8 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -31,6 +32,7 @@ from service.runtime.mapper_messages import (
     Heard,
     Item,
     LoadItem,
+    LongWork,
     Mapped,
     PassedOver,
     PoseRefused,
@@ -40,6 +42,7 @@ from service.runtime.mapper_messages import (
     Status,
     SwitchItem,
     Tiles,
+    TilesItem,
     Unusable,
     is_sample,
 )
@@ -91,7 +94,7 @@ class MappingLoop:
     def __init__(
         self,
         mapper: MappingSession,
-        send: Callable[[Heard | Answer], None],
+        send: Callable[[Heard | Answer | LongWork], None],
         upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         prepare_map: PrepareMap = no_stored_maps,
@@ -133,7 +136,19 @@ class MappingLoop:
         self._apply_results_before(item)
         if isinstance(item, FrameItem):
             self._take_frame(item)
-        elif isinstance(item, SessionItem):
+        else:
+            with self._long_work():
+                self._carry_out(item)
+        self.number = item.number
+
+    @contextmanager
+    def _long_work(self) -> Iterator[None]:
+        self._send(LongWork(True))
+        yield
+        self._send(LongWork(False))
+
+    def _carry_out(self, item: SessionItem | LoadItem | SwitchItem | GraphItem | TilesItem) -> None:
+        if isinstance(item, SessionItem):
             if item.action == "reset_map":
                 self.hand_over_tiles()  # they are of the map before
                 self._give_up_edits("the map has ended before the change was made")
@@ -151,7 +166,6 @@ class MappingLoop:
         else:
             self.hand_over_tiles()
             self._tell(item.number, Answer(item.number, None))
-        self.number = item.number
 
     def keep_up(self, is_idle: bool) -> None:
         """Hand over tiles and tell the status where they are due; between two items."""
@@ -234,7 +248,8 @@ class MappingLoop:
         if self._newest is not None:
             self._map_timed(self._timing.finish(), self._newest)
         self.tell_status()
-        self.mapper.finish()
+        with self._long_work():
+            self.mapper.finish()
         self._tell_graph()
         self._show_graph()
         self.hand_over_tiles()
@@ -257,7 +272,8 @@ class MappingLoop:
 
     def _apply_result(self) -> None:
         """The answer to an edit may be sent again after a mapper was lost: only the first is heard."""
-        self.mapper.apply_result()
+        with self._long_work():
+            self.mapper.apply_result()
         if not self._edits:
             return
         for edited in self.mapper.take_edited():

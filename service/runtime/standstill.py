@@ -1,37 +1,53 @@
 """Whether a process that owes something works at it, waits for a processor, or stands still."""
 
+import os
 import time
 from pathlib import Path
+from typing import NamedTuple
+
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class Standstill:
-    """For how long a process has neither run nor waited for a processor, as far as `seconds` was asked.
+    """For how long a process has neither run nor waited for a processor, and how much of one it has used, as
+    far as it was asked since its last word.
 
-    One that is stopped, sleeps or waits for a disk stands still; one that a busy machine starves does not.
+    One that is stopped, sleeps or waits for a disk stands still; one that a busy machine starves does
+    neither.
     """
 
     def __init__(self) -> None:
         self._since_s: float | None = None  # host monotonic
+        self._used_s: float | None = None  # processor time up to its last word, or when first asked after it
 
-    def seconds(self, pid: int) -> float:
-        """pid: of a process without further threads. 0.0 while it runs."""
-        if _state(pid) == "R":
+    def seconds(self, pid: int) -> tuple[float, float]:
+        """Stood still, 0.0 while it runs; and computed since. pid: of a process without further threads."""
+        now = _now(pid)
+        if self._used_s is None:
+            self._used_s = now.used_s
+        computed_s = now.used_s - self._used_s
+        if now.state == "R":
             self._since_s = None
-            return 0.0
+            return 0.0, computed_s
         now_s = time.monotonic()
         if self._since_s is None:
             self._since_s = now_s
-        return now_s - self._since_s
+        return now_s - self._since_s, computed_s
 
     def reset(self) -> None:
         """It has been heard of."""
-        self._since_s = None
+        self._since_s = self._used_s = None
 
 
-def _state(pid: int) -> str:
-    """As of proc(5): R, S, D, T ...; "" where it is gone."""
+class _Now(NamedTuple):
+    state: str  # as of proc(5): R, S, D, T ...; "" where it is gone
+    used_s: float
+
+
+def _now(pid: int) -> _Now:
     try:
         stat = Path("/proc", str(pid), "stat").read_text(errors="replace")
     except OSError:
-        return ""
-    return stat.rpartition(")")[2].split()[0]
+        return _Now("", 0.0)
+    fields = stat.rpartition(")")[2].split()
+    return _Now(fields[0], (int(fields[11]) + int(fields[12])) / _TICKS_PER_S)

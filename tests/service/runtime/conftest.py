@@ -22,8 +22,8 @@ def forked_mappers(nursery: Nursery, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def strange(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Sets up how the mapper misbehaves: "raises", "hangs", "does not compile", "compiles for ever"; or
-    "says what it loads", "not at all", with a new stand-by every 0.3 s.
+    """Sets up how the mapper misbehaves: "raises", "hangs", "computes", "does not compile",
+    "compiles for ever"; or "says what it loads", "not at all", with a new stand-by every 0.3 s.
     """
 
     def set_up(how: str) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from service.mapper.mapping_session import MappingSession
-from service.runtime.mapper_messages import Answer, Item
+from service.runtime.mapper_messages import Answer, Item, LongWork
 from service.runtime.mapping import MappingLoop, PrepareMap, PrepareProfile, no_stored_maps, one_profile
 from service.runtime.mapping_outputs import MappingOutputs
 
@@ -49,6 +49,8 @@ class InlineLink:
         self.loop.finish()
 
     def _hear(self, message: Any) -> None:
+        if isinstance(message, LongWork):
+            return  # of a process
         self.said.append(message)
         if not isinstance(message, Answer):
             self._outputs.heard(message)

@@ -367,15 +367,16 @@ def test_a_frame_that_the_mapper_dies_of_is_left_out(drive: Drive, strange: Call
     assert "IndexError('no such tile')" in drive.heard.takeovers[0]
 
 
-def test_a_mapper_that_stands_still_is_ended(
-    drive: Drive, strange: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("how", ["hangs", "computes"])
+def test_a_mapper_that_stands_still_or_computes_without_end_is_ended(
+    drive: Drive, strange: Callable[[str], None], monkeypatch: pytest.MonkeyPatch, how: str
 ):
-    """Its stand-by stands still at the same frame, and so on: then it is given up, aloud."""
-    strange("hangs")
+    """So does its stand-by at the same frame, and so on: then it is given up, aloud."""
+    strange(how)
     drive.start().scan(3)
     drive.until_mapped()
     drive.until_standby(3)
-    monkeypatch.setattr(mapper_link, "STUCK_S", 0.8)
+    monkeypatch.setattr(mapper_link, "STILL_S", 0.3)
     drive.scan(fatal=True)
     drive.until(lambda: bool(drive.failure))
     assert "said nothing for" in drive.heard.takeovers[0]
