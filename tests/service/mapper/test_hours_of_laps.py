@@ -90,7 +90,7 @@ def test_laps_change_neither_memory_nor_time_a_scan_nor_error_nor_sigma(world: s
     settled = seen[SETTLED:]
     reference = settled[0]
     for window in settled:
-        assert window.rss_mb == pytest.approx(reference.rss_mb, rel=0.03)
-        assert window.scan_ms == pytest.approx(reference.scan_ms, rel=0.05)
+        assert window.rss_mb < 1.03 * reference.rss_mb
+        assert window.scan_ms < 1.05 * reference.scan_ms
         assert window.error_m < 1.2 * reference.error_m + 0.005
         assert window.sigma_m < 1.2 * reference.sigma_m + 0.001

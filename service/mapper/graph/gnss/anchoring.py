@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +56,15 @@ class Anchoring:
     def add(self, fixes: Sequence[PlacedFix]) -> None:
         """Fixes by rising stamps, no two of them of one spot."""
         self._fixes += fixes
+
+    @property
+    def keyframes(self) -> npt.NDArray[np.int64]:
+        """(K,) those that fixes are placed at."""
+        return np.array([fix.keyframe for fix in self._fixes], np.int64)
+
+    def renumber(self, number: npt.NDArray[np.int64]) -> None:
+        """The N key frames have new numbers (N,)."""
+        self._fixes = [replace(fix, keyframe=int(number[fix.keyframe])) for fix in self._fixes]
 
     @property
     def is_due(self) -> bool:

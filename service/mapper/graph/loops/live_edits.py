@@ -31,6 +31,7 @@ from service.mapper.edit_requests import (
     moved_words,
     wall_words,
 )
+from service.mapper.graph.loops.old_passes import Renumbering
 from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.keyframe_list import KeyframeList, ThinnedScan
 from service.mapper.graph.model.loops import Loop
@@ -104,6 +105,20 @@ class LiveEdits:
                 made = self._remove_pair(change.pair, before)
         self._made = [*self._made, made][-MAX_UNDONE:]
         return made, [loop for loop in loops if not any(loop is gone for gone in made.loops)]
+
+    def renumber(self, new: Renumbering) -> None:
+        """Only some of the key frames will be kept."""
+        is_kept, number = new.is_kept, new.number
+        self._made = [
+            replace(
+                made,
+                by_hand=made.by_hand.without_keyframes(is_kept, self._keyframes.map),
+                points={int(number[k]): points for k, points in made.points.items() if is_kept[k]},
+                matched=[int(number[k]) for k in made.matched if is_kept[k]],
+                loops=new.loops(made.loops),
+            )
+            for made in self._made
+        ]
 
     def answer(self, made: Made, is_known: Mask, before: Floats, contradicted: int = 0) -> EditAnswer:
         """before: (N, 3) where the key frames were; contradicted: loops that the solution had to drop."""

@@ -1,7 +1,6 @@
 """Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
 
 import math
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,23 +15,23 @@ from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.drawing import Drawing
 from service.mapper.graph.loops.live_edits import LiveEdits, Made, keyframes_near
 from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.loops.old_passes import OldPasses
-from service.mapper.graph.loops.passes import worth_asking
+from service.mapper.graph.loops.old_passes import OldPasses, Renumbering
+from service.mapper.graph.loops.passes import stretches_to_search, worth_asking
 from service.mapper.graph.loops.solution_due import SolutionDue
 from service.mapper.graph.loops.stored_graph import (
     Placement,
     anchor_loop,
     graph_on_held,
     landmarks_of_pairs,
-    moved_loops,
     saved_graph,
     stored_loops,
     to_render,
 )
-from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, CandidateSubmap, cloud_of
+from service.mapper.graph.loops.submap_cache import SubmapCache
+from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, cloud_of
 from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, thinned
-from service.mapper.graph.model.loops import WITHIN_M, Loop, agree, as_edges, loop_of, untied
+from service.mapper.graph.model.loops import WITHIN_M, Loop, agree, as_edges, loop_of
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import odometry_edges
 from service.mapper.graph.model.path_drift import PathDrift, lengths_from
@@ -55,12 +54,10 @@ LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted
 DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
 MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
 FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
-MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
 MIN_SHARE_ON_MAP = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
 MAX_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
 AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
-SUBMAPS_KEPT = 16
 PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
 MAX_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
 
@@ -91,8 +88,9 @@ class LoopBackEnd:
         self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
         self._candidates: list[Loop] = []
         self._disabled: list[Loop] = []
+        self._gone = 0, 0  # of these and those, whose key frames are taken out
         self._refusals = Refusals(None if stored is None else stored.refused)
-        self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
+        self._submaps = SubmapCache(config, self.keyframes, self._usable)
         self._drift = PathDrift(self.keyframes, config.keyframe_distance_m)
         self._searched_m = float(self.keyframes.way_m[-1]) if stored is not None else 0.0
         self._due = SolutionDue(config, self._searched_m)
@@ -137,7 +135,8 @@ class LoopBackEnd:
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
-        self._anchoring.add(batch.fixes)
+        taken_out = self._old_passes.taken_out  # who sends fixes does not know of it
+        self._anchoring.add([replace(fix, keyframe=fix.keyframe - taken_out) for fix in batch.fixes])
         if batch.request == "set_pose":
             self.pieces.expect_at(np.array(batch.pose))
         if batch.request == "set_mode":
@@ -162,9 +161,13 @@ class LoopBackEnd:
             self._forget_session()
         elif not self._is_detached():  # else the search waits for it, and nothing new lies in the map
             self._old_passes.forget(self._loops)
+            taken_back = [(loop.of, loop.to) for loop in self._refusals.by_hand(self._loops)]
+            needed = self._anchoring.keyframes, self.keyframes.by_hand.pair_ends, taken_back
+            if not self._is_merging and (new := self._old_passes.renumbering(needed)) is not None:
+                self._renumber(new)
         if not moved:
             drawn = None if made is None else self.render(made.about)
-            return Result(len(self._loops), len(self._disabled), rendered_map=drawn, edited=edited)
+            return Result(*self._counts, rendered_map=drawn, edited=edited)
         before = self.keyframes.map.copy()
         disabled = len(self._disabled)
         self._solve()
@@ -176,11 +179,11 @@ class LoopBackEnd:
             self._due.must_draw()
         drawn = self.render() if self._due.take_drawing() else None
         newest = self.keyframes.newest_by_piece()
-        return Result(len(self._loops), len(self._disabled), joined, newest, known, drawn, edited=edited)
+        return Result(*self._counts, joined, newest, known, drawn, edited=edited)
 
     def _set_mode(self, is_localizing: bool) -> Result:
         """Hold all that is placed in the map, or let it be moved and extended again."""
-        known, counts = self._known(), (len(self._loops), len(self._disabled))
+        known, counts = self._known(), self._counts
         held = int(known.sum())
         if is_localizing and not self._held and (not held or not known[:held].all()):
             error = "a part of the map has not been placed in the rest yet" if held else "there is no map yet"
@@ -189,7 +192,8 @@ class LoopBackEnd:
         self._candidates, self._is_switched = [], is_localizing
         self._accepted = [] if is_localizing else self._accepted  # an undo would change the stored map
         told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self.keyframes.count}
-        return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing)
+        count = self.keyframes.count + self._old_passes.taken_out
+        return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing, keyframes=count)
 
     def _edit(self, change: LiveChange | None) -> tuple[Made | None, EditAnswer | None]:
         """What a person changes by hand; None: nothing, or it is refused."""
@@ -205,6 +209,11 @@ class LoopBackEnd:
         self._submaps.clear()
         self.pieces.forget_map()
         return made, self._edits.answer(made, self._known(), self.keyframes.map)
+
+    @property
+    def _counts(self) -> tuple[int, int]:
+        """Loops accepted and disabled so far, but for those taken back."""
+        return len(self._loops) + self._gone[0], len(self._disabled) + self._gone[1]
 
     @property
     def loops(self) -> Sequence[Loop]:
@@ -274,7 +283,7 @@ class LoopBackEnd:
         away_m = np.hypot(*(keyframes.map[stored, :2] - keyframes.map[last, :2]).T)
         if not len(stored) or away_m.min() > PROOF_NEAR_M:
             return
-        submap = self._submap_about(int(stored[np.argmin(away_m)]))
+        submap = self._submaps.about(int(stored[np.argmin(away_m)]))
         cloud = cloud_of(keyframes, [last], last)
         expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
         fit = submap.align(cloud, expected)
@@ -317,7 +326,7 @@ class LoopBackEnd:
         cloud: PointCloud | None = None
         found = []
         for k in worth_asking(way, near, away_m, reach_m, config.place_m):
-            submap = self._submap_about(k)
+            submap = self._submaps.about(k)
             if cloud is None:
                 cloud = cloud_of(keyframes, members, reference)
             guess = se2.between(keyframes.map[submap.reference], keyframes.map[reference])
@@ -341,22 +350,6 @@ class LoopBackEnd:
 
     def _is_good(self, fit: Fit) -> bool:
         return fit.share >= MIN_SHARE_ON_MAP * float(np.median(self.keyframes.score))
-
-    def _submap_about(self, k: int) -> CandidateSubmap:
-        """One about key frame k; a place that is kept already and lies near will do."""
-        way, config = self.keyframes.way_m, self._config
-        for reference in self._submaps:
-            if abs(way[reference] - way[k]) <= self._config.search_every_m:
-                self._submaps.move_to_end(reference)
-                return self._submaps[reference]
-        first = int(np.searchsorted(way, way[k] - config.place_m))
-        last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
-        usable = self._usable()
-        members = [m for m in range(first, last) if usable[m]]
-        self._submaps[k] = CandidateSubmap(self.keyframes, members, k)
-        if len(self._submaps) > SUBMAPS_KEPT:
-            self._submaps.popitem(last=False)
-        return self._submaps[k]
 
     def _accept(self, found: Loop) -> None:
         """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
@@ -426,7 +419,7 @@ class LoopBackEnd:
     def _finish(self) -> Result:
         keyframes = self.keyframes
         if keyframes.count == keyframes.stored:
-            return Result(len(self._loops), len(self._disabled))
+            return Result(*self._counts)
         if self._anchoring.has_news:
             self._find_anchors()
         if (self._loops or self._anchoring.reference) and not self._is_merging:
@@ -436,13 +429,11 @@ class LoopBackEnd:
         if self._loops:
             self._solve()
         self._submaps.clear()
-        corrections = [self.keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
         return Result(
-            len(self._loops),
-            len(self._disabled),
+            *self._counts,
             newest=keyframes.newest_by_piece(),
             rendered_map=self.render(),
-            all=corrections,
+            all=self._old_passes.corrections(),
             g2o=to_g2o(self.graph()),
             keyframes=keyframes.count,
         )
@@ -453,13 +444,8 @@ class LoopBackEnd:
         done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
         self._candidates = list(self._loops)
         new = []
-        first_m = config.place_m + float(way[self.keyframes.stored])
-        stretches_m = np.arange(first_m, way[-1], config.search_every_m)
-        if len(stretches_m) > MAX_STRETCHES:
-            tied_m = way[[loop.to for loop in self._loops]] + 0.5 * config.place_m  # ends of the queries
-            stretches_m = untied(stretches_m, tied_m, config.search_every_m)
-        for at_m in stretches_m:
-            for loop in self._search(int(np.searchsorted(way, at_m)), FINISH_WINDOW):
+        for last in stretches_to_search(self.keyframes, self._loops, config):
+            for loop in self._search(last, FINISH_WINDOW):
                 spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
                 if spot not in done and loop.of < loop.to:
                     done.add(spot)
@@ -489,9 +475,22 @@ class LoopBackEnd:
         last = held + (keyframes.count - held) // 2
         if keyframes.count - held < MAX_SESSION:
             return
-        keyframes.drop(held, last)
-        self._loops = [*moved_loops(self._loops, held, last), anchor_loop(keyframes, held)]
-        self._candidates = moved_loops(self._candidates, held, last)
-        self._disabled, self._accepted = [], []
-        self._refusals.clear()
-        self._submaps = OrderedDict((k, one) for k, one in self._submaps.items() if k < held)
+        is_kept = np.ones(keyframes.count, np.bool_)
+        is_kept[held:last] = False
+        self._renumber(Renumbering(is_kept))
+        self._loops.append(anchor_loop(keyframes, held))
+
+    def _renumber(self, new: Renumbering) -> None:
+        """Only some of the key frames are kept."""
+        keyframes, (loops, disabled) = self.keyframes, self._counts
+        self._edits.renumber(new)
+        keyframes.keep(new.is_kept)
+        self._loops, self._disabled = new.loops(self._loops), new.loops(self._disabled)
+        self._gone = loops - len(self._loops), disabled - len(self._disabled)
+        self._candidates = new.loops(self._candidates)
+        self._accepted = [kept for group in self._accepted if (kept := new.loops(group))]
+        self._refusals.renumber(new.loops)
+        self._anchoring.renumber(new.number)
+        self._submaps.keep_before(int(np.argmin(new.is_kept)))
+        self._drift = PathDrift(keyframes, self._config.keyframe_distance_m)
+        self.pieces.forget_numbers()

@@ -30,7 +30,8 @@ class Batch:
 class Result:
     """newest: as KeyframeList.newest_by_piece, if anything moved; all: every one, after the last batch.
 
-    g2o, keyframes   after the last batch: the graph as text, and how many key frames it has
+    g2o         after the last batch: the graph as text
+    keyframes   after the last batch how many the graph has; after set_mode those taken out count, too
     geo, fixes       where the map lies on the earth, None: that is not known; fixes by what became of them
     """
 

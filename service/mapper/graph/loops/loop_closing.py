@@ -244,7 +244,7 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.is_localizing is not None and result.edited is not None:
             self._is_localizing = result.is_localizing
             # The back end drops key frames while it only localises: they are counted anew.
-            self._keyframes = result.edited.told["keyframes"] + sum(map(len, self._sent)) + len(self._fresh)
+            self._keyframes = result.keyframes + sum(map(len, self._sent)) + len(self._fresh)
             self._fixes = FixTrack()
         self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:

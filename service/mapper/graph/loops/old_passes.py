@@ -1,39 +1,82 @@
-"""Forgets the points of old passes where newer ones see the same: time must not fill memory."""
+"""Keeps the first pass of a place and the newest ones: time must fill neither memory nor the graph."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
+from service.geometry.se2 import SE2
+from service.mapper.components import Correction
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import WITHIN_M, Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
+TAKEN_OUT_AT_ONCE = 200  # key frames, 60 m of path: the others get new numbers each time
+
+Mask = npt.NDArray[np.bool_]
+
+
+class Renumbering:
+    """New numbers when only some of N key frames are kept. number (N,), of those with is_kept (N,)."""
+
+    def __init__(self, is_kept: Mask) -> None:
+        self.is_kept = is_kept
+        self.number = np.cumsum(is_kept) - 1
+        self._moved: dict[int, tuple[Loop, Loop]] = {}  # by id: a loop in two lists stays one
+
+    def loops(self, loops: Sequence[Loop]) -> list[Loop]:
+        """Those with both ends kept."""
+        return [self._loop(loop) for loop in loops if self.is_kept[loop.of] and self.is_kept[loop.to]]
+
+    def _loop(self, loop: Loop) -> Loop:
+        if id(loop) not in self._moved:
+            of, to = int(self.number[loop.of]), int(self.number[loop.to])
+            self._moved[id(loop)] = loop, replace(loop, of=of, to=to)
+        return self._moved[id(loop)][1]
 
 
 class OldPasses:
-    """Remembers up to where it has looked back."""
+    """Remembers up to where it has looked back, and the poses of what was taken out.
+
+    taken_out   so many key frames
+    """
 
     def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
         self._keyframes = keyframes
         self._looked_back = 0  # key frames whose context were asked for passes too many
+        self._spent: set[int] = set()  # key frames to be taken out
+        # (G,) of those taken out, compact, for an hour of laps makes thousands: ...
+        self._gone_ns, self._begins_piece = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+        self._odom = np.zeros((0, 3))
+        self._beside = np.zeros(0, np.int64)  # ... the key frame that lay nearest to each, and ...
+        self._from_beside = np.zeros((0, 3))  # ... where each lay as seen from it
+
+    @property
+    def taken_out(self) -> int:
+        return len(self._gone_ns)
 
     def forget(self, loops: Sequence[Loop]) -> None:
-        """Drop the points of the oldest pass where enough newer ones keep theirs.
+        """Drop the points of old passes where enough newer ones keep theirs.
 
         Only where loops hold the pass in its place: a drifted one would drive out another part of the map.
+        The first pass that they lead to stays, for else each generation of passes hands its error on to the
+        next; passes between that and the newest ones are spent.
         """
         config, keyframes = self._config, self._keyframes
         if not loops:
             return
         way = keyframes.way_m
-        looped_m = np.sort([way[loop.to] for loop in loops])
+        ends_m = way[[(loop.to, loop.of) for loop in loops]]
+        to_m, of_m = ends_m[np.argsort(ends_m[:, 0], kind="stable")].T
         until = int(np.searchsorted(way, way[-1] - WITHIN_M))
         for k in range(self._looked_back, until):
-            right = int(np.searchsorted(looped_m, way[k] - config.place_m))
-            if right == len(looped_m) or looped_m[right] > way[k] + config.place_m:
+            first = int(np.searchsorted(to_m, way[k] - config.place_m))
+            last = int(np.searchsorted(to_m, way[k] + config.place_m, side="right"))
+            if first == last:
                 continue
             away = se2.between(keyframes.map[k], keyframes.map[:k])
             near = np.flatnonzero(
@@ -43,7 +86,72 @@ class OldPasses:
                 & keyframes.has_points[:k]
             )
             passes = np.split(near, np.flatnonzero(np.diff(way[near]) > config.apart_m) + 1)
+            is_tied = False
             for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
+                if is_tied:
+                    self._spent.update(oldest.tolist())
+                else:
+                    apart_m = np.abs(of_m[first:last, None] - way[oldest])
+                    is_tied = bool((apart_m <= config.place_m).any())
+                    if is_tied:
+                        continue
                 for old in oldest.tolist():
                     keyframes.forget(old)
         self._looked_back = max(until, self._looked_back)
+
+    def renumbering(self, needed: Sequence[npt.ArrayLike]) -> Renumbering | None:
+        """Without the spent key frames, which are to be taken out now; None while they are few.
+
+        Steps of odometry will lead over them, and their loops be gone. Those of a stored map stay, and where
+        pieces begin and end.
+
+        needed   others that stay
+        """
+        keyframes = self._keyframes
+        if len(self._spent) < TAKEN_OUT_AT_ONCE:
+            return None
+        is_kept = np.ones(keyframes.count, np.bool_)
+        is_kept[list(self._spent)] = False
+        self._spent.clear()
+        borders = np.flatnonzero(np.diff(keyframes.piece))
+        is_kept[: max(keyframes.stored, 1)] = True
+        for stays in (borders, borders + 1, *needed):
+            is_kept[np.asarray(stays, np.int64)] = True
+        new = Renumbering(is_kept)
+        self._remember(is_kept)
+        self._beside = new.number[self._beside]
+        self._looked_back = int(is_kept[: self._looked_back].sum())
+        return new
+
+    def _remember(self, is_kept: Mask) -> None:
+        keyframes = self._keyframes
+        gone, others = np.flatnonzero(~is_kept), np.flatnonzero(is_kept & keyframes.is_usable)
+        at = keyframes.map
+        nearest = [others[np.argmin(np.hypot(*(at[others, :2] - at[k, :2]).T))] for k in gone]
+        beside = np.array(nearest, np.int64)
+        from_beside = se2.between(at[beside], at[gone])
+        again = np.flatnonzero(~is_kept[self._beside])  # what they lay beside is taken out now
+        row = np.searchsorted(gone, self._beside[again])
+        self._from_beside[again] = se2.compose(from_beside[row], self._from_beside[again])
+        self._beside[again] = beside[row]
+        self._gone_ns = np.append(self._gone_ns, np.array(keyframes.stamps_ns, np.int64)[gone])
+        begins = keyframes.piece[gone] != keyframes.piece[np.maximum(gone - 1, 0)]
+        self._begins_piece = np.append(self._begins_piece, begins)
+        self._odom = np.vstack((self._odom, keyframes.odom[gone]))
+        self._beside = np.append(self._beside, beside)
+        self._from_beside = np.vstack((self._from_beside, from_beside))
+
+    def corrections(self) -> list[Correction]:
+        """Where each key frame of the session lies, by rising stamps, those taken out among them."""
+        keyframes = self._keyframes
+        kept = [keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
+        poses = se2.compose(keyframes.map[self._beside], self._from_beside)
+        rows = zip(
+            self._gone_ns.tolist(),
+            self._odom.tolist(),
+            poses.tolist(),
+            self._begins_piece.tolist(),
+            strict=True,
+        )
+        gone = [Correction(stamp_ns, SE2(*odom), SE2(*pose), begins) for stamp_ns, odom, pose, begins in rows]
+        return sorted([*kept, *gone], key=lambda one: one.stamp_ns)

@@ -1,11 +1,17 @@
 """Which key frames of earlier passes a loop is looked for at."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry.poses import Floats
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.loops import Loop, untied
+from service.mapper.graph.model.loops_config import LoopsConfig
 
 PASSES = 4  # of a place are asked in one search, the nearest ones
+MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
 
 
 def worth_asking(
@@ -38,3 +44,14 @@ def nearest_of_passes(
     breaks = np.flatnonzero(np.diff(way_m[near]) > place_m) + 1
     best = [int(run[np.argmin(away_m[run])]) for run in np.split(near, breaks)]
     return sorted(best, key=lambda k: (away_m[k], k))
+
+
+def stretches_to_search(keyframes: KeyframeList, loops: Sequence[Loop], config: LoopsConfig) -> list[int]:
+    """The last key frame of each stretch of the session that is worth a search at the finish."""
+    way = keyframes.way_m
+    at_m = np.arange(config.place_m + float(way[keyframes.stored]), way[-1], config.search_every_m)
+    if len(at_m) > MAX_STRETCHES:
+        tied_m = way[[loop.to for loop in loops]] + 0.5 * config.place_m  # ends of the queries
+        at_m = untied(at_m, tied_m, config.search_every_m)
+    last: list[int] = np.unique(np.searchsorted(way, at_m)).tolist()  # key frames may be taken out
+    return last

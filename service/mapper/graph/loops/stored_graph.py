@@ -1,7 +1,6 @@
 """A stored map under a new session: what is saved of a graph, and the session's poses on what is held."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -156,16 +155,6 @@ def graph_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop
     )
     poses = np.vstack((np.zeros(3), keyframes.map[held:]))
     return PoseGraph(poses, edges)
-
-
-def moved_loops(loops: Sequence[Loop], first: int, last: int) -> list[Loop]:
-    """Loops when the key frames first..last - 1 are gone: those that ended there are gone, too."""
-    away = last - first
-    return [
-        replace(loop, of=loop.of - away * (loop.of >= last), to=loop.to - away * (loop.to >= last))
-        for loop in loops
-        if not first <= loop.of < last and not first <= loop.to < last
-    ]
 
 
 def anchor_loop(keyframes: KeyframeList, k: int) -> Loop:

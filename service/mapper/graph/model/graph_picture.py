@@ -6,12 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.poses import Floats
-from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
+from service.mapper.saved_graph import SavedGraph
 from service.outputs import GraphPicture
 
 MAX_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out
 MAX_LOOPS = 500  # of each kind
 MAX_BORDERS = 200
+DRAWN_GAP_M = 5.0  # path without a key frame: some were taken out, or another session begins
 PERIOD_NS = 2_000_000_000  # of the drive, from one picture to the next
 
 Ints = npt.NDArray[np.int64]
@@ -54,9 +55,7 @@ def stretches(way_m: Floats, piece: Ints, is_known: npt.NDArray[np.bool_]) -> In
     """(N,) numbers of stretches: a new one begins with another piece, another session, and after a gap."""
     if not len(way_m):
         return np.empty(0, np.int64)
-    begins = (
-        (np.diff(piece) != 0) | (np.diff(way_m) >= SESSION_APART_M) | (np.diff(is_known.astype(int)) != 0)
-    )
+    begins = (np.diff(piece) != 0) | (np.diff(way_m) >= DRAWN_GAP_M) | (np.diff(is_known.astype(int)) != 0)
     numbers = np.concatenate(([0], np.cumsum(begins))).astype(np.int64)
     return np.where(is_known, numbers, -1)
 

@@ -246,13 +246,14 @@ class KeyframeList:
             newest[int(self.piece[k])] = self.correction(k)
         return newest
 
-    def drop(self, first: int, last: int) -> None:
-        """Take out the key frames first..last - 1; those behind move up."""
+    def keep(self, is_kept: npt.NDArray[np.bool_]) -> None:
+        """Take out all others; is_kept (N,), with True for those of a stored map."""
+        self.by_hand = self.by_hand.without_keyframes(is_kept, self.map)
         for name in ARRAYS:
-            array = getattr(self, name)
-            setattr(self, name, np.concatenate((array[:first], array[last : self.count])))
-        del self.stamps_ns[first:last], self.thinned[first:last]
-        self.count -= last - first
+            setattr(self, name, getattr(self, name)[: self.count][is_kept])
+        self.stamps_ns = [stamp_ns for stamp_ns, keep in zip(self.stamps_ns, is_kept, strict=True) if keep]
+        self.thinned = [scan for scan, keep in zip(self.thinned, is_kept, strict=True) if keep]
+        self.count = int(is_kept.sum())
 
     def forget(self, k: int) -> None:
         """Keep of a key frame no more than where it is."""

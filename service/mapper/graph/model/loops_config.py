@@ -11,7 +11,7 @@ class LoopsConfig(Section):
     keyframe_distance_m: float = Field(default=0.3, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
     thin_m: float = Field(default=0.04, ge=0.0)  # points of a key frame lie no nearer to each other
-    keep_passes: int = Field(default=6, ge=1)  # points are kept of so many passes of a spot, the newest
+    keep_passes: int = Field(default=6, ge=1)  # passes of a spot that are kept, the newest, besides the first
 
     search_every_m: float = Field(default=2.0, gt=0.0)
     solve_at_m: float = Field(default=0.05, gt=0.0)  # what a loop must move to be worth a solution now

@@ -1,7 +1,7 @@
 """Loops that were not accepted, kept for a person who asks why a map looks as it does."""
 
 from collections import OrderedDict
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 
@@ -37,9 +37,10 @@ class Refusals:
             if len(self._by_ends) > MAX_REFUSED:
                 self._by_ends.popitem(last=False)
 
-    def clear(self) -> None:
-        """The key frames have other numbers now."""
-        self._by_ends.clear()
+    def renumber(self, kept: Callable[[Sequence[Loop]], list[Loop]]) -> None:
+        """kept: gives those of some loops that have both ends still, with the new numbers of these."""
+        rows = [(new, reason) for loop, reason in self._by_ends.values() for new in kept([loop])]
+        self._by_ends = OrderedDict(((loop.of, loop.to), (loop, reason)) for loop, reason in rows)
 
     def by_hand(self, accepted: Collection[Loop]) -> list[Loop]:
         """Those that a person took back, and did not bring back."""

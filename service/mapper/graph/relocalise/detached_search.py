@@ -116,6 +116,10 @@ class DetachedSearch:
         """Other points are known from now on."""
         self._known_map = None
 
+    def forget_numbers(self) -> None:
+        """Key frames have other numbers from now on. Not while a piece is looked for."""
+        self._known_map = self._hypothesis = None
+
     @property
     def found_once(self) -> FoundOnce | None:
         """Where a piece lies if the newest find is right; None: there is none, or the piece is placed.

@@ -10,9 +10,10 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
-from service.mapper.graph.loops import loop_back_end, solution_due
+from service.mapper.graph.loops import old_passes, passes, solution_due
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.model.graph_picture import DRAWN_GAP_M
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
@@ -97,7 +98,7 @@ def test_after_a_long_drive_the_finish_searches_where_no_loop_ties_it(
     pickle.loads(ring_fed[0]).work(Batch([], is_last=True))
     every = searched.copy()
     searched.clear()
-    monkeypatch.setattr(loop_back_end, "MAX_STRETCHES", len(every) - 1)
+    monkeypatch.setattr(passes, "MAX_STRETCHES", len(every) - 1)
     back_end: LoopBackEnd = pickle.loads(ring_fed[0])
     tied = {loop.to for loop in back_end.loops}
     back_end.work(Batch([], is_last=True))
@@ -158,18 +159,23 @@ def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
     assert not any(ends.tolist() in believed for ends in last.refused)
 
 
-def test_memory_grows_with_the_area_and_not_with_the_distance():
+def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: pytest.MonkeyPatch):
+    """The first pass and the newest ones stay, and the path of all scans is as good as that."""
+    monkeypatch.setattr(old_passes, "TAKEN_OUT_AT_ONCE", 40)
     frames, truth = key_frames(3.8)
-    back_end, _ = fed(frames, LoopsConfig(keep_passes=2), renders=False)
-    has_points = back_end.keyframes.has_points
-    a_round = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
-    assert has_points[-2 * a_round :].all()
-    assert not has_points[20 : a_round - 20].any()
-    assert has_points.sum() < 3.2 * a_round
+    back_end, results = fed(frames, LoopsConfig(keep_passes=1), renders=False)
+    keyframes, a_round = back_end.keyframes, round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    assert keyframes.count < 3.0 * a_round
+    assert keyframes.has_points.sum() < 2.7 * a_round
+    stamps_ns = [frame.stamp_ns for frame in frames]
+    assert set(stamps_ns[: a_round - 20] + stamps_ns[-a_round:]) <= set(keyframes.stamps_ns)
+    assert (np.diff([result.loops for result in results]) >= 0).all()  # those taken out count, too
     finished = back_end.work(Batch([], is_last=True))
+    assert [correction.stamp_ns for correction in finished.all] == stamps_ns
     assert seam_m(list(finished.all), truth).max() < 0.02
-    everything, _ = fed(frames, LoopsConfig(keep_passes=100, search_every_m=1e9), renders=False)
-    assert everything.keyframes.has_points.all()
+    assert finished.picture is not None
+    longest_m = max(np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) for way in finished.picture.ways)
+    assert longest_m < DRAWN_GAP_M
 
 
 def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):

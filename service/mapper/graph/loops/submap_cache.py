@@ -1,0 +1,50 @@
+"""The sub-maps that loops were looked for at last: places beside each other are asked one after the other."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from service.mapper.graph.model.candidate_submap import CandidateSubmap
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.loops_config import LoopsConfig
+
+SUBMAPS_KEPT = 16
+
+
+class SubmapCache:
+    """By key frame, the one asked last behind the others.
+
+    usable   gives the (N,) key frames that others can be aligned with
+    """
+
+    def __init__(
+        self, config: LoopsConfig, keyframes: KeyframeList, usable: Callable[[], npt.NDArray[np.bool_]]
+    ) -> None:
+        self._config, self._keyframes, self._usable = config, keyframes, usable
+        self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
+
+    def about(self, k: int) -> CandidateSubmap:
+        """One about key frame k; a place that is kept already and lies near will do."""
+        way, config = self._keyframes.way_m, self._config
+        for reference in self._submaps:
+            if abs(way[reference] - way[k]) <= config.search_every_m:
+                self._submaps.move_to_end(reference)
+                return self._submaps[reference]
+        first = int(np.searchsorted(way, way[k] - config.place_m))
+        last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
+        usable = self._usable()
+        members = [m for m in range(first, last) if usable[m]]
+        self._submaps[k] = CandidateSubmap(self._keyframes, members, k)
+        if len(self._submaps) > SUBMAPS_KEPT:
+            self._submaps.popitem(last=False)
+        return self._submaps[k]
+
+    def clear(self) -> None:
+        self._submaps.clear()
+
+    def keep_before(self, first: int) -> None:
+        """Key frames from that one on have other numbers now."""
+        kept = ((k, one) for k, one in self._submaps.items() if one.members[-1] < first)
+        self._submaps = OrderedDict(kept)
