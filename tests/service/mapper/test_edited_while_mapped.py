@@ -19,6 +19,7 @@ from tests.service.mapper.offices import through
 from tests.simulated import FORWARD, Drive
 
 EDITED_NS, SECONDS = 6_000_000_000, 9.0
+LOOPED_NS = 56_000_000_000  # the round is closed
 TAKEN_OVER_NS = 1_000_000_000  # at most, of the drive
 AREA = [(0.5, -1.6), (3.0, -1.6), (3.0, 1.6), (0.5, 1.6)]  # behind the vehicle: walls, and the floor between
 LINE = [(0.5, 0.2), (1.5, 0.2)]  # across the floor
@@ -181,3 +182,32 @@ def test_before_the_first_scan_there_is_nothing_to_change():
     session.request("edit_map", {"change": erase()})
     session.apply_result()
     assert "nothing in the map yet" in session.take_edited()[0].error
+
+
+def test_a_loop_is_refused_while_the_vehicle_drives_on_and_the_pose_moves_by_what_it_bent():
+    session, asked_ns, taken_over_ns = new_session(), 0, 0
+    before = after = None  # pose_map_odom at the request, and when it was taken over
+    answer: dict[str, Any] = {}
+    for frame in through("office", 60.0, 3).frames:
+        if isinstance(frame, LaserScan) and frame.stamp_ns > LOOPED_NS and not asked_ns:
+            picture = session.graph_picture
+            assert picture is not None
+            stamps_ns = picture.evidence["accepted"][0]["stamps_ns"]
+            asked_ns = frame.stamp_ns
+            session.request("edit_map", {"change": {"what": "refuse-loop", "stamps_ns": stamps_ns}})
+        output = session.process(frame)
+        if output is None:
+            continue
+        assert output.state == "ok"
+        if asked_ns and not answer:
+            before = before or output.pose_map_odom
+            for one in session.take_edited():
+                answer, taken_over_ns = dict(one.told), frame.stamp_ns - asked_ns
+        elif answer:
+            after = after or output.pose_map_odom
+    assert answer["done"].startswith("took back the loop from key frame")
+    assert 0 < taken_over_ns < TAKEN_OVER_NS
+    assert before is not None
+    assert after is not None
+    moved_m = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
+    assert 0.0 < moved_m < 0.03
