@@ -304,6 +304,13 @@ def _add_site(commands: Any) -> None:
         metavar="MAP",
         help="folder of the site's map; what is there already is kept, and the sessions are added",
     )
+    build.add_argument(
+        "--join",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a session that is of this place although so much has changed in it; one each time",
+    )
     build.add_argument("--config", type=Path, metavar="CONFIG.yaml", help="map recordings with it instead")
     _add_engine(build)
     add_choice(build)

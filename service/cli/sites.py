@@ -17,7 +17,7 @@ def site(parsed: argparse.Namespace) -> int:
     options = ReplayOptions(config=parsed.config, choice=choice_of(parsed))
     paths = [path_or_url(one) for one in parsed.sessions]
     with engine_of(parsed) as engine, progress("site build") as shown:
-        report = site_build(paths, options, parsed.out, engine, shown)
+        report = site_build(paths, options, parsed.out, engine, shown, parsed.join)
     if parsed.json:
         print_result(report, as_json=True)
         return 0

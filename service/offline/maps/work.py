@@ -13,6 +13,7 @@ from service.mapper.graph.edit.merging import Merged, MergeError, merge_graphs
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, check_versions, load_map, save_map, version_folder
+from service.offline.maps.changed_places import read_changed_places
 from service.offline.maps.log import utc
 from service.outputs import UNKNOWN
 
@@ -38,6 +39,20 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
         "can_be_gone_on_in": stored.graph is not None,
         "problems": stored.problems,
     }
+    if (changed := read_changed_places(folder, stored.number)) is not None:
+        facts["changed_places"] = [
+            {
+                "change": place.change,
+                "x_m": place.x_m,
+                "y_m": place.y_m,
+                "area_m2": place.area_m2,
+                "seen_from": utc(place.seen_from_ns),
+                "seen_to": utc(place.seen_to_ns),
+                "changed": utc(place.changed_ns),
+                "session": place.session,
+            }
+            for place in changed.places
+        ]
     if (graph := stored.graph) is not None:
         facts |= {
             "keyframes": len(graph),

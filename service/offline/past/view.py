@@ -13,9 +13,11 @@ from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_gra
 from service.errors import InputError
 from service.geometry.poses import Floats
 from service.mapper.graph.model.graph_picture import draw, draw_saved
+from service.mapper.map_changes import MapChanges
 from service.mapstore.files import StoredMap
 from service.mapstore.tiles import TileStore
 from service.offline.maps.change_file import CHANGES_FILE, read_changes
+from service.offline.maps.changed_places import read_changed_places
 from service.offline.maps.commands import MapCommands
 from service.offline.past.driven_moments import DrivenMoments
 from service.offline.past.moments import MomentCommands
@@ -102,13 +104,17 @@ class View:
         )
         state = Status("mapping", OK, words, {"state": "stored", **facts})
         self.server.put(encode_diagnostics("diagnostics", [state], now_ns, now_ns))
-        if result.stored is None:
-            self._show_changes(tiles)
-
-    def _show_changes(self, tiles: Sequence[TileUpdate]) -> None:
-        """Of a drive that was localised in a stored map: what is not as that says."""
-        if tiles and (changes := read_changes(self._source / CHANGES_FILE, tiles[0].cell_m)) is not None:
+        if (changes := self._changes(result, tiles)) is not None:
             self.server.put_ready({CHANGES: encode_changes(changes.as_grid())})
+
+    def _changes(self, result: Result, tiles: Sequence[TileUpdate]) -> MapChanges | None:
+        """Of a site what changed from session to session; of a drive that was localised in a stored map what
+        is not as that says.
+        """
+        if result.stored is not None:
+            changed = read_changed_places(self._source, result.stored.number)
+            return None if changed is None else changed.as_map_changes()
+        return read_changes(self._source / CHANGES_FILE, tiles[0].cell_m) if tiles else None
 
     def _show_way(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
         """The whole of it, and of its moments the one that was shown before; at first the last."""

@@ -1,45 +1,60 @@
 """`corridor site build`: one map of all drives of a site, which grows by new ones."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drivers.counted import counted
-from service.errors import CorridorError, InputError
+from service.errors import CorridorError, InputError, UsageError
 from service.geometry import poses as se2
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapstore.files import is_map_folder, load_map, newest_digest, save_map
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Engine
 from service.offline.cluster.tasks import new_tasks
+from service.offline.maps.changed_places import (
+    ChangedPlace,
+    ChangedPlaces,
+    read_changed_places,
+    write_changed_places,
+)
 from service.offline.past.result import map_folder
 from service.offline.replay.replay import Outcome
 from service.offline.replay.setup import ReplayOptions
-from service.offline.site.growth import MIN_LOOPS, Member, Progress, Site, grow, member_of
+from service.offline.site.changes import Change, in_words, log_odds_elsewhere
+from service.offline.site.growth import Member, Progress, Site, grow, member_of
 from service.offline.site.manifest import LeftOut, read_manifest, write_manifest
 from service.offline.site.paths import write_paths
 from service.offline.site.sessions import Given, Session, given_sessions, load_session
 from service.offline.writing import refuse_unwritable_folder
 
 SESSIONS = "sessions"  # below the map: results of recordings that were replayed for it
-# Median over the loops of two sessions, of points in free space of the other one: up to 0.73 % within a floor
-# (fr079 and intel in parts), 3.7 % and more between two floors of one plan. 2.2 times from either.
-MAX_CONTRADICTS_PERCENT = 1.6
 
 
 def site_build(
-    paths: Sequence[Path], options: ReplayOptions, out: Path, engine: Engine, progress: Progress
+    paths: Sequence[Path],
+    options: ReplayOptions,
+    out: Path,
+    engine: Engine,
+    progress: Progress,
+    joined: Collection[str] = (),
 ) -> dict[str, Any]:
     """Add sessions to the site map in `out`, or begin one; what came of it, for JSON.
 
-    Raises InputError where `out` holds another map or no session can be used, StorageError where it cannot be
-    written, and what a task failed by.
+    joined   names of sessions that are added also where the others contradict them
+
+    Raises UsageError where `joined` names no session, InputError where `out` holds another map or no session
+    can be used, StorageError where it cannot be written, and what a task failed by.
     """
     refuse_unwritable_folder(out)
     given, passed_over = given_sessions(paths, out, out / SESSIONS)
+    if unknown := sorted(set(joined) - {one.name for one in given}):
+        names = ", ".join(one.name for one in given)
+        raise UsageError(f"--join {unknown[0]}: no such session among those given, which are {names}")
     site, left_out, number = _site_there(out)
+    left_out = {name: one for name, one in left_out.items() if name not in joined}
     old = [] if site is None else list(site.members)
     replayed = _replayed(given, options, engine, progress)
     failed = {name: each for name, each in replayed.items() if isinstance(each, CorridorError)}
@@ -58,14 +73,14 @@ def site_build(
     if site is None:
         if not sessions:
             raise next(iter(failed.values()), InputError("; ".join(one.why for one in refused.values())))
-        site = _begun(sessions, engine, out, progress)
+        site = _begun(sessions, engine, out, progress, joined)
     else:
         known = {
             one.name: left_out[one.name].known
             for one in sessions
             if one.name in left_out and left_out[one.name].digest == one.digest
         }
-        grow(site, sessions, engine, out, progress, known)
+        grow(site, sessions, engine, out, progress, known, joined)
     digests = {one.name: one.digest for one in sessions}
     refused |= {name: LeftOut(digests[name], len(site.members), why) for name, why in site.left_out.items()}
     left_out = {name: one for name, one in left_out.items() if name not in digests} | refused
@@ -73,14 +88,15 @@ def site_build(
     if len(site.members) > len(old):
         number = _save(site, out)
         write_paths(out, site, {one.name: one.result for one in given})
-    report = _report(site, left_out, out, number, len(site.members) - len(old))
+    changed = read_changed_places(out, number)
+    report = _report(site, left_out, out, number, len(site.members) - len(old), changed)
     of_replays = [
         f"{name}: {words}"
         for name, outcome in replayed.items()
         if not isinstance(outcome, CorridorError)
         for words in outcome["warnings"]
     ]
-    return report | {"warnings": [*passed_over, *of_replays, *_contradictions(site)]}
+    return report | {"warnings": [*passed_over, *of_replays, *_doubted(changed)]}
 
 
 def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
@@ -131,29 +147,41 @@ def _refuse_again(session: Session, others: Sequence[Member]) -> None:
         raise InputError(f"it is the drive of {same.name}, by the stamps of its key frames")
 
 
-def _begun(sessions: Sequence[Session], engine: Engine, folder: Path, progress: Progress) -> Site:
+def _begun(
+    sessions: Sequence[Session],
+    engine: Engine,
+    folder: Path,
+    progress: Progress,
+    joined: Collection[str],
+) -> Site:
     """A new site: the most of the sessions that fit together, in the map frame of the first of them."""
-    rest, best, apart = list(sessions), None, dict[str, str]()
+    rest, best, sites = list(sessions), None, dict[str, Site]()
     while rest and (best is None or len(best.members) < len(rest)):
         site = Site([member_of(rest[0])], rest[0].graph, rest[0].cell_m)
-        grow(site, rest[1:], engine, folder, progress)
-        names = [one.name for one in site.members]
-        for name in names:
-            others = ", ".join(other for other in names if other != name)
-            apart[name] = (
-                f"it overlaps with {others} alone: a site of its own, or the drive between is missing"
-                if others
-                else "it overlaps with no other session"
-            )
-        if best is None or len(names) > len(best.members):
+        grow(site, rest[1:], engine, folder, progress, joined=joined)
+        sites |= dict.fromkeys((one.name for one in site.members), site)
+        if best is None or len(site.members) > len(best.members):
             best = site
-        rest = [one for one in rest if one.name not in names]
+        rest = [one for one in rest if one.name not in sites]
     assert best is not None
-    inside = {one.name for one in best.members}
     best.left_out = {
-        one.name: apart.get(one.name) or best.left_out[one.name] for one in sessions if one.name not in inside
+        one.name: _why_apart(one.name, sites[one.name], best)
+        if one.name in sites
+        else best.left_out[one.name]
+        for one in sessions
+        if sites.get(one.name) is not best
     }
     return best
+
+
+def _why_apart(name: str, site: Site, best: Site) -> str:
+    """Why a session is not in the best site but in another one."""
+    if against := [one.name for one in best.members if one.name in site.elsewhere]:
+        return f"{against[0]}, of the larger group, contradicts it: {site.elsewhere[against[0]]}"
+    others = ", ".join(one.name for one in site.members if one.name != name)
+    if not others:
+        return "it overlaps with no other session"
+    return f"it overlaps with {others} alone: a site of its own, or the drive between is missing"
 
 
 def _save(site: Site, out: Path) -> int:
@@ -161,17 +189,46 @@ def _save(site: Site, out: Path) -> int:
     if site.rendered is None:  # of one session
         site.solve()
     assert site.rendered is not None
-    shown.replace_by(site.rendered, ())
+    layers, compared = site.layers()
+    shown.replace_by(layers.newest(site.rendered), ())
     about = {"profile": "corridor", "sessions": str(len(site.members))}
     saved_ns = int(site.graph.stamp_ns.max())
     number = save_map(out, shown.changed_tiles(), saved_ns, about, site.geo, site.graph)
     if number is None:
         raise InputError(f"{out}: no key frame of the site saw anything; the map has no tile")
+    places = [_changed_place(change, site) for change in layers.changes]
+    of_sessions = {
+        site.members[k].name: {"places": one.places, "gone": one.places_gone, "new": one.places_new}
+        for k, one in compared.items()
+    }
+    write_changed_places(out, ChangedPlaces(number, site.cell_m, places, of_sessions))
     return number
 
 
+def _changed_place(change: Change, site: Site) -> ChangedPlace:
+    first, last, now = (site.members[k] for k in (*change.seen, change.session))
+    x_m, y_m = ((change.cells[:, ::-1].mean(axis=0) + 0.5) * site.cell_m).tolist()
+    return ChangedPlace(
+        "new" if change.is_new else "gone",
+        round(x_m, 2),
+        round(y_m, 2),
+        round(len(change.cells) * site.cell_m**2, 4),
+        first.stamps_ns[0],
+        last.stamps_ns[1],
+        list(dict.fromkeys((first.name, last.name))),
+        now.stamps_ns[0],
+        now.name,
+        change.cells[:, ::-1].tolist(),
+    )
+
+
 def _report(
-    site: Site, left_out: Mapping[str, LeftOut], out: Path, number: int, added: int
+    site: Site,
+    left_out: Mapping[str, LeftOut],
+    out: Path,
+    number: int,
+    added: int,
+    changed: ChangedPlaces | None,
 ) -> dict[str, Any]:
     graph, ends = site.graph, site.members_of_loops()
     seen = se2.between(graph.map[graph.loop_ends[:, 0]], graph.map[graph.loop_ends[:, 1]])
@@ -186,7 +243,8 @@ def _report(
                 "loops": int(own.sum()),
                 "sessions_joined": len({*ends[own].ravel().tolist()} - {k}),
                 "residual_mm": round(float(np.sqrt((off_mm[own] ** 2).mean())), 1) if own.any() else None,
-                "contradicts_percent": _per_cent(graph.loop_against[own]),
+                **dict.fromkeys(("places", "gone", "new")),
+                **(changed.compared.get(one.name, {}) if changed is not None else {}),
                 "fixes": 0 if one.geo is None else one.geo.fixes,
             }
         )
@@ -199,32 +257,19 @@ def _report(
         "keyframes": len(graph),
         "loops": len(graph.loop_ends),
         "loops_contradicted": site.contradicted,
+        "changed_places": 0 if changed is None else len(changed.places),
     }
 
 
-def _contradictions(site: Site) -> list[str]:
-    """A warning for each session that contradicts an earlier one, by the one it contradicts most."""
-    ends = np.sort(site.members_of_loops(), axis=1)
-    found = []
-    for to, member in enumerate(site.members[1:], 1):
-        among = [(ends == (of, to)).all(axis=1) for of in range(to)]
-        percents = [_per_cent(site.graph.loop_against[one], MIN_LOOPS) or 0.0 for one in among]
-        most = max(percents)
-        if most > MAX_CONTRADICTS_PERCENT:
-            other = site.members[percents.index(most)].name
-            found.append(
-                f"{member.name}: at its loops to {other}, {most:.1f} % of the points (median) lie in what "
-                f"{other} saw as free space, expected at most {MAX_CONTRADICTS_PERCENT} %: another floor of "
-                "the same plan, or doors and furniture were moved. Compare the two by corridor view; if it "
-                f"is another floor, build the site without {member.name} in another --out"
-            )
-    return found
-
-
-def _per_cent(shares: np.ndarray, min_count: int = 1) -> float | None:
-    """The median of shares, those that are no number left out; None of fewer than min_count."""
-    known = shares[np.isfinite(shares)]
-    return round(100.0 * float(np.median(known)), 2) if len(known) >= min_count else None
+def _doubted(changed: ChangedPlaces | None) -> list[str]:
+    """A warning for each session that looks as if it were of another place, and is in the map."""
+    compared = {} if changed is None else changed.compared
+    return [
+        f"{name}: {in_words(**one)}: another floor of the same plan, or much was moved. Compare the two by "
+        f"corridor view; if it is another floor, build the site without {name} in another --out"
+        for name, one in compared.items()
+        if log_odds_elsewhere(**one) > 0.0
+    ]
 
 
 def summary_of(report: Mapping[str, Any]) -> str:
@@ -232,6 +277,8 @@ def summary_of(report: Mapping[str, Any]) -> str:
     count, left_out = len(report["sessions"]), report["left_out"]
     words = f"{report['map']}, version {report['version']}: {counted(count, 'session')} of the site"
     words += f", {report['added']} of them new" if report["added"] != count else ""
+    if report["changed_places"]:
+        words += f"; {counted(report['changed_places'], 'changed place')}"
     if left_out:
         words += f"; {len(left_out)} left out: {', '.join(left_out)}"
     if report["warnings"]:
@@ -247,7 +294,9 @@ def site_table(report: Mapping[str, Any]) -> list[list[str]]:
         "loops": "loops",
         "to sessions": "sessions_joined",
         "residual mm": "residual_mm",
-        "contradicts %": "contradicts_percent",
+        "places": "places",
+        "gone": "gone",
+        "new": "new",
         "fixes": "fixes",
     }
     shown = [[one[name] for name in columns.values()] for one in report["sessions"]]

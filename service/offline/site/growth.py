@@ -29,6 +29,14 @@ from service.mapper.saved_graph import SavedGraph
 from service.offline.cluster.engines import Engine
 from service.offline.cluster.tasks import AnyTask, program_digest
 from service.offline.site.anchors import StoredAnchors
+from service.offline.site.changes import (
+    MIN_LOG_ODDS,
+    Comparison,
+    Layers,
+    in_words,
+    log_odds_elsewhere,
+    seen_by,
+)
 from service.offline.site.sessions import Session
 from service.offline.site.tasks import Find, FindLoops, keep_graph
 
@@ -59,7 +67,10 @@ class Member:
 
 @dataclass(slots=True, eq=False)
 class Site:
-    """What is known of a site; `rendered` once it has been solved."""
+    """What is known of a site; `rendered` once it has been solved.
+
+    elsewhere   of those left out, whom the newest state contradicts as another place would: in which words
+    """
 
     members: list[Member]
     graph: SavedGraph
@@ -68,6 +79,8 @@ class Site:
     rendered: RenderedMap | None = None
     contradicted: int = 0  # loops that the rest contradicts
     left_out: dict[str, str] = field(default_factory=dict)  # name -> why
+    elsewhere: dict[str, str] = field(default_factory=dict)
+    _seen: dict[int, RenderedMap] = field(default_factory=dict)  # by member, of this solution
 
     @property
     def begins(self) -> list[int]:
@@ -78,6 +91,24 @@ class Site:
         """The key frames of a member, in the map of the site."""
         number = np.arange(len(self.graph))
         return only(self.graph, (number >= self.begins[k]) & (number < self.begins[k + 1]))
+
+    def seen(self, k: int) -> RenderedMap:
+        """What a member saw by itself."""
+        if k not in self._seen:
+            self._seen[k] = seen_by(self.graph_of(k), self.cell_m)
+        return self._seen[k]
+
+    def in_time(self) -> list[int]:
+        """The members by their dates."""
+        return sorted(range(len(self.members)), key=lambda k: self.members[k].stamps_ns)
+
+    def layers(self) -> tuple[Layers, dict[int, Comparison]]:
+        """What changed from member to member; and each against those before it in time."""
+        layers, compared = Layers(self.cell_m), dict[int, Comparison]()
+        for k in self.in_time():
+            compared[k] = layers.compare(self.seen(k))
+            layers.add(k, self.seen(k), compared[k])
+        return layers, compared
 
     def anchors(self) -> StoredAnchors:
         of = {
@@ -97,6 +128,7 @@ class Site:
         solution = solved(self.graph, renderer, anchoring=anchors)
         self.graph, self.geo, self.rendered = solution.graph, anchors.reference, solution.rendered_map
         self.contradicted += solution.contradicted
+        self._seen.clear()
 
 
 def member_of(session: Session) -> Member:
@@ -111,22 +143,25 @@ def grow(
     folder: Path,
     progress: Progress,
     known: Mapping[str, int] | None = None,
+    joined: Collection[str] = (),
 ) -> None:
     """Add the sessions that fit, in rounds, for one may fit to another one only; `left_out` names the others.
 
     folder   for what tasks read; it is there, and on a cluster on a shared disk
     known    members that sessions were looked for in before, by name: the first so many
+    joined   names of those that are of this place, whatever the others say
     """
     waiting, looked = list(sessions), dict(known or {})
     while any(looked.get(one.name, 0) < len(site.members) for one in waiting):
         with TemporaryDirectory(prefix=".build-", dir=folder, ignore_cleanup_errors=True) as kept:
             before_ending(partial(shutil.rmtree, kept, ignore_errors=True))
-            round_ = _Round(site, waiting, engine, Path(kept), progress)
+            round_ = _Round(site, waiting, engine, Path(kept), progress, joined)
             found = round_.find(looked)
             looked = dict.fromkeys((one.name for one in waiting), len(site.members))
             added = round_.add(found)
-        waiting = [one for one in waiting if one.name not in added]
-    site.left_out = {one.name: site.left_out[one.name] for one in waiting}
+        waiting = [one for one in waiting if one.name not in {*added, *site.elsewhere}]
+    names = {one.name for one in site.members}
+    site.left_out = {one.name: site.left_out[one.name] for one in sessions if one.name not in names}
 
 
 @dataclass(slots=True, eq=False)
@@ -138,6 +173,7 @@ class _Round:
     engine: Engine
     folder: Path
     progress: Progress
+    joined: Collection[str]
 
     def find(self, known: Mapping[str, int]) -> dict[str, Floats]:
         """Where sessions lie in the site, (3,) each, by name; looked for where they were not yet."""
@@ -196,8 +232,9 @@ class _Round:
         joined = self._joined(kept, new, loops, anchored)
         site.members, site.graph, site.geo = joined.members, joined.graph, joined.geo
         site.rendered, site.contradicted = joined.rendered, joined.contradicted
+        site._seen = joined._seen
         for k, one in new.items():
-            if k not in kept:
+            if k not in kept and one.name not in site.elsewhere:
                 x_m, y_m, theta_rad = found[one.name].tolist()
                 count = sum(len(of_pair) for pair, of_pair in loops.items() if k in pair)
                 site.left_out[one.name] = (
@@ -252,11 +289,32 @@ class _Round:
             ends = joined.members_of_loops()
             left = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(members))[count:]
             weak = [k for k, loops_left in zip(kept, left, strict=True) if loops_left < MIN_LOOPS]
-            if not (weak := [k for k in weak if k not in anchored]):
+            weak = [k for k in weak if k not in anchored] or self._of_elsewhere(joined, list(kept))
+            if not weak:
                 return joined
             for k in weak:
                 del kept[k]
         return site
+
+    def _of_elsewhere(self, joined: Site, added: Sequence[int]) -> list[int]:
+        """Of those added behind the members: whom these, and those added before it in time, contradict as
+        another place would. `left_out` says why.
+        """
+        count, layers, found = len(self.site.members), Layers(joined.cell_m), []
+        for k in sorted(joined.in_time(), key=lambda k: k >= count):
+            seen, name = joined.seen(k), joined.members[k].name
+            compared = layers.compare(seen)
+            log_odds = log_odds_elsewhere(**compared.counts)
+            if k >= count and name not in self.joined and log_odds >= MIN_LOG_ODDS:
+                self.site.elsewhere[name] = in_words(**compared.counts)
+                self.site.left_out[name] = (
+                    f"{self.site.elsewhere[name]}: another floor of the same plan, or much was moved; "
+                    f"--join {name} adds it"
+                )
+                found.append(added[k - count])
+            else:
+                layers.add(k, seen, compared)
+        return found
 
     def _run(self, tasks: Sequence[AnyTask], phase: str) -> list[dict[str, Any]]:
         """Their outcomes in their order, whatever the order in which they end. Raises CorridorError."""

@@ -1,0 +1,227 @@
+"""What changed at a site from session to session: cells that one saw occupied and a later one free, or the
+reverse; and whether so much of them that the session is of another place.
+
+It compares what each session saw by itself at the solved poses, so the error of the poses counts, and the
+sensor's. A wall that both saw within NEAR_CELLS of each other is the same one.
+"""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.counted import counted
+from service.geometry.polygons import Cells
+from service.kernels.occupancy import GRID_TILE_CELLS
+from service.mapper.by_hand import ByHand
+from service.mapper.components import RenderedMap
+from service.mapper.graph.loops.stored_graph import to_render
+from service.mapper.graph.model.groups import groups_of
+from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.maps.occupancy import EVIDENCE, OccupancyRenderer
+from service.mapper.saved_graph import SavedGraph
+
+FREE_RANGE_M = 10.0  # farther away a beam along a wall passes cells of the wall between two of its points
+FREE = 4 * EVIDENCE.miss  # net, of one session: 12 %
+OCCUPIED = 2 * EVIDENCE.hit  # 92 %
+NEAR_CELLS = 2
+LINK_CELLS = 5  # the faces of one thing lie so near to each other
+MIN_CELLS = 8  # of a changed place: 0.4 m of a wall
+PLACE_M, MIN_CELLS_OF_PLACE = 4.0, 20  # walls that both saw there make it one to judge by
+# Share of the places in which walls are gone, or new. Parts of fr079 and intel, mapped by themselves: 0 to
+# 11 %, of one kind; two floors of one plan: 25 to 31 % gone and 22 to 30 % new.
+CHANGED_SHARE, OTHER_SHARE = 0.05, 0.25
+MIN_LOG_ODDS = math.log(1000.0)  # that it is another place
+_ROW = 1 << 32  # of the key of a cell: row * _ROW + column
+Keys = npt.NDArray[np.int64]
+Tile = tuple[int, int]  # row and column
+Tiles = dict[Tile, npt.NDArray[np.int8]]  # evidence
+_NO_KEYS: Keys = np.zeros(0, np.int64)
+
+
+def seen_by(graph: SavedGraph, cell_m: float) -> RenderedMap:
+    """What the key frames of one session saw, without what a person drew."""
+    keyframes = KeyframeList(replace(graph, by_hand=ByHand()))
+    return OccupancyRenderer(FREE_RANGE_M, cell_m).render(to_render(keyframes, np.ones(len(graph), np.bool_)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """A place where something stood that is gone, or stands now where it was free.
+
+    cells          (K, 2) row and column
+    is_new         something stands there now
+    seen           the first and the last session that saw it as it was
+    session        the first that saw it changed
+    """
+
+    cells: Cells
+    is_new: bool
+    seen: tuple[int, int]
+    session: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A session against the newest state that those before saw, by the places of PLACE_M that both saw.
+
+    gone, new   keys of the cells that changed, of each changed place
+    """
+
+    places: int
+    places_gone: int
+    places_new: int
+    gone: list[Keys]
+    new: list[Keys]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        return {"places": self.places, "gone": self.places_gone, "new": self.places_new}
+
+
+def log_odds_elsewhere(places: int, gone: int, new: int) -> float:
+    """That a session is of another place, against that of things moved since, by its Comparison.
+
+    Another floor of the plan lacks walls and has others; doors that were shut, or a store that was emptied,
+    are of one kind. So the kind counts of which there is less.
+    """
+    changed = min(gone, new)
+    log_odds = changed * math.log(OTHER_SHARE / CHANGED_SHARE)
+    return log_odds + (places - changed) * math.log((1.0 - OTHER_SHARE) / (1.0 - CHANGED_SHARE))
+
+
+def in_words(places: int, gone: int, new: int) -> str:
+    return (
+        f"of {counted(places, 'place')} of {PLACE_M:.0f} m that it and earlier sessions saw, {gone} lack "
+        f"walls or things that stood there, and {new} have some where it was free"
+    )
+
+
+class Layers:
+    """The newest state of each cell, from which session to which it was seen, and what it was before.
+
+    Sessions are numbers, given in the order of their dates.
+    """
+
+    def __init__(self, cell_m: float) -> None:
+        self.changes: list[Change] = []
+        self._place_cells = round(PLACE_M / cell_m)
+        self._evidence: Tiles = {}  # of the newest session that is sure
+        self._sessions: dict[Tile, npt.NDArray[np.int64]] = {}  # (2, W, W) the first and last to see it so
+
+    def compare(self, seen: RenderedMap) -> Comparison:
+        now = _tiles(seen)
+        around = {(row + i, column + j) for row, column in now for i in (-1, 0, 1) for j in (-1, 0, 1)}
+        before = {tile: self._evidence[tile] for tile in sorted(around) if tile in self._evidence}
+        gone, new = _changed(before, now), _changed(now, before)
+        stood, stands = (_keys_where(tiles, lambda cells: cells >= OCCUPIED) for tiles in (before, now))
+        common = self._places(stood[_is_near(stood, stands)], MIN_CELLS_OF_PLACE)
+        gone_at, new_at = (
+            self._places(np.concatenate([_NO_KEYS, *groups]), MIN_CELLS) for groups in (gone, new)
+        )
+        return Comparison(len(common | gone_at | new_at), len(gone_at), len(new_at), gone, new)
+
+    def add(self, session: int, seen: RenderedMap, compared: Comparison) -> None:
+        """compared   of this session, now"""
+        for is_new, groups in ((False, compared.gone), (True, compared.new)):
+            for keys in groups:
+                cells = _cells_of(keys)
+                spans = np.array([self._sessions[tile][:, row, column] for tile, row, column in _at(cells)])
+                span = int(spans[:, 0].min()), int(spans[:, 1].max())
+                self.changes.append(Change(cells, is_new, span, session))
+        for tile, evidence in _tiles(seen).items():
+            held = self._evidence.setdefault(tile, np.zeros_like(evidence))
+            first, last = self._sessions.setdefault(tile, np.full((2, *evidence.shape), session))
+            is_sure = (evidence <= FREE) | (evidence >= OCCUPIED)
+            first[is_sure & (np.sign(held) != np.sign(evidence))] = session
+            last[is_sure] = session
+            is_taken = is_sure | (held == 0)
+            held[is_taken] = evidence[is_taken]
+
+    def newest(self, shown: RenderedMap) -> RenderedMap:
+        """A map drawn from all sessions with the newest state in the cells that changed: older sessions may
+        have drawn last, or oftener.
+        """
+        evidence = shown.evidence.copy()
+        drawn = _tiles(replace(shown, evidence=evidence))
+        for change in self.changes:
+            for tile, row, column in _at(change.cells):
+                if tile in drawn:
+                    drawn[tile][row, column] = self._evidence[tile][row, column]
+        return replace(shown, evidence=evidence)
+
+    def _places(self, keys: Keys, least: int) -> set[tuple[int, ...]]:
+        """That have so many of the cells."""
+        places = Counter(map(tuple, (_cells_of(keys) // self._place_cells).tolist()))
+        return {place for place, count in places.items() if count >= least}
+
+
+def _changed(stood: Tiles, free: Tiles) -> list[Keys]:
+    """Groups of cells that are occupied in the one and free in the other, which saw nothing near."""
+    both = [tile for tile in stood if tile in free]
+    is_changed = {tile: (stood[tile] >= OCCUPIED) & (free[tile] <= FREE) for tile in both}
+    keys = _keys_where(is_changed, lambda cells: cells)
+    keys = keys[~_is_near(keys, _keys_where(free, lambda cells: cells > 0))]
+    passed = _keys_where(free, lambda cells: cells < 0)
+    # A beam along a face passes its cells, too; but it does not see what is behind.
+    keys = keys[np.all([_is_among(keys + step, passed) for step in _steps(1)], axis=0)]
+    number = {key: k for k, key in enumerate(keys.tolist())}
+    links = _steps(LINK_CELLS)
+    pairs = ((k, number[key + step]) for key, k in number.items() for step in links if key + step in number)
+    groups = defaultdict[int, list[int]](list)
+    for k, group in enumerate(groups_of(len(keys), pairs)):
+        groups[group].append(k)
+    return [keys[own] for own in groups.values() if len(own) >= MIN_CELLS]
+
+
+def _keys_where(tiles: Mapping[Tile, npt.NDArray[Any]], which: Callable[..., npt.NDArray[np.bool_]]) -> Keys:
+    """Keys, rising, of some cells."""
+    found = [_NO_KEYS]
+    for (row, column), cells in tiles.items():
+        own_row, own_column = np.nonzero(which(cells))
+        found.append((row * GRID_TILE_CELLS + own_row) * _ROW + column * GRID_TILE_CELLS + own_column)
+    return np.sort(np.concatenate(found))
+
+
+def _is_near(keys: Keys, others: Keys) -> npt.NDArray[np.bool_]:
+    """(N,) of keys, whether one of the others, rising, lies within NEAR_CELLS."""
+    near: npt.NDArray[np.bool_] = np.any(
+        [_is_among(keys + step, others) for step in _steps(NEAR_CELLS)], axis=0
+    )
+    return near
+
+
+def _is_among(keys: Keys, others: Keys) -> npt.NDArray[np.bool_]:
+    """(N,) of keys, whether they are among the others, rising: far faster than np.isin for few keys."""
+    if not len(others):
+        return np.zeros(len(keys), np.bool_)
+    found: npt.NDArray[np.bool_] = others[np.minimum(np.searchsorted(others, keys), len(others) - 1)] == keys
+    return found
+
+
+def _steps(cells: int) -> list[int]:
+    """From the key of a cell to those of the cells so near to it, in rows and in columns, and its own."""
+    steps = range(-cells, cells + 1)
+    return [row * _ROW + column for row in steps for column in steps]
+
+
+def _cells_of(keys: Keys) -> Cells:
+    row = (keys + _ROW // 2) // _ROW
+    return np.column_stack((row, keys - row * _ROW))
+
+
+def _at(cells: Cells) -> Iterator[tuple[Tile, int, int]]:
+    """Of each cell its tile, and row and column in it."""
+    for row, column in cells.tolist():
+        tile_row, row_in_tile = divmod(row, GRID_TILE_CELLS)
+        tile_column, column_in_tile = divmod(column, GRID_TILE_CELLS)
+        yield (tile_row, tile_column), row_in_tile, column_in_tile
+
+
+def _tiles(seen: RenderedMap) -> Tiles:
+    tiles = zip(seen.tile_row.tolist(), seen.tile_column.tolist(), strict=True)
+    return dict(zip(tiles, seen.evidence, strict=True))
