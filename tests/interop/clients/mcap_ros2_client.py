@@ -39,7 +39,7 @@ def compare(ros, sample, what):
     if sample["kind"] == "scan":
         near((ros.angle_min, ros.angle_increment), (sample["first_rad"], sample["step_rad"]), what)
         near((ros.time_increment,), (sample["beam_interval_s"],), what)
-        ranges = [None if math.isinf(r) else r for r in ros.ranges]
+        ranges = [r if math.isfinite(r) else None for r in ros.ranges]
         expect(ranges == sample["range_m"], f"{what}: other ranges")
     elif sample["kind"] == "imu":
         near(
