@@ -12,7 +12,7 @@ import zenoh
 
 from drivers.rmw_zenoh import Attachment
 from service.encoding import ERROR, WARNING, decode_diagnostics, decode_pose
-from service.errors import InputError
+from service.errors import InputError, StorageError
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT, vehicle_key
 from service.publishing.uplink import PRESENCES, Presence, open_client, presences
@@ -90,9 +90,16 @@ def read_vehicles(session: zenoh.Session, names: Sequence[str] = ()) -> list[Veh
 
 
 def present(session: zenoh.Session) -> dict[str, list[Presence]]:
-    """Sessions that are at the router, by vehicle."""
-    replies = session.liveliness().get(PRESENCES, timeout=ANSWER_S)
-    return presences(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+    """Sessions that are at the router, by vehicle. Raises StorageError where it does not say which."""
+    keys = []
+    for reply in session.liveliness().get(PRESENCES, timeout=ANSWER_S):
+        if reply.ok is None:  # some may be missing
+            raise StorageError(
+                f"the router did not say within {ANSWER_S:.0f} s which vehicles are there; is it "
+                "overloaded, or the link slow? Try again"
+            )
+        keys.append(str(reply.ok.key_expr))
+    return presences(keys)
 
 
 def vehicle_of(

@@ -10,6 +10,7 @@ from functools import partial
 import zenoh
 
 from drivers.zenoh_callback import daemon_callback
+from service.errors import StorageError
 from service.fleet.vehicles import Vehicle, last_of, present, read_pose, vehicle_in, vehicle_of
 from service.publishing.keys import vehicle_key
 from service.publishing.uplink import PRESENCES, Presence, read_presence
@@ -62,10 +63,15 @@ class Watch:
         link = links[0].src if links else ""
         if link == self._link:
             return
+        try:
+            here = present(self._session) if link else {}
+        except StorageError as error:
+            log.warning("%s; it is asked again", error)
+            return
         self._link = link
         if not link:
             log.warning("the link to the router is lost; it is tried again and again")
-        before, self._present = self._present, present(self._session) if link else {}
+        before, self._present = self._present, here
         for name in sorted({*before, *self._present, *self._health}):
             self._news.put(name)
 

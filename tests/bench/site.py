@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from service.offline.cluster.batch import run_batch
-from service.offline.cluster.engines import Engine, Processes, in_turn
+from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
 from service.offline.cluster.tasks import new_tasks
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.score import align, compose
@@ -38,7 +38,10 @@ def measure() -> list[Row]:
         report = _build(results, folder / "one", in_turn)
         with Processes(2) as processes:
             _build(results, folder / "two", processes)
-        assert _digest(folder / "one") == _digest(folder / "two"), "other bytes by two workers"
+        with Cluster("local:2") as cluster:
+            _build(results, folder / "cluster", cluster)
+        for other in ("two", "cluster"):
+            assert _digest(folder / "one") == _digest(folder / other), f"other bytes by {other}"
         left_out = [f"site_{seed}" for seed in ELSEWHERE]
         assert list(report["left_out"]) == left_out, report["left_out"]
         last = folder / "r" / f"site_{LAST}"

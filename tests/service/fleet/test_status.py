@@ -5,12 +5,15 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 import zenoh
 
+from service.config import load_publishing
 from service.encoding import encode_pose
-from service.errors import ConfigError
+from service.errors import ConfigError, StorageError
+from service.fleet import vehicles as vehicles_module
 from service.fleet.router import zenohd_config
 from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
@@ -108,6 +111,27 @@ def test_the_router_runs_until_sigterm(tmp_path, endpoint, start_vehicle):
         start_vehicle(endpoint)
         process.send_signal(signal.SIGTERM)
         assert process.wait(20.0) == 0
+
+
+def test_a_router_that_does_not_say_who_is_there_is_an_error_and_no_empty_fleet(
+    endpoint, start_vehicle, site_file, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(vehicles_module, "ANSWER_S", 0.5)
+    path = tmp_path / "router.yaml"
+    path.write_text(f"publishing: {{listen: [{endpoint}]}}\n")
+    command = [sys.executable, "-m", "service", "fleet", "router", str(path), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline()
+            start_vehicle(endpoint)
+            with vehicles_module.connected(load_publishing(Path(site_file))) as session:
+                process.send_signal(signal.SIGSTOP)
+                with pytest.raises(StorageError, match="did not say within"):
+                    vehicles_module.present(session)
+                process.send_signal(signal.SIGCONT)
+                wait_until(lambda: list(vehicles_module.present(session)) == ["veh1"])
+        finally:
+            process.kill()
 
 
 def test_the_config_for_zenohd_keeps_strangers_and_viewers_out_as_our_router_does(
