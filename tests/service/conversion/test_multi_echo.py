@@ -7,6 +7,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 
 from service import encoding
 from service.conversion import scan_of_echoes
+from service.errors import InputError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STAMP_NS = 1_700_000_000_250_000_000
@@ -54,3 +55,9 @@ def test_of_equally_strong_echoes_the_first_counts():
 
 def test_a_range_max_that_is_not_set_leaves_the_echoes():
     assert scan_of_echoes(payload([[3.0]] * 3, [], 0.0), "front", STAMP_NS).range_m.tolist() == [3.0] * 3
+
+
+def test_a_scan_without_beams_is_not_used_and_other_bytes_are_refused():
+    assert scan_of_echoes(payload([], []), "front", STAMP_NS) is None
+    with pytest.raises(InputError, match="bytes cannot be read as a sensor_msgs/msg/MultiEchoLaserScan"):
+        scan_of_echoes(payload(BEAMS, [])[:70], "front", STAMP_NS)

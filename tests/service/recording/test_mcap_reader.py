@@ -36,6 +36,19 @@ def test_files_that_overlap_in_time_are_merged(tmp_path):
     assert [m.payload for m in merged] == [m.payload for m in scans]
 
 
+def test_a_span_of_log_times_is_read_whatever_lies_in_which_file(tmp_path):
+    scans = [scan_message(index) for index in range(20)]
+    write_file(tmp_path / "a.mcap", scans[:8], sync_every=3)
+    write_file(tmp_path / "b.mcap", scans[8:], sync_every=3)
+    recording = Recording([tmp_path])
+    for first, last in ((0, 19), (3, 3), (5, 11), (8, 19), (0, 7)):
+        span = recording.messages(["/front/scan"], scans[first].log_ns, scans[last].log_ns)
+        assert [m.log_ns for m in span] == [m.log_ns for m in scans[first : last + 1]]
+    assert len(list(recording.messages(None, scans[15].log_ns))) == 5
+    assert len(list(recording.messages(None, None, scans[4].log_ns - 1))) == 4
+    assert list(recording.messages(None, scans[-1].log_ns + 1)) == []
+
+
 def test_a_file_without_an_index_is_read_all_the_same(tmp_path):
     path = tmp_path / "bare.mcap"
     with path.open("wb") as stream:
