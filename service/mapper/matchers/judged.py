@@ -39,7 +39,8 @@ MAX_WIDENING = 16.0  # of the first window, after searches in vain
 MAX_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = Reason(
     "prediction_stands",
-    "the scan fits where the prediction is, and nowhere beside it; the prediction holds it",
+    "the scan fits the map where the prediction puts it, and nowhere else in the window that was searched; "
+    "the pose is the prediction. Drive on, to where more walls are in view",
 )
 RESTART_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
 UNCONFIRMED = Reason(

@@ -113,7 +113,12 @@ class IcpScanToScan:
         if local_map.is_empty:
             match = begun(points, predicted)
         elif step is None:
-            reason = Reason("little_in_common", "the scan has too little in common with the one before")
+            reason = Reason(
+                "little_in_common",
+                f"less than {self._config.least_inlier_ratio:.0%} of the returns lie near those of the scan "
+                "before; the pose follows the prediction. Drive slower, or choose a profile that matches to "
+                "a map",
+            )
             match = held(points, predicted, reason)
         else:
             measured = Measurement(step.pose, self._covariance, self._information)
