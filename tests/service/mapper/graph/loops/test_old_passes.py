@@ -25,7 +25,9 @@ def driven(leads_to: Callable[[int], int]) -> tuple[KeyframeList, list[Loop]]:
     keyframes = KeyframeList()
     points = ThinnedScan(np.ones((3, 2), np.float32), np.ones((3, 3), np.float32), (0.0, 0.0))
     for k in range(PASSES * LONG):
-        pose = SE2(0.3 * (k % LONG), 0.01 * (k // LONG), 0.0)
+        # Each pass but the first lies nearer to the next one than to the first.
+        aside_m = 0.01 * (k // LONG) if k >= LONG else -0.1
+        pose = SE2(0.3 * (k % LONG), aside_m, 0.0)
         frame = KeyFrame(k, pose, np.eye(3) * 1e-4, 0, 0.9, False, points.xy_base, (0.0, 0.0), 0.01)
         keyframes.append(frame, np.array([pose.x_m, pose.y_m, 0.0]), points)
     loops = [
