@@ -12,7 +12,7 @@ from service.mapstore.graph_files import read_graph, write_graph
 from service.offline.cluster.tasks import Done
 
 ENOUGH = 4  # places of a session that say the same of where it lies
-EVERY_M = 4.0  # along the path a loop to each other session; within one the mapper looks every 2 m
+EVERY_M = 2.0  # along the path a loop to each other session, as often as the mapper looks within one
 
 
 @dataclass(frozen=True, slots=True)
