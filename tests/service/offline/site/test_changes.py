@@ -68,6 +68,12 @@ def test_a_thing_within_two_cells_of_where_it_stood_is_the_same_one(rows, change
     assert len(layers_of(session(thin), session(moved)).changes) == changes
 
 
+def test_a_face_that_beams_passed_along_without_seeing_behind_it_was_not_free():
+    face, behind = (slice(60, 61), CRATE[1]), (slice(61, 71), slice(118, 138))
+    assert layers_of(session(unknown=behind), session(face)).changes == []
+    assert len(layers_of(session(), session(face)).changes) == 1
+
+
 @pytest.mark.parametrize("length", [MIN_CELLS - 1, MIN_CELLS])
 def test_what_is_smaller_than_a_changed_place_is_none(length):
     layers = layers_of(session(), session((slice(60, 61), slice(100, 100 + length))))
