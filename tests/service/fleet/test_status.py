@@ -1,6 +1,7 @@
 """`corridor fleet router|status|watch` as one calls them, with sinks of vehicles on loopback."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -126,6 +127,7 @@ def test_a_router_that_does_not_say_who_is_there_is_an_error_and_no_empty_fleet(
             start_vehicle(endpoint)
             with vehicles_module.connected(load_publishing(Path(site_file))) as session:
                 process.send_signal(signal.SIGSTOP)
+                os.waitid(os.P_PID, process.pid, os.WSTOPPED)  # all of its threads stand
                 with pytest.raises(StorageError, match="did not say within"):
                     vehicles_module.present(session)
                 process.send_signal(signal.SIGCONT)
