@@ -3,6 +3,7 @@
 import logging
 import math
 import queue
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -31,6 +32,7 @@ class Watch:
         self._health: dict[str, zenoh.Sample] = {}
         self._poses: dict[str, zenoh.Sample] = {}
         self._present: dict[str, list[Presence]] = {}
+        self._changes, self._lock = 0, threading.Lock()  # of `_present`, by what came or went
         self._link = ""  # our end of it
         liveliness = session.liveliness()
         liveliness.declare_subscriber(PRESENCES, daemon_callback(self._came_or_went, "fleet-presence"))
@@ -63,15 +65,19 @@ class Watch:
         link = links[0].src if links else ""
         if link == self._link:
             return
+        changes = self._changes
         try:
             here = present(self._session) if link else {}
         except StorageError as error:
             log.warning("%s; it is asked again", error)
             return
+        with self._lock:
+            if self._changes != changes:  # one that came meanwhile may be missing; it is asked again
+                return
+            before, self._present = self._present, here
         self._link = link
         if not link:
             log.warning("the link to the router is lost; it is tried again and again")
-        before, self._present = self._present, here
         for name in sorted({*before, *self._present, *self._health}):
             self._news.put(name)
 
@@ -100,9 +106,11 @@ class Watch:
         if read is None:
             return
         name, presence = read
-        others = [one for one in self._present.get(name, []) if one != presence]
         is_here = sample.kind == zenoh.SampleKind.PUT
-        self._present[name] = sorted([*others, presence]) if is_here else others
+        with self._lock:
+            self._changes += 1
+            others = [one for one in self._present.get(name, []) if one != presence]
+            self._present[name] = sorted([*others, presence]) if is_here else others
         if not is_here or others or name in self._health:  # else its first health message comes soon
             self._news.put(name)
 
