@@ -49,15 +49,11 @@ from service.runtime.mapper_messages import (
     Unusable,
     is_sample,
 )
-from service.runtime.standstill import Standstill
+from service.runtime.mapper_silence import STILL_S, MapperSilence
 
 log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
-STUCK_S = 10.0  # items wait, and the mapper has sent nothing for so long: it is ended
-# So early where it stood still for half of that, or computed for half of it and has announced no long work:
-# a scan takes milliseconds, and one that a busy machine leaves without a processor does neither.
-STILL_S = 2.0
 MAX_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
@@ -110,9 +106,7 @@ class MapperLink:
         self._applied: dict[int, int] = {}
         self._passed_over: set[int] = set()
         self._refused: set[int] = set()
-        self._heard_s = 0.0
-        self._standstill = Standstill()
-        self._long_works = 0  # that the active mapper has announced and not ended
+        self._silence = MapperSilence()
         self._taken_number = 0  # as the mapper reported last
         self._deaths = (0, 0)  # how many since the item that was done last
         self._back_ends_died_s: deque[float] = deque(maxlen=MAX_BACK_END_DEATHS)  # host monotonic
@@ -145,7 +139,7 @@ class MapperLink:
     @property
     def silent_s(self) -> float:
         """For how long the mapper has sent nothing; it tells its status several times a second."""
-        return time.monotonic() - self._heard_s
+        return self._silence.seconds
 
     @property
     def is_ready(self) -> bool:
@@ -157,7 +151,7 @@ class MapperLink:
 
     def start(self) -> None:
         """Start the process; it is ready when `is_ready` says so. `run` must turn meanwhile."""
-        self._heard_s = time.monotonic()
+        self._silence.begin()
         if self._early is not None:
             self._process = self._early.process
             return
@@ -315,14 +309,13 @@ class MapperLink:
         except ChannelClosedError:
             self._lost("ended")
             return
-        self._heard_s = time.monotonic()
-        self._standstill.reset()
+        self._silence.heard()
         for message in messages:
             if isinstance(message, Failed):
                 self._fatal(message)
                 return
             if isinstance(message, BackEndDied):
-                self._back_ends_died_s.append(self._heard_s)
+                self._back_ends_died_s.append(time.monotonic())
                 self._lost(f"is without its graph: {message.words}")
                 return
             self._take(message)
@@ -338,7 +331,7 @@ class MapperLink:
             self._keep_items(message.can_copy)
             return
         if isinstance(message, LongWork):
-            self._long_works += 1 if message.has_begun else -1
+            self._silence.announce(message.has_begun)
             return
         if isinstance(message, Progress):
             self.kernels, self.kernels_share = message.words, message.share
@@ -394,11 +387,9 @@ class MapperLink:
             if self._held and time.monotonic_ns() - self._held[0].arrived_ns > HOLD_NS:
                 self._send_held()
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
-        if is_mapping and (self.waiting or self._is_finishing) and self.silent_s > STILL_S / 2.0:
-            still_s, computed_s = self._standstill.seconds(self._pid)
-            idle_s = still_s if self._long_works else max(still_s, computed_s)
-            if self.silent_s > STUCK_S or (self.silent_s > STILL_S and idle_s > STILL_S / 2.0):
-                self._lost(f"said nothing for {self.silent_s:.1f} s while {self.waiting} items waited")
+        is_owing = is_mapping and (self.waiting > 0 or self._is_finishing)
+        if is_owing and self._silence.is_too_long(self._pid):
+            self._lost(f"said nothing for {self.silent_s:.1f} s while {self.waiting} items waited")
 
     def _lose_standby(self, channel: Channel) -> None:
         try:
@@ -460,8 +451,7 @@ class MapperLink:
         self._listener.taken_over(how)
         with self._lock:
             self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
-            self._heard_s, self._long_works = time.monotonic(), 0
-            self._standstill.reset()
+            self._silence.begin()
             for message in (
                 Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,
