@@ -188,8 +188,10 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
     if evidence.is_in_doubt:
         known += evidence.behind or 0.0
     agreement = evidence.on_map / known if known else 0.0
-    if known and agreement < (MIN_AGREEMENT_FAR if evidence.is_far else MIN_AGREEMENT):
-        return "lost", _contradicted(evidence)
+    least_agreement = MIN_AGREEMENT_FAR if evidence.is_far else MIN_AGREEMENT
+    if known and agreement < least_agreement:
+        expected = f"of those on known ground {agreement:.0%} on its walls, expected {least_agreement:.0%}"
+        return "lost", _contradicted(evidence, expected)
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
     if ratio < least and not (is_carried and ratio >= MIN_KNOWN):
         words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction. {BACK}"
@@ -236,7 +238,7 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
     than chance explains lie where nothing stands or behind walls that should be seen from there.
     """
     if is_contradicted(evidence):
-        return "lost", _contradicted(evidence)
+        return "lost", _contradicted(evidence, f"expected at most {1.0 - MIN_AGREEMENT_FAR:.0%} there")
     words = (
         f"{_on_map(evidence)} (expected {MIN_KNOWN:.0%}): unmapped ground; the pose follows the prediction "
         "onto it. Keep a part of the map in view"
@@ -287,14 +289,13 @@ def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
     )
 
 
-def _contradicted(evidence: Evidence) -> Reason:
+def _contradicted(evidence: Evidence, expected: str) -> Reason:
     used = max(evidence.used, 1)
     behind = "" if evidence.behind is None else f", {evidence.behind / used:.0%} behind its walls"
     return Reason(
         "contradicted",
-        f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind} (expected at most "
-        f"{1.0 - MIN_AGREEMENT_FAR:.0%} there): another place, or one that has changed much; the pose "
-        f"follows the prediction. {BACK}",
+        f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind} ({expected}): "
+        f"another place, or one that has changed much; the pose follows the prediction. {BACK}",
     )
 
 

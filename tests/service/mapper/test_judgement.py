@@ -98,7 +98,8 @@ def test_returns_where_nothing_stands_contradict_however_good_the_prediction() -
     assert state(NEW_GROUND, in_free=60) == "lost"
     assert state(GOOD, on_map=240, in_free=200) == "ok"  # people close by
     assert state(GOOD, on_map=240, in_free=250) == "lost"
-    assert "in its free space" in judge(replace(GOOD, on_map=240, in_free=250), RATIOS)[1]
+    reason = judge(replace(GOOD, on_map=240, in_free=250), RATIOS)[1]
+    assert "in its free space (of those on known ground 49% on its walls, expected 50%)" in reason
 
 
 def test_a_match_far_from_the_prediction_needs_more() -> None:
