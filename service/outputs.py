@@ -122,7 +122,7 @@ class GraphPicture:
     """
 
     stamp_ns: int
-    ways: Sequence[npt.NDArray[np.float32]]
+    paths: Sequence[npt.NDArray[np.float32]]
     accepted: npt.NDArray[np.float32]
     refused: npt.NDArray[np.float32]
     borders: Sequence[npt.NDArray[np.float32]] = ()

@@ -17,10 +17,10 @@ from service.outputs import GraphPicture
 
 GRAPH = "graph"  # the channel
 # Namespaces of the markers.
-WAYS, LOOPS, REFUSED, BORDERS = "key_frames", "loops", "refused_loops", "sub_maps"
+PATHS, LOOPS, REFUSED, BORDERS = "key_frames", "loops", "refused_loops", "sub_maps"
 _KINDS = {LOOPS: "accepted", REFUSED: "refused"}  # as of GraphPicture.evidence
 _LOOK = {  # width in m, colour; one pixel where 40 m fill 500 pixels
-    WAYS: (0.08, (0.16, 0.36, 0.85, 1.0)),
+    PATHS: (0.08, (0.16, 0.36, 0.85, 1.0)),
     LOOPS: (0.08, (0.10, 0.60, 0.25, 1.0)),
     REFUSED: (0.05, (0.80, 0.15, 0.15, 0.8)),
     BORDERS: (0.05, (0.55, 0.35, 0.75, 0.8)),
@@ -34,7 +34,7 @@ def encode_graph(picture: GraphPicture, log_ns: int) -> Message:
     """All of it in one message, as channel "graph"; its first marker takes away what was drawn before."""
     stamp_ns = picture.stamp_ns or log_ns  # of an empty one
     markers = [_marker(stamp_ns, "", 0, Marker.ARROW, Marker.DELETEALL, np.empty((0, 2), np.float32))]
-    for name, strips in ((WAYS, picture.ways), (BORDERS, [_closed(border) for border in picture.borders])):
+    for name, strips in ((PATHS, picture.paths), (BORDERS, [_closed(border) for border in picture.borders])):
         markers += [
             _marker(stamp_ns, name, number, Marker.LINE_STRIP, Marker.ADD, strip)
             for number, strip in enumerate(strips)
@@ -54,7 +54,7 @@ def decode_graph(payload: bytes) -> GraphPicture:
     array = cast(ros.visualization_msgs__msg__MarkerArray, wire.read(wire.MARKERS, payload))
     return GraphPicture(
         stamp_ns=max((wire.stamp_ns_of(marker.header.stamp) for marker in array.markers), default=0),
-        ways=list(_lines(array.markers, WAYS)),
+        paths=list(_lines(array.markers, PATHS)),
         accepted=_ends(array.markers, LOOPS),
         refused=_ends(array.markers, REFUSED),
         borders=[border[:-1] for border in _lines(array.markers, BORDERS)],

@@ -67,7 +67,7 @@ class KnownGround(NamedTuple):
     points: UInt8_2D
     first_row: int
     first_column: int
-    asked: Int32_3D
+    visited: Int32_3D
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -179,7 +179,7 @@ def openness(u, v, du, dv, known, number):
         if 0 <= i < has_wall.shape[0] and 0 <= j < has_wall.shape[1] and has_wall[i, j]:
             slot = find_tile(walls.tiles, row >> TILE_BITS, column >> TILE_BITS)
             r, q = row & TILE_MASK, column & TILE_MASK
-            if known.asked[slot, r, q] != number:
+            if known.visited[slot, r, q] != number:
                 open_share = 1.0
                 for side in range(2):
                     hits = walls.surfels[slot, r, q, side, COUNT]
@@ -199,7 +199,7 @@ def openness(u, v, du, dv, known, number):
                         through = looked[slot, r, q, side]
                         open_share = min(open_share, (through + 0.5) / (hits + through + 1.0))
                 if open_share < 1.0:
-                    known.asked[slot, r, q] = number
+                    known.visited[slot, r, q] = number
                     total += math.log(max(open_share, MIN_OPEN))
         is_column = next_column < next_row
         column += step_column if is_column else 0
@@ -260,7 +260,7 @@ def weigh_ends(xy, normals, pose, known, at_end):
 
 
 @inner_kernel
-def weigh_ways(xy, sensors, pose, known, number, least, on_way):
+def weigh_ways(xy, sensors, pose, known, number, least, along_beam):
     """Log-probability that what the beams go through is gone; gives up where it is less than `least` in sum.
 
     xy        (N, 2) float64   ends of the beams, m
@@ -274,15 +274,15 @@ def weigh_ways(xy, sensors, pose, known, number, least, on_way):
     Source: a wall is gone by hits and misses, as reflection maps count them (Haehnel 2004).
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    on_way[:] = 0.0
+    along_beam[:] = 0.0
     total = 0.0
     for i in range(xy.shape[0]):
         x = pose[0] + c * xy[i, 0] - s * xy[i, 1]
         y = pose[1] + s * xy[i, 0] + c * xy[i, 1]
         u = pose[0] + c * sensors[i, 0] - s * sensors[i, 1]
         v = pose[1] + s * sensors[i, 0] + c * sensors[i, 1]
-        on_way[i] = openness(u, v, x - u, y - v, known, number)
-        total += on_way[i]
+        along_beam[i] = openness(u, v, x - u, y - v, known, number)
+        total += along_beam[i]
         if total < least:
             break
     return total

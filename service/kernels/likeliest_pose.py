@@ -22,7 +22,7 @@ from service.kernels.linear3 import copy_vector
     Float64_1D,
     Float64_1D,
 )
-def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, at_end, on_way):
+def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, at_end, along_beam):
     """Nats that speak for a pose: of the beams' ends and ways.
 
     Ways only take away: where the ends alone do not reach `least`, no way is asked, and what is given is less
@@ -36,9 +36,9 @@ def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, 
     for i in range(xy.shape[0]):
         total += shares[i] * at_end[i]
     if total < least:
-        on_way[:] = 0.0
+        along_beam[:] = 0.0
         return total
-    return total + weigh_ways(xy, sensors, pose, known, number, least - total, on_way)
+    return total + weigh_ways(xy, sensors, pose, known, number, least - total, along_beam)
 
 
 @kernel(Float64_2D, Float64_2D, Float64_2D, Float64_1D, Float64_1D, KnownGround, int, Float64_1D, float)
@@ -53,8 +53,8 @@ def climb(xy, normals, sensors, shares, pose, known, number, first, least):
     Returns (nats at the end, poses asked).
     Source: Hooke and Jeeves, Direct search solution of numerical and statistical problems, 1961.
     """
-    at_end, on_way = np.empty(xy.shape[0]), np.empty(xy.shape[0])
-    best = evidence_of_beams(xy, normals, sensors, shares, pose, known, number, -math.inf, at_end, on_way)
+    at_end, along_beam = np.empty(xy.shape[0]), np.empty(xy.shape[0])
+    best = evidence_of_beams(xy, normals, sensors, shares, pose, known, number, -math.inf, at_end, along_beam)
     asked = 1
     trial, next_pose = np.empty(3), np.empty(3)
     scale = 1.0
@@ -65,7 +65,7 @@ def climb(xy, normals, sensors, shares, pose, known, number, first, least):
                 copy_vector(pose, trial)
                 trial[axis] += sign * scale * first[axis]
                 evidence = evidence_of_beams(
-                    xy, normals, sensors, shares, trial, known, number + asked, next_best, at_end, on_way
+                    xy, normals, sensors, shares, trial, known, number + asked, next_best, at_end, along_beam
                 )
                 asked += 1
                 if evidence > next_best:

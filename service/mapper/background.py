@@ -77,14 +77,14 @@ class InlineWorker:
     def close(self) -> None: ...
 
 
-class ElsewhereWorker:
+class DiscardingWorker:
     """For a mapper that warms up: what is handed in is never done, and never waited for."""
 
     ready = False
 
     def __init__(self, back_end: BackEnd) -> None: ...
 
-    def submit(self, batch: Any) -> "ElsewhereWorker":
+    def submit(self, batch: Any) -> "DiscardingWorker":
         return self
 
     def result(self) -> Any:

@@ -86,7 +86,7 @@ class ByHand:
             for k, (kind, until) in enumerate(zip(self.kind.tolist(), self.until.tolist(), strict=True))
         ]
 
-    def and_drawn(self, drawing: Drawing, map_poses: Floats) -> "ByHand":
+    def with_drawing(self, drawing: Drawing, map_poses: Floats) -> "ByHand":
         """With one more. map_poses: (N, 3) of the key frames; one at NaN holds no corner."""
         corners = drawing.corners_map
         keyframe = np.array([_nearest(map_poses, xy) for xy in corners], np.int64)
@@ -99,7 +99,7 @@ class ByHand:
             corner_xy=np.vstack((self.corner_xy, se2.points_seen(map_poses[keyframe], corners))),
         )
 
-    def and_paired(self, ends: tuple[int, int], xy: Floats) -> "ByHand":
+    def with_point_pair(self, ends: tuple[int, int], xy: Floats) -> "ByHand":
         """With the point xy[0] (2,), seen from key frame ends[0], and xy[1], seen from ends[1], one place."""
         return replace(
             self,
@@ -124,10 +124,10 @@ class ByHand:
             pair_xy=self.pair_xy,
         ).without_pairs(np.flatnonzero(~is_kept[self.pair_ends].all(axis=1)).tolist())
         for drawing in self.drawings(map_poses):
-            remade = remade.and_drawn(drawing._replace(until=int(before[drawing.until])), left)
+            remade = remade.with_drawing(drawing._replace(until=int(before[drawing.until])), left)
         return remade
 
-    def and_also(self, other: "ByHand", keyframes: int) -> "ByHand":
+    def followed_by(self, other: "ByHand", keyframes: int) -> "ByHand":
         """This of the first `keyframes` key frames, and that of those behind them."""
         moved = replace(
             other,

@@ -94,7 +94,7 @@ class MappedScan:
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
     prior: npt.NDArray[np.float64]  # (3, 3) the same of the prediction
     elapsed_s: float = 0.0  # since the scan before
-    is_way_unknown: bool = False  # that since then, as in judgement.py
+    is_motion_unmeasured: bool = False  # that since then, as in judgement.py
 
 
 # Of a session in a stored map: nobody knows where it lies in it; one look says where; another one, too.
@@ -152,7 +152,7 @@ ToRender = ScanToRender | AreaToErase | WallToRender
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundOnce:
+class UnconfirmedPlace:
     """Where a piece of the map lies in the rest by one find, which nothing has confirmed yet.
 
     piece           its number
@@ -193,7 +193,7 @@ class PlaceNews:
     placed: Placed = "proven"
     possible: Sequence[PossiblePlace] = ()
     pose_refused: tuple[float, float, float] | None = None
-    found_once: FoundOnce | None = None
+    unconfirmed_place: UnconfirmedPlace | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ class EditAnswer:
     error   why it is not made, in words; "" where it is
     """
 
-    told: Mapping[str, Any] = field(default_factory=dict)
+    reply: Mapping[str, Any] = field(default_factory=dict)
     error: str = ""
 
 

@@ -33,7 +33,7 @@ def at_most(most: int, what: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-class Asked(BaseModel):
+class RequestModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
@@ -44,11 +44,11 @@ Stamp = Annotated[str, Field(pattern=r"^\d{1,19}$")]
 Seconds = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]  # after the map's first key frame
 Corners = Annotated[list[Point], at_most(MAX_CORNERS, "points")]
 Who = Annotated[str, Field(max_length=LONGEST_NAME)]
-PairT = TypeVar("PairT", bound=Asked)
+PairT = TypeVar("PairT", bound=RequestModel)
 Becomes = Literal["as_seen", "unknown", "free"]  # as_seen: free where beams pass, else unknown
 
 
-class Erase(Asked):
+class Erase(RequestModel):
     """becomes: what the area is then"""
 
     what: Literal["erase"]
@@ -56,28 +56,28 @@ class Erase(Asked):
     becomes: Becomes = "as_seen"
 
 
-class Wall(Asked):
+class Wall(RequestModel):
     what: Literal["wall"]
     corners: Corners
 
 
-class Cut(Asked):
+class Cut(RequestModel):
     what: Literal["cut"]
     from_s: Seconds
     to_s: Seconds
     bridge: bool = False
 
 
-class RemovePair(Asked):
+class RemovePair(RequestModel):
     what: Literal["remove-pair"]
     pair: Number
 
 
-class Optimize(Asked):
+class Optimize(RequestModel):
     what: Literal["optimize"]
 
 
-class SeenPair(Asked):
+class SeenPair(RequestModel):
     """Two points that are one place, in the base frames of the key frames that saw them.
 
     stamps_ns   of these, in digits: JavaScript knows no whole numbers of this size
@@ -87,12 +87,12 @@ class SeenPair(Asked):
     points_base: tuple[Point, Point]
 
 
-class AddPairs(Asked, Generic[PairT]):
+class AddPairs(RequestModel, Generic[PairT]):
     what: Literal["add-pair"]
     pairs: Annotated[list[PairT], Field(min_length=1), at_most(MAX_PAIRS, "pairs")]
 
 
-class SeenLoop(Asked):
+class SeenLoop(RequestModel):
     """stamps_ns   of the key frames at its ends, the earlier pass first, in digits"""
 
     stamps_ns: tuple[Stamp, Stamp]
@@ -106,7 +106,7 @@ class AcceptSeenLoop(SeenLoop):
     what: Literal["accept-loop"]
 
 
-class Undo(Asked):
+class Undo(RequestModel):
     what: Literal["undo"]
 
 
@@ -114,7 +114,7 @@ LoopChange = RefuseSeenLoop | AcceptSeenLoop
 LiveChange = Erase | Wall | Cut | AddPairs[SeenPair] | RemovePair | LoopChange | Optimize | Undo
 
 
-class EditMap(Asked):
+class EditMap(RequestModel):
     """One change of the map that is being made. who: for the recording"""
 
     who: Who = ""

@@ -29,9 +29,9 @@ CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by cha
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
 GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
 MAX_BLANK_S = GAP_S  # without a scan that has returns, after which nothing vouches for the pose
-NOT_KNOWN_M, NOT_KNOWN_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
+UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
 CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
-BACK = "Drive back to mapped ground, or set the pose"  # what to do where the vehicle is lost
+RECOVERY_HINT = "Drive back to mapped ground, or set the pose"  # what to do where the vehicle is lost
 # Reasons of one scan on the map whose words do not name the laser.
 OF_SCAN: frozenset[ReasonId] = frozenset(
     (
@@ -118,7 +118,7 @@ def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64])
     return float(away.x_m * away.x_m / xx + y * y / y_left + t * t / t_left)
 
 
-def is_way_unknown(predicted: Prediction) -> bool:
+def is_motion_unmeasured(predicted: Prediction) -> bool:
     """Whether the vehicle may be anywhere, by what nobody measured of its way since the last scan."""
     return predicted.pause_s > CARRIED_S or predicted.is_unwitnessed
 
@@ -128,7 +128,7 @@ def begun(points: Points, predicted: Prediction) -> Match:
     return Match(predicted, points, 1.0)
 
 
-def held(
+def unmatched(
     points: Points,
     predicted: Prediction,
     reason: Reason,
@@ -194,9 +194,11 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
         return "lost", _contradicted(evidence, expected)
     least = limits.degraded_ratio if evidence.is_far else limits.lost_ratio
     if ratio < least and not (is_carried and ratio >= MIN_KNOWN):
-        words = f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction. {BACK}"
+        words = (
+            f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction. {RECOVERY_HINT}"
+        )
         return "lost", Reason("off_map", words)
-    is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_borne_out(evidence)
+    is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_confirmed(evidence)
     # In a direction that the walls leave open odometry may know little, and its sigma says so: of that the
     # scan contradicts nothing, and another piece of the map would know no more.
     is_open = not evidence.is_far and evidence.weakest[0] > limits.degraded_sigma_m
@@ -222,7 +224,7 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
         )
     sigma_m, direction_rad = evidence.weakest
     if sigma_m > limits.degraded_sigma_m:
-        sigma = f"{sigma_m:.2f} m" if sigma_m <= NOT_KNOWN_M else "not known"
+        sigma = f"{sigma_m:.2f} m" if sigma_m <= UNKNOWN_SIGMA_M else "not known"
         return "degraded", Reason(
             "open_direction",
             "the scan does not fix the position along the direction "
@@ -246,7 +248,7 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
     return "degraded", Reason("new_ground", words)
 
 
-def _is_borne_out(evidence: Evidence) -> bool:
+def _is_confirmed(evidence: Evidence) -> bool:
     """Whether the returns on the map confirm the pose, and those that are not on it lie on new ground."""
     return evidence.on_map >= MIN_CONFIRMING and not is_contradicted(evidence)
 
@@ -281,7 +283,7 @@ def _pose_uncertain(evidence: Evidence, most: tuple[float, float]) -> Reason:
 def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
     """By how much (m, rad), and what would be expected; or "not known", where the numbers say nothing."""
     (sigma_m, sigma_rad), (most_m, most_rad) = sigmas, most
-    if not (sigma_m <= NOT_KNOWN_M and sigma_rad <= NOT_KNOWN_RAD):
+    if not (sigma_m <= UNKNOWN_SIGMA_M and sigma_rad <= UNKNOWN_SIGMA_RAD):
         return "not known"
     return (
         f"uncertain by {sigma_m:.2f} m and {math.degrees(sigma_rad):.1f} deg (sigma, expected at most "
@@ -295,7 +297,7 @@ def _contradicted(evidence: Evidence, expected: str) -> Reason:
     return Reason(
         "contradicted",
         f"{_on_map(evidence)}, {evidence.in_free / used:.0%} in its free space{behind} ({expected}): "
-        f"another place, or one that has changed much; the pose follows the prediction. {BACK}",
+        f"another place, or one that has changed much; the pose follows the prediction. {RECOVERY_HINT}",
     )
 
 

@@ -13,7 +13,7 @@ from service.outputs import Reason
 UNPROVEN = Reason(
     "placed_once", "localised in the stored map from one viewpoint; drive on some metres to confirm it"
 )
-FOUND_ONCE = Reason(
+UNCONFIRMED_PLACE = Reason(
     "found_once", "found again in the map from one viewpoint; drive on some metres to confirm it"
 )
 NOT_PLACED = Reason("not_placed", "not localised in the stored map yet; drive on, or set the pose")
@@ -76,7 +76,7 @@ class Localisation:
 
     def _on_map(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
         self.pose_map_odom, self._known_here = pose_map_odom, self._known
-        once = self._news.found_once
+        once = self._news.unconfirmed_place
         if (
             once is not None
             and match.state == "lost"
@@ -84,7 +84,7 @@ class Localisation:
             and change.piece == once.piece
         ):
             self.pose_map_odom, self._known_here = once.pose_map_odom, once.known
-            match = replace(match, state="degraded", reason=FOUND_ONCE)
+            match = replace(match, state="degraded", reason=UNCONFIRMED_PLACE)
         if not self.is_found:
             match = replace(match, state="lost", reason=match.reason or NOT_PLACED)
         elif not self.is_proven and match.state == "ok":

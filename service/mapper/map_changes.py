@@ -52,7 +52,7 @@ class MapChanges:
         x_min_m, y_min_m = low * self.cell_m
         return Grid(0, self.cell_m, float(x_min_m), float(y_min_m), picture)
 
-    def says_as(self, other: "MapChanges | None") -> bool:
+    def has_same_cells(self, other: "MapChanges | None") -> bool:
         """Whether the same cells have changed in the same way."""
         return (
             other is not None

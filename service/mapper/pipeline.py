@@ -23,7 +23,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import drift_of, is_way_unknown, of_laser
+from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser
 from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.standing import draw_standing
@@ -217,7 +217,7 @@ class Mapper(Generic[ReadableMap]):
         looked_for = self._checks.where_to_compare(scan.sensor, at_ns, predicted)
         if looked_for is not None:
             return self._compared(points, at_ns, looked_for)
-        if is_way_unknown(predicted) and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
+        if is_motion_unmeasured(predicted) and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         reason = of_laser(scan.sensor, match.reason)
@@ -235,7 +235,7 @@ class Mapper(Generic[ReadableMap]):
         """Put a match into local map, graph and shown map; its state is that of its place in the map."""
         s = self.components
         change = s.local_map.insert(match.points, match)
-        still = _still(match)
+        static = _static_points(match)
         self.counters["keyframes"] += change.is_keyframe
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
@@ -243,19 +243,26 @@ class Mapper(Generic[ReadableMap]):
         covariance = prior if match.measured is None else match.measured.covariance
         pose_map_odom = s.graph.add(
             MappedScan(
-                at_ns, still, match, change, covariance, prior, predicted.elapsed_s, is_way_unknown(predicted)
+                at_ns,
+                static,
+                match,
+                change,
+                covariance,
+                prior,
+                predicted.elapsed_s,
+                is_motion_unmeasured(predicted),
             )
         )
         is_drawn = match.state != "lost" and self._localisation.is_found and not self.is_localizing
         match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)
         if is_drawn:  # nothing is where nobody knows the place
-            s.free_space.insert(still, pose_map_odom @ match.motion.pose_odom_base)
+            s.free_space.insert(static, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._localisation.is_proven and self._changes is not None:
-            self._changes.add(still, pose_map_odom @ match.motion.pose_odom_base, at_ns)
-            self._tell_changes(self._changes, at_ns)
+            self._changes.add(static, pose_map_odom @ match.motion.pose_odom_base, at_ns)
+            self._report_changes(self._changes, at_ns)
         return match
 
-    def _tell_changes(self, changes: ChangeWatch, at_ns: int) -> None:
+    def _report_changes(self, changes: ChangeWatch, at_ns: int) -> None:
         if at_ns - self._changes_reported_ns < CHANGES_REPORTED_NS:
             return
         self._changes_reported_ns = at_ns
@@ -301,7 +308,7 @@ class Mapper(Generic[ReadableMap]):
         return self._newest
 
 
-def _still(match: Match) -> Points:
+def _static_points(match: Match) -> Points:
     """The points of what does not move."""
     if match.is_moving is None:
         return match.points

@@ -50,7 +50,7 @@ class RefusedLoops:
     def chosen(self, which: Ints) -> "RefusedLoops":
         return RefusedLoops(*(getattr(self, f.name)[which] for f in fields(self)))
 
-    def and_also(self, other: "RefusedLoops") -> "RefusedLoops":
+    def followed_by(self, other: "RefusedLoops") -> "RefusedLoops":
         return RefusedLoops(
             *(np.concatenate((getattr(self, f.name), getattr(other, f.name))) for f in fields(self))
         )

@@ -211,7 +211,7 @@ class MappingLoop:
         if facts is shown or not self.is_up_to_date:
             return
         self._shown_changes = facts
-        if facts is None or not facts.says_as(shown):
+        if facts is None or not facts.has_same_cells(shown):
             grid = NOTHING_CHANGED if facts is None else facts.as_grid()
             self._send(ChangesDrawn(grid, self._map_stamp_ns))
 
@@ -277,7 +277,7 @@ class MappingLoop:
         if not self._edits:
             return
         for edited in self.mapper.take_edited():
-            self._send(Answer(self._edits.popleft(), edited.told, edited.error))
+            self._send(Answer(self._edits.popleft(), edited.reply, edited.error))
         if self.mapper.graph_fault:
             self._give_up_edits(f"the change is not made: {self.mapper.graph_fault}")
 

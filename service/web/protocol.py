@@ -229,8 +229,8 @@ def encode_path(points_map: FloatArray, goes_on: bool = False) -> bytes:
 
 
 def encode_graph(picture: GraphPicture) -> bytes:
-    lines = [*picture.ways, *picture.borders]
-    counts = [len(picture.ways), len(picture.borders), len(picture.accepted), len(picture.refused)]
+    lines = [*picture.paths, *picture.borders]
+    counts = [len(picture.paths), len(picture.borders), len(picture.accepted), len(picture.refused)]
     counts += [len(line) for line in lines]
     parts = [*lines, picture.accepted, picture.refused]
     body = np.array(counts, "<u4").tobytes() + b"".join(part.astype("<f4").tobytes() for part in parts)

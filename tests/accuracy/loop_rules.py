@@ -101,7 +101,7 @@ RULES = (
     Rule(
         "more variance for steps with a low inlier ratio",
         f"{GRAPH}.model.odometry_edges",
-        {"MAX_DOUBT": (0.0, 0.0)},
+        {"MAX_PREDICTION_VARIANCE": (0.0, 0.0)},
     ),
     Rule(
         "errors that points of one cell share",

@@ -16,7 +16,7 @@ from service.geometry.se2 import SE2
 from service.mapper.background import BackEnd, InlineWorker
 from service.mapper.corrections import corrected
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.relocalise.detached_search import CLEARLY_LIKELIER, DetachedSearch
+from service.mapper.graph.relocalise.detached_search import MIN_MARGIN_NATS, DetachedSearch
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.outputs import FREE, MapperOutput
@@ -154,7 +154,7 @@ def relocalisation(seeds: Sequence[int]) -> Section:
         f"in the map of the first, within {ON_WAY_M:.0f} m of its way; the truth is the map of the whole. "
         f"Right: at the end within {RIGHT_M} m and {RIGHT_DEG:.0f} deg of where the nearest key frame of the "
         "map has the place; wrong: placed, and farther off. What is neither stays lost. Alike: the two "
-        f"likeliest places are within {CLEARLY_LIKELIER:.0f} nats, the true one is one of them, and the "
+        f"likeliest places are within {MIN_MARGIN_NATS:.0f} nats, the true one is one of them, and the "
         "reason names both. Likelier elsewhere: another place of the map fits what is seen better than the "
         "true one does. A scan without any return, as where a simulated person walks over the laser, is not "
         "asked.",
@@ -253,7 +253,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
 def is_reported(pieces: DetachedSearch, true: Floats) -> bool:
     """Whether the true place is one of two that are reported, and neither is clearly likelier."""
     is_reported = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
-    return is_reported and abs(pieces.ahead_of_others(true)) < CLEARLY_LIKELIER
+    return is_reported and abs(pieces.evidence_margin(true)) < MIN_MARGIN_NATS
 
 
 def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
@@ -291,7 +291,7 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
             found_s = 1e-9 * (output.stamp_ns - frames[0].stamp_ns)
     pieces = back_ends[0].pieces
     is_alike = not is_placed and is_reported(pieces, true)
-    elsewhere = not is_placed and not is_alike and pieces.ahead_of_others(true) <= 0.0
+    elsewhere = not is_placed and not is_alike and pieces.evidence_margin(true) <= 0.0
     mapper.graph.close()
     is_right = is_placed and not is_wrong
     return Look(is_right, is_wrong, was_wrong_ok, is_alike, elsewhere, found_s, longest_s, 1e3 * off_m)

@@ -46,7 +46,7 @@ class Mapping:
             return answer_of(ok=True, folder=str(self.save()))
         change = EDIT_MAP.validate_json(payload).change
         edited = self.back_end.work(Batch([], "edit_map", change=change)).edited
-        return answer_of(ok=False, error=edited.error) if edited.error else answer_of(ok=True, **edited.told)
+        return answer_of(ok=False, error=edited.error) if edited.error else answer_of(ok=True, **edited.reply)
 
     def save(self) -> Path:
         graph = self.back_end.work(Batch([], "checkpoint")).saved

@@ -24,7 +24,7 @@ def test_what_is_decoded_is_what_was_encoded() -> None:
     assert (message.channel, message.type, message.log_ns) == ("graph", MARKERS, 9)
     read = decode_graph(message.payload)
     assert read.stamp_ns == message.stamp_ns == PICTURE.stamp_ns
-    for ours, theirs in ((read.ways, PICTURE.ways), (read.borders, PICTURE.borders)):
+    for ours, theirs in ((read.paths, PICTURE.paths), (read.borders, PICTURE.borders)):
         assert [line.tolist() for line in ours] == [line.tolist() for line in theirs]
     assert read.accepted.tolist() == PICTURE.accepted.tolist()
     assert read.refused.tolist() == PICTURE.refused.tolist()

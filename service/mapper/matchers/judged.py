@@ -18,11 +18,11 @@ from service.mapper.judgement import (
     JudgementConfig,
     begun,
     chi2_between,
-    held,
     is_loose,
     judge,
     sigmas_of,
     too_few,
+    unmatched,
     weakest_of,
 )
 from service.mapper.maps.known_ground import KnownGround
@@ -111,7 +111,7 @@ class JudgedMatching:
     ) -> Match:
         if reason := too_few(points):
             self._is_lost = True
-            return held(points, predicted, reason)
+            return unmatched(points, predicted, reason)
         if local_map.is_empty:
             return begun(points, predicted)
         match = self._placed(points, predicted, local_map, aligner)
@@ -140,14 +140,14 @@ class JudgedMatching:
         ):
             is_doubtful = self._is_lost and is_loose(sigmas_of(predicted.local_covariance))
             if is_doubtful and not self._is_confirmed(aligned, predicted):
-                return held(points, predicted, UNCONFIRMED, verdict.inlier_ratio)
+                return unmatched(points, predicted, UNCONFIRMED, verdict.inlier_ratio)
             return _matched(aligned, predicted, verdict)
         stands = self._judged_as_predicted(points, predicted, local_map)
         if stands.state != "lost":
             return Match(predicted, points, stands.inlier_ratio, "degraded", stands.reason or STANDS)
         found = self._found(points, predicted, local_map, aligner, verdict.inlier_ratio)
         reason = verdict.reason if verdict.state == "lost" else stands.reason
-        return found or held(points, predicted, reason, verdict.inlier_ratio)
+        return found or unmatched(points, predicted, reason, verdict.inlier_ratio)
 
     def _judged(
         self, aligned: Aligned, predicted: Prediction, local_map: KnownMap, is_found: bool = False
@@ -257,7 +257,7 @@ def judged_alone(aligned: Aligned, predicted: Prediction, inliers: int, limits: 
     state, reason = judge(evidence, limits)
     verdict = _Verdict(state, reason, evidence.inlier_ratio)
     if verdict.state == "lost":
-        return held(aligned.points, predicted, verdict.reason, verdict.inlier_ratio)
+        return unmatched(aligned.points, predicted, verdict.reason, verdict.inlier_ratio)
     return _matched(aligned, predicted, verdict)
 
 

@@ -29,12 +29,12 @@ from service.mapper.judgement import (
     Evidence,
     JudgementConfig,
     begun,
-    held,
     is_contradicted,
     is_loose,
     judge,
     sigmas_of,
     too_few,
+    unmatched,
 )
 from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, Confirmation, reach_of, search_around
 from service.mapper.matchers.window_search import layer_of
@@ -131,7 +131,7 @@ class SurfelGaussNewton:
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
         points = self._bias.without(points)
         if reason := too_few(points):
-            return held(points, predicted, reason)
+            return unmatched(points, predicted, reason)
         if local_map.matched_to is None:
             return begun(points, predicted)
         if local_map.detached is None:
@@ -152,12 +152,12 @@ class SurfelGaussNewton:
         """
         points = self._bias.without(points)
         if reason := too_few(points):
-            return held(points, predicted, reason)
+            return unmatched(points, predicted, reason)
         if local_map.matched_to is None:
             return begun(points, predicted)
         attempt, aligned = self._aligned_near(points, predicted, local_map, local_map.matched_to)
         if aligned.state == "lost":
-            return held(points, predicted, aligned.reason, aligned.result.share, aligned.is_contradicted)
+            return unmatched(points, predicted, aligned.reason, aligned.result.share, aligned.is_contradicted)
         turned_attempt, turned = self._aligned_near(
             points, turned_about(points.sensor_base, predicted), local_map, local_map.matched_to
         )
@@ -214,11 +214,11 @@ class SurfelGaussNewton:
         points, predicted = attempt.points, attempt.predicted
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
-            return held(points, predicted, reason, inlier_ratio, is_contradicted)
+            return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
         detached = self._align(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
-            return held(points, predicted, reason, inlier_ratio, is_contradicted)
+            return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
         reason = reason.reworded(f"{reason}; a detached map begins here until its place is found")
         return self._as_match(detached, attempt, "lost", reason)
 

@@ -87,7 +87,7 @@ def _log_graph(stream: "rr.RecordingStream", graph: GraphPicture) -> None:
 
     closed = [np.concatenate((border, border[:1])) for border in graph.borders]
     for name, lines, colour in (
-        ("key_frames", graph.ways, WAY_COLOUR),
+        ("key_frames", graph.paths, WAY_COLOUR),
         ("loops", graph.accepted, LOOP_COLOUR),
         ("refused_loops", graph.refused, REFUSED_COLOUR),
         ("sub_maps", closed, BORDER_COLOUR),

@@ -8,44 +8,44 @@ from pydantic import Field, TypeAdapter, ValidationError
 from service.errors import InputError, fault_words
 from service.mapper.edit_requests import (
     AddPairs,
-    Asked,
     Cut,
     Erase,
     Number,
     Optimize,
     Point,
     RemovePair,
+    RequestModel,
     Undo,
     Wall,
     Who,
 )
 
 
-class Look(Asked):
+class Look(RequestModel):
     """Versions, pairs and key frames of the map as it is now."""
 
 
-class LookAtKeyframe(Asked):
+class LookAtKeyframe(RequestModel):
     """The points that a key frame saw."""
 
     version: Number
     keyframe: Number
 
 
-class LookAtVersion(Asked):
+class LookAtVersion(RequestModel):
     """The tiles of a version, to be compared with the present ones."""
 
     version: Number
 
 
-class Pair(Asked):
+class Pair(RequestModel):
     """Two points of the map that are one place, and the key frames that saw them."""
 
     points: tuple[Point, Point]
     keyframes: tuple[Number, Number]
 
 
-class RefuseLoop(Asked):
+class RefuseLoop(RequestModel):
     """loop    its number in the list of accepted ones"""
 
     what: Literal["refuse-loop"]
@@ -64,7 +64,7 @@ ChangeAsked = Annotated[
 ]
 
 
-class Edit(Asked):
+class Edit(RequestModel):
     """One change. version: the one that the person saw; who: "" for the user of the command"""
 
     version: Number
@@ -72,7 +72,7 @@ class Edit(Asked):
     change: ChangeAsked
 
 
-class KeyframeOfSession(Asked):
+class KeyframeOfSession(RequestModel):
     """The points that a key frame saw. seen: what SessionMapCommands gave for a look"""
 
     seen: str

@@ -221,7 +221,7 @@ class ReplayPage:
         self._tiles_due_s = now_s + max(TILES_S, MIN_REST * (now_s - began_s))
 
     def _show_changes(self, changes: MapChanges | None) -> None:
-        if changes is not None and not changes.says_as(self._changes):
+        if changes is not None and not changes.has_same_cells(self._changes):
             self._changes = changes
             self.server.put_ready({CHANGES: encode_changes(changes.as_grid())})
 

@@ -48,8 +48,8 @@ def mapped(looked_through: bool = False) -> KnownGround:
     points = np.zeros((400, 400), np.uint8)
     splat_points(xy, FIRST, FIRST, points)
     looked = np.zeros(walls.surfels.shape[:4], np.float32)
-    asked = np.zeros(walls.surfels.shape[:3], np.int32)
-    known = KnownGround(walls, cells_with_walls(walls), looked, ground, -10, points, FIRST, FIRST, asked)
+    visited = np.zeros(walls.surfels.shape[:3], np.int32)
+    known = KnownGround(walls, cells_with_walls(walls), looked, ground, -10, points, FIRST, FIRST, visited)
     if looked_through:
         beyond = np.column_stack((np.full(401, 4.5), np.linspace(-2.0, 2.0, 401)))
         for _ in range(10):
@@ -64,12 +64,12 @@ def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal
     here = (np.atleast_2d(ends) - pose[:2]) @ turn
     sensors = np.tile((np.array(sensor) - pose[:2]) @ turn, (len(here), 1))
     normals = np.tile([*(np.array(normal) @ turn), 1.0], (len(here), 1))
-    at_end, on_way = np.empty(len(here)), np.empty(len(here))
+    at_end, along_beam = np.empty(len(here)), np.empty(len(here))
     weigh_ends(here, normals, np.array(pose), known, at_end)
-    total = weigh_ways(here, sensors, np.array(pose), known, number, -math.inf, on_way)
-    assert total == pytest.approx(on_way.sum())
-    assert (on_way <= 0.0).all()
-    return at_end + on_way
+    total = weigh_ways(here, sensors, np.array(pose), known, number, -math.inf, along_beam)
+    assert total == pytest.approx(along_beam.sum())
+    assert (along_beam <= 0.0).all()
+    return at_end + along_beam
 
 
 def ratio_by_hand(off_m: float, ground: float, on_points: float) -> float:
@@ -161,11 +161,11 @@ def test_ways_are_asked_no_further_than_they_can_matter():
     """Beams that go through the wall side by side, each through a cell of its own."""
     known = mapped()
     ends = np.column_stack((np.full(8, 4.5), np.linspace(-1.6, 1.6, 8)))
-    on_way, few = np.empty(8), np.empty(8)
+    along_beam, few = np.empty(8), np.empty(8)
     sensors, pose = np.zeros((8, 2)), np.zeros(3)
-    total = weigh_ways(ends, sensors, pose, known, 1, -math.inf, on_way)
-    assert (on_way < 0.0).all()
+    total = weigh_ways(ends, sensors, pose, known, 1, -math.inf, along_beam)
+    assert (along_beam < 0.0).all()
     assert weigh_ways(ends, sensors, pose, known, 2, total, few) == pytest.approx(total)
-    least = on_way[:3].sum() + 1e-9
+    least = along_beam[:3].sum() + 1e-9
     assert weigh_ways(ends, sensors, pose, known, 3, least, few) < least
-    np.testing.assert_allclose(few, [*on_way[:3], 0.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(few, [*along_beam[:3], 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -18,11 +18,11 @@ def seen_at(pose, noise):
 
 
 def asked_at(pose, xy, normals, shares, known, number, least=-math.inf):
-    at_end, on_way = np.empty(120), np.empty(120)
+    at_end, along_beam = np.empty(120), np.empty(120)
     evidence = evidence_of_beams(
-        xy, normals, np.zeros((120, 2)), shares, pose, known, number, least, at_end, on_way
+        xy, normals, np.zeros((120, 2)), shares, pose, known, number, least, at_end, along_beam
     )
-    return evidence, at_end, on_way
+    return evidence, at_end, along_beam
 
 
 def climbed(start, truth, shares, noise):
@@ -30,8 +30,8 @@ def climbed(start, truth, shares, noise):
     xy, normals = seen_at(truth, noise)
     sensors, pose = np.zeros((120, 2)), np.array(start)
     best, asked = climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
-    evidence, at_end, on_way = asked_at(pose, xy, normals, shares, known, asked + 1)
-    assert best == evidence == pytest.approx(float(shares @ at_end + on_way.sum()))
+    evidence, at_end, along_beam = asked_at(pose, xy, normals, shares, known, asked + 1)
+    assert best == evidence == pytest.approx(float(shares @ at_end + along_beam.sum()))
     return pose, best, asked
 
 
@@ -60,9 +60,9 @@ def test_what_beams_go_through_counts_at_each_pose_again():
     xy[:, 0] += 1.0
     pose = np.zeros(3)
     best, asked = climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
-    _, at_end, on_way = asked_at(pose, xy, normals, np.ones(120), known, asked + 1)
-    assert on_way.sum() < -1.0
-    assert best == pytest.approx(float(at_end.sum() + on_way.sum()))
+    _, at_end, along_beam = asked_at(pose, xy, normals, np.ones(120), known, asked + 1)
+    assert along_beam.sum() < -1.0
+    assert best == pytest.approx(float(at_end.sum() + along_beam.sum()))
 
 
 def test_where_the_ends_alone_are_not_enough_their_sum_is_reported():
@@ -70,8 +70,8 @@ def test_where_the_ends_alone_are_not_enough_their_sum_is_reported():
     known, truth = mapped(), np.zeros(3)
     xy, normals = seen_at(truth, np.random.default_rng(1))
     beyond = np.array([0.6, 0.0, 0.0])
-    evidence, at_end, on_way = asked_at(beyond, xy, normals, np.ones(120), known, 1)
-    assert (on_way < 0.0).any()
+    evidence, at_end, along_beam = asked_at(beyond, xy, normals, np.ones(120), known, 1)
+    assert (along_beam < 0.0).any()
     assert evidence < at_end.sum()
     bound, _, unasked = asked_at(beyond, xy, normals, np.ones(120), known, 2, at_end.sum() + 1.0)
     assert bound == pytest.approx(at_end.sum())

@@ -19,7 +19,7 @@ import service.kernels
 from service.compile.cache import ensure_cache_dir
 from service.compile.warm_up import warm_up
 from service.geometry.se2 import SE2
-from service.mapper.background import ElsewhereWorker, InlineWorker, NewWorker
+from service.mapper.background import DiscardingWorker, InlineWorker, NewWorker
 from service.mapper.components import RenderedMap, ScanToRender, WallToRender
 from service.mapper.map_changes import ChangeWatch
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
@@ -36,7 +36,7 @@ def main() -> None:
         new_worker: NewWorker = InlineWorker
         config = mapping_config()
         if sys.argv[1:]:
-            new_worker = ElsewhereWorker
+            new_worker = DiscardingWorker
             config = mapping_config({"mode": "localization"} if sys.argv[1] == "localizing" else {})
             warm_up(back_end_elsewhere=True)
             before = set(compiled_or_loaded())

@@ -51,15 +51,17 @@ class Drive:
     truth: dict[int, SE2]  # scan stamp -> base in the frame of the first scan
 
 
-def cast(walls: list[tuple[float, float, float, float]], origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
+def cast(
+    walls: list[tuple[float, float, float, float]], origins: np.ndarray, paths: np.ndarray
+) -> np.ndarray:
     """Distance along each ray to the nearest wall, inf where there is none."""
     x0, y0, x1, y1 = (column[:, None] for column in np.array(walls).T)
     ex, ey = x1 - x0, y1 - y0
     to_x, to_y = x0 - origins[:, 0], y0 - origins[:, 1]
-    denominator = ways[:, 0] * ey - ways[:, 1] * ex
+    denominator = paths[:, 0] * ey - paths[:, 1] * ex
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (to_x * ey - to_y * ex) / denominator
-        share = (to_x * ways[:, 1] - to_y * ways[:, 0]) / denominator
+        share = (to_x * paths[:, 1] - to_y * paths[:, 0]) / denominator
     hit = (along > 0.0) & (share >= 0.0) & (share <= 1.0)
     return np.where(hit, along, np.inf).min(axis=0)
 
@@ -89,8 +91,8 @@ def scan_at(
     """One sweep; every beam leaves from where the laser is at its own moment."""
     laser = compose(poses_in_sweep(motion, (stamp_ns - start_ns) * 1e-9), np.array(astuple(mounting)))
     origins, angle = laser[:, :2], laser[:, 2] + FIRST_RAD + STEP_RAD * np.arange(BEAMS)
-    ways = np.column_stack((np.cos(angle), np.sin(angle)))
-    range_m = cast(walls, origins, ways) + sigma_m * noise.standard_normal(BEAMS)
+    paths = np.column_stack((np.cos(angle), np.sin(angle)))
+    range_m = cast(walls, origins, paths) + sigma_m * noise.standard_normal(BEAMS)
     range_m[~(range_m < 20.0)] = np.nan
     return LaserScan(
         "front",

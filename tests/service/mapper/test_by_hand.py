@@ -21,9 +21,11 @@ AREA = np.array([(4.0, 1.0), (6.0, 1.0), (6.0, 2.0)])
 @pytest.fixture
 def drawn() -> ByHand:
     by_hand = (
-        ByHand().and_drawn(Drawing(DRAWN_WALL, 4, LINE), POSES).and_drawn(Drawing(ERASED, 4, AREA), POSES)
+        ByHand()
+        .with_drawing(Drawing(DRAWN_WALL, 4, LINE), POSES)
+        .with_drawing(Drawing(ERASED, 4, AREA), POSES)
     )
-    return by_hand.and_paired((0, 2), np.array([(1.0, 0.0), (-9.0, 0.0)]))
+    return by_hand.with_point_pair((0, 2), np.array([(1.0, 0.0), (-9.0, 0.0)]))
 
 
 def test_drawings_stay_where_they_were_drawn_and_go_with_the_nearest_key_frame(drawn):
@@ -56,10 +58,10 @@ def test_areas_come_behind_the_scans_they_were_erased_from_and_walls_at_last(dra
 
 
 def test_a_wall_is_gone_where_an_area_was_erased_after_it_and_only_then(drawn):
-    (wall,) = walls_of(drawn.and_drawn(Drawing(DRAWN_WALL, 4, LINE), POSES), POSES)[1:]
+    (wall,) = walls_of(drawn.with_drawing(Drawing(DRAWN_WALL, 4, LINE), POSES), POSES)[1:]
     assert len(cells_of_wall(wall, 0.1)) > 20
     over = np.array([(8.0, 1.0), (10.0, 1.0), (10.0, 3.0), (8.0, 3.0)])
-    (wall,) = walls_of(drawn.and_drawn(Drawing(ERASED, 4, over), POSES), POSES)
+    (wall,) = walls_of(drawn.with_drawing(Drawing(ERASED, 4, over), POSES), POSES)
     columns = cells_of_wall(wall, 0.1)[:, 1]
     assert (columns.min(), columns.max()) == (100, 110)
 

@@ -70,7 +70,7 @@ def mapped(drove: Drive, *changes: dict[str, Any], shown_ns: int = 0) -> Mapped:
         if output is None:
             continue
         outputs.append(output)
-        answers += [dict(one.told) for one in session.take_edited()]
+        answers += [dict(one.reply) for one in session.take_edited()]
         after_ns = frame.stamp_ns - EDITED_NS
         if not shown and (len(answers) == len(changes) if changes else after_ns >= shown_ns):
             taken_over_ns, shown = after_ns, session.tiles()
@@ -202,7 +202,7 @@ def test_a_loop_is_refused_while_the_vehicle_drives_on_and_the_pose_moves_by_wha
         if asked_ns and not answer:
             before = before or output.pose_map_odom
             for one in session.take_edited():
-                answer, taken_over_ns = dict(one.told), frame.stamp_ns - asked_ns
+                answer, taken_over_ns = dict(one.reply), frame.stamp_ns - asked_ns
         elif answer:
             after = after or output.pose_map_odom
     assert answer["done"].startswith("took back the loop from key frame")

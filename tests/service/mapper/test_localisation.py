@@ -5,7 +5,6 @@ from drivers.frames import NO_INTENSITY, LaserScan
 from service.estimator.motion import Measurement, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import (
-    FoundOnce,
     GraphUpdate,
     MapChange,
     Match,
@@ -13,9 +12,10 @@ from service.mapper.components import (
     PlaceNews,
     Points,
     PossiblePlace,
+    UnconfirmedPlace,
 )
 from service.mapper.known_pose import KnownPose
-from service.mapper.localisation import FOUND_ONCE, NOT_PLACED, UNPROVEN, Localisation
+from service.mapper.localisation import NOT_PLACED, UNCONFIRMED_PLACE, UNPROVEN, Localisation
 from service.outputs import State
 
 SCAN = LaserScan("front", 1, 1, 0, 1, 0.0, 0.1, 0.1, 20.0, np.zeros(0, np.float32), NO_INTENSITY)
@@ -26,7 +26,7 @@ MOTION = Motion(SE2(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.diag([0.04, 0.04, 0.01])
 MEASURED = Measurement(MOTION.pose_odom_base, MOTION.covariance, np.eye(3), 1.0)
 OF_GRAPH, OF_FIND = SE2(0.1, 0.2, 0.0), SE2(5.0, 0.0, 0.5)
 KNOWN = KnownPose(MOTION.pose_odom_base, MOTION.covariance, np.diag([0.01, 0.01, 0.001]))
-FOUND = PlaceNews(found_once=FoundOnce(2, OF_FIND, KNOWN))
+FOUND = PlaceNews(unconfirmed_place=UnconfirmedPlace(2, OF_FIND, KNOWN))
 
 
 def judged(
@@ -50,7 +50,7 @@ def judged(
 
 def test_a_scan_on_a_detached_map_that_was_found_has_the_pose_of_the_find_and_its_covariance():
     place, *facts = judged(FOUND, "lost", "contradicted")
-    assert facts == ["degraded", FOUND_ONCE]
+    assert facts == ["degraded", UNCONFIRMED_PLACE]
     assert place.pose_map_odom == OF_FIND
     np.testing.assert_allclose(place.covariance_of(MOTION), KNOWN.covariance)
 

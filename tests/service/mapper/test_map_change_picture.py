@@ -36,7 +36,7 @@ def test_where_nothing_has_changed_the_picture_is_empty():
 
 def test_other_cells_or_another_change_of_them_say_something_else():
     one = changes([(1, 1, True)])
-    assert one.says_as(changes([(1, 1, True)]))
-    assert not one.says_as(changes([(1, 1, False)]))
-    assert not one.says_as(changes([(1, 2, True)]))
-    assert not one.says_as(None)
+    assert one.has_same_cells(changes([(1, 1, True)]))
+    assert not one.has_same_cells(changes([(1, 1, False)]))
+    assert not one.has_same_cells(changes([(1, 2, True)]))
+    assert not one.has_same_cells(None)

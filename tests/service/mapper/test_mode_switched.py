@@ -52,7 +52,7 @@ def switched(drove: Drive) -> Switched:
             assert session.request("set_mode", {"mode": due.pop(0)[1]}) is None
             session.apply_result()
             (edited,) = session.take_edited()
-            answers.append((frame.stamp_ns, dict(edited.told), session.tiles(), stored))
+            answers.append((frame.stamp_ns, dict(edited.reply), session.tiles(), stored))
         if (output := session.process(frame)) is not None:
             outputs.append(output)
         while session.work_ready:
@@ -96,7 +96,7 @@ def test_a_change_asked_for_before_the_switch_to_localisation_is_applied_is_refu
     for _ in range(10):  # more than are out
         session.apply_result()
     switched, edited = session.take_edited()
-    assert (switched.told["mode"], switched.error) == ("localization", "")
+    assert (switched.reply["mode"], switched.error) == ("localization", "")
     assert "only localised" in edited.error
     stored = session.finish().update.saved
     assert isinstance(stored, SavedGraph)
@@ -125,7 +125,7 @@ def test_a_map_that_was_loaded_is_localised_in_before_the_vehicle_is_found(drove
     )
     session.request("set_mode", {"mode": "localization"})
     session.apply_result()
-    assert session.take_edited()[0].told["mode"] == "localization"
+    assert session.take_edited()[0].reply["mode"] == "localization"
     assert session.is_localizing
     states = []
     for frame in drove.frames:

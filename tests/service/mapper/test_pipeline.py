@@ -11,10 +11,10 @@ from service.estimator import estimator
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.components import FoundOnce, GraphUpdate, PlaceNews, PossiblePlace
+from service.mapper.components import GraphUpdate, PlaceNews, PossiblePlace, UnconfirmedPlace
 from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
-from service.mapper.localisation import FOUND_ONCE
+from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.pipeline import MAX_BEHIND_NS, Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
@@ -148,8 +148,8 @@ class FindingGraph(NoGraph):
         if self.piece is None:
             return GraphUpdate({}, place=PlaceNews(possible=[PossiblePlace(1.0, 2.0, 310.0)]))
         known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
-        once = FoundOnce(self.piece, self.pose_map_odom, known)
-        return GraphUpdate({}, place=PlaceNews(found_once=once))
+        once = UnconfirmedPlace(self.piece, self.pose_map_odom, known)
+        return GraphUpdate({}, place=PlaceNews(unconfirmed_place=once))
 
 
 def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
@@ -161,7 +161,7 @@ def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and
     mapper.apply_result()
     for _ in range(37):  # longer than the shown map waits for the next scan
         output = next(outputs)
-        assert (output.state, output.reason) == ("degraded", FOUND_ONCE)
+        assert (output.state, output.reason) == ("degraded", UNCONFIRMED_PLACE)
         assert output.pose_map_odom == graph.pose_map_odom
         assert graph.covariance[2, 2] < output.covariance[2, 2] < 2.0 * graph.covariance[2, 2]
     assert mapper.changed_tiles() == []

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.mapper.background import BackEnd, ElsewhereWorker, InlineWorker
-from service.mapper.localisation import FOUND_ONCE
+from service.mapper.background import BackEnd, DiscardingWorker, InlineWorker
+from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from simulators.worlds import WORLDS
 from tests.carried import carried_back, carried_on, silent
@@ -24,7 +24,7 @@ class DeadWorker(InlineWorker):
     is_dead = False
 
     def submit(self, batch: Any) -> Any:
-        return ElsewhereWorker(self._back_end).submit(batch) if self.is_dead else super().submit(batch)
+        return DiscardingWorker(self._back_end).submit(batch) if self.is_dead else super().submit(batch)
 
 
 def states_after(
@@ -89,7 +89,7 @@ def test_who_was_carried_back_is_reported_where_it_is_and_ok_once_that_is_confir
     assert states[0] == "lost"
     found, confirmed = states.index("degraded"), states.index("ok")
     assert since_s[found] < 1.0
-    assert reasons[found] == FOUND_ONCE
+    assert reasons[found] == UNCONFIRMED_PLACE
     assert set(states[found:confirmed]) == {"degraded"}
     assert since_s[confirmed] > 3.0  # 4 m at 1 m/s
     assert off_m[found:].max() < 0.05

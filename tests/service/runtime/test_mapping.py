@@ -115,7 +115,7 @@ def test_the_graph_is_shown_when_it_was_drawn_again_and_taken_away_by_a_reset():
     assert shown() == []
     session.carry_out("reset_map")
     (message,) = shown()
-    assert not decode_graph(message.payload).ways
+    assert not decode_graph(message.payload).paths
     assert shown() == []
 
 

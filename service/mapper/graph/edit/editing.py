@@ -40,7 +40,7 @@ class Solved:
 
 def with_wall(graph: SavedGraph, corners_map: Floats) -> SavedGraph:
     """With a wall through (C, 2) m of the map, C > 1."""
-    return replace(graph, by_hand=graph.by_hand.and_drawn(Drawing(DRAWN_WALL, 0, corners_map), graph.map))
+    return replace(graph, by_hand=graph.by_hand.with_drawing(Drawing(DRAWN_WALL, 0, corners_map), graph.map))
 
 
 def with_area_erased(
@@ -57,7 +57,7 @@ def with_area_erased(
         point_count=np.bincount(of[~gone], minlength=len(graph)).astype(np.int64),
         xy_base=graph.xy_base[~gone],
         normals=graph.normals[~gone],
-        by_hand=graph.by_hand.and_drawn(drawing, graph.map),
+        by_hand=graph.by_hand.with_drawing(drawing, graph.map),
     )
     return erased, int(gone.sum())
 
@@ -77,7 +77,7 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
     piece = graph.piece if is_bridged else _pieces_cut(graph.piece, is_kept)
     less = only(replace(graph, piece=piece), is_kept)
     bridge = "--bridge lets odometry hold them over what is cut"
-    _refuse_if_apart(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
+    _refuse_if_disconnected(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
     return less
 
 
@@ -110,11 +110,14 @@ def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None
     Raises EditError where nobody saw them, or one key frame both.
     """
     if keyframes is None:
-        first = _seeing(graph, xy_map[0], np.ones(len(graph), np.bool_), "the first point")
+        first = _observing_keyframe(graph, xy_map[0], np.ones(len(graph), np.bool_), "the first point")
         elsewhere = (np.abs(graph.way_m - graph.way_m[first]) > SAME_PASS_M) | (
             graph.piece != graph.piece[first]
         )
-        keyframes = first, _seeing(graph, xy_map[1], elsewhere, "the second point, in another pass,")
+        keyframes = (
+            first,
+            _observing_keyframe(graph, xy_map[1], elsewhere, "the second point, in another pass,"),
+        )
     first, second = keyframes
     for k in (first, second):
         if not 0 <= k < len(graph):
@@ -122,7 +125,7 @@ def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None
     if first == second:
         raise EditError(f"both points are of key frame {first}: a pair is of two key frames")
     seen = se2.points_seen(graph.map[[first, second]], xy_map)
-    return replace(graph, by_hand=graph.by_hand.and_paired((first, second), seen))
+    return replace(graph, by_hand=graph.by_hand.with_point_pair((first, second), seen))
 
 
 def without_pair(graph: SavedGraph, number: int) -> SavedGraph:
@@ -131,7 +134,7 @@ def without_pair(graph: SavedGraph, number: int) -> SavedGraph:
     if not 0 <= number < count:
         raise EditError(f"there is no pair {number}; {_counted(count, 'pair')}")
     less = replace(graph, by_hand=graph.by_hand.without_pairs([number]))
-    _refuse_if_apart(groups(graph), less, "cut one of them away first")
+    _refuse_if_disconnected(groups(graph), less, "cut one of them away first")
     return less
 
 
@@ -145,9 +148,11 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
         graph,
         **_loops_of(graph, kept),
         loop_ends=graph.loop_ends[kept],
-        refused=graph.refused.and_also(_refused(graph, numbers)),
+        refused=graph.refused.followed_by(_refused(graph, numbers)),
     )
-    _refuse_if_apart(groups(graph), less, "--add-pair holds them together, or cut one of them away first")
+    _refuse_if_disconnected(
+        groups(graph), less, "--add-pair holds them together, or cut one of them away first"
+    )
     return less
 
 
@@ -223,7 +228,7 @@ def _pieces_cut(piece: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]) ->
     return cut
 
 
-def _refuse_if_apart(
+def _refuse_if_disconnected(
     before: npt.NDArray[np.int64], graph: SavedGraph, instead: str, first_ns: int | None = None
 ) -> None:
     """Raises EditError where key frames that hung together, (N,) by their groups before, do no more.
@@ -249,7 +254,7 @@ def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:
     )
 
 
-def _seeing(graph: SavedGraph, xy_map: Floats, among: npt.NDArray[np.bool_], what: str) -> int:
+def _observing_keyframe(graph: SavedGraph, xy_map: Floats, among: npt.NDArray[np.bool_], what: str) -> int:
     """The key frame, of some, that has a point nearest to one of the map; of those alike the nearest."""
     of = np.repeat(np.arange(len(graph)), graph.point_count)
     xy = se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))

@@ -16,11 +16,11 @@ from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
-ASKED_EVERY_M = 4.0  # of the second's way
+QUERY_EVERY_M = 4.0  # of the second's way
 MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two finds agree, both within AGREE_WAY_M of path
 AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
 MIN_MERGE_LOOPS = 3
-QUERY = 6  # key frames of a place that are looked for, where not everywhere is asked
+QUERY_KEYFRAMES = 6  # key frames of a place that are looked for, where not everywhere is asked
 MAX_PLACES_MISSED = 8  # far apart; where a quarter of the second overlaps, one in ten sessions has so many
 SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # every 8th place from these on, one series after the other
 
@@ -91,8 +91,8 @@ def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
     for graph, count in zip(others, before[1:], strict=False):
         way_m.append(graph.way_m - graph.way_m[0] + way_m[-1][-1] + SESSION_APART_M)
         piece.append(graph.piece - graph.piece.min() + piece[-1].max() + 1)
-        refused = refused.and_also(replace(graph.refused, ends=graph.refused.ends + count))
-        by_hand = by_hand.and_also(graph.by_hand, count)
+        refused = refused.followed_by(replace(graph.refused, ends=graph.refused.ends + count))
+        by_hand = by_hand.followed_by(graph.by_hand, count)
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(graph, name) for graph in graphs])
@@ -127,14 +127,14 @@ def find_second(
     search = DetachedSearch(config, keyframes)
     usable = keyframes.is_usable
     known, own = np.flatnonzero(usable[:count]), count + np.flatnonzero(usable[count:])
-    asked = _places_asked(keyframes, own)
+    queries = _query_places(keyframes, own)
     found: list[tuple[int, Floats]] = []  # key frame of the second, and the pose of its frame that it says
     agreeing: list[tuple[int, Floats]] = []
-    for number, k in enumerate(asked if enough is None else _spread(asked)):
+    for number, k in enumerate(queries if enough is None else _spread(queries)):
         if enough is not None and not found and number >= MAX_PLACES_MISSED:
             break
         near = own[np.abs(keyframes.way_m[own] - keyframes.way_m[k]) <= 0.5 * config.place_m]
-        near = near if enough is None else near[:: max(1, len(near) // QUERY)]
+        near = near if enough is None else near[:: max(1, len(near) // QUERY_KEYFRAMES)]
         best = search.best_of(search.places_of(near.tolist(), k, known, only_winners=enough is not None))
         if best is None:
             continue
@@ -155,13 +155,13 @@ def find_second(
     return middle, len(agreeing)
 
 
-def _places_asked(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[int]:
-    """Of some key frames by rising number one each ASKED_EVERY_M of the way."""
-    asked: list[int] = []
+def _query_places(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[int]:
+    """Of some key frames by rising number one each QUERY_EVERY_M of the way."""
+    queries: list[int] = []
     for k in own.tolist():
-        if not asked or keyframes.way_m[k] >= keyframes.way_m[asked[-1]] + ASKED_EVERY_M:
-            asked.append(k)
-    return asked
+        if not queries or keyframes.way_m[k] >= keyframes.way_m[queries[-1]] + QUERY_EVERY_M:
+            queries.append(k)
+    return queries
 
 
 def _spread(places: list[int]) -> list[int]:
@@ -174,9 +174,11 @@ def _agreeing(keyframes: KeyframeList, found: list[tuple[int, Floats]]) -> list[
     agreeing: list[tuple[int, Floats]] = []
     for k, pose in found:
         same = [
-            (other, said)
-            for other, said in found
-            if _agree(keyframes.map[other], pose, said, abs(keyframes.way_m[k] - keyframes.way_m[other]))
+            (other, other_pose)
+            for other, other_pose in found
+            if _agree(
+                keyframes.map[other], pose, other_pose, abs(keyframes.way_m[k] - keyframes.way_m[other])
+            )
         ]
         if len(same) > len(agreeing):
             agreeing = same

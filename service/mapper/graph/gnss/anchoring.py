@@ -16,7 +16,7 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_consensus import (
     CORRELATED_S,
     Consensus,
-    FixedWay,
+    FixPath,
     find_consensus,
     fix_edges,
 )
@@ -48,7 +48,7 @@ class Anchoring:
         self.reference: GeoReference | None = None
         self._fixes: list[PlacedFix] = []
         self._frame: LocalFrame | None = None  # for good, once there is a reference
-        self._asked = 0  # fixes kept when the consensus was found
+        self._fixes_at_consensus = 0  # fixes kept when the consensus was found
         self._consensus: Consensus | None = None
         self._among: npt.NDArray[np.int64] = np.empty(0, np.int64)  # fixes that the consensus is of
         self._in_map: frozenset[int] = frozenset()  # fixes in the newest solution
@@ -69,12 +69,14 @@ class Anchoring:
     @property
     def is_due(self) -> bool:
         """Whether enough came since the consensus was found."""
-        new = len(self._fixes) - self._asked
-        return len(self._fixes) >= MIN_FIXES and new >= max(MORE_FIXES[0], MORE_FIXES[1] * self._asked)
+        new = len(self._fixes) - self._fixes_at_consensus
+        return len(self._fixes) >= MIN_FIXES and new >= max(
+            MORE_FIXES[0], MORE_FIXES[1] * self._fixes_at_consensus
+        )
 
     @property
     def has_news(self) -> bool:
-        return len(self._fixes) >= MIN_FIXES and len(self._fixes) > self._asked
+        return len(self._fixes) >= MIN_FIXES and len(self._fixes) > self._fixes_at_consensus
 
     def find(self, keyframes: KeyframeList, covariance: Floats, is_known: npt.NDArray[np.bool_]) -> bool:
         """Ask anew which fixes are accepted; whether the map should be solved anew for it.
@@ -82,7 +84,7 @@ class Anchoring:
         covariance   (N - 1, 3, 3) of the steps between the key frames
         is_known     (N,) key frames whose place in the map is known
         """
-        self._asked = len(self._fixes)
+        self._fixes_at_consensus = len(self._fixes)
         among = np.array([k for k, fix in enumerate(self._fixes) if is_known[fix.keyframe]], np.int64)
         if len(among) < MIN_FIXES:
             return False
@@ -206,7 +208,7 @@ class Anchoring:
         which: npt.NDArray[np.int64],
         enu: Floats,
         way_m: Floats,
-    ) -> FixedWay:
+    ) -> FixPath:
         keyframe, antenna = self._points(keyframes, which)
         odom = keyframes.odom[keyframe]
         last = np.searchsorted(keyframe, np.arange(1, keyframes.count))  # fix that each step leads to
@@ -216,7 +218,7 @@ class Anchoring:
         np.add.at(step, last[inside], moved @ covariance[inside] @ moved.transpose(0, 2, 1))
         step += np.diag([FLOOR_M**2, FLOOR_M**2, 1e-6])
         covariances, repeats = self._covariances(which), self._repeats(which)
-        return FixedWay(odom, step, way_m, antenna, enu, covariances, repeats)
+        return FixPath(odom, step, way_m, antenna, enu, covariances, repeats)
 
     def _repeats(self, which: npt.NDArray[np.int64]) -> Floats:
         """(M,) how many fixes as near in time to the one before make one independent measurement.

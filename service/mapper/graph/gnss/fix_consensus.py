@@ -33,7 +33,7 @@ QUICK = SolverConfig(most_iterations=4, least_gain=1e-3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FixedWay:
+class FixPath:
     """Fixes on the way, M of them.
 
     odom         (M, 3)      pose_odom_base of the key frame of each
@@ -63,7 +63,7 @@ class Consensus:
     covariance: Floats
 
 
-def find_consensus(way: FixedWay) -> Consensus:
+def find_consensus(way: FixPath) -> Consensus:
     """M >= 2. Deterministic. Raises GraphError where the solver fails."""
     is_accepted, poses = _graduate(way, np.ones(len(way.odom), np.bool_))
     is_candidate = np.ones(len(way.odom), np.bool_)
@@ -123,7 +123,7 @@ def align(points: Floats, enu: Floats) -> Floats:
     return np.array([*(points.mean(axis=0) - turned), theta])
 
 
-def _graduate(way: FixedWay, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
+def _graduate(way: FixPath, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
     """Fixes accepted (M,) and poses (M + 1, 3), E the last, by graduated non-convexity."""
     points = se2.points_from(way.odom, way.antenna)
     start = align(points[is_candidate], way.enu[is_candidate])
@@ -154,7 +154,7 @@ def _weights(chi2: Floats, mu: float) -> Floats:
     return np.where(chi2 <= low, 1.0, np.where(chi2 >= high, 0.0, between))
 
 
-def _graph(way: FixedWay, poses: Floats, weight: Floats) -> PoseGraph:
+def _graph(way: FixPath, poses: Floats, weight: Floats) -> PoseGraph:
     count = len(way.odom)
     used = np.flatnonzero(weight > MIN_EDGE_WEIGHT)
     heading = poses[used, 2] - poses[-1, 2]
@@ -163,21 +163,21 @@ def _graph(way: FixedWay, poses: Floats, weight: Floats) -> PoseGraph:
     step = np.arange(1, count)
     measured = se2.between(way.odom[:-1], way.odom[1:])
     keyframes = Edges(step - 1, step, measured, way.step[1:], np.zeros(count - 1))
-    return PoseGraph(poses, keyframes.and_also(fixes))
+    return PoseGraph(poses, keyframes.followed_by(fixes))
 
 
-def _errors(way: FixedWay, poses: Floats) -> Floats:
+def _errors(way: FixPath, poses: Floats) -> Floats:
     """(M, 2) m east and north: fix minus where the antenna was."""
     off: Floats = way.enu - se2.points_seen(poses[-1], se2.points_from(poses[:-1], way.antenna))
     return off
 
 
-def _chi2(way: FixedWay, poses: Floats) -> Floats:
+def _chi2(way: FixPath, poses: Floats) -> Floats:
     off = _errors(way, poses)
     return np.asarray(np.einsum("ki,ki->k", off, np.linalg.solve(way.covariance, off[..., None])[..., 0]))
 
 
-def _wrong_stretches(way: FixedWay, off_m: Floats) -> npt.NDArray[np.bool_]:
+def _wrong_stretches(way: FixPath, off_m: Floats) -> npt.NDArray[np.bool_]:
     """(M,) fixes in a stretch between two jumps of the error that lies off as a whole.
 
     A reflected signal puts each fix of a minute off by no more than a single one may be. What tells it from

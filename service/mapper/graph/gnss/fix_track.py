@@ -75,7 +75,7 @@ class FixTrack:
             self._waiting.popleft()
             self._counts["fixes_without_scans"] += 1
         self._waiting.append((fix, antenna_xy_m))
-        self._submap_about()
+        self._place_waiting()
         return "fixes_taken"
 
     def add_scan(self, stamp_ns: int, pose_odom_base: SE2, keyframe: int) -> None:
@@ -83,7 +83,7 @@ class FixTrack:
         self._scans.append(_Scan(stamp_ns, pose_odom_base, keyframe))
         while stamp_ns - self._scans[0].stamp_ns > REMEMBERED_NS and len(self._scans) > 2:
             self._scans.popleft()
-        self._submap_about()
+        self._place_waiting()
 
     def take(self) -> list[PlacedFix]:
         """Those placed since the last call, by rising stamps."""
@@ -95,7 +95,7 @@ class FixTrack:
         counts, self._counts = self._counts, Counter()
         return counts
 
-    def _submap_about(self) -> None:
+    def _place_waiting(self) -> None:
         while self._waiting and self._scans and self._waiting[0][0].stamp_ns <= self._scans[-1].stamp_ns:
             fix, antenna_xy_m = self._waiting.popleft()
             after = next(k for k, scan in enumerate(self._scans) if scan.stamp_ns >= fix.stamp_ns)
@@ -105,7 +105,7 @@ class FixTrack:
                 self._counts["fixes_without_scans"] += 1
                 continue
             here = _between(a, b, fix.stamp_ns)
-            if fault := self._says_nothing(fix, here):
+            if fault := self._is_redundant(fix, here):
                 self._counts[fault] += 1
                 continue
             self._kept = here
@@ -126,11 +126,11 @@ class FixTrack:
                 )
             )
 
-    def _says_nothing(self, fix: GnssFix, here: SE2) -> str:
+    def _is_redundant(self, fix: GnssFix, here: SE2) -> str:
         """The counter of a fix that tells no more than those before; "" if it does."""
-        told = self._reported
-        if told is not None and told[:2] == (fix.latitude_deg, fix.longitude_deg):
-            if _apart_m(told[2], here) > FROZEN_M:
+        reported = self._reported
+        if reported is not None and reported[:2] == (fix.latitude_deg, fix.longitude_deg):
+            if _apart_m(reported[2], here) > FROZEN_M:
                 return "fixes_frozen"
         else:
             self._reported = (fix.latitude_deg, fix.longitude_deg, here)

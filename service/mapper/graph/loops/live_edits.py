@@ -46,7 +46,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Made:
+class AppliedEdit:
     """A change that was made, and what it took away, to be given back.
 
     words     what it did
@@ -71,9 +71,11 @@ class LiveEdits:
     def __init__(self, keyframes: KeyframeList, refusals: Refusals) -> None:
         self._keyframes = keyframes
         self._refusals = refusals
-        self._made: list[Made] = []
+        self._applied: list[AppliedEdit] = []
 
-    def make(self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]) -> tuple[Made, list[Loop]]:
+    def make(
+        self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]
+    ) -> tuple[AppliedEdit, list[Loop]]:
         """And the loops that are left. is_known (N,): key frames of which the place in the map is known.
 
         Raises EditError.
@@ -82,65 +84,67 @@ class LiveEdits:
             raise EditError("there is nothing in the map yet; it begins with the first scan that is mapped")
         before = self._keyframes.by_hand
         if isinstance(change, Undo):
-            made = self._undo()
-            return made, [*loops, *made.loops]
+            applied = self._undo()
+            return applied, [*loops, *applied.loops]
         if isinstance(change, Optimize):
-            return Made("optimised", before), [*loops]
+            return AppliedEdit("optimised", before), [*loops]
         match change:
             case Erase():
-                made = self._erase(np.array(change.corners), BECOMES[change.becomes], is_known, before)
+                applied = self._erase(np.array(change.corners), BECOMES[change.becomes], is_known, before)
             case Wall():
                 line = np.array(change.corners)
                 self._draw(Drawing(DRAWN_WALL, 0, line), is_known)
-                made = Made(wall_words(line), before, False, _around(line))
+                applied = AppliedEdit(wall_words(line), before, False, _around(line))
             case Cut():
-                made = self._cut(change, is_known, before, loops)
+                applied = self._cut(change, is_known, before, loops)
             case AddPairs():
-                made = self._pair(change.pairs, is_known, before)
+                applied = self._pair(change.pairs, is_known, before)
             case RefuseSeenLoop():
-                made = self._refuse(change, is_known, before, loops)
+                applied = self._refuse(change, is_known, before, loops)
             case AcceptSeenLoop():
-                made = self._accept(change, is_known, before, loops)
+                applied = self._accept(change, is_known, before, loops)
             case RemovePair():
-                made = self._remove_pair(change.pair, before)
-        self._made = [*self._made, made][-MAX_UNDONE:]
-        return made, [loop for loop in loops if not any(loop is gone for gone in made.loops)]
+                applied = self._remove_pair(change.pair, before)
+        self._applied = [*self._applied, applied][-MAX_UNDONE:]
+        return applied, [loop for loop in loops if not any(loop is gone for gone in applied.loops)]
 
     def renumber(self, new: Renumbering) -> None:
         """Only some of the key frames will be kept."""
         is_kept, number = new.is_kept, new.number
-        self._made = [
+        self._applied = [
             replace(
-                made,
-                by_hand=made.by_hand.without_keyframes(is_kept, self._keyframes.map),
-                points={int(number[k]): points for k, points in made.points.items() if is_kept[k]},
-                matched=[int(number[k]) for k in made.matched if is_kept[k]],
-                loops=new.loops(made.loops),
+                applied,
+                by_hand=applied.by_hand.without_keyframes(is_kept, self._keyframes.map),
+                points={int(number[k]): points for k, points in applied.points.items() if is_kept[k]},
+                matched=[int(number[k]) for k in applied.matched if is_kept[k]],
+                loops=new.loops(applied.loops),
             )
-            for made in self._made
+            for applied in self._applied
         ]
 
-    def answer(self, made: Made, is_known: Mask, before: Floats, contradicted: int = 0) -> EditAnswer:
+    def answer(
+        self, applied: AppliedEdit, is_known: Mask, before: Floats, contradicted: int = 0
+    ) -> EditAnswer:
         """before: (N, 3) where the key frames were; contradicted: loops that the solution had to drop."""
         keyframes = self._keyframes
         moved_m = float(np.hypot(*(keyframes.map - before)[is_known, :2].T).max())
-        words = moved_words(made.words, moved_m, contradicted) if made.is_bent else made.words
+        words = moved_words(applied.words, moved_m, contradicted) if applied.is_bent else applied.words
         pairs = pairs_of(keyframes.by_hand, keyframes.map)
         return EditAnswer(
-            {"done": words, "moved_m": round(moved_m, 3), "pairs": pairs, "undoable": len(self._made)}
+            {"done": words, "moved_m": round(moved_m, 3), "pairs": pairs, "undoable": len(self._applied)}
         )
 
-    def _undo(self) -> Made:
-        if not self._made:
+    def _undo(self) -> AppliedEdit:
+        if not self._applied:
             raise EditError("no change of this session is left to take back")
-        made, keyframes = self._made.pop(), self._keyframes
-        keyframes.by_hand = made.by_hand
-        for k, points in made.points.items():
+        applied, keyframes = self._applied.pop(), self._keyframes
+        keyframes.by_hand = applied.by_hand
+        for k, points in applied.points.items():
             keyframes.put_points(k, points)
-        keyframes.set_lost(made.matched, False)
-        return replace(made, words=f"took back: {made.words}")
+        keyframes.set_lost(applied.matched, False)
+        return replace(applied, words=f"took back: {applied.words}")
 
-    def _erase(self, corners: Floats, kind: int, is_known: Mask, before: ByHand) -> Made:
+    def _erase(self, corners: Floats, kind: int, is_known: Mask, before: ByHand) -> AppliedEdit:
         keyframes = self._keyframes
         taken: dict[int, ThinnedScan] = {}
         count = 0
@@ -154,13 +158,13 @@ class LiveEdits:
                 count += int(gone.sum())
         self._draw(Drawing(kind, keyframes.count, corners), is_known)
         words = f"{erased_words(corners)}: {counted(count, 'point')} gone"
-        return Made(words, before, False, corners, taken)
+        return AppliedEdit(words, before, False, corners, taken)
 
     def _draw(self, drawing: Drawing, is_known: Mask) -> None:
         known = np.where(is_known[:, None], self._keyframes.map, np.nan)
-        self._keyframes.by_hand = self._keyframes.by_hand.and_drawn(drawing, known)
+        self._keyframes.by_hand = self._keyframes.by_hand.with_drawing(drawing, known)
 
-    def _cut(self, change: Cut, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
+    def _cut(self, change: Cut, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> AppliedEdit:
         """Points, loops and pairs of the key frames are gone. Their poses stay, for odometry leads over them:
         with a bridge as well as it was measured, else as where the vehicle was lost.
         """
@@ -181,21 +185,21 @@ class LiveEdits:
         pairs = np.flatnonzero(is_cut[before.pair_ends].any(axis=1))
         keyframes.by_hand = before.without_pairs(pairs.tolist())
         words = f"cut {counted(len(points), 'key frame')} out, and {counted(len(gone), 'loop')} with them"
-        return Made(words, before, points=points, matched=matched, loops=gone)
+        return AppliedEdit(words, before, points=points, matched=matched, loops=gone)
 
-    def _pair(self, pairs: Sequence[SeenPair], is_known: Mask, before: ByHand) -> Made:
+    def _pair(self, pairs: Sequence[SeenPair], is_known: Mask, before: ByHand) -> AppliedEdit:
         by_hand, number = before, len(before.pair_ends)
         for pair in pairs:
             first, second = self._ends(pair, is_known)
             if first == second:
                 raise EditError("both points of a pair are of one key frame; a pair is of two")
-            by_hand = by_hand.and_paired((first, second), np.array(pair.points_base))
+            by_hand = by_hand.with_point_pair((first, second), np.array(pair.points_base))
         self._keyframes.by_hand = by_hand
         last = number + len(pairs) - 1
         named = f"pair {number}" if len(pairs) == 1 else f"pairs {number} to {last}"
-        return Made(named, before)
+        return AppliedEdit(named, before)
 
-    def _refuse(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
+    def _refuse(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> AppliedEdit:
         of, to = self._ends(change, is_known)
         gone = [loop for loop in loops if (loop.of, loop.to) == (of, to)]
         if not gone:
@@ -209,9 +213,9 @@ class LiveEdits:
                 "join it by a pair of points first, or cut it out"
             )
         self._refusals.add(gone, BY_HAND)
-        return Made(f"took back the loop from key frame {to} to {of}", before, loops=gone)
+        return AppliedEdit(f"took back the loop from key frame {to} to {of}", before, loops=gone)
 
-    def _accept(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> Made:
+    def _accept(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> AppliedEdit:
         """As two pairs of points, which say what it measured."""
         of, to = self._ends(change, is_known)
         refused = self._refusals.arrays(loops)
@@ -220,10 +224,12 @@ class LiveEdits:
             raise EditError(f"no refused loop joins the key frames {of} and {to} any more")
         by_hand = before
         for seen in points_of(refused.measured[found[0]]):
-            by_hand = by_hand.and_paired((of, to), seen)
+            by_hand = by_hand.with_point_pair((of, to), seen)
         self._keyframes.by_hand = by_hand
         number = len(before.pair_ends)
-        return Made(f"accepted the loop from key frame {to} to {of} as pairs {number}, {number + 1}", before)
+        return AppliedEdit(
+            f"accepted the loop from key frame {to} to {of} as pairs {number}, {number + 1}", before
+        )
 
     def _ends(self, change: SeenLoop | SeenPair, is_known: Mask) -> tuple[int, int]:
         of, to = (self._keyframe(int(stamp), is_known) for stamp in change.stamps_ns)
@@ -237,11 +243,11 @@ class LiveEdits:
             )
         return int(found[0])
 
-    def _remove_pair(self, number: int, before: ByHand) -> Made:
+    def _remove_pair(self, number: int, before: ByHand) -> AppliedEdit:
         if number >= (count := len(before.pair_ends)):
             raise EditError(f"there is no pair {number}; the map has {count}, numbered from 0")
         self._keyframes.by_hand = before.without_pairs([number])
-        return Made(f"removed pair {number}", before)
+        return AppliedEdit(f"removed pair {number}", before)
 
 
 def keyframes_near(keyframes: KeyframeList, corners_map: Floats, among: Mask) -> Mask:

@@ -12,16 +12,16 @@ from service.geometry.poses import Floats
 from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
 from service.mapper.edit_requests import ONLY_LOCALISED, EditError, LiveChange
 from service.mapper.graph.gnss.anchoring import Anchoring
-from service.mapper.graph.loops.drawing import Drawing
-from service.mapper.graph.loops.live_edits import LiveEdits, Made, keyframes_near
+from service.mapper.graph.loops.live_edits import AppliedEdit, LiveEdits, keyframes_near
 from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.loops.old_passes import OldPasses, Renumbering
-from service.mapper.graph.loops.passes import stretches_to_search, worth_asking
+from service.mapper.graph.loops.passes import passes_to_search, stretches_to_search
+from service.mapper.graph.loops.picture_schedule import PictureSchedule
 from service.mapper.graph.loops.solution_due import SolutionDue
 from service.mapper.graph.loops.stored_graph import (
     Placement,
     anchor_loop,
-    graph_on_held,
+    graph_on_fixed,
     landmarks_of_pairs,
     saved_graph,
     stored_loops,
@@ -39,7 +39,7 @@ from service.mapper.graph.model.point_clouds import Fit, PointCloud
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph, edge_chi2, to_g2o
 from service.mapper.graph.model.pose_graph_solver import solve
 from service.mapper.graph.model.refusals import Refusals
-from service.mapper.graph.relocalise.detached_search import MAX_STANDING, DetachedSearch
+from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY, DetachedSearch
 from service.mapper.refused_loops import (
     BY_HAND,
     CONTRADICTED,
@@ -82,7 +82,7 @@ class LoopBackEnd:
         self._config = config
         self._renderer = renderer
         self.keyframes = KeyframeList(stored)
-        self._held = self.keyframes.stored if is_localizing else 0
+        self._fixed_count = self.keyframes.stored if is_localizing else 0
         self._is_switched = False  # to localisation, in a session that maps: the map is stored without it
         self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
         self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
@@ -102,7 +102,7 @@ class LoopBackEnd:
         self._old_passes = OldPasses(config, self.keyframes)
         self._edits = LiveEdits(self.keyframes, self._refusals)
         self._anchoring = anchoring or Anchoring()
-        self._drawing = Drawing()
+        self._pictures = PictureSchedule()
 
     def make_ready(self) -> None:
         """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
@@ -117,20 +117,20 @@ class LoopBackEnd:
             geo=anchoring.reference,
             fixes=dict(anchoring.counts),
             place=self._place(),
-            picture=self._drawing.picture(
+            picture=self._pictures.picture(
                 self.keyframes, self._joined, self._loops, self._refusals, is_asked
             ),
         )
         if batch.is_last or batch.request == "checkpoint":
-            held = self._held if self._is_switched else None
-            saved = saved_graph(self.keyframes, self._loops, self._joined, self._refusals, held)
+            fixed_count = self._fixed_count if self._is_switched else None
+            saved = saved_graph(self.keyframes, self._loops, self._joined, self._refusals, fixed_count)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
     def _place(self) -> PlaceNews:
         pieces = self.pieces
         possible = pieces.possible if self._is_detached() else ()
-        return PlaceNews(self._placement.state, possible, pieces.pose_refused, pieces.found_once)
+        return PlaceNews(self._placement.state, possible, pieces.pose_refused, pieces.unconfirmed_place)
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
@@ -143,7 +143,7 @@ class LoopBackEnd:
             return self._set_mode(batch.is_localizing)
         joined = self._look_for_piece() if self._is_detached() else None
         every_m = self._config.keyframe_distance_m if batch.is_last else self._config.search_every_m
-        moved = joined is not None or (batch.change is None and self._look_for_loops(every_m))
+        moved = joined is not None or (batch.change is None and self._search_loops(every_m))
         moved |= self._anchoring.is_due and self._find_anchors()
         if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
@@ -151,13 +151,13 @@ class LoopBackEnd:
             self._refusals.add(gone, BY_HAND)
             moved = True
         has_pairs = len(self.keyframes.by_hand.pair_ends) > 0
-        made, edited = self._edit(batch.change)
-        moved |= made is not None and made.is_bent
+        applied, edited = self._edit(batch.change)
+        moved |= applied is not None and applied.is_bent
         if batch.request == "optimize" and (self._loops or self._anchoring.reference or has_pairs):
             moved = True
         if batch.is_last:
             return self._finish()
-        if self._held:
+        if self._fixed_count:
             self._forget_session()
         elif not self._is_detached():  # else the search waits for it, and nothing new lies in the map
             self._old_passes.forget(self._loops)
@@ -166,49 +166,53 @@ class LoopBackEnd:
             if not self._is_merging and (new := self._old_passes.renumbering(needed)) is not None:
                 self._renumber(new)
         if not moved:
-            drawn = None if made is None else self.render(made.about)
-            return Result(*self._counts, rendered_map=drawn, edited=edited)
+            rendered = None if applied is None else self.render(applied.about)
+            return Result(*self._counts, rendered_map=rendered, edited=edited)
         before = self.keyframes.map.copy()
         disabled = len(self._disabled)
         self._solve()
-        if made is not None:
-            edited = self._edits.answer(made, self._known(), before, len(self._disabled) - disabled)
+        if applied is not None:
+            edited = self._edits.answer(applied, self._known(), before, len(self._disabled) - disabled)
         graph = self._to_solve(is_in_hindsight=True)
-        known = known_pose(self.keyframes, self._joined, graph, self._held)
+        known = known_pose(self.keyframes, self._joined, graph, self._fixed_count)
         if joined is not None or batch.request:
-            self._due.must_draw()
-        drawn = self.render() if self._due.take_drawing() else None
+            self._due.require_rendering()
+        rendered = self.render() if self._due.take_rendering() else None
         newest = self.keyframes.newest_by_piece()
-        return Result(*self._counts, joined, newest, known, drawn, edited=edited)
+        return Result(*self._counts, joined, newest, known, rendered, edited=edited)
 
     def _set_mode(self, is_localizing: bool) -> Result:
         """Hold all that is placed in the map, or let it be moved and extended again."""
         known, counts = self._known(), self._counts
-        held = int(known.sum())
-        if is_localizing and not self._held and (not held or not known[:held].all()):
-            error = "a part of the map has not been placed in the rest yet" if held else "there is no map yet"
+        fixed_count = int(known.sum())
+        if is_localizing and not self._fixed_count and (not fixed_count or not known[:fixed_count].all()):
+            error = (
+                "a part of the map has not been placed in the rest yet"
+                if fixed_count
+                else "there is no map yet"
+            )
             return Result(*counts, edited=EditAnswer(error=error))
-        self._held = (self._held or held) if is_localizing else 0
+        self._fixed_count = (self._fixed_count or fixed_count) if is_localizing else 0
         self._candidates, self._is_switched = [], is_localizing
         self._accepted = [] if is_localizing else self._accepted  # an undo would change the stored map
-        told = {"mode": "localization" if is_localizing else "mapping", "keyframes": self.keyframes.count}
+        reply = {"mode": "localization" if is_localizing else "mapping", "keyframes": self.keyframes.count}
         count = self.keyframes.count + self._old_passes.taken_out
-        return Result(*counts, edited=EditAnswer(told), is_localizing=is_localizing, keyframes=count)
+        return Result(*counts, edited=EditAnswer(reply), is_localizing=is_localizing, keyframes=count)
 
-    def _edit(self, change: LiveChange | None) -> tuple[Made | None, EditAnswer | None]:
+    def _edit(self, change: LiveChange | None) -> tuple[AppliedEdit | None, EditAnswer | None]:
         """What a person changes by hand; None: nothing, or it is refused."""
         if change is None:
             return None, None
         try:
-            if self._held:
+            if self._fixed_count:
                 raise EditError(ONLY_LOCALISED)
-            made, self._loops = self._edits.make(change, self._known(), self._loops)
+            applied, self._loops = self._edits.make(change, self._known(), self._loops)
         except EditError as error:
             return None, EditAnswer(error=str(error))
         self._candidates = []
         self._submaps.clear()
         self.pieces.forget_map()
-        return made, self._edits.answer(made, self._known(), self.keyframes.map)
+        return applied, self._edits.answer(applied, self._known(), self.keyframes.map)
 
     @property
     def _counts(self) -> tuple[int, int]:
@@ -257,15 +261,15 @@ class LoopBackEnd:
         keyframes = self.keyframes
         keyframes.append(frame, keyframes.place_of(frame), thinned(frame, self._config.thin_m))
         if self._is_detached():
-            keyframes.forget_one_standing(MAX_STANDING, self._config)
+            keyframes.forget_stationary(MAX_STATIONARY, self._config)
 
-    def _look_for_loops(self, every_m: float) -> bool:
+    def _search_loops(self, every_m: float) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""
         keyframes = self.keyframes
         if not keyframes.count or keyframes.way_m[-1] - self._searched_m < every_m:
             return False
         self._searched_m = float(keyframes.way_m[-1])
-        self._prove()
+        self._verify_placement()
         for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
             self._refusals.add([found], NOT_SUPPORTED)
@@ -274,7 +278,7 @@ class LoopBackEnd:
         self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
         return self._due.has_news(keyframes, self._loops)
 
-    def _prove(self) -> None:
+    def _verify_placement(self) -> None:
         """Look again whether the session lies where it was found in the stored map."""
         keyframes, last = self.keyframes, self.keyframes.count - 1
         if self._placement.state != "unproven":
@@ -290,11 +294,11 @@ class LoopBackEnd:
         is_near = math.dist(fit.pose[:2], expected[:2]) < LOOP_WINDOW_M
         agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MAX_AGAINST
         if self._placement.seen(float(keyframes.way_m[last]), agrees):
-            self._take_back(int(keyframes.piece[last]))
+            self._revoke_placement(int(keyframes.piece[last]))
 
-    def _take_back(self, piece: int) -> None:
+    def _revoke_placement(self, piece: int) -> None:
         """A piece does not lie where it was found."""
-        self._due.must_draw()
+        self._due.require_rendering()
         self._joined.discard(piece)
         of_piece = self.keyframes.piece == piece
         self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
@@ -321,11 +325,11 @@ class LoopBackEnd:
         if window is None:
             apart &= way < way[reference]
         near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
-        if self._held or self._is_across:
-            near = near[near < (self._held or keyframes.stored)]
+        if self._fixed_count or self._is_across:
+            near = near[near < (self._fixed_count or keyframes.stored)]
         cloud: PointCloud | None = None
         found = []
-        for k in worth_asking(way, near, away_m, reach_m, config.place_m):
+        for k in passes_to_search(way, near, away_m, reach_m, config.place_m):
             submap = self._submaps.about(k)
             if cloud is None:
                 cloud = cloud_of(keyframes, members, reference)
@@ -375,18 +379,18 @@ class LoopBackEnd:
 
     def graph(self, is_in_hindsight: bool = False) -> PoseGraph:
         """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
-        edges = self._steps(is_in_hindsight).and_also(as_edges(self._loops))
+        edges = self._steps(is_in_hindsight).followed_by(as_edges(self._loops))
         pairs = landmarks_of_pairs(self.keyframes)
         if self._anchoring.reference is None:
             return PoseGraph(self.keyframes.map.copy(), edges, *pairs)
         poses = np.vstack((self.keyframes.map, self._anchoring.pose_map_enu))
-        return PoseGraph(poses, edges.and_also(self._anchoring.edges(self.keyframes)), *pairs)
+        return PoseGraph(poses, edges.followed_by(self._anchoring.edges(self.keyframes)), *pairs)
 
     def _to_solve(self, is_in_hindsight: bool = False) -> PoseGraph:
         """The graph, or what of it is not held, behind one pose for all that is."""
-        if not self._held:
+        if not self._fixed_count:
             return self.graph(is_in_hindsight)
-        return graph_on_held(self.keyframes, self._steps(is_in_hindsight), self._loops, self._held)
+        return graph_on_fixed(self.keyframes, self._steps(is_in_hindsight), self._loops, self._fixed_count)
 
     def _steps(self, is_in_hindsight: bool = False) -> Edges:
         edges_of = edges_in_hindsight if is_in_hindsight else odometry_edges
@@ -399,9 +403,9 @@ class LoopBackEnd:
         before = self.keyframes.map.copy()
         for _ in range(3):
             poses = solve(self._to_solve()).poses
-            moving = self.keyframes.map[self._held :]
-            moving[:] = poses[self._held > 0 :][: len(moving)]
-            if self._anchoring.reference is not None and not self._held:
+            moving = self.keyframes.map[self._fixed_count :]
+            moving[:] = poses[self._fixed_count > 0 :][: len(moving)]
+            if self._anchoring.reference is not None and not self._fixed_count:
                 self._anchoring.solved(poses[-1])
             if not self._disable_refuted():
                 break
@@ -424,7 +428,7 @@ class LoopBackEnd:
             self._find_anchors()
         if (self._loops or self._anchoring.reference) and not self._is_merging:
             self._solve()
-        if not self._held:
+        if not self._fixed_count:
             self._search_again()
         if self._loops:
             self._solve()
@@ -459,7 +463,7 @@ class LoopBackEnd:
     def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
         """The shown map, or only a polygon (C, 2) m of it; None where none is drawn."""
         keyframes, renderer, known = self.keyframes, self._renderer, self._known()
-        if renderer is None or self._held:
+        if renderer is None or self._fixed_count:
             return None
         if corners_map is None:
             return renderer.render(to_render(keyframes, known))
@@ -468,17 +472,17 @@ class LoopBackEnd:
 
     def _forget_session(self) -> None:
         """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
-        keyframes, held = self.keyframes, self._held
+        keyframes, fixed_count = self.keyframes, self._fixed_count
         if self._is_detached():
-            keyframes.forget_all(held, keyframes.count - MAX_SESSION)
+            keyframes.forget_all(fixed_count, keyframes.count - MAX_SESSION)
             return
-        last = held + (keyframes.count - held) // 2
-        if keyframes.count - held < MAX_SESSION:
+        last = fixed_count + (keyframes.count - fixed_count) // 2
+        if keyframes.count - fixed_count < MAX_SESSION:
             return
         is_kept = np.ones(keyframes.count, np.bool_)
-        is_kept[held:last] = False
+        is_kept[fixed_count:last] = False
         self._renumber(Renumbering(is_kept))
-        self._loops.append(anchor_loop(keyframes, held))
+        self._loops.append(anchor_loop(keyframes, fixed_count))
 
     def _renumber(self, new: Renumbering) -> None:
         """Only some of the key frames are kept."""

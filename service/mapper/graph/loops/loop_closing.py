@@ -38,12 +38,12 @@ from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.model.background_graph import BackgroundGraph, add_counts
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.relocalise.detached_search import MAX_STANDING
+from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY
 from service.mapper.judgement import sigmas_of
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
-# Of key frames of a piece that is looked for, also while it stands. MAX_STANDING of one spot tell what there
-# is to tell: each one after them comes twice as late as the one before.
+# Between key frames of a detached piece, also at standstill. After MAX_STATIONARY from one spot each
+# interval is twice the one before, at most MAX_DOUBLED times: further scans add no evidence.
 DETACHED_INTERVAL_NS, MAX_DOUBLED = 500_000_000, 4
 
 _NOTHING_ELSE = Batch([])
@@ -84,7 +84,7 @@ class LoopClosing(BackgroundGraph[Result]):
         self._keyframes = 0 if stored is None else len(stored)
         self._is_placed = stored is None
         self._is_localizing = is_localizing
-        self._is_held = is_localizing  # by the config: for as long as this lives
+        self._is_always_localizing = is_localizing  # by the config: for as long as this lives
         self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
         self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
         self._fresh: list[KeyFrame] = []  # not yet sent
@@ -92,9 +92,9 @@ class LoopClosing(BackgroundGraph[Result]):
         self._last: SE2 | None = None  # of the newest key frame
         self._piece = 0  # that the newest scan lies in
         self._last_ns = 0
-        self._spot: SE2 | None = None  # of the first key frame from where the vehicle stands
-        self._standing = 0  # key frames after that one from there
-        self._doubt = (0.0, 0.0)  # since then, as of KeyFrame
+        self._stationary_pose: SE2 | None = None  # of the first key frame from where the vehicle stands
+        self._stationary_count = 0  # key frames after that one from there
+        self._prediction_variance = (0.0, 0.0)  # since then, as of KeyFrame
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._is_unmeasured = False  # nobody measured the way since the newest place that is known
         self._way_m = 0.0  # of those not yet sent
@@ -110,24 +110,27 @@ class LoopClosing(BackgroundGraph[Result]):
     def add(self, scan: MappedScan) -> SE2:
         pose, self._piece = scan.match.motion.pose_odom_base, scan.change.piece
         self._gap_s = max(self._gap_s, scan.elapsed_s)
-        self._is_unmeasured |= scan.is_way_unknown
+        self._is_unmeasured |= scan.is_motion_unmeasured
         sigma_m, sigma_rad = sigmas_of(scan.prior)
-        self._doubt = self._doubt[0] + sigma_m**2, self._doubt[1] + sigma_rad**2
+        self._prediction_variance = (
+            self._prediction_variance[0] + sigma_m**2,
+            self._prediction_variance[1] + sigma_rad**2,
+        )
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
         self._is_looking = is_detached
-        wait_ns = DETACHED_INTERVAL_NS << min(max(self._standing - MAX_STANDING, 0), MAX_DOUBLED)
+        wait_ns = DETACHED_INTERVAL_NS << min(max(self._stationary_count - MAX_STATIONARY, 0), MAX_DOUBLED)
         is_due = self._is_step(pose, self._last) or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:
             if self._last is not None:
                 self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
             self._last, self._last_ns = pose, scan.stamp_ns
-            self._standing += 1
-            if self._is_step(pose, self._spot):
-                self._spot, self._standing = pose, 0
-            self._fresh.append(_key_frame(scan, self._gap_s, self._is_unmeasured, self._doubt))
+            self._stationary_count += 1
+            if self._is_step(pose, self._stationary_pose):
+                self._stationary_pose, self._stationary_count = pose, 0
+            self._fresh.append(_key_frame(scan, self._gap_s, self._is_unmeasured, self._prediction_variance))
             self._keyframes += 1
-            self._gap_s, self._doubt = 0.0, (0.0, 0.0)
+            self._gap_s, self._prediction_variance = 0.0, (0.0, 0.0)
         self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
         if is_keyframe and (self._way_m >= self._config.search_every_m or (is_detached and not self.waiting)):
             self._submit()
@@ -160,7 +163,7 @@ class LoopClosing(BackgroundGraph[Result]):
 
     def _set_pose(self, payload: Mapping[str, Any]) -> Mapping[str, Any]:
         try:
-            asked = PoseRequest.model_validate(payload)
+            requested = PoseRequest.model_validate(payload)
         except ValidationError as error:
             fault = error.errors()[0]
             raise GraphRequestError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
@@ -168,9 +171,9 @@ class LoopClosing(BackgroundGraph[Result]):
             raise GraphRequestError(
                 "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
             )
-        self._standing = 0
-        self._submit(Batch([], "set_pose", pose=(asked.x_m, asked.y_m, asked.theta_rad)))
-        return {"looked_for_at": [asked.x_m, asked.y_m, asked.theta_rad]}
+        self._stationary_count = 0
+        self._submit(Batch([], "set_pose", pose=(requested.x_m, requested.y_m, requested.theta_rad)))
+        return {"looked_for_at": [requested.x_m, requested.y_m, requested.theta_rad]}
 
     def _edit(self, payload: Mapping[str, Any]) -> None:
         """What can be refused at once is; the rest is up to the back end."""
@@ -194,7 +197,7 @@ class LoopClosing(BackgroundGraph[Result]):
         mode = payload.get("mode")
         if mode not in ("mapping", "localization"):
             raise GraphRequestError(f"set_mode: mode is {mode!r}; expected mapping or localization")
-        if mode == "mapping" and self._is_held:
+        if mode == "mapping" and self._is_always_localizing:
             raise GraphRequestError(
                 "set_mode: the config says mode: localization, so nothing of this map is saved; change the "
                 "config and start the service again"
@@ -277,7 +280,9 @@ class LoopClosing(BackgroundGraph[Result]):
         return last is None or pose.is_step_from(last, config.keyframe_distance_m, config.keyframe_turn_rad)
 
 
-def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool, doubt: tuple[float, float]) -> KeyFrame:
+def _key_frame(
+    scan: MappedScan, gap_s: float, is_unmeasured: bool, prediction_variance: tuple[float, float]
+) -> KeyFrame:
     points, match = scan.points, scan.match
     return KeyFrame(
         stamp_ns=scan.stamp_ns,
@@ -293,5 +298,5 @@ def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool, doubt: tuple
         gap_s=gap_s,
         motion_covariance=match.motion.covariance,
         is_unmeasured=is_unmeasured,
-        doubt=doubt,
+        prediction_variance=prediction_variance,
     )

@@ -7,14 +7,14 @@ import numpy.typing as npt
 
 from service.geometry.poses import Floats
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.loops import Loop, untied
+from service.mapper.graph.model.loops import Loop, far_from_loops
 from service.mapper.graph.model.loops_config import LoopsConfig
 
 PASSES = 4  # of a place are asked in one search, the nearest ones
 MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
 
 
-def worth_asking(
+def passes_to_search(
     way_m: Floats, near: npt.NDArray[np.int64], away_m: Floats, reach_m: Floats, place_m: float
 ) -> list[int]:
     """The nearest key frame of each pass; where the window is wider than a sub-map, others beside it.
@@ -23,22 +23,22 @@ def worth_asking(
     near                     (K,) those that a loop may lead to, by rising number
     place_m                  half the way that a sub-map holds
     """
-    asked = nearest_of_passes(way_m, near, away_m, place_m)[:PASSES]
-    for k in list(asked):
+    candidates = nearest_of_passes(way_m, near, away_m, place_m)[:PASSES]
+    for k in list(candidates):
         aside = 1
         while aside * place_m <= reach_m[k]:
             for at_m in (way_m[k] - aside * place_m, way_m[k] + aside * place_m):
                 other = int(near[np.argmin(np.abs(way_m[near] - at_m))])
-                if abs(way_m[other] - at_m) < 0.5 * place_m and other not in asked:
-                    asked.append(other)
+                if abs(way_m[other] - at_m) < 0.5 * place_m and other not in candidates:
+                    candidates.append(other)
             aside += 1
-    return asked
+    return candidates
 
 
 def nearest_of_passes(
     way_m: Floats, near: npt.NDArray[np.int64], away_m: Floats, place_m: float
 ) -> list[int]:
-    """The nearest key frame of each stretch of the way, nearest stretch first; as worth_asking takes them."""
+    """The nearest key frame of each pass, the nearest pass first; arguments as of passes_to_search."""
     if not len(near):
         return []
     breaks = np.flatnonzero(np.diff(way_m[near]) > place_m) + 1
@@ -52,6 +52,6 @@ def stretches_to_search(keyframes: KeyframeList, loops: Sequence[Loop], config: 
     at_m = np.arange(config.place_m + float(way[keyframes.stored]), way[-1], config.search_every_m)
     if len(at_m) > MAX_STRETCHES:
         tied_m = way[[loop.to for loop in loops]] + 0.5 * config.place_m  # ends of the queries
-        at_m = untied(at_m, tied_m, config.search_every_m)
+        at_m = far_from_loops(at_m, tied_m, config.search_every_m)
     last: list[int] = np.unique(np.searchsorted(way, at_m)).tolist()  # key frames may be taken out
     return last

@@ -17,7 +17,7 @@ NEWS_CHI2 = 4.0  # of a loop: two sigmas
 # Of way with loops that agree with the map: each moves it by less than is worth a solution, but an error
 # that grows lap by lap is found by all of them together.
 SOLVE_EVERY_M = 100.0
-DRAW_AT_M = 0.02  # less than half a cell of the shown map
+RENDER_AT_M = 0.02  # less than half a cell of the shown map
 LEVER_M = 10.0  # from a key frame to the walls that it saw
 
 
@@ -28,7 +28,7 @@ class SolutionDue:
         """way_m: at the end of the stored map"""
         self._config = config
         self._solved_m = way_m
-        self._undrawn_m = 0.0
+        self._unrendered_m = 0.0
 
     def has_news(self, keyframes: KeyframeList, loops: Sequence[Loop]) -> bool:
         """Whether one of the newest of these loops would move the map by more than it is itself unsure of, or
@@ -53,15 +53,15 @@ class SolutionDue:
         away_m = np.hypot(*(after - before)[:, :2].T) + LEVER_M * np.abs(
             wrap_angle(after[:, 2] - before[:, 2])
         )
-        self._undrawn_m += float(away_m.max(initial=0.0))
+        self._unrendered_m += float(away_m.max(initial=0.0))
 
-    def must_draw(self) -> None:
+    def require_rendering(self) -> None:
         """There is more or less in the map than before."""
-        self._undrawn_m = math.inf
+        self._unrendered_m = math.inf
 
-    def take_drawing(self) -> bool:
+    def take_rendering(self) -> bool:
         """Whether the map has changed visibly since it was drawn; it is drawn now if it has."""
-        is_due = self._undrawn_m >= DRAW_AT_M
+        is_due = self._unrendered_m >= RENDER_AT_M
         if is_due:
-            self._undrawn_m = 0.0
+            self._unrendered_m = 0.0
         return is_due

@@ -56,15 +56,15 @@ def saved_graph(
     loops: Sequence[Loop],
     joined: Collection[int],
     refusals: Refusals,
-    held: int | None = None,
+    fixed_count: int | None = None,
 ) -> SavedGraph:
     """The key frames whose place in the map is known, and the loops between them.
 
     held   only of the first so many; None: of all
     """
     is_known = np.isin(keyframes.piece, list(joined))
-    if held is not None:
-        is_known[held:] = False
+    if fixed_count is not None:
+        is_known[fixed_count:] = False
     by_hand = keyframes.by_hand
     if not is_known.all():
         by_hand = by_hand.without_keyframes(is_known, keyframes.map)
@@ -128,32 +128,34 @@ def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
     return se2.points_from(keyframes.map[ends], xy).mean(axis=1), sightings
 
 
-def graph_on_held(keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], held: int) -> PoseGraph:
+def graph_on_fixed(
+    keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], fixed_count: int
+) -> PoseGraph:
     """The key frames from `held` on, where those before stay as they are, behind one pose for all of these.
 
     A loop to a held key frame measures against that one's place.
     """
-    own = (odometry.of >= held) & (odometry.to >= held)
-    seen = as_edges([loop for loop in loops if loop.to >= held])
-    is_held = seen.of < held
+    own = (odometry.of >= fixed_count) & (odometry.to >= fixed_count)
+    seen = as_edges([loop for loop in loops if loop.to >= fixed_count])
+    is_fixed = seen.of < fixed_count
     measured = seen.measured.copy()
-    measured[is_held] = se2.compose(keyframes.map[seen.of[is_held]], seen.measured[is_held])
+    measured[is_fixed] = se2.compose(keyframes.map[seen.of[is_fixed]], seen.measured[is_fixed])
     edges = Edges(
-        odometry.of[own] - held + 1,
-        odometry.to[own] - held + 1,
+        odometry.of[own] - fixed_count + 1,
+        odometry.to[own] - fixed_count + 1,
         odometry.measured[own],
         odometry.covariance[own],
         odometry.kernel_width[own],
-    ).and_also(
+    ).followed_by(
         Edges(
-            np.where(is_held, 0, seen.of - held + 1),
-            seen.to - held + 1,
+            np.where(is_fixed, 0, seen.of - fixed_count + 1),
+            seen.to - fixed_count + 1,
             measured,
             seen.covariance,
             seen.kernel_width,
         )
     )
-    poses = np.vstack((np.zeros(3), keyframes.map[held:]))
+    poses = np.vstack((np.zeros(3), keyframes.map[fixed_count:]))
     return PoseGraph(poses, edges)
 
 

@@ -91,10 +91,10 @@ class CandidateSubmap:
             )
             for k in self.members
         ]
-        whole = joined(self._clouds)
-        self._xy = whole.xy
-        self._surfels = SurfelSet(whole)
-        self._knows_space = False
+        merged = joined(self._clouds)
+        self._xy = merged.xy
+        self._surfels = SurfelSet(merged)
+        self._is_traced = False
 
     def search(
         self,
@@ -166,8 +166,8 @@ class CandidateSubmap:
                 )
 
     def _free(self) -> OccupancyGrid:
-        if not self._knows_space:
-            self._knows_space = True
+        if not self._is_traced:
+            self._is_traced = True
             self._trace()
         evidence, touched, changed = self._space.pool.arrays
         return OccupancyGrid(self._space.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]

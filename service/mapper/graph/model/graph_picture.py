@@ -36,15 +36,15 @@ def draw(
     """
     xy = xy_map.astype(np.float32)
     every = -(-len(xy) // MAX_KEYFRAMES)
-    ways = []
+    paths = []
     for number in np.unique(stretch[stretch >= 0]).tolist():
         members = np.flatnonzero(stretch == number)
         kept = members[::every] if every else members
-        ways.append(xy[kept if kept[-1] == members[-1] else np.append(kept, members[-1])])
+        paths.append(xy[kept if kept[-1] == members[-1] else np.append(kept, members[-1])])
     known = stretch >= 0
     return GraphPicture(
         stamp_ns,
-        ways,
+        paths,
         _ends(xy, accepted, known),
         _ends(xy, refused, known),
         [border.astype(np.float32) for border in borders[-MAX_BORDERS:]],

@@ -8,20 +8,20 @@ import numpy as np
 from service.geometry.poses import Floats
 from service.mapper.graph.model.pose_graph import PoseGraph, SolverConfig, bearing_range
 
-HELD_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
+FIXED_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
 ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
 MIN_FACTOR_RANGE_M = 1.0  # a point nearer than this is seen by the helper
 
 
-def solve_held(
-    graph: PoseGraph, held: list[int], config: SolverConfig, covariances_of: Sequence[int]
+def solve_with_fixed(
+    graph: PoseGraph, fixed_poses: list[int], config: SolverConfig, covariances_of: Sequence[int]
 ) -> tuple[Floats, Floats, dict[int, Floats]]:
     """Poses (N, 3) m and rad, landmarks (L, 2) m, and covariances (3, 3) by pose asked for.
 
     held   the poses that stay where the guess has them
     Raises what GTSAM raises: RuntimeError.
     """
-    factors, values = _factors(graph, held)
+    factors, values = _factors(graph, fixed_poses)
     values = _optimise(factors, values, config)
     poses, landmarks = _read(graph, values)
     marginals = gtsam.Marginals(factors, values) if len(covariances_of) else None
@@ -41,7 +41,7 @@ def marginal_of(graph: PoseGraph, k: int) -> Floats:
     return np.asarray(bayes_tree.marginalCovariance(k))
 
 
-def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
@@ -49,8 +49,8 @@ def _factors(graph: PoseGraph, held: list[int]) -> tuple[gtsam.NonlinearFactorGr
         values.insert(k, gtsam.Pose2(*pose))
     for k, xy in enumerate(graph.landmarks):
         values.insert(pose_count + k, xy)
-    tight = gtsam.noiseModel.Isotropic.Sigma(3, HELD_SIGMA)
-    for k in held:
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, FIXED_SIGMA)
+    for k in fixed_poses:
         factors.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(*graph.poses[k]), tight))
     noise = _Noise()
     edges = graph.edges

@@ -41,7 +41,7 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
 
 
 def known_pose(
-    keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, held: int
+    keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, fixed_count: int
 ) -> KnownPose | None:
     """The newest key frame whose piece has a known place in the map; None: there is none, or the motion model
     says nothing of it.
@@ -53,5 +53,5 @@ def known_pose(
     if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():
         return None
     k = int(placed[-1])
-    covariance = covariance_of(graph, k - max(held - 1, 0))
+    covariance = covariance_of(graph, k - max(fixed_count - 1, 0))
     return KnownPose(SE2(*keyframes.odom[k].tolist()), keyframes.motion_covariance[k].copy(), covariance)

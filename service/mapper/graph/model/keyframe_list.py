@@ -38,7 +38,7 @@ class KeyFrame:
     motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
     is_unmeasured: bool = False  # nobody measured the way from the newest key frame of a known place to here
     # m^2, rad^2: by how much it may be off the key frame before where its match is wrong, by the predictions
-    doubt: tuple[float, float] = (math.inf, math.inf)
+    prediction_variance: tuple[float, float] = (math.inf, math.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ class ThinnedScan:
 
 
 # Of KeyframeList, one row a key frame
-ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_doubt")
+ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_prediction_variance")
 
 
 def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
@@ -76,7 +76,7 @@ class KeyframeList:
         self._numbers = np.zeros((64, 7))
         self._covariance = np.zeros((64, 3, 3))
         self._motion_covariance = np.zeros((64, 3, 3))
-        self._doubt = np.zeros((64, 2))
+        self._prediction_variance = np.zeros((64, 2))
         self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
@@ -101,7 +101,7 @@ class KeyframeList:
         ).astype(np.float64)
         self._covariance = stored.covariance.copy()
         self._motion_covariance = np.full_like(stored.covariance, np.nan)
-        self._doubt = np.full((len(stored), 2), np.inf)
+        self._prediction_variance = np.full((len(stored), 2), np.inf)
         self.stamps_ns = stored.stamp_ns.tolist()
         ends = np.cumsum(stored.point_count)[:-1]
         self.thinned = [
@@ -177,9 +177,9 @@ class KeyframeList:
         return self._motion_covariance[: self.count]
 
     @property
-    def doubt(self) -> Floats:
+    def prediction_variance(self) -> Floats:
         """(N, 2) m^2, rad^2 of each one, as in KeyFrame."""
-        return self._doubt[: self.count]
+        return self._prediction_variance[: self.count]
 
     def place_of(self, frame: KeyFrame) -> Floats:
         """(3,) where a further one lies, by the odometry since the newest one of its piece; of a piece that
@@ -219,7 +219,7 @@ class KeyframeList:
         self._covariance[k] = frame.covariance
         known = frame.motion_covariance
         self._motion_covariance[k] = np.nan if known is None else known
-        self._doubt[k] = frame.doubt
+        self._prediction_variance[k] = frame.prediction_variance
         if frame.is_unmeasured:
             self.unmeasured.add(frame.piece)
         self.stamps_ns.append(frame.stamp_ns)
@@ -273,7 +273,7 @@ class KeyframeList:
         for k in first + np.flatnonzero(self.has_points[first : max(first, last)]):
             self.forget(int(k))
 
-    def forget_one_standing(self, most: int, config: LoopsConfig) -> None:
+    def forget_stationary(self, most: int, config: LoopsConfig) -> None:
         """Forget the one before the newest `most`, if the one kept before it is of the same spot and piece.
 
         While a piece is looked for, key frames are made where the vehicle stands, too.

@@ -47,7 +47,7 @@ def loop_of(
     return Loop(of, to, pose, turn @ covariance @ turn.T + FLOOR, share, points, against)
 
 
-def untied(at_m: Floats, tied_m: Floats, within_m: float) -> Floats:
+def far_from_loops(at_m: Floats, tied_m: Floats, within_m: float) -> Floats:
     """Those of the places along the way (M,) m that lie farther than that from all that are tied, (L,) m."""
     tied_m = np.concatenate(([-math.inf], np.sort(tied_m), [math.inf]))
     k = np.searchsorted(tied_m, at_m)

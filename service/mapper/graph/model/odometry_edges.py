@@ -12,14 +12,14 @@ from service.mapper.known_pose import covariance_added
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
 # m^2, rad^2: of a step that was not matched, where no motion model says how well it is known
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
-MAX_DOUBT = (0.09, 0.09)  # m^2, rad^2: ... added at most where an end hardly lies on the map
+MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: ... added at most where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
 # ... into a piece, where no scan was missing, so that nobody carried the vehicle; added to the motion model's
 PIECE_COVARIANCE = np.diag([1.0, 1.0, 0.01])
-AWAY_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
+MAX_SCAN_GAP_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
 MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
-DOUBTFUL_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
+POOR_MATCH_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
 
 
 def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
@@ -28,21 +28,23 @@ def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     return lost[1:] | lost[:-1]
 
 
-def doubtful_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
+def poor_match_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
-    doubtful = _are_doubtful(keyframes)
+    doubtful = _are_poor_matches(keyframes)
     return doubtful[1:] | doubtful[:-1]
 
 
-def _are_doubtful(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
+def _are_poor_matches(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     score = keyframes.score
-    doubtful: npt.NDArray[np.bool_] = score < DOUBTFUL_SHARE * np.median(score)
+    doubtful: npt.NDArray[np.bool_] = score < POOR_MATCH_SHARE * np.median(score)
     return doubtful
 
 
-def _doubt(keyframes: KeyframeList) -> Floats:
+def _prediction_covariance(keyframes: KeyframeList) -> Floats:
     """(N - 1, 3, 3) what is added to steps: a match in doubt is known as well as the predictions alone."""
-    each = _are_doubtful(keyframes)[:, None] * np.minimum(keyframes.doubt, MAX_DOUBT)
+    each = _are_poor_matches(keyframes)[:, None] * np.minimum(
+        keyframes.prediction_variance, MAX_PREDICTION_VARIANCE
+    )
     step = np.maximum(each[1:], each[:-1])
     return np.asarray(np.eye(3) * step[:, [0, 0, 1], None])
 
@@ -57,14 +59,18 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     edges, is_into_piece = matched_steps(keyframes, step_m)
     covariance, is_lost = edges.covariance, lost_steps(keyframes)
     then, now = keyframes.motion_covariance[edges.of], keyframes.motion_covariance[edges.to]
-    said = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_piece | is_by_motion)
-    covariance[said] = covariance_added(then[said], now[said], edges.measured[said])
-    covariance[said] += MIN_EDGE_COVARIANCE if is_by_motion else STEP_FLOOR
+    is_by_model = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_piece | is_by_motion)
+    covariance[is_by_model] = covariance_added(
+        then[is_by_model], now[is_by_model], edges.measured[is_by_model]
+    )
+    covariance[is_by_model] += MIN_EDGE_COVARIANCE if is_by_motion else STEP_FLOOR
     # What was not matched cannot be a wrong match.
-    covariance += np.where((said & is_lost)[:, None, None], 0.0, _doubt(keyframes))
+    covariance += np.where((is_by_model & is_lost)[:, None, None], 0.0, _prediction_covariance(keyframes))
     covariance[is_into_piece] += PIECE_COVARIANCE
-    is_away = (keyframes.gap_s[1:] > AWAY_S) | np.isin(keyframes.piece[1:], [*keyframes.unmeasured])
-    covariance[is_into_piece & (is_away | ~said)] = UNKNOWN_COVARIANCE
+    is_unmeasured = (keyframes.gap_s[1:] > MAX_SCAN_GAP_S) | np.isin(
+        keyframes.piece[1:], [*keyframes.unmeasured]
+    )
+    covariance[is_into_piece & (is_unmeasured | ~is_by_model)] = UNKNOWN_COVARIANCE
     return edges
 
 

@@ -13,9 +13,9 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.odometry_edges import (
     UNKNOWN_COVARIANCE,
-    doubtful_steps,
     lost_steps,
     odometry_edges,
+    poor_match_steps,
 )
 from service.mapper.known_pose import carried
 
@@ -29,7 +29,7 @@ UNMODELLED_SHARE = 0.003
 # would bend the map by no more than the way may have drifted by, and things that look alike lie farther apart
 # than 3.5 sigma.
 NEAR_SIGMA_M = 0.3
-LOST_M, DOUBTFUL_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
+LOST_M, POOR_MATCH_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
 LOOP_M = 1.0  # what going over a loop counts in the length of a path
 
 
@@ -69,8 +69,8 @@ class PathDrift:
         """(3, 3) of the way from `of` to a later `to`, in the axes of `to`."""
         odom = self._keyframes.odom
         if len(self._covariance) != len(odom) - 1:
-            self._ask_steps()
-        ends, begun_at = self._way_back(loop.of, loop.to)
+            self._update_steps()
+        ends, begun_at = self._path_steps(loop.of, loop.to)
         steps = ends - 1
         way = carried(self._covariance[steps], se2.between(odom[ends], odom[loop.to])).sum(axis=0)
         way += (begun_at != loop.of) * UNKNOWN_COVARIANCE
@@ -78,7 +78,7 @@ class PathDrift:
         unmodelled_m = UNMODELLED_SHARE * np.hypot(driven[:, 0], driven[:, 1]).sum()
         return np.asarray(way + unmodelled_m**2 * np.diag([1.0, 1.0, 0.0]))
 
-    def _way_back(self, of: int, to: int) -> tuple[npt.NDArray[np.int64], int]:
+    def _path_steps(self, of: int, to: int) -> tuple[npt.NDArray[np.int64], int]:
         """Key frames that the steps from `of` to `to` end at, and the one that the first of them begins at.
 
         Pieces beside the way are none of it; where `of` lies in one of them, the way begins before it.
@@ -89,7 +89,7 @@ class PathDrift:
             to = int(self._before[to - 1])
         return np.array(ends[::-1], np.int64), to
 
-    def _ask_steps(self) -> None:
+    def _update_steps(self) -> None:
         edges = odometry_edges(self._keyframes, self._step_m, is_by_motion=True)
         motion = self._keyframes.motion_covariance
         is_known = np.isfinite(motion[edges.of] + motion[edges.to]).all(axis=(1, 2))
@@ -104,6 +104,6 @@ def lengths_from(keyframes: KeyframeList, loops: Sequence[Loop], k: int) -> Floa
     length_m = np.empty(len(way))
     of = np.array([loop.of for loop in loops], np.int64)
     to = np.array([loop.to for loop in loops], np.int64)
-    step_m = np.diff(way) + DOUBTFUL_M * doubtful_steps(keyframes) + LOST_M * lost_steps(keyframes)
+    step_m = np.diff(way) + POOR_MATCH_M * poor_match_steps(keyframes) + LOST_M * lost_steps(keyframes)
     path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
     return length_m

@@ -42,7 +42,7 @@ class Edges:
     covariance: Floats
     kernel_width: Floats
 
-    def and_also(self, more: "Edges") -> "Edges":
+    def followed_by(self, more: "Edges") -> "Edges":
         """These edges, and behind them others."""
         return Edges(
             *(np.concatenate((getattr(self, name), getattr(more, name))) for name in Edges.__slots__)

@@ -35,12 +35,12 @@ def solve(
     """
     config = config or SolverConfig()
     _check(graph)
-    held = _held(graph)
+    fixed_poses = _fixed_poses(graph)
     # Imported here, for only a process that solves is to pay for it: 40 MB, and 0.35 s.
-    from service.mapper.graph.model.gtsam_solver import solve_held
+    from service.mapper.graph.model.gtsam_solver import solve_with_fixed
 
     try:
-        poses, landmarks, covariances = solve_held(graph, held, config, covariances_of)
+        poses, landmarks, covariances = solve_with_fixed(graph, fixed_poses, config, covariances_of)
     except RuntimeError as error:
         raise GraphError(f"pose graph: {_size(graph)} cannot be solved: {_first_line(error)}") from error
     if not (np.isfinite(poses).all() and np.isfinite(landmarks).all()):
@@ -64,13 +64,13 @@ def covariance_of(graph: PoseGraph, k: int) -> Floats:
     from service.mapper.graph.model.gtsam_solver import marginal_of
 
     try:
-        found = marginal_of(replace(graph, edges=edges.and_also(missing)), k)
+        found = marginal_of(replace(graph, edges=edges.followed_by(missing)), k)
     except RuntimeError as error:
         raise GraphError(f"pose graph: pose {k} has no covariance: {_first_line(error)}") from error
     return np.asarray(0.5 * (found + found.T), np.float64)
 
 
-def _held(graph: PoseGraph) -> list[int]:
+def _fixed_poses(graph: PoseGraph) -> list[int]:
     """The fixed pose, and the first pose of every group that hangs together with it by nothing."""
     count = len(graph.poses)
     pairs = zip(

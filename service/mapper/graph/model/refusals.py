@@ -49,8 +49,8 @@ class Refusals:
 
     def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
         """Those that were not accepted after all."""
-        held = {(loop.of, loop.to) for loop in accepted}
-        left = [one for ends, one in self._by_ends.items() if ends not in held]
+        accepted_ends = {(loop.of, loop.to) for loop in accepted}
+        left = [one for ends, one in self._by_ends.items() if ends not in accepted_ends]
         return RefusedLoops(
             np.array([(loop.of, loop.to) for loop, _ in left], np.int64).reshape(-1, 2),
             np.array([loop.measured for loop, _ in left], np.float64).reshape(-1, 3),

@@ -15,7 +15,7 @@ from service.mapper.graph.model.point_clouds import PointCloud, joined
 
 # Walls far off tell places apart that are alike nearby. There a heading that is off by 0.04 deg moves a
 # point by the noise of a wall.
-WEIGHED_M = 30.0
+EVIDENCE_RANGE_M = 30.0
 SEEN_CELL_M = 0.2  # edge of a cell in which key frames see the same
 
 
@@ -41,7 +41,7 @@ def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) 
     clouds, sensors, number = [], [], []
     for n, k in enumerate(members):
         step = se2.between(odom[reference], odom[k])
-        clouds.append(seen_by(keyframes, k, WEIGHED_M).transformed(step))
+        clouds.append(seen_by(keyframes, k, EVIDENCE_RANGE_M).transformed(step))
         count = len(clouds[-1].xy)
         sensors.append(np.tile(se2.points_from(step, np.array(keyframes.thinned[k].sensor_xy_m)), (count, 1)))
         number.append(np.full(count, n))

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.components import FoundOnce, PossiblePlace
+from service.mapper.components import PossiblePlace, UnconfirmedPlace
 from service.mapper.graph.model.candidate_submap import (
     MIN_LOOP_SCORE,
     CandidateSubmap,
@@ -18,20 +18,20 @@ from service.mapper.graph.model.candidate_submap import (
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop, loop_of
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.odometry_edges import AWAY_S
+from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
-from service.mapper.graph.model.seen_cloud import WEIGHED_M, SeenCloud, seen_cloud
+from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
 from service.mapper.graph.relocalise.known_map import Aligned, KnownMap, Weight
 from service.mapper.graph.relocalise.odometry_prior import (
-    DROVE,
-    DROVE_MEASURED,
-    DROVE_SEEN,
-    FOUND_COVARIANCE,
+    ODOMETRY_PROBABILITY_CONTINUOUS,
+    ODOMETRY_PROBABILITY_MEASURED,
+    ODOMETRY_PROBABILITY_UNMEASURED,
+    SEARCH_COVARIANCE,
     OdometryPrior,
     places_in,
 )
 from service.mapper.graph.relocalise.place_search import (
-    BEHIND_NATS,
+    REFINE_MARGIN_NATS,
     SAME_PLACE_M,
     find_places,
     is_same_place,
@@ -41,10 +41,10 @@ from service.mapper.known_pose import KnownPose, covariance_added
 
 AROUND_M, MAX_KEYFRAMES_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
 MAX_QUERY = 12  # key frames of a piece that are looked for together
-MAX_STANDING = 3  # of them, besides the first, of one spot, which see the same
+MAX_STATIONARY = 3  # of them, besides the first, of one spot, which see the same
 # Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
 # a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
-CLEARLY_LIKELIER, FOR_UNEXPLAINED = 20.0, 0.5
+MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
 MAX_OFF_M, MAX_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
 NEARBY_M = 10.0  # steps in which the part of the map that a piece may lie in follows the vehicle
 MIN_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
@@ -99,7 +99,7 @@ class DetachedSearch:
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.possible: list[PossiblePlace] = []  # of the newest piece, as in PlaceNews
-        self._asked: SeenCloud | None = None  # of the newest search
+        self._query: SeenCloud | None = None  # of the newest search
         self._places: list[CandidatePose] = []  # that it found
 
     def expect_at(self, pose_map_base: Floats) -> None:
@@ -121,7 +121,7 @@ class DetachedSearch:
         self._known_map = self._hypothesis = None
 
     @property
-    def found_once(self) -> FoundOnce | None:
+    def unconfirmed_place(self) -> UnconfirmedPlace | None:
         """Where a piece lies if the newest find is right; None: there is none, or the piece is placed.
 
         Nor is it told where dead reckoning leads elsewhere and what is seen does not contradict that, or
@@ -134,9 +134,9 @@ class DetachedSearch:
         known = KnownPose(
             SE2(*keyframes.odom[k].tolist()),
             keyframes.motion_covariance[k].copy(),
-            one.loop.covariance + FOUND_COVARIANCE,
+            one.loop.covariance + SEARCH_COVARIANCE,
         )
-        return FoundOnce(one.piece, SE2(*one.pose_map_odom.tolist()), known)
+        return UnconfirmedPlace(one.piece, SE2(*one.pose_map_odom.tolist()), known)
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Move the newest piece to where it lies, and give the loops that say so; None: nothing is sure.
@@ -176,7 +176,7 @@ class DetachedSearch:
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
-        way_m, is_disputed = float(keyframes.way_m[reference]), self._may_be_at(prior)
+        way_m, is_disputed = float(keyframes.way_m[reference]), self._allows_dead_reckoning(prior)
         is_second = prior is not None and prior.explains(at)
         old = self._hypothesis
         agrees = old is not None and is_same_place(
@@ -200,11 +200,11 @@ class DetachedSearch:
         self._place(piece, new.pose_map_odom)
         return old.loop, new.loop
 
-    def _may_be_at(self, prior: OdometryPrior | None) -> bool:
+    def _allows_dead_reckoning(self, prior: OdometryPrior | None) -> bool:
         """Whether what was asked for last does not contradict where dead reckoning leads."""
-        if prior is None or prior.is_vague or self._asked is None or self._known_map is None:
+        if prior is None or prior.is_vague or self._query is None or self._known_map is None:
             return False
-        return self._known_map.align(self._asked, prior.pose).weight.evidence > -CLEARLY_LIKELIER
+        return self._known_map.align(self._query, prior.pose).weight.evidence > -MIN_MARGIN_NATS
 
     def _is_possible(self, reference: int) -> bool:
         """Whether the newest find is one of the places that are possible now."""
@@ -219,9 +219,9 @@ class DetachedSearch:
         Walls on new ground stand as in the rest of the building. The more places were searched, the more of
         them fit by chance; so as many times likelier must this one be than ground that nobody knows.
         """
-        assert self._asked is not None
+        assert self._query is not None
         assert self._known_map is not None
-        nats = self._known_map.structure(self._asked, at)
+        nats = self._known_map.structure(self._query, at)
         nats += 0.0 if prior is None else prior.nats(at)
         least = math.log(places_in(2.0 * math.pi * self._known_map.area_m2) / MAX_CHANCE)
         if nats < least:
@@ -242,10 +242,10 @@ class DetachedSearch:
             self._known_map = KnownMap(self._keyframes, known)
         return self._known_map
 
-    def _place(self, piece: int, pose_map_odom: Floats, is_as_said: bool = False) -> None:
+    def _place(self, piece: int, pose_map_odom: Floats, is_set_by_operator: bool = False) -> None:
         keyframes = self._keyframes
-        if self._expected is not None and not is_as_said:
-            self._give_up_expected(piece)
+        if self._expected is not None and not is_set_by_operator:
+            self._reject_expected(piece)
         mine = keyframes.piece == piece
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
         self._hypothesis = self._expected = self._known_map = None
@@ -265,7 +265,7 @@ class DetachedSearch:
         only_winners   refine none where none can be likelier than new ground
         """
         seen = seen_cloud(self._keyframes, own, reference)
-        self._asked = seen
+        self._query = seen
         at_m = self._keyframes.map[reference, :2]
 
         def is_in_reach(pose: Floats) -> bool:
@@ -295,19 +295,21 @@ class DetachedSearch:
             return None
         region = 2.0 * math.pi * self._map_of(known).area_m2
         pose = se2.compose(keyframes.map[last], step)
-        drove = DROVE_MEASURED if math.isinf(reach_m) else DROVE_SEEN
+        probability = (
+            ODOMETRY_PROBABILITY_MEASURED if math.isinf(reach_m) else ODOMETRY_PROBABILITY_CONTINUOUS
+        )
         if int(keyframes.piece[reference]) in keyframes.unmeasured:
-            drove = DROVE
-        return OdometryPrior(pose, covariance_added(then, now, step), region, drove)
+            probability = ODOMETRY_PROBABILITY_UNMEASURED
+        return OdometryPrior(pose, covariance_added(then, now, step), region, probability)
 
-    def ahead_of_others(self, pose_map: Floats) -> float:
+    def evidence_margin(self, pose_map: Floats) -> float:
         """Nats by which the pose (3,) in the map is likelier than every other place that the newest search
         found; inf where it found none, nan before the first. Where the pose is the truth and this is below 0,
         what was seen cannot tell it.
         """
-        if self._asked is None or self._known_map is None:
+        if self._query is None or self._known_map is None:
             return math.nan
-        seen, known_map = self._asked, self._known_map
+        seen, known_map = self._query, self._known_map
         here = known_map.refine(seen, known_map.align(seen, pose_map)).weight
         others = [p.weight.evidence for p in self._places if not is_same_place(p.pose, pose_map)]
         return here.evidence - max(others, default=-math.inf)
@@ -329,14 +331,14 @@ class DetachedSearch:
         if self._is_session_placed and best.weight.evidence < margin:
             return None
         for other in found:
-            ahead = best.evidence - other.evidence
+            log_ratio = best.evidence - other.evidence
             # Beside the best place the same is unexplained, so it says nothing there.
-            least = CLEARLY_LIKELIER if is_same_place(best.pose, other.pose) else margin
-            if ahead >= least and other.loop is not None:
-                ahead, least = self._ahead_where_known(best, other), CLEARLY_LIKELIER
-            if ahead >= least or is_same_pose(best.pose, other.pose):
+            least = MIN_MARGIN_NATS if is_same_place(best.pose, other.pose) else margin
+            if log_ratio >= least and other.loop is not None:
+                log_ratio, least = self._log_ratio_where_known(best, other), MIN_MARGIN_NATS
+            if log_ratio >= least or is_same_pose(best.pose, other.pose):
                 continue
-            if self._ahead_by_structure(best, other) < CLEARLY_LIKELIER:
+            if self._log_ratio_by_structure(best, other) < MIN_MARGIN_NATS:
                 self.possible = [
                     PossiblePlace(float(place.pose[0]), float(place.pose[1]), place.evidence)
                     for place in (best, other)
@@ -344,23 +346,23 @@ class DetachedSearch:
                 return None
         return best.pose, best.loop
 
-    def _ahead_by_structure(self, best: CandidatePose, other: CandidatePose) -> float:
+    def _log_ratio_by_structure(self, best: CandidatePose, other: CandidatePose) -> float:
         """Nats by which walls and things say that a place is likelier than another one, each of them once;
         0 where both are of one room, or nothing was searched for.
         """
-        if self._asked is None or self._known_map is None or is_same_place(best.pose, other.pose):
+        if self._query is None or self._known_map is None or is_same_place(best.pose, other.pose):
             return 0.0
-        of_best, of_other = (self._known_map.structure(self._asked, place.pose) for place in (best, other))
+        of_best, of_other = (self._known_map.structure(self._query, place.pose) for place in (best, other))
         return of_best + best.prior - of_other - other.prior
 
-    def _ahead_where_known(self, best: CandidatePose, other: CandidatePose) -> float:
+    def _log_ratio_where_known(self, best: CandidatePose, other: CandidatePose) -> float:
         """Nats by which a place is likelier than another one at which enough fits; inf where both are of one
         room, or nothing was searched for.
         """
-        if self._asked is None or self._known_map is None or is_same_place(best.pose, other.pose):
+        if self._query is None or self._known_map is None or is_same_place(best.pose, other.pose):
             return math.inf
-        ahead = self._known_map.ahead_where_known(self._asked, best.pose, other.pose)
-        return ahead + best.prior - other.prior
+        log_ratio = self._known_map.log_ratio_where_known(self._query, best.pose, other.pose)
+        return log_ratio + best.prior - other.prior
 
     def _find_expected(self, piece: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest piece where a person has said, if it fits there; gives up after some tries."""
@@ -381,14 +383,14 @@ class DetachedSearch:
         self._tries -= 1
         if loop is None:
             if self._tries == 0:
-                self._give_up_expected(piece)
+                self._reject_expected(piece)
             return None
         found = se2.compose(keyframes.map[submap.reference], loop.measured)
         pose_map_odom = se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3)))
-        self._place(piece, pose_map_odom, is_as_said=True)
+        self._place(piece, pose_map_odom, is_set_by_operator=True)
         return (loop,)
 
-    def _give_up_expected(self, piece: int) -> None:
+    def _reject_expected(self, piece: int) -> None:
         assert self._expected is not None
         x_m, y_m, theta_rad = self._expected.tolist()
         self._expected, self._refused_piece, self.pose_refused = None, piece, (x_m, y_m, theta_rad)
@@ -418,11 +420,11 @@ class DetachedSearch:
         walls that leave a direction open, dead reckoning says where.
         """
         fit, weight = aligned.fit, aligned.weight
-        is_led = prior is not None and prior.explains(fit.pose)
-        if prior is not None and is_led:
+        is_at_dead_reckoning = prior is not None and prior.explains(fit.pose)
+        if prior is not None and is_at_dead_reckoning:
             fit = prior.joined(fit)
         nats = 0.0 if prior is None else prior.nats(fit.pose)
-        if not (is_led or _fits(weight.on_map, weight.against)):
+        if not (is_at_dead_reckoning or _fits(weight.on_map, weight.against)):
             return CandidatePose(fit.pose, weight, None, nats)
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
@@ -442,7 +444,7 @@ class DetachedSearch:
         keyframes = self._keyframes
         first = int(np.flatnonzero(keyframes.piece == piece)[0])
         is_anywhere = not self._is_session_placed or piece in keyframes.unmeasured
-        if is_anywhere or keyframes.gap_s[first] > AWAY_S:
+        if is_anywhere or keyframes.gap_s[first] > MAX_SCAN_GAP_S:
             return math.inf
         return MAX_OFF_M + MAX_OFF_SHARE * float(keyframes.way_m[reference] - keyframes.way_m[first])
 
@@ -454,7 +456,7 @@ class DetachedSearch:
             return known
         poses = self._keyframes.map
         middle = NEARBY_M * np.round(poses[reference, :2] / NEARBY_M)
-        most_m = NEARBY_M * (math.ceil((reach_m + WEIGHED_M) / NEARBY_M) + 1)
+        most_m = NEARBY_M * (math.ceil((reach_m + EVIDENCE_RANGE_M) / NEARBY_M) + 1)
         is_near: npt.NDArray[np.bool_] = np.hypot(*(poses[known, :2] - middle).T) <= most_m
         return known[is_near]
 
@@ -464,15 +466,16 @@ def _fits(on_map: float, against: float) -> bool:
     return on_map >= MIN_ON_MAP and on_map >= MIN_AGREEING * (on_map + against)
 
 
-def _margin(unexplained: float, is_led: bool) -> float:
-    """Nats by which a place must be likelier than others. is_led: dead reckoning leads there, so what is not
-    explained is new ground.
+def _margin(unexplained: float, is_at_dead_reckoning: bool) -> float:
+    """Nats by which the evidence of a place must exceed that of others.
+
+    is_at_dead_reckoning: dead reckoning confirms the place, so what the map does not explain is new ground.
     """
-    return CLEARLY_LIKELIER + (0.0 if is_led else FOR_UNEXPLAINED * unexplained)
+    return MIN_MARGIN_NATS + (0.0 if is_at_dead_reckoning else UNEXPLAINED_SHARE * unexplained)
 
 
 def _could_win(one: Aligned, prior: OdometryPrior | None) -> bool:
-    """Whether a candidate may be likelier than new ground, once refined: by BEHIND_NATS at most."""
-    unexplained = max(one.weight.unexplained - BEHIND_NATS, 0.0)
+    """Whether a candidate may be likelier than new ground, once refined: by REFINE_MARGIN_NATS at most."""
+    unexplained = max(one.weight.unexplained - REFINE_MARGIN_NATS, 0.0)
     least = _margin(unexplained, prior is not None and is_same_place(prior.pose, one.fit.pose))
-    return one.weight.evidence + BEHIND_NATS >= least
+    return one.weight.evidence + REFINE_MARGIN_NATS >= least

@@ -62,19 +62,22 @@ MAP_SEARCH_POINTS = 80
 # Free ground contradicts, and scores 0.
 MAP_UNKNOWN_LIKELIHOOD = 0.5
 MIN_PLACE_SCORE = 0.45  # mean likelihood of the points
-BEHIND = 0.2  # a place whose score is so far behind the best is no candidate
+MAX_SCORE_DEFICIT = 0.2  # a place whose score is so far behind the best is no candidate
 MAX_CANDIDATES = 240
-REFINED = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
+REFINE_WINDOW = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
 REFINING_POINTS = 150
-FIRST_STEPS, MIN_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0  # m, m, rad of a climb, and its last ones
+CLIMB_STEPS, MIN_CLIMB_STEP = (
+    np.array([0.06, 0.06, 0.012]),
+    1.0 / 16.0,
+)  # m, m, rad of a climb, and its last ones
 ALONG_M, ALONG_STEP_M = 1.6, 0.1  # how far to both sides of a place along the walls others are looked for
 ALONG_SHARE = 0.9  # of the points that lie on walls at a place must do so beside it
 ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map has there
 # Nats that one wall or thing says at most. Buildings consist of straight walls, on new ground, too: the beams
 # that end on one of them say one thing, where it stands. Walls that face the same way are so far apart.
 WALLS_APART_M = 2.0
-MAX_OF_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
-LOOKED_THROUGH = -10  # evidence of a cell: a beam passed, and none ended in it
+MAX_NATS_PER_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
+SEEN_THROUGH_EVIDENCE = -10  # evidence of a cell: a beam passed, and none ended in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +104,13 @@ class KnownMap:
     def __init__(self, keyframes: KeyframeList, known: npt.NDArray[np.int64]) -> None:
         self.known = known
         clouds = [seen_by(keyframes, k).transformed(keyframes.map[k]) for k in known.tolist()]
-        whole = joined(clouds)
-        self._walls = SurfelSet(whole)
-        few = _one_of_each_cell(whole)
+        merged = joined(clouds)
+        self._walls = SurfelSet(merged)
+        few = _one_of_each_cell(merged)
         self._field = _field(few)
-        self._ground = _ground(keyframes, known, clouds, whole.xy)
+        self._ground = _ground(keyframes, known, clouds, merged.xy)
         self._facing = _facing_pyramid(few, self._ground)
-        self._asked = _asked_of(keyframes, known, clouds, self._walls.grid(), self._ground)
+        self._known_ground = _known_ground_of(keyframes, known, clouds, self._walls.grid(), self._ground)
         self._weighed = 0
 
     @property
@@ -124,13 +127,13 @@ class KnownMap:
         near = np.flatnonzero((cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2)
         near = near[:: max(1, len(near) // MAP_SEARCH_POINTS)]
         xy, normals = cloud.xy[near], cloud.normals[near]
-        places, _ = search_facing(xy, normals, self._facing, HEADINGS, MIN_PLACE_SCORE, BEHIND)
+        places, _ = search_facing(xy, normals, self._facing, HEADINGS, MIN_PLACE_SCORE, MAX_SCORE_DEFICIT)
         order = np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]
         return list(places[order, :3])
 
     def align(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
         """The cloud aligned with all walls there are, from a candidate. least: as of weigh."""
-        window = window_around(near, REFINED[:2], self._field, REFINED[2])
+        window = window_around(near, REFINE_WINDOW[:2], self._field, REFINE_WINDOW[2])
         near = (seen.cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2
         thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
         found = search_branch_and_bound(thin, self._field, window, -math.inf)
@@ -145,10 +148,10 @@ class KnownMap:
             seen.sensors,
             seen.shares,
             pose,
-            self._asked,
+            self._known_ground,
             self._weighed + 1,
-            FIRST_STEPS,
-            MIN_STEP,
+            CLIMB_STEPS,
+            MIN_CLIMB_STEP,
         )
         self._weighed += count
         again = self._aligned(seen, pose)
@@ -172,36 +175,36 @@ class KnownMap:
     def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:
         """What speaks for a cloud at a pose (3,); of evidence below `least` no more than a bound."""
         shares = seen.shares
-        evidence, at_end, on_way = self._asked_at(seen, pose, least)
-        whole = max(float(shares.sum()), 1e-9)
-        against = float(shares @ (at_end + on_way < AGAINST_RATIO)) / whole
-        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / whole
-        return Weight(evidence, max(0.0, FULL_RATIO * whole - evidence), against, on_map)
+        evidence, at_end, along_beam = self._beam_evidence(seen, pose, least)
+        merged = max(float(shares.sum()), 1e-9)
+        against = float(shares @ (at_end + along_beam < AGAINST_RATIO)) / merged
+        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / merged
+        return Weight(evidence, max(0.0, FULL_RATIO * merged - evidence), against, on_map)
 
     def structure(self, seen: SeenCloud, pose: Floats) -> float:
         """Nats that speak for a cloud at a pose (3,) against a building of which the map knows nothing: of
-        each wall or thing once, MAX_OF_WALL at most for or against.
+        each wall or thing once, MAX_NATS_PER_WALL at most for or against.
         """
-        _, at_end, on_way = self._asked_at(seen, pose)
-        of_walls = np.bincount(seen.walls, seen.shares * at_end + on_way)
-        return float(np.clip(of_walls, -MAX_OF_WALL, MAX_OF_WALL).sum())
+        _, at_end, along_beam = self._beam_evidence(seen, pose)
+        of_walls = np.bincount(seen.walls, seen.shares * at_end + along_beam)
+        return float(np.clip(of_walls, -MAX_NATS_PER_WALL, MAX_NATS_PER_WALL).sum())
 
-    def ahead_where_known(self, seen: SeenCloud, pose: Floats, rival: Floats) -> float:
+    def log_ratio_where_known(self, seen: SeenCloud, pose: Floats, rival: Floats) -> float:
         """Nats by which a pose (3,) is likelier than a rival, by the beams that end there on what the map
         knows: what it does not know may look as at the pose, where rooms of a building are alike.
         """
-        _, at_end, on_way = self._asked_at(seen, pose)
-        _, at_end_of_rival, on_way_of_rival = self._asked_at(seen, rival)
+        _, at_end, along_beam = self._beam_evidence(seen, pose)
+        _, at_end_of_rival, along_beam_of_rival = self._beam_evidence(seen, rival)
         is_known = (at_end_of_rival < 0.0) | (at_end_of_rival > ON_MAP_RATIO)
         ends = (seen.shares * (at_end - at_end_of_rival))[is_known]
-        return float(ends.sum() + on_way.sum() - on_way_of_rival.sum())
+        return float(ends.sum() + along_beam.sum() - along_beam_of_rival.sum())
 
-    def _asked_at(
+    def _beam_evidence(
         self, seen: SeenCloud, pose: Floats, least: float = -math.inf
     ) -> tuple[float, Floats, Floats]:
         """The evidence of a cloud at a pose, and what end (N,) and way (N,) of each beam say, nats."""
         cloud = seen.cloud
-        at_end, on_way = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
+        at_end, along_beam = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
         self._weighed += 1
         evidence = evidence_of_beams(
             cloud.xy,
@@ -209,13 +212,13 @@ class KnownMap:
             seen.sensors,
             seen.shares,
             pose,
-            self._asked,
+            self._known_ground,
             self._weighed,
             least,
             at_end,
-            on_way,
+            along_beam,
         )
-        return evidence, at_end, on_way
+        return evidence, at_end, along_beam
 
     def _aligned(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Aligned:
         fit = self._walls.align(seen.cloud, pose)
@@ -258,7 +261,7 @@ def _is_free(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bo
     for i, j in np.argwhere(ground.tiles.slots != NO_TILE).tolist():
         row = (i + int(ground.tiles.origin[0])) * edge - times * pyramid.first_row
         column = (j + int(ground.tiles.origin[1])) * edge - times * pyramid.first_column
-        of = ground.evidence[ground.tiles.slots[i, j]] <= LOOKED_THROUGH
+        of = ground.evidence[ground.tiles.slots[i, j]] <= SEEN_THROUGH_EVIDENCE
         low_row, low_column = max(row, 0), max(column, 0)
         part = of[low_row - row :, low_column - column :]
         to = free[low_row : row + edge, low_column : column + edge]
@@ -295,7 +298,7 @@ def _ground(
     return ground
 
 
-def _asked_of(
+def _known_ground_of(
     keyframes: KeyframeList,
     known: npt.NDArray[np.int64],
     clouds: list[PointCloud],
@@ -311,17 +314,17 @@ def _asked_of(
     high = np.floor(xy.max(axis=0) / POINT_CELL_M).astype(np.int64) + POINT_REACH + 1
     points = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
     splat_points(xy, int(low[1]), int(low[0]), points)
-    asked = np.zeros(walls.surfels.shape[:3], np.int32)
+    visited = np.zeros(walls.surfels.shape[:3], np.int32)
     return KnownGround(
         walls,
         cells_with_walls(walls),
         looked,
         ground,
-        LOOKED_THROUGH,
+        SEEN_THROUGH_EVIDENCE,
         points,
         int(low[1]),
         int(low[0]),
-        asked,
+        visited,
     )
 
 

@@ -11,16 +11,18 @@ from service.geometry.se2 import wrap_angle
 from service.mapper.graph.model.point_clouds import Fit
 from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
 
-DROVE = 0.5  # probability that dead reckoning is right after a pause; the other hypothesis is equally likely
-DROVE_MEASURED = 0.9  # the same, where odometry measured the way while scans were missing
-DROVE_SEEN = 0.9999  # the same, where no scan was missing: the vehicle was not carried
+ODOMETRY_PROBABILITY_UNMEASURED = (
+    0.5  # probability that dead reckoning is right after a pause; the other hypothesis is equally likely
+)
+ODOMETRY_PROBABILITY_MEASURED = 0.9  # the same, where odometry measured the way while scans were missing
+ODOMETRY_PROBABILITY_CONTINUOUS = 0.9999  # the same, where no scan was missing: the vehicle was not carried
 # Of the place that a search finds, m, m, rad: what key frames of the map are off besides.
-FOUND_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
+SEARCH_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
 
 
 def places_in(region: float) -> float:
     """How many places that a search tells apart lie in a region, m^2 rad."""
-    return region / _spread(FOUND_COVARIANCE)
+    return region / _spread(SEARCH_COVARIANCE)
 
 
 def _spread(covariance: Floats) -> float:
@@ -41,12 +43,12 @@ class OdometryPrior:
     pose: Floats
     covariance: Floats
     region: float
-    drove: float = DROVE
+    probability: float = ODOMETRY_PROBABILITY_UNMEASURED
 
     def nats(self, pose: Floats) -> float:
         """Log-density at a pose (3,) of the map, less that of a vehicle that may be anywhere in it."""
         at = math.exp(-0.5 * self._chi2(pose)) / _spread(self._of_find())
-        return math.log(1.0 - self.drove + self.drove * self.region * at)
+        return math.log(1.0 - self.probability + self.probability * self.region * at)
 
     @property
     def is_vague(self) -> bool:
@@ -63,15 +65,15 @@ class OdometryPrior:
         """What a fit on the map and dead reckoning say together."""
         c, s = math.cos(self.pose[2]), math.sin(self.pose[2])
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        said = np.linalg.inv(turn @ self._of_find() @ turn.T)
+        prior_information = np.linalg.inv(turn @ self._of_find() @ turn.T)
         off = self.pose - fit.pose
         off[2] = wrap_angle(float(off[2]))
-        information = fit.information + said
-        return Fit(fit.pose + np.linalg.solve(information, said @ off), information, fit.share)
+        information = fit.information + prior_information
+        return Fit(fit.pose + np.linalg.solve(information, prior_information @ off), information, fit.share)
 
     def _chi2(self, pose: Floats) -> float:
         away = se2.between(self.pose, pose)
         return float(away @ np.linalg.solve(self._of_find(), away))
 
     def _of_find(self) -> Floats:
-        return np.asarray(self.covariance + FOUND_COVARIANCE)
+        return np.asarray(self.covariance + SEARCH_COVARIANCE)

@@ -14,8 +14,8 @@ from service.mapper.graph.relocalise.known_map import Aligned, KnownMap
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses that mean one room
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses of one place may differ by so much where it is known well
 MAX_REFINED = 12  # of the places that candidates lead to
-BEHIND_NATS = 100.0  # so far behind the likeliest a place is not refined
-FAR_BEHIND_NATS = 250.0  # nor asked how far: it counts for as much as may speak for it
+REFINE_MARGIN_NATS = 100.0  # so far behind the likeliest a place is not refined
+PRUNE_MARGIN_NATS = 250.0  # nor asked how far: it counts for as much as may speak for it
 MAX_SLID, MAX_BESIDE = 8, 4  # places beside which others are looked for in a round, and how many of those
 MAX_ROUNDS = 3  # until none of these is ahead
 
@@ -39,10 +39,10 @@ def find_places(
     if not any(could_win(one) for one in [*aligned, *guessed]):
         return _by_evidence([*aligned, *guessed])
     places = _refined(known_map, seen, [*aligned[:MAX_REFINED], *guessed], [])
-    asked: list[Aligned] = []
+    expanded: list[Aligned] = []
     for _ in range(MAX_ROUNDS):
-        best, fresh = places[:1], [place for place in places[:MAX_SLID] if place not in asked]
-        asked += fresh
+        best, fresh = places[:1], [place for place in places[:MAX_SLID] if place not in expanded]
+        expanded += fresh
         beside = [one for place in fresh for one in _distinct(known_map.along(seen, place))[:MAX_BESIDE]]
         places = _refined(known_map, seen, _distinct(beside), places)
         if places[:1] == best:
@@ -52,11 +52,11 @@ def find_places(
 
 
 def _aligned(known_map: KnownMap, seen: SeenCloud, is_possible: Callable[[Floats], bool]) -> list[Aligned]:
-    """All candidates; of those FAR_BEHIND_NATS behind one before, the most that can speak for them."""
+    """All candidates; of those PRUNE_MARGIN_NATS behind one before, the most that can speak for them."""
     aligned: list[Aligned] = []
     best = -math.inf
     for guess in filter(is_possible, known_map.candidates(seen.cloud)):
-        aligned.append(known_map.align(seen, guess, best - FAR_BEHIND_NATS))
+        aligned.append(known_map.align(seen, guess, best - PRUNE_MARGIN_NATS))
         best = max(best, aligned[-1].weight.evidence)
     return aligned
 
@@ -66,7 +66,7 @@ def _refined(
 ) -> list[Aligned]:
     """Places with these, refined, among them, the likeliest first."""
     for one in aligned:
-        least = places[0].weight.evidence - BEHIND_NATS if places else -math.inf
+        least = places[0].weight.evidence - REFINE_MARGIN_NATS if places else -math.inf
         if one.weight.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
             places = _distinct([*places, known_map.refine(seen, one)])
     return places

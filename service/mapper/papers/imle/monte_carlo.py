@@ -8,7 +8,7 @@ from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.line_likelihood import monte_carlo_search
 from service.mapper.components import Match, Points
-from service.mapper.judgement import JudgementConfig, begun, held, too_few
+from service.mapper.judgement import JudgementConfig, begun, too_few, unmatched
 from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.judged import Aligned, judged_alone
 from service.mapper.papers.imle.patch_map import PatchMap
@@ -38,7 +38,7 @@ class MonteCarloSearch:
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         config = self._config
         if reason := too_few(points):
-            return held(points, predicted, reason)
+            return unmatched(points, predicted, reason)
         if local_map.is_empty:
             return begun(points, predicted)
         begin = predicted.pose_odom_base

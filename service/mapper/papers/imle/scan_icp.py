@@ -13,7 +13,7 @@ from service.geometry.se2 import SE2
 from service.kernels.deskew import deskew_points
 from service.kernels.icp import icp_point_to_point
 from service.mapper.components import Match, Points
-from service.mapper.judgement import JudgementConfig, begun, held, too_few
+from service.mapper.judgement import JudgementConfig, begun, too_few, unmatched
 from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.judged import Aligned, judged_alone
 from service.mapper.papers.imle.patch_map import PatchMap
@@ -108,7 +108,7 @@ class IcpScanToScan:
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
         if reason := too_few(points):
-            return held(points, predicted, reason)
+            return unmatched(points, predicted, reason)
         step = self._icp.step(points, predicted)
         if local_map.is_empty:
             match = begun(points, predicted)
@@ -119,7 +119,7 @@ class IcpScanToScan:
                 "before; the pose follows the prediction. Drive slower, or choose a profile that matches to "
                 "a map",
             )
-            match = held(points, predicted, reason)
+            match = unmatched(points, predicted, reason)
         else:
             measured = Measurement(step.pose, self._covariance, self._information)
             aligned = Aligned(measured, deskewed(points, predicted, step.pose))

@@ -18,7 +18,7 @@ CHANGES = MapChanges(
 def test_what_is_written_is_read_again(tmp_path):
     write_changes(tmp_path / "changes.csv", CHANGES)
     again = read_changes(tmp_path / "changes.csv", 0.05)
-    assert again.says_as(CHANGES)
+    assert again.has_same_cells(CHANGES)
     assert again.cell_m == CHANGES.cell_m
     assert [again.first_ns.tolist(), again.scans.tolist()] == [[1000, 2000], [12, 7]]
     assert read_changes(tmp_path / "none.csv", 0.05) is None

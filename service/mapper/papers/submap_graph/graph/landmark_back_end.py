@@ -356,7 +356,7 @@ class LandmarkBackEnd:
             aligned = se2.between(drawn[holds], np.array([match.there for match in self.matches]))
             known = np.array([match.covariance for match in self.matches])
             widths = np.full(len(holds), self.config.kernel_width)
-            edges = edges.and_also(Edges(holds, count + np.arange(len(holds)), aligned, known, widths))
+            edges = edges.followed_by(Edges(holds, count + np.arange(len(holds)), aligned, known, widths))
             poses = np.concatenate((poses, se2.compose(poses[holds], aligned)))
         of, seen, guess = [], [], []
         for mark in self.landmarks:

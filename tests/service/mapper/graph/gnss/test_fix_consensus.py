@@ -3,7 +3,7 @@ import math
 import numpy as np
 
 from service.geometry import poses as se2
-from service.mapper.graph.gnss.fix_consensus import FixedWay, find_consensus, fix_edges
+from service.mapper.graph.gnss.fix_consensus import FixPath, find_consensus, fix_edges
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph
 from service.mapper.graph.model.pose_graph_solver import solve
 
@@ -12,7 +12,7 @@ POSE_ODOM_ENU = np.array([12.0, -7.0, 0.9])
 ANTENNA = np.array([-0.4, 0.3])
 
 
-def half_circle(count: int = 60) -> FixedWay:
+def half_circle(count: int = 60) -> FixPath:
     """Way of 300 m, exact; fixes of 2 m that err by 0.5 m."""
     theta = np.linspace(0.0, math.pi, count)
     odom = np.column_stack((95.0 * np.sin(theta), 95.0 * (1.0 - np.cos(theta)), theta))
@@ -21,10 +21,10 @@ def half_circle(count: int = 60) -> FixedWay:
     enu += 0.5 * RNG.standard_normal(enu.shape)
     step = np.tile(np.diag([0.02**2, 0.02**2, 0.003**2]), (count, 1, 1))
     covariance = np.tile(4.0 * np.eye(2), (count, 1, 1))
-    return FixedWay(odom, step, 95.0 * theta, antenna, enu, covariance, np.full(count, 12.0))
+    return FixPath(odom, step, 95.0 * theta, antenna, enu, covariance, np.full(count, 12.0))
 
 
-def off(consensus, way: FixedWay) -> float:
+def off(consensus, way: FixPath) -> float:
     """Of where the antenna should be, at most, m."""
     points = se2.points_from(way.odom, way.antenna)
     there = se2.points_seen(consensus.pose_odom_enu, points) - se2.points_seen(POSE_ODOM_ENU, points)
@@ -60,5 +60,5 @@ def test_edges_of_fixes_pull_the_antenna_and_leave_the_heading_alone():
     heading = base[:, 2] + guess[2]
     fixes = fix_edges(2, np.arange(2), heading, antenna, enu, np.tile(np.eye(2), (2, 1, 1)), 0.0)
     pose_map_enu = se2.between(guess, np.zeros(3))
-    solved = solve(PoseGraph(np.vstack((base, pose_map_enu)), tight.and_also(fixes)))
+    solved = solve(PoseGraph(np.vstack((base, pose_map_enu)), tight.followed_by(fixes)))
     np.testing.assert_allclose(se2.between(solved.poses[2], np.zeros(3)), (5.0, 6.0, 0.3), atol=1e-3)

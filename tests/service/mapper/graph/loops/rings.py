@@ -64,8 +64,8 @@ def key_frames(
             step = truth[-2].inverse() @ pose
             accepted = accepted @ SE2(step.x_m, step.y_m, step.theta_rad + turn_error_radpm * STEP_M)
         origins = np.tile([pose.x_m, pose.y_m], (BEAMS, 1))
-        ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
-        range_m = cast(RING, origins, ways) + 0.005 * noise.standard_normal(BEAMS)
+        paths = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+        range_m = cast(RING, origins, paths) + 0.005 * noise.standard_normal(BEAMS)
         xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle))).astype(np.float32)
         covariance = np.diag([1e-4, 1e-4, 1e-5])
         frames.append(KeyFrame(k * 10**8, accepted, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))

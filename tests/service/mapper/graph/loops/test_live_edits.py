@@ -75,20 +75,20 @@ def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_eac
     before = saved(back_end)
     assert seam_m(before, TRUTH).min() > 0.5
     result, answer = asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
-    assert answer.told["done"].startswith("pairs 0 to 2; key frames moved by up to ")
-    assert [pair["apart_mm"] < 50.0 for pair in answer.told["pairs"]] == [True] * 3
-    assert answer.told["moved_m"] > 0.5
+    assert answer.reply["done"].startswith("pairs 0 to 2; key frames moved by up to ")
+    assert [pair["apart_mm"] < 50.0 for pair in answer.reply["pairs"]] == [True] * 3
+    assert answer.reply["moved_m"] > 0.5
     assert result.newest
     assert result.rendered_map is not None
     assert seam_m(saved(back_end), TRUTH).max() < 0.1
     _, answer = asked(back_end, what="remove-pair", pair=1)
-    assert len(answer.told["pairs"]) == 2
+    assert len(answer.reply["pairs"]) == 2
     at_s = SPOTS[0] / 10.0
     _, answer = asked(back_end, what="cut", from_s=at_s - 0.05, to_s=at_s + 0.05, bridge=True)
-    assert len(answer.told["pairs"]) == 1
+    assert len(answer.reply["pairs"]) == 1
     for count in (2, 3, 0):
         _, answer = asked(back_end, what="undo")
-        assert len(answer.told["pairs"]) == count
+        assert len(answer.reply["pairs"]) == count
     np.testing.assert_allclose(saved(back_end).map, before.map, atol=2e-3)
     assert "left to take back" in asked(back_end, what="undo")[1].error
 
@@ -106,7 +106,7 @@ def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(
     touched = int(is_cut[np.array(ends)].any(axis=1).sum())
     _, answer = asked(back_end, **span, bridge=is_bridged)
     gone = f"{touched} loop{'s' * (touched > 1)}"
-    assert answer.told["done"].startswith(f"cut 5 key frames out, and {gone} with them")
+    assert answer.reply["done"].startswith(f"cut 5 key frames out, and {gone} with them")
     less = saved(back_end)
     np.testing.assert_array_equal(less.point_count == 0, is_cut)
     assert len(less.loop_ends) == len(ends) - touched
@@ -134,7 +134,7 @@ def test_a_loop_is_refused_and_undo_gives_it_back(closed_ring: bytes):
     assert worst["way_m"] > 10.0
     change = {"what": "refuse-loop", "stamps_ns": worst["stamps_ns"]}
     result, answer = asked(back_end, **change)
-    assert answer.told["done"].startswith("took back the loop from key frame ")
+    assert answer.reply["done"].startswith("took back the loop from key frame ")
     assert result.rendered_map is not None
     (found,) = [loop for loop in shown(back_end, "refused") if loop["stamps_ns"] == worst["stamps_ns"]]
     assert found["why"] == "taken back by hand"
@@ -164,7 +164,7 @@ def test_refused_loops_that_are_accepted_close_the_ring(open_ring: bytes):
     }
     for number, to in enumerate(sorted(apart)[::3][:4]):
         _, answer = asked(back_end, what="accept-loop", stamps_ns=apart[to])
-        assert f"as pairs {2 * number}, {2 * number + 1}" in answer.told["done"]
+        assert f"as pairs {2 * number}, {2 * number + 1}" in answer.reply["done"]
     assert seam_m(saved(back_end), TRUTH).max() < 0.15
     assert apart[to] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
     assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=apart[to])[1].error
@@ -266,4 +266,4 @@ def test_so_many_changes_can_be_taken_back(open_ring: bytes, monkeypatch: pytest
     monkeypatch.setattr(live_edits, "MAX_UNDONE", 2)
     back_end = pickle.loads(open_ring)
     walls = [asked(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]
-    assert [answer.told["undoable"] for answer in walls] == [1, 2, 2]
+    assert [answer.reply["undoable"] for answer in walls] == [1, 2, 2]

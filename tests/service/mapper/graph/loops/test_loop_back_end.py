@@ -148,7 +148,7 @@ def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
     last = back_end.work(Batch([], is_last=True)).picture
     assert last is not None
     keyframes = back_end.keyframes
-    (way,) = last.ways
+    (way,) = last.paths
     np.testing.assert_array_equal(way, keyframes.map[:, :2].astype(np.float32))
     assert len(last.accepted) == len(back_end.loops) > 3
     loop = back_end.loops[0]
@@ -174,7 +174,7 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert [correction.stamp_ns for correction in finished.all] == stamps_ns
     assert seam_m(list(finished.all), truth).max() < 0.02
     assert finished.picture is not None
-    longest_m = max(np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) for way in finished.picture.ways)
+    longest_m = max(np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) for way in finished.picture.paths)
     assert longest_m < DRAWN_GAP_M
 
 
@@ -338,13 +338,13 @@ def test_where_a_detached_map_was_found_is_reported_from_the_first_find_until_it
 ):
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
-    assert back_end.work(Batch(known)).place.found_once is None
+    assert back_end.work(Batch(known)).place.unconfirmed_place is None
     again = piece_after(known, known[5:-5])
     results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
-    is_reported = [result.place.found_once is not None for result in results]
+    is_reported = [result.place.unconfirmed_place is not None for result in results]
     first, joined = is_reported.index(True), [result.joined for result in results].index(1)
     assert is_reported == [first <= k < joined for k in range(len(results))]
-    for once in (result.place.found_once for result in results[first:joined]):
+    for once in (result.place.unconfirmed_place for result in results[first:joined]):
         assert once is not None
         assert once.piece == 1
         off = once.pose_map_odom @ ELSEWHERE

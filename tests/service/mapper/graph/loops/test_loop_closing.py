@@ -43,4 +43,4 @@ def test_a_key_frame_is_uncertain_by_all_predictions_since_the_one_before() -> N
     assert [frame.stamp_ns // 10**8 for frame in frames] == [0, 3, 6]
     scans_since = [1, 3, 3]
     for frame, count in zip(frames, scans_since, strict=True):
-        assert frame.doubt == pytest.approx((count * 0.02**2, count * 0.01**2))
+        assert frame.prediction_variance == pytest.approx((count * 0.02**2, count * 0.01**2))

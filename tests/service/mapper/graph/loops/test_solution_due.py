@@ -5,7 +5,7 @@ import pytest
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.graph.loops.solution_due import DRAW_AT_M, LEVER_M, SOLVE_EVERY_M, SolutionDue
+from service.mapper.graph.loops.solution_due import LEVER_M, RENDER_AT_M, SOLVE_EVERY_M, SolutionDue
 from service.mapper.graph.model.keyframe_list import (
     NO_NORMALS,
     NO_POINTS,
@@ -49,16 +49,16 @@ def test_loops_that_agree_are_brought_in_after_some_distance() -> None:
     assert not due.has_news(keyframes, agreeing)
 
 
-@pytest.mark.parametrize("moved", [(0.6 * DRAW_AT_M, 0.0, 0.0), (0.0, 0.0, -0.6 * DRAW_AT_M / LEVER_M)])
+@pytest.mark.parametrize("moved", [(0.6 * RENDER_AT_M, 0.0, 0.0), (0.0, 0.0, -0.6 * RENDER_AT_M / LEVER_M)])
 def test_the_map_is_drawn_again_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
     before = laps().map.copy()
     after = before + np.array(moved)
     due = SolutionDue(LoopsConfig(), 0.0)
-    assert not due.take_drawing()
+    assert not due.take_rendering()
     due.solved(100.0, before, after)
-    assert not due.take_drawing()
+    assert not due.take_rendering()
     due.solved(200.0, before, after)
-    assert due.take_drawing()
-    assert not due.take_drawing()
-    due.must_draw()
-    assert due.take_drawing()
+    assert due.take_rendering()
+    assert not due.take_rendering()
+    due.require_rendering()
+    assert due.take_rendering()

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from service.mapper.background import ElsewhereWorker
+from service.mapper.background import DiscardingWorker
 from service.mapper.components import Graph, GraphRequestError
 from service.mapper.graph.loops.loop_closing import LoopClosing
 from service.mapper.graph.model.loops_config import LoopsConfig
@@ -13,11 +13,11 @@ from service.mapper.papers.submap_graph.graph.landmark_graph import LandmarkGrap
 
 
 def loop_closing() -> Graph:
-    return LoopClosing(LoopsConfig(), None, ElsewhereWorker)
+    return LoopClosing(LoopsConfig(), None, DiscardingWorker)
 
 
 def landmark_graph() -> Graph:
-    return LandmarkGraph(LandmarkGraphConfig(), None, ElsewhereWorker)
+    return LandmarkGraph(LandmarkGraphConfig(), None, DiscardingWorker)
 
 
 @pytest.mark.parametrize("new_graph", [loop_closing, landmark_graph])

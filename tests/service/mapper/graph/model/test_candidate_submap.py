@@ -46,8 +46,8 @@ def out_and_back_in(walls: Walls, sigma_m: float) -> KeyframeList:
     keyframes = KeyframeList()
     angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
     for k, pose in enumerate(poses):
-        ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
-        range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
+        paths = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+        range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), paths)
         seen = range_m < 20.0
         range_m = range_m[seen] + sigma_m * noise.standard_normal(int(seen.sum()))
         xy = np.column_stack((range_m * np.cos(angle[seen]), range_m * np.sin(angle[seen])))

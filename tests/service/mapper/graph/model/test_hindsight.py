@@ -53,7 +53,7 @@ def graph_of(keyframes: KeyframeList, loop: tuple[int, int] | None = None) -> Po
     if loop is not None:
         of, to = np.array([loop[0]]), np.array([loop[1]])
         measured, tight = se2.between(poses[of], poses[to]), np.diag([3e-5, 3e-5, 2e-6])[None]
-        edges = edges.and_also(Edges(of, to, measured, tight, np.full(1, 2.0)))
+        edges = edges.followed_by(Edges(of, to, measured, tight, np.full(1, 2.0)))
     return PoseGraph(poses, edges)
 
 

@@ -16,7 +16,7 @@ def kept_of(poses: list[SE2]) -> list[int]:
     keyframes, noise = KeyframeList(), np.random.default_rng(1)
     for pose in poses:
         append(keyframes, WALLS, pose, 1, noise)
-        keyframes.forget_one_standing(3, LoopsConfig())
+        keyframes.forget_stationary(3, LoopsConfig())
     return np.flatnonzero(keyframes.has_points).tolist()
 
 

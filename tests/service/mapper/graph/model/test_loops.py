@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.mapper.graph.model.loops import FLOOR, loop_of, untied
+from service.mapper.graph.model.loops import FLOOR, far_from_loops, loop_of
 
 
 def sigmas(
@@ -51,5 +51,5 @@ def test_no_loop_is_surer_than_walls_and_sweeps_allow() -> None:
 
 def test_places_along_the_path_that_no_loop_ties() -> None:
     at_m = np.arange(0.0, 20.0, 2.0)
-    assert untied(at_m, np.array([15.0, 4.5]), 2.0).tolist() == [0.0, 2.0, 8.0, 10.0, 12.0, 18.0]
-    assert untied(at_m, np.empty(0), 2.0).tolist() == at_m.tolist()
+    assert far_from_loops(at_m, np.array([15.0, 4.5]), 2.0).tolist() == [0.0, 2.0, 8.0, 10.0, 12.0, 18.0]
+    assert far_from_loops(at_m, np.empty(0), 2.0).tolist() == at_m.tolist()

@@ -16,7 +16,7 @@ from service.mapper.graph.model.keyframe_list import (
 )
 from service.mapper.graph.model.odometry_edges import (
     LOST_COVARIANCE,
-    MAX_DOUBT,
+    MAX_PREDICTION_VARIANCE,
     MIN_EDGE_COVARIANCE,
     PIECE_COVARIANCE,
     STEP_FLOOR,
@@ -59,7 +59,7 @@ def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
 @pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
 def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_uncertain(score: float, added: float) -> None:
     """The others lie on it with 0.9, and 60 % of that is 0.54."""
-    doubted = SOUND + added * np.diag([MAX_DOUBT[0], *MAX_DOUBT])
+    doubted = SOUND + added * np.diag([MAX_PREDICTION_VARIANCE[0], *MAX_PREDICTION_VARIANCE])
     check(edges(score=score), doubted, doubted)
 
 
@@ -111,5 +111,7 @@ def test_a_doubtful_match_is_uncertain_beside_the_motion_model_too(is_lost: bool
     odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
     added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance
     expected = np.zeros((COUNT - 1, 3, 3))
-    expected[[ODD - 1, ODD]] = 0.0 if is_lost else np.diag([MAX_DOUBT[0], *MAX_DOUBT])
+    expected[[ODD - 1, ODD]] = (
+        0.0 if is_lost else np.diag([MAX_PREDICTION_VARIANCE[0], *MAX_PREDICTION_VARIANCE])
+    )
     np.testing.assert_allclose(added, expected, atol=1e-12)

@@ -3,7 +3,7 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.seen_cloud import WEIGHED_M, seen_cloud
+from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, seen_cloud
 from service.mapper.graph.relocalise.known_map import KnownMap
 from service.mapper.graph.relocalise.place_search import find_places
 from tests.service.mapper.graph.relocalise.test_known_map import STOOD, append, room, rooms
@@ -23,9 +23,12 @@ def test_who_stands_and_looks_again_has_no_more_evidence_than_before():
 
 def test_walls_are_weighed_from_as_far_as_a_heading_is_known():
     keyframes, noise = KeyframeList(), np.random.default_rng(1)
-    walls = [(WEIGHED_M - 1.0, -9.0, WEIGHED_M - 1.0, 0.0), (WEIGHED_M + 3.0, 0.0, WEIGHED_M + 3.0, 9.0)]
+    walls = [
+        (EVIDENCE_RANGE_M - 1.0, -9.0, EVIDENCE_RANGE_M - 1.0, 0.0),
+        (EVIDENCE_RANGE_M + 3.0, 0.0, EVIDENCE_RANGE_M + 3.0, 9.0),
+    ]
     own = append(keyframes, walls, SE2(), 0, noise)
     seen = seen_cloud(keyframes, [own], own)
     assert len(seen.cloud.xy)
-    assert (np.abs(seen.cloud.xy[:, 0] - (WEIGHED_M - 1.0)) < 0.1).all()
+    assert (np.abs(seen.cloud.xy[:, 0] - (EVIDENCE_RANGE_M - 1.0)) < 0.1).all()
     assert (seen.sensors == 0.0).all()

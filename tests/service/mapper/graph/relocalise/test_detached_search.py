@@ -9,8 +9,8 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.odometry_edges import AWAY_S
-from service.mapper.graph.relocalise.detached_search import CLEARLY_LIKELIER, DetachedSearch
+from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
+from service.mapper.graph.relocalise.detached_search import MIN_MARGIN_NATS, DetachedSearch
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.graph.relocalise.test_known_map import STOOD, Walls, append, room, rooms
 
@@ -22,8 +22,8 @@ VAGUE = OdometryPrior(np.zeros(3), np.diag([9.0, 9.0, 1.0]), 100.0)
     ("prior", "evidence", "may_be_there"),
     [
         (KNOWN, 0.0, True),  # new ground: nothing seen speaks for or against
-        (KNOWN, -0.9 * CLEARLY_LIKELIER, True),
-        (KNOWN, -1.1 * CLEARLY_LIKELIER, False),
+        (KNOWN, -0.9 * MIN_MARGIN_NATS, True),
+        (KNOWN, -1.1 * MIN_MARGIN_NATS, False),
         (VAGUE, 0.0, False),
         (None, 0.0, False),
     ],
@@ -32,7 +32,7 @@ def test_where_dead_reckoning_leads_the_vehicle_may_be_unless_what_is_seen_contr
     prior: OdometryPrior | None, evidence: float, may_be_there: bool
 ) -> None:
     search = DetachedSearch(LoopsConfig(), KeyframeList())
-    search._asked = SimpleNamespace()  # type: ignore[assignment]
+    search._query = SimpleNamespace()  # type: ignore[assignment]
     there = SimpleNamespace(weight=SimpleNamespace(evidence=evidence))
     search._known_map = SimpleNamespace(align=lambda seen, pose: there)  # type: ignore[assignment]
     assert search._may_be_at(prior) is may_be_there
@@ -44,12 +44,12 @@ def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_re
 ) -> None:
     keyframes = SimpleNamespace(odom=np.zeros((1, 3)), motion_covariance=np.eye(3)[None])
     search = DetachedSearch(LoopsConfig(), keyframes)  # type: ignore[arg-type]
-    assert search.found_once is None
+    assert search.unconfirmed_place is None
     loop = SimpleNamespace(to=0, covariance=np.eye(3))
     search._hypothesis = SimpleNamespace(  # type: ignore[assignment]
         pose_map_odom=np.array([1.0, 2.0, 0.5]), loop=loop, piece=3, is_disputed=is_disputed, is_sure=True
     )
-    facts = search.found_once
+    facts = search.unconfirmed_place
     assert (facts is None) is is_disputed
     if facts is not None:
         assert (facts.piece, facts.pose_map_odom.x_m) == (3, 1.0)
@@ -94,7 +94,7 @@ def searched(known: Walls, seen: Walls) -> DetachedSearch:
 def test_walls_as_stand_in_any_wing_of_a_building_say_too_little_to_be_found_by() -> None:
     """All of what is seen lies on the map, and may be another junction of bare corridors."""
     search = searched(junction(False), junction(False, at_m=100.0))
-    assert search.found_once is None
+    assert search.unconfirmed_place is None
     (possible,) = search.possible
     assert (possible.x_m, possible.y_m) == pytest.approx((IN_JUNCTION.x_m, IN_JUNCTION.y_m), abs=0.2)
     assert possible.least is not None
@@ -103,7 +103,7 @@ def test_walls_as_stand_in_any_wing_of_a_building_say_too_little_to_be_found_by(
 
 def test_a_junction_with_things_in_it_is_found() -> None:
     search = searched(junction(True), junction(True, at_m=100.0))
-    found = search.found_once
+    found = search.unconfirmed_place
     assert found is not None
     assert search.possible == []
     at = found.pose_map_odom @ SE2(IN_JUNCTION.x_m + 100.0, IN_JUNCTION.y_m, IN_JUNCTION.theta_rad)
@@ -115,7 +115,7 @@ def test_ground_that_the_map_does_not_know_is_no_reason_against_a_place() -> Non
     new = [(-15.0, 1.0, -6.5, 4.0), (-6.5, 4.0, -5.5, 4.0), (-5.5, 4.0, -5.5, 1.0), (-5.5, 1.0, -1.0, 1.0)]
     seen = [wall for wall in junction(True) if wall != JUNCTION[4]] + new
     search = searched(junction(True), [(x0 + 100.0, y0, x1 + 100.0, y1) for x0, y0, x1, y1 in seen])
-    assert search.found_once is not None
+    assert search.unconfirmed_place is not None
 
 
 @pytest.mark.parametrize("gap_s", [0.5, 15.0])
@@ -125,8 +125,8 @@ def test_who_drove_on_is_not_looked_for_in_a_room_that_dead_reckoning_rules_out(
     append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise, gap_s=gap_s)
     search = DetachedSearch(LoopsConfig(), keyframes)
     search.find(mapped)
-    assert len(search.possible) == (2 if gap_s > AWAY_S else 0)
-    assert (search.found_once is None) == (gap_s > AWAY_S)
+    assert len(search.possible) == (2 if gap_s > MAX_SCAN_GAP_S else 0)
+    assert (search.unconfirmed_place is None) == (gap_s > MAX_SCAN_GAP_S)
 
 
 def test_of_a_large_map_as_much_is_searched_as_of_a_small_one() -> None:

@@ -17,12 +17,12 @@ from service.mapper.graph.model.loops import loop_of
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.seen_cloud import seen_cloud
 from service.mapper.graph.relocalise.detached_search import (
-    CLEARLY_LIKELIER,
-    FOR_UNEXPLAINED,
+    MIN_MARGIN_NATS,
+    UNEXPLAINED_SHARE,
     CandidatePose,
     DetachedSearch,
 )
-from service.mapper.graph.relocalise.known_map import MAX_OF_WALL, KnownMap, Weight
+from service.mapper.graph.relocalise.known_map import MAX_NATS_PER_WALL, KnownMap, Weight
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.drives import cast
 
@@ -56,8 +56,8 @@ def append(
     motion   further fields of the key frame
     """
     angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
-    ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
-    range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
+    paths = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+    range_m = cast(walls, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), paths)
     range_m = range_m + 0.012 * noise.standard_normal(BEAMS)
     angle, range_m = angle[np.isfinite(range_m)], range_m[np.isfinite(range_m)]
     xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle)))
@@ -106,9 +106,9 @@ def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_secon
         away = se2.between(truth, best[0])
         assert math.hypot(away[0], away[1]) < 0.02
         assert abs(away[2]) < 0.005
-        assert search.ahead_of_others(truth) > CLEARLY_LIKELIER
+        assert search.evidence_margin(truth) > MIN_MARGIN_NATS
         in_the_other = truth + np.array([-APART_M if stands_in_second else APART_M, 0.0, 0.0])
-        assert search.ahead_of_others(in_the_other) < -CLEARLY_LIKELIER
+        assert search.evidence_margin(in_the_other) < -MIN_MARGIN_NATS
 
 
 def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_reported():
@@ -135,7 +135,7 @@ def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_kno
     facts = sorted((at.x_m, at.y_m) for at in search.possible)
     assert facts[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
     assert facts[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
-    assert search.ahead_of_others(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > CLEARLY_LIKELIER
+    assert search.evidence_margin(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > MIN_MARGIN_NATS
 
 
 def test_what_the_map_does_not_know_at_all_is_found_nowhere():
@@ -190,14 +190,14 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
         return search.best_of([other, best])
 
     for unexplained in (0.0, 60.0):
-        ahead = CLEARLY_LIKELIER + FOR_UNEXPLAINED * unexplained
+        ahead = MIN_MARGIN_NATS + UNEXPLAINED_SHARE * unexplained
         assert best_of(unexplained, 0.99 * ahead) is None
         assert [(at.x_m, at.y_m) for at in search.possible] == [(0.0, 0.0), (5.0, 0.0)]
         assert best_of(unexplained, 1.01 * ahead) is not None
         assert search.possible == []
     # Beside it the same is unexplained; and a pose as near as it is known is the same one.
-    assert best_of(60.0, 1.01 * CLEARLY_LIKELIER, beside_m=0.3) is not None
-    assert best_of(60.0, 0.99 * CLEARLY_LIKELIER, beside_m=0.3) is None
+    assert best_of(60.0, 1.01 * MIN_MARGIN_NATS, beside_m=0.3) is not None
+    assert best_of(60.0, 0.99 * MIN_MARGIN_NATS, beside_m=0.3) is None
     assert best_of(60.0, 0.0, beside_m=0.05) is not None
 
 
@@ -216,7 +216,7 @@ def test_after_an_unmeasured_motion_a_place_must_beat_new_ground_and_dead_reckon
         ]
         return search.best_of(places, prior)
 
-    led, elsewhere = 1.01 * CLEARLY_LIKELIER, 1.01 * (CLEARLY_LIKELIER + FOR_UNEXPLAINED * 200.0)
+    led, elsewhere = 1.01 * MIN_MARGIN_NATS, 1.01 * (MIN_MARGIN_NATS + UNEXPLAINED_SHARE * 200.0)
     assert best_of(0.98 * led, 0.05) is None  # new ground may look so, too
     assert best_of(led, 0.05) is not None
     assert best_of(led, 5.0) is None  # carried: what is not explained speaks against it
@@ -224,8 +224,8 @@ def test_after_an_unmeasured_motion_a_place_must_beat_new_ground_and_dead_reckon
     # Against a rival what dead reckoning says of both places counts, too.
     ahead = prior.nats(np.array([0.05, 0.0, 0.0])) - prior.nats(np.array([9.0, 0.0, 0.0]))
     assert ahead > 10.0
-    assert best_of(200.0, 0.05, rival=199.0 + ahead - CLEARLY_LIKELIER) is not None
-    assert best_of(200.0, 0.05, rival=201.0 + ahead - CLEARLY_LIKELIER) is None
+    assert best_of(200.0, 0.05, rival=199.0 + ahead - MIN_MARGIN_NATS) is not None
+    assert best_of(200.0, 0.05, rival=201.0 + ahead - MIN_MARGIN_NATS) is None
 
 
 def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
@@ -257,7 +257,7 @@ def test_walls_speak_for_a_place_once_each_however_many_beams_end_on_them():
     own = [append(keyframes, room(0.0, with_pillar=is_there), STOOD, 1, noise) for is_there in (False, True)]
     known_map = KnownMap(keyframes, mapped)
     without, with_pillar = (known_map.structure(seen_cloud(keyframes, [k], k), truth) for k in own)
-    assert 5.0 * MAX_OF_WALL < without < 13.0 * MAX_OF_WALL  # six walls, and stray points
-    assert with_pillar < without - MAX_OF_WALL  # two sides of it are seen where nothing stood
+    assert 5.0 * MAX_NATS_PER_WALL < without < 13.0 * MAX_NATS_PER_WALL  # six walls, and stray points
+    assert with_pillar < without - MAX_NATS_PER_WALL  # two sides of it are seen where nothing stood
     elsewhere = known_map.structure(seen_cloud(keyframes, own[:1], own[0]), truth + np.array([0.5, 0.3, 0.0]))
     assert elsewhere < 0.0

@@ -8,7 +8,11 @@ from scipy.stats import multivariate_normal
 
 from service.geometry import poses as se2
 from service.mapper.graph.model.point_clouds import Fit
-from service.mapper.graph.relocalise.odometry_prior import DROVE, FOUND_COVARIANCE, OdometryPrior
+from service.mapper.graph.relocalise.odometry_prior import (
+    ODOMETRY_PROBABILITY_UNMEASURED,
+    SEARCH_COVARIANCE,
+    OdometryPrior,
+)
 
 AT = np.array([3.0, -2.0, 2.5])
 COVARIANCE = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.003], [0.0, 0.003, 0.004]]) * 0.1
@@ -19,8 +23,11 @@ def test_a_place_where_dead_reckoning_leads_is_likelier_by_how_well_that_is_know
     """A normal distribution in base axes, by scipy, mixed with one that is level over all of the map."""
     prior = OdometryPrior(AT, COVARIANCE, REGION)
     for away in (np.zeros(3), np.array([0.1, -0.05, 0.03]), np.array([0.0, 5.0, 0.0])):
-        normal = multivariate_normal(np.zeros(3), COVARIANCE + FOUND_COVARIANCE).pdf(away)
-        expected = math.log((DROVE * normal + (1.0 - DROVE) / REGION) * REGION)
+        normal = multivariate_normal(np.zeros(3), COVARIANCE + SEARCH_COVARIANCE).pdf(away)
+        expected = math.log(
+            (ODOMETRY_PROBABILITY_UNMEASURED * normal + (1.0 - ODOMETRY_PROBABILITY_UNMEASURED) / REGION)
+            * REGION
+        )
         assert prior.nats(se2.compose(AT, away)) == pytest.approx(expected, abs=1e-9)
 
 
@@ -39,7 +46,7 @@ def test_a_fit_and_dead_reckoning_together_are_the_least_squares_of_both() -> No
     fused = prior.joined(Fit(fit_at, information, 0.4))
     c, s = math.cos(AT[2]), math.sin(AT[2])
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    root = np.linalg.cholesky(np.linalg.inv(turn @ (COVARIANCE + FOUND_COVARIANCE) @ turn.T)).T
+    root = np.linalg.cholesky(np.linalg.inv(turn @ (COVARIANCE + SEARCH_COVARIANCE) @ turn.T)).T
     rows = np.vstack((np.sqrt(information), root))
     values = np.concatenate((np.sqrt(information) @ fit_at, root @ AT))
     np.testing.assert_allclose(fused.pose, np.linalg.lstsq(rows, values, rcond=None)[0], atol=1e-9)

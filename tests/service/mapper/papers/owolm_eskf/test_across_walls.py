@@ -19,8 +19,8 @@ END = [(9.0, -1.0, 9.0, 1.0)]
 def seen(walls: list, x_m: float, y_m: float, theta_rad: float, seed: int, sigma_m: float = 0.01) -> Points:
     """541 beams of a laser at a pose, those of more than 20 m left out."""
     bearing = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
-    ways = np.stack((np.cos(bearing + theta_rad), np.sin(bearing + theta_rad)), axis=1)
-    range_m = cast(walls, np.tile((x_m, y_m), (BEAMS, 1)), ways)
+    paths = np.stack((np.cos(bearing + theta_rad), np.sin(bearing + theta_rad)), axis=1)
+    range_m = cast(walls, np.tile((x_m, y_m), (BEAMS, 1)), paths)
     range_m += sigma_m * np.random.default_rng(seed).standard_normal(BEAMS)
     is_seen = range_m < 20.0
     xy = range_m[is_seen, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=1)[is_seen]

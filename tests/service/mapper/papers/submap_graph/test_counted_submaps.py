@@ -46,8 +46,8 @@ def test_a_particle_that_takes_over_has_the_map_and_the_path_of_the_other() -> N
     points = points_of(WALL, 1)
     submaps.insert(points, match_at(SE2(), points))
     submaps.take_over(np.array([0, 2, 2]))
-    ways = [np.array(particle.track)[:, 1].tolist() for particle in submaps.particles]
-    assert sorted(ways) == [[0.0, 0.0], [0.0, 0.4], [0.0, 0.4]]
+    paths = [np.array(particle.track)[:, 1].tolist() for particle in submaps.particles]
+    assert sorted(paths) == [[0.0, 0.0], [0.0, 0.4], [0.0, 0.4]]
     heir, other = (p for p in submaps.particles if p.track[-1][1] == 0.4)
     grids = [particle.map.grid() for particle in (heir, other)]
     slots = [np.array(particle.map.tiles())[:, 2] for particle in (heir, other)]

@@ -40,8 +40,8 @@ STEP = float(BEAMS[1] - BEAMS[0])
 def seen_from(pose: np.ndarray, seed: int) -> np.ndarray:
     """End points in the base frame of a scan of the room, 1 cm noise."""
     angle = BEAMS + pose[2]
-    ways = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-    range_m = cast(ROOM, np.tile(pose[:2], (len(angle), 1)), ways)
+    paths = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    range_m = cast(ROOM, np.tile(pose[:2], (len(angle), 1)), paths)
     range_m += 0.01 * np.random.default_rng(seed).standard_normal(len(angle))
     return range_m[:, None] * np.stack((np.cos(BEAMS), np.sin(BEAMS)), axis=1)
 
@@ -58,10 +58,10 @@ def submap(number: int, truth: np.ndarray, drawn: np.ndarray) -> ClosedSubmap:
 def round_trip() -> tuple[list[ClosedSubmap], np.ndarray]:
     """Four sub-maps there and back, each drawn 8 cm and 1 deg more askew than the last; the true ways."""
     x = np.linspace(0.0, 1.5, 6)
-    ways = [np.stack((x + 1.0, np.full(6, y), np.zeros(6)), axis=1) for y in (0.0, 0.4, -0.4, 0.1)]
+    paths = [np.stack((x + 1.0, np.full(6, y), np.zeros(6)), axis=1) for y in (0.0, 0.4, -0.4, 0.1)]
     askew = [np.array([0.06 * k, -0.05 * k, np.radians(k)]) for k in range(4)]
-    drawn = [se2.compose(error, way) for error, way in zip(askew, ways, strict=True)]
-    return [submap(k, ways[k], drawn[k]) for k in range(4)], np.concatenate(ways)
+    drawn = [se2.compose(error, way) for error, way in zip(askew, paths, strict=True)]
+    return [submap(k, paths[k], drawn[k]) for k in range(4)], np.concatenate(paths)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ MAX_SHOWN = 50  # loops of each kind, with what they rest on
 Mask = npt.NDArray[np.bool_]
 
 
-class Drawing:
+class PictureSchedule:
     """A picture when one is due, by the stamps of the key frames: a replay has the same ones."""
 
     def __init__(self) -> None:
