@@ -80,7 +80,7 @@ class MapChange:
 
     is_keyframe: bool = False
     error_left: float = 1.0  # share of the pose's error against the map that is left after the insert
-    piece: int = 0  # connected piece of the map that the scan belongs to
+    segment: int = 0  # connected piece of the map that the scan belongs to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,7 @@ class Correction:
     stamp_ns: int
     pose_odom_base: SE2  # as the mapper gave it
     pose_map_base: SE2
-    begins_piece: bool = False  # the vehicle was lost before it: nothing leads to it from the one before
+    begins_segment: bool = False  # the vehicle was lost before it: nothing leads to it from the one before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ class UnconfirmedPlace:
     known           how well a key frame of it is known in the map, if the find is right
     """
 
-    piece: int
+    segment: int
     pose_map_odom: SE2
     known: KnownPose
 
@@ -270,12 +270,12 @@ class LocalMap(Protocol):
 
     def insert(self, points: Points, match: Match) -> MapChange: ...
 
-    def join(self, piece: int) -> None:
+    def join(self, segment: int) -> None:
         """The graph has found where a piece of the map lies in the rest."""
 
 
 @runtime_checkable
-class HasPieces(Protocol):
+class Detachable(Protocol):
     """A local map that can begin anew where nobody knows the way, in a piece that is joined later."""
 
     def detach(self, pause_s: float) -> None:
@@ -399,7 +399,7 @@ class Graph(Protocol):
         """Why no work is done any more, "" while all is well. Mapping goes on without it."""
 
     @property
-    def finds_pieces(self) -> bool:
+    def finds_segments(self) -> bool:
         """Whether it looks for where a piece of the map lies in the rest."""
 
     def add(self, scan: MappedScan) -> SE2:

@@ -24,7 +24,7 @@ def corrected(outputs: Sequence[MapperOutput], corrections: Sequence[Correction]
     at_ns = np.array([correction.stamp_ns for correction in corrections], np.int64)
     of_output = np.searchsorted(stamp_ns, at_ns, side="right") - 1  # its sweep begins before its stamp
     for k in range(1, len(corrections)):
-        if corrections[k].begins_piece and of_output[k] > of_output[k - 1]:
+        if corrections[k].begins_segment and of_output[k] > of_output[k - 1]:
             stamp_ns[of_output[k - 1] + 1 : of_output[k]] = at_ns[k - 1]
             stamp_ns[of_output[k]] = at_ns[k]
     poses = bent(

@@ -137,8 +137,8 @@ def refuse_line(corners: Floats) -> None:
     """Raises EditError where (C, 2) m are no wall that is taken at once."""
     if len(corners) < 2:
         raise EditError(f"a wall goes through 2 points or more, not {len(corners)}")
-    for piece in pairwise(corners):
-        _refuse_if_large(np.array(piece), "a part of the wall", "draw it through more points")
+    for segment in pairwise(corners):
+        _refuse_if_large(np.array(segment), "a part of the wall", "draw it through more points")
 
 
 def _refuse_if_large(points: Floats, what: str, instead: str) -> None:

@@ -81,7 +81,7 @@ class Localisation:
             once is not None
             and match.state == "lost"
             and match.measured is not None  # it lies on the piece
-            and change.piece == once.piece
+            and change.segment == once.segment
         ):
             self.pose_map_odom, self._known_here = once.pose_map_odom, once.known
             match = replace(match, state="degraded", reason=UNCONFIRMED_PLACE)

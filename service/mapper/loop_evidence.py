@@ -24,13 +24,17 @@ def residuals(map_poses: Floats, ends: Ints, measured: Floats) -> tuple[Floats, 
 
 
 def evidence(
-    loops: Mapping[str, npt.NDArray[Any]], stamps_ns: Ints, map_poses: Floats, way_m: Floats, first_ns: int
+    loops: Mapping[str, npt.NDArray[Any]],
+    stamps_ns: Ints,
+    map_poses: Floats,
+    path_length_m: Floats,
+    first_ns: int,
 ) -> list[dict[str, Any]]:
     """Of each of N loops its place, its times and its figures, for JSON.
 
     loops      arrays as the fields of RefusedLoops; those of accepted ones: covariance, (N, 3, 3), and no
                reason
-    stamps_ns, map_poses, way_m   (K,), (K, 3), (K,) of all key frames
+    stamps_ns, map_poses, path_length_m   (K,), (K, 3), (K,) of all key frames
     first_ns   from which times count
     """
     ends = loops["ends"]
@@ -45,7 +49,7 @@ def evidence(
                 "y_m": round(float(map_poses[to, 1]), 2),
                 "from_s": round(int(stamps_ns[of] - first_ns) / 1e9, 2),
                 "back_at_s": round(int(stamps_ns[to] - first_ns) / 1e9, 2),
-                "way_m": round(abs(float(way_m[to] - way_m[of])), 1),
+                "way_m": round(abs(float(path_length_m[to] - path_length_m[of])), 1),
                 "points": int(loops["points"][k]),
                 "on_map": round(float(loops["score"][k]), 3),
                 "in_free": None if np.isnan(loops["against"][k]) else round(float(loops["against"][k]), 3),

@@ -10,11 +10,11 @@ from service.geometry.geo_reference import GeoReference
 from service.mapper.checks.sensor_checks import SensorChecks, Verdict
 from service.mapper.components import (
     Components,
+    Detachable,
     EditAnswer,
     FinishedGraph,
     Graph,
     GraphUpdate,
-    HasPieces,
     KnowsStanding,
     MappedScan,
     Match,
@@ -193,7 +193,7 @@ class Mapper(Generic[ReadableMap]):
             self.components.local_map.join(update.joined)
         if self.components.graph.fault:
             self._localisation.graph_ended()
-            if isinstance(self.components.local_map, HasPieces):
+            if isinstance(self.components.local_map, Detachable):
                 self.components.local_map.attach()
         if update.rendered_map is not None:
             self.components.free_space.replace_by(update.rendered_map, update.since)
@@ -217,7 +217,7 @@ class Mapper(Generic[ReadableMap]):
         looked_for = self._checks.where_to_compare(scan.sensor, at_ns, predicted)
         if looked_for is not None:
             return self._compared(points, at_ns, looked_for)
-        if is_motion_unmeasured(predicted) and s.graph.finds_pieces and isinstance(s.local_map, HasPieces):
+        if is_motion_unmeasured(predicted) and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # where we are
         reason = of_laser(scan.sensor, match.reason)

@@ -13,9 +13,10 @@ from service.mapper.refused_loops import RefusedLoops
 
 SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
+STORED_NAMES = {"path_length_m": "way_m", "segment": "piece"}  # of fields that a file spells otherwise
 MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
 KINDS = {  # of dtypes; the others are floating
-    **dict.fromkeys(("stamp_ns", "piece", "point_count", "loop_ends", "loop_points"), "i"),
+    **dict.fromkeys(("stamp_ns", "segment", "point_count", "loop_ends", "loop_points"), "i"),
     "is_lost": "b",
 }
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
@@ -48,11 +49,11 @@ class SavedGraph:
     stamp_ns: npt.NDArray[np.int64]  # (N,)
     odom: Floats  # (N, 3) pose_odom_base: m, m, rad
     map: Floats  # (N, 3) pose_map_base
-    way_m: Floats  # (N,) travelled up to each
+    path_length_m: Floats  # (N,) travelled up to each
     covariance: Floats  # (N, 3, 3) of the pose against the local map, base axes
     score: Floats  # (N,) inlier ratio on the local map
     gap_s: Floats  # (N,) longest time without a scan since the key frame before
-    piece: npt.NDArray[np.int64]  # (N,)
+    segment: npt.NDArray[np.int64]  # (N,)
     is_lost: npt.NDArray[np.bool_]  # (N,) the odom pose is a prediction
     range_sigma_m: Floats  # (N,) noise of its ranges
     sensor_xy_m: Floats  # (N, 2) base frame
@@ -78,7 +79,7 @@ class SavedGraph:
         n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
         expected = {
             **dict.fromkeys(
-                ("stamp_ns", "way_m", "score", "gap_s", "piece", "is_lost", "range_sigma_m"), (n,)
+                ("stamp_ns", "path_length_m", "score", "gap_s", "segment", "is_lost", "range_sigma_m"), (n,)
             ),
             "point_count": (n,),
             **dict.fromkeys(("odom", "map"), (n, 3)),
@@ -92,13 +93,13 @@ class SavedGraph:
             **dict.fromkeys(("loop_score", "loop_points", "loop_against"), (loops,)),
         }
         for name, shape in expected.items():
-            array = getattr(self, name)
+            array, stored = getattr(self, name), STORED_NAMES.get(name, name)
             if array.dtype.kind not in KINDS.get(name, "f"):
-                raise SavedGraphError(f"{name} is of {array.dtype}")
+                raise SavedGraphError(f"{stored} is of {array.dtype}")
             if array.shape != shape:
-                raise SavedGraphError(f"{name} has the shape {array.shape}, expected {shape}")
+                raise SavedGraphError(f"{stored} has the shape {array.shape}, expected {shape}")
             if name not in MAY_BE_NO_NUMBER and array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise SavedGraphError(f"{name} holds what is no number")
+                raise SavedGraphError(f"{stored} holds what is no number")
         if loops and (self.loop_ends.min() < 0 or self.loop_ends.max() >= n):
             raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")
         if (self.point_count < 0).any():
@@ -109,12 +110,13 @@ class SavedGraph:
 
 
 _ELSEWHERE = ("xy_base", "normals", "by_hand", "refused")  # fields that are no small arrays
-_SMALL = [f.name for f in fields(SavedGraph) if f.name not in _ELSEWHERE]
+_SMALL = {f.name: STORED_NAMES.get(f.name, f.name) for f in fields(SavedGraph) if f.name not in _ELSEWHERE}
 
 
 def small_arrays(graph: SavedGraph) -> dict[str, npt.NDArray[Any]]:
-    """All but the points, by name."""
-    return {name: getattr(graph, name) for name in _SMALL} | graph.by_hand.arrays() | graph.refused.arrays()
+    """All but the points, by their names in a file."""
+    small = {stored: getattr(graph, name) for name, stored in _SMALL.items()}
+    return small | graph.by_hand.arrays() | graph.refused.arrays()
 
 
 def packed_points(graph: SavedGraph, first: int, last: int) -> dict[str, npt.NDArray[Any]]:
@@ -140,7 +142,7 @@ def from_arrays(
             normals=(np.concatenate(normals) * NORMAL_STEP).astype(np.float32),
             by_hand=ByHand.from_arrays(small),
             refused=RefusedLoops.from_arrays(small),
-            **{name: small[name] for name in _SMALL},
+            **{name: small[stored] for name, stored in _SMALL.items()},
         )
     except (KeyError, ValueError, TypeError) as error:
         raise SavedGraphError(f"arrays that are no graph: {error}") from error

@@ -68,8 +68,8 @@ def ways_of(folder: Path) -> list[Floats]:
     if not (folder / GRAPH_FILE).exists():
         return []
     arrays = read_arrays(folder / GRAPH_FILE)
-    xy, piece = arrays["map"][:, :2], arrays["piece"]
-    return [way for way in np.split(xy, np.flatnonzero(np.diff(piece)) + 1) if len(way)]
+    xy, segment = arrays["map"][:, :2], arrays["piece"]
+    return [way for way in np.split(xy, np.flatnonzero(np.diff(segment)) + 1) if len(way)]
 
 
 class GraphFolder:

@@ -250,10 +250,10 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
     return near, far
 
 
-def is_reported(pieces: DetachedSearch, true: Floats) -> bool:
+def is_reported(detached: DetachedSearch, true: Floats) -> bool:
     """Whether the true place is one of two that are reported, and neither is clearly likelier."""
-    is_reported = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in pieces.possible)
-    return is_reported and abs(pieces.evidence_margin(true)) < MIN_MARGIN_NATS
+    is_reported = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in detached.possible)
+    return is_reported and abs(detached.evidence_margin(true)) < MIN_MARGIN_NATS
 
 
 def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
@@ -289,9 +289,9 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
         was_wrong_ok |= is_wrong and output.state == "ok"
         if is_placed and math.isnan(found_s):
             found_s = 1e-9 * (output.stamp_ns - frames[0].stamp_ns)
-    pieces = back_ends[0].pieces
-    is_alike = not is_placed and is_reported(pieces, true)
-    elsewhere = not is_placed and not is_alike and pieces.evidence_margin(true) <= 0.0
+    detached = back_ends[0].detached_search
+    is_alike = not is_placed and is_reported(detached, true)
+    elsewhere = not is_placed and not is_alike and detached.evidence_margin(true) <= 0.0
     mapper.graph.close()
     is_right = is_placed and not is_wrong
     return Look(is_right, is_wrong, was_wrong_ok, is_alike, elsewhere, found_s, longest_s, 1e3 * off_m)

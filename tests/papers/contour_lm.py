@@ -228,7 +228,7 @@ def pairwise(seeds: Sequence[int]) -> Section:
             (PAIRS, run(mapping_config(paired), ride)),
         ):
             off[name].append(ran.end_error[0])
-    way_m = float(np.hypot(ride.truth[max(ride.truth)].x_m, ride.truth[max(ride.truth)].y_m))
+    path_m = float(np.hypot(ride.truth[max(ride.truth)].x_m, ride.truth[max(ride.truth)].y_m))
     rows = [Row("A8", f"{name}: off at the end", values, "m") for name, values in off.items()]
     for name in (OURS, INERTIAL):
         ratios = [pairs / ours for pairs, ours in zip(off[PAIRS], off[name], strict=True)]
@@ -246,7 +246,7 @@ def pairwise(seeds: Sequence[int]) -> Section:
         )
     return Section(
         "Matched to the map, or scan to scan",
-        f"The first {PAIRED_SCANS} scans of the ring, {way_m:.0f} m along its first corridor. `contour_lm` "
+        f"The first {PAIRED_SCANS} scans of the ring, {path_m:.0f} m along its first corridor. `contour_lm` "
         "and ICP of each scan to the one before it (point to point, all points, that of the profile `imle`) "
         "get 25 scans a second of an LMS100 alone, `owolm_eskf` 40 of a UTM-30LX and an IMU, as long. "
         "Along bare walls the nearest points are those beside, so that ICP of pairs of scans estimates no "

@@ -183,7 +183,7 @@ def memory(seeds: Sequence[int]) -> Section:
     config = mapping_config({"profile": "submap_graph"})
     mapper = build_mapper(config, {"front": FORWARD}, new_worker=new_worker)  # type: ignore[arg-type]
     lap_s = office().drive.duration_s
-    tiles, kept_mb, way_m, walls_mb = [0] * LAP_COUNT, [0.0] * LAP_COUNT, [0.0] * LAP_COUNT, 0.0
+    tiles, kept_mb, path_length_m, walls_mb = [0] * LAP_COUNT, [0.0] * LAP_COUNT, [0.0] * LAP_COUNT, 0.0
     for frame in ride.frames:
         if mapper.process(frame) is None:
             continue
@@ -192,8 +192,12 @@ def memory(seeds: Sequence[int]) -> Section:
         while mapper.graph.waiting:
             mapper.apply_result()
             kept, walls = (len(pickle.dumps(one)) for one in (held[0], held[0].walls))
-            kept_mb[lap], walls_mb, way_m[lap] = (kept - walls) / 1e6, walls / 1e6, held[0].way_m[-1]
-    grown_mb, driven_m = kept_mb[-1] - kept_mb[1], way_m[-1] - way_m[1]
+            kept_mb[lap], walls_mb, path_length_m[lap] = (
+                (kept - walls) / 1e6,
+                walls / 1e6,
+                held[0].path_length_m[-1],
+            )
+    grown_mb, driven_m = kept_mb[-1] - kept_mb[1], path_length_m[-1] - path_length_m[1]
     ratio = tiles[-1] / tiles[1]
     return Section(
         "Memory, lap after lap",
@@ -239,7 +243,7 @@ def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
     first, last = found["hours"][0], found["hours"][-1]
     lines = ["| minutes | way | sub-maps | resident memory | pose off by |", "|---|---|---|---|---|"]
     lines += [
-        f"| {one['minutes']:.0f} | {one['way_m']:.0f} m | {one['submaps']} | {one['resident_mb']:.0f} MB "
+        f"| {one['minutes']:.0f} | {one['path_m']:.0f} m | {one['submaps']} | {one['resident_mb']:.0f} MB "
         f"| {100.0 * one['off_m']:.1f} cm |"
         for one in found["hours"]
     ]

@@ -70,7 +70,7 @@ def main(seed: int, seconds: float) -> None:
         facts.append(
             {
                 "minutes": output.stamp_ns * 1e-9 / 60.0,
-                "way_m": held[0].way_m[-1],
+                "path_m": held[0].path_length_m[-1],
                 "submaps": len(held[0].submaps),
                 "resident_mb": resident_mb() - before_mb,
                 "off_m": math.hypot(off.x_m, off.y_m),

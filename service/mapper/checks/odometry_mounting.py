@@ -163,8 +163,8 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     c, s = np.cos(turned), np.sin(turned)
     # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale
     jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
-    way_m = np.hypot(driven[:, 0], driven[:, 1])
-    weight = 1.0 / (MATCH_M**2 + WALK_M**2 * way_m + (TURN_NOISE_M * turn) ** 2)
+    path_length_m = np.hypot(driven[:, 0], driven[:, 1])
+    weight = 1.0 / (MATCH_M**2 + WALK_M**2 * path_length_m + (TURN_NOISE_M * turn) ** 2)
     counts, excess = np.ones(len(steps)), 1.0
     unknown, covariance = np.zeros(4), np.eye(4)
     for _ in range(4):

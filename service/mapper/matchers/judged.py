@@ -99,7 +99,7 @@ class JudgedMatching:
         self._rest_until_ns = 0  # no search before
         self._widening = 1.0
         self._confirmation = Confirmation()
-        self._lost_way_m = 0.0  # that was measured since the last match
+        self._lost_path_m = 0.0  # that was measured since the last match
         self._before: tuple[Points, SE2] | None = None  # the lost scan before, where it was predicted
 
     def match(
@@ -117,13 +117,13 @@ class JudgedMatching:
         match = self._placed(points, predicted, local_map, aligner)
         if match.state == "lost" and self._starts_over(points, predicted):
             local_map.start_over()
-            words = f"{match.reason}; not relocalised over {self._lost_way_m:.0f} m: a new map begins here"
+            words = f"{match.reason}; not relocalised over {self._lost_path_m:.0f} m: a new map begins here"
             match = Match(predicted, points, match.inlier_ratio, "degraded", Reason("new_map", words))
         self._is_lost = match.state == "lost"
         if not self._is_lost:
             self._rest_until_ns, self._widening = 0, 1.0
             self._confirmation.forget()
-            self._lost_way_m, self._before = 0.0, None
+            self._lost_path_m, self._before = 0.0, None
         return match
 
     def _placed(
@@ -232,9 +232,9 @@ class JudgedMatching:
     def _starts_over(self, points: Points, predicted: Prediction) -> bool:
         """Whether a lost vehicle has come far enough, and sees what stands: noise fits no scan before."""
         if predicted.is_measured:
-            self._lost_way_m += predicted.travel_m
+            self._lost_path_m += predicted.travel_m
         before, self._before = self._before, (points, predicted.pose_odom_base)
-        if before is None or self._lost_way_m < RESTART_M:
+        if before is None or self._lost_path_m < RESTART_M:
             return False
         seen = KnownGround()
         seen.insert(*before)

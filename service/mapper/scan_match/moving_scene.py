@@ -205,7 +205,7 @@ class MovingScene:
         self._has_moved = False  # part of the scene, in the newest scan that was judged
         # Since part of the scene was seen to move last: the steps from each match of what stands still to
         # that of the whole scan, one after the other, and the way.
-        self._drag, self._way_m = SE2(), 0.0
+        self._drag, self._path_length_m = SE2(), 0.0
 
     def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
         """The match of what stands still, while part of the scene moves; None: it stands still again, or what
@@ -310,7 +310,7 @@ class MovingScene:
 
     def _moves(self, attempt: Attempt) -> None:
         self._moves_until_ns = attempt.stamp_ns + STILL_NS
-        self._drag, self._way_m = SE2(), 0.0
+        self._drag, self._path_length_m = SE2(), 0.0
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """With the weight that the prediction has by its own distribution, and what is not to be mapped."""
@@ -339,9 +339,9 @@ class MovingScene:
         """
         whole = self._align(attempt, attempt.prior.pose, static.submap, False)
         self._drag = self._drag @ (static.pose.inverse() @ whole.pose)
-        self._way_m += attempt.predicted.travel_m
+        self._path_length_m += attempt.predicted.travel_m
         off_m, off_rad = math.hypot(self._drag.x_m, self._drag.y_m), abs(self._drag.theta_rad)
-        scale = USUAL.odometry_scale_sigma * self._way_m
+        scale = USUAL.odometry_scale_sigma * self._path_length_m
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
 
 

@@ -48,7 +48,9 @@ SUBMAP_POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
-NEW_PIECE_ERROR = 0.01  # of the pose's error against the map is left against a piece that begins at the pose
+NEW_SEGMENT_ERROR = (
+    0.01  # of the pose's error against the map is left against a piece that begins at the pose
+)
 MAX_MISSES = 3  # then another piece is begun
 STATIC_PATH_M = 1.0  # what was seen over so much of the path stands still: nothing moves along for longer
 MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
@@ -280,7 +282,9 @@ class SurfelSubmaps:
         self._next_number = 0
         self._pair: list[Submap] = []
         self._detached: Submap | None = None
-        self._piece = self._joined_piece = 0  # number of the newest piece; of that which scans are matched to
+        self._segment = self._joined_segment = (
+            0  # number of the newest piece; of that which scans are matched to
+        )
         self._pause_s = 0.0  # in which nobody measured the way to the piece; 0: it was measured
         self._misses = 0  # scans in a row that fitted neither the map nor the piece
         self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
@@ -308,7 +312,7 @@ class SurfelSubmaps:
         return self._pause_s
 
     def detach(self, pause_s: float) -> None:
-        """As HasPieces.detach."""
+        """As Detachable.detach."""
         if not self._pair:
             return
         self._pause_s = pause_s
@@ -317,21 +321,21 @@ class SurfelSubmaps:
             self._detached = None
 
     def attach(self) -> None:
-        """As HasPieces.attach."""
+        """As Detachable.attach."""
         self._pause_s = 0.0
 
     def standing(self) -> Standing | None:
         """As KnowsStanding.standing."""
         return None if self.matched_to is None else self.matched_to.standing()
 
-    def join(self, piece: int) -> None:
+    def join(self, segment: int) -> None:
         """The graph has found where a detached piece lies: go on with it, if it is the newest."""
-        if self._detached is None or piece != self._piece:
+        if self._detached is None or segment != self._segment:
             return
         for submap in self._pair:
             submap.release()
         self._pair, self._detached, self._pause_s = [self._detached], None, 0.0
-        self._joined_piece = self._piece
+        self._joined_segment = self._segment
         self._travelled_m = 0.0
 
     def laser_of(self, sensor: str) -> int:
@@ -373,18 +377,18 @@ class SurfelSubmaps:
             self._detached = None
             self._begin_keyframes()
         if self._pair and not self._is_keyframe(points, pose, self._pair[0]):
-            return MapChange(piece=self._joined_piece)
+            return MapChange(segment=self._joined_segment)
         self._advance(points, pose)
         if not self._pair or self._travelled_m >= self._config.spacing_m:
             self._begin_submap()
         error_left = self._error_left(match, self._pair[0])
         self._insert_keyframe(self._pair, points, pose)
-        return MapChange(is_keyframe=True, error_left=error_left, piece=self._joined_piece)
+        return MapChange(is_keyframe=True, error_left=error_left, segment=self._joined_segment)
 
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
         """Put a lost scan into the piece, if it was matched to it, or begins one; few returns do neither."""
         if too_few(points):
-            return MapChange(piece=self._joined_piece if self._detached is None else self._piece)
+            return MapChange(segment=self._joined_segment if self._detached is None else self._segment)
         pose = match.motion.pose_odom_base
         self._misses = 0 if match.measured is not None else self._misses + 1
         if self._detached is None or self._misses >= MAX_MISSES:
@@ -393,18 +397,18 @@ class SurfelSubmaps:
             self._detached = self.new_submap()
             self._begin_keyframes()
             self._misses = 0
-            self._piece += 1
+            self._segment += 1
             self._advance(points, pose)
             self._insert_keyframe([self._detached], points, pose)
-            return MapChange(is_keyframe=True, error_left=NEW_PIECE_ERROR, piece=self._piece)
+            return MapChange(is_keyframe=True, error_left=NEW_SEGMENT_ERROR, segment=self._segment)
         elif match.measured is None:
-            return MapChange(piece=self._piece)
+            return MapChange(segment=self._segment)
         if not self._is_keyframe(points, pose, self._detached):
-            return MapChange(piece=self._piece)
+            return MapChange(segment=self._segment)
         self._advance(points, pose)
         error_left = self._error_left(match, self._detached)
         self._insert_keyframe([self._detached], points, pose)
-        return MapChange(is_keyframe=True, error_left=error_left, piece=self._piece)
+        return MapChange(is_keyframe=True, error_left=error_left, segment=self._segment)
 
     def _error_left(self, match: Match, submap: Submap) -> float:
         """What lay on the map keeps it from taking over the pose's error; what is new has all of it, but of
@@ -414,7 +418,7 @@ class SurfelSubmaps:
         known = match.inlier_ratio
         if self._is_same_place and submap.scan_count < FIRST_SCANS:
             known = max(known, submap.scan_count / (submap.scan_count + 1))
-        return max(min(kept, known), NEW_PIECE_ERROR)
+        return max(min(kept, known), NEW_SEGMENT_ERROR)
 
     def _begin_keyframes(self) -> None:
         self._last_keyframe = None

@@ -182,7 +182,7 @@ class SurfelGaussNewton:
 
     def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
         if local_map.pause_s:
-            return self._on_piece(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
+            return self._on_segment(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
             return self._as_match(static, attempt, static.state, static.reason)
         aligned = self._likelier(self._align(attempt, attempt.prior.pose, submap), attempt)
@@ -198,11 +198,11 @@ class SurfelGaussNewton:
             return self._as_match(aligned, attempt, aligned.state, aligned.reason)
         if self._gap is None and (static := self._scene.explain(attempt, submap)) is not None:
             return self._as_match(static, attempt, static.state, static.reason)
-        return self._on_piece(
+        return self._on_segment(
             attempt, local_map, aligned.reason, aligned.result.share, aligned.is_contradicted
         )
 
-    def _on_piece(
+    def _on_segment(
         self,
         attempt: Attempt,
         local_map: SurfelSubmaps,

@@ -30,7 +30,7 @@ def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:
     x_m, y_m      of the later key frame; apart_m, apart_deg: between the map and the alignment
     on_map        share of the points of the later pass that lie on the earlier one
     """
-    refused, way = graph.refused, graph.way_m[graph.refused.ends]
+    refused, way = graph.refused, graph.path_length_m[graph.refused.ends]
     apart_m, apart_rad = residuals(graph.map, refused.ends, refused.measured)
     disagrees = ((apart_m > AGREE_M) | (apart_rad > AGREE_RAD)) & np.isin(refused.reason, _FITS)
     proposed: list[int] = []

@@ -42,7 +42,7 @@ def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, An
     names = ("ends", "measured", "covariance", "score", "points", "against")
     of_accepted = {name: getattr(graph, f"loop_{name}") for name in names}
     accepted, refused = (
-        evidence(loops, graph.stamp_ns, graph.map, graph.way_m, int(graph.stamp_ns.min()))
+        evidence(loops, graph.stamp_ns, graph.map, graph.path_length_m, int(graph.stamp_ns.min()))
         for loops in (of_accepted, graph.refused.by_field())
     )
     return [{"loop": k, **facts} for k, facts in enumerate(accepted)], refused

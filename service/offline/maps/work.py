@@ -57,7 +57,7 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
         facts |= {
             "keyframes": len(graph),
             "loops": len(graph.loop_ends),
-            "sessions_and_pieces": len(np.unique(graph.piece)),
+            "sessions_and_pieces": len(np.unique(graph.segment)),
             "refused_loops": len(graph.refused.ends),
             "pairs": len(graph.by_hand.pair_ends),
             "walls": int((graph.by_hand.kind == DRAWN_WALL).sum()),
@@ -72,8 +72,8 @@ def stretches(graph: SavedGraph) -> list[dict[str, Any]]:
     """From when to when each session or detached map lasts, also in s after the first key frame."""
     first_ns = int(graph.stamp_ns.min())
     facts = []
-    for piece in dict.fromkeys(graph.piece.tolist()):  # in the order driven
-        stamps = graph.stamp_ns[graph.piece == piece]
+    for segment in dict.fromkeys(graph.segment.tolist()):  # in the order driven
+        stamps = graph.stamp_ns[graph.segment == segment]
         begin_ns, end_ns = int(stamps.min()), int(stamps.max())
         facts.append(
             {

@@ -188,6 +188,6 @@ def _loops(graph: SavedGraph) -> list[Loop]:
     ]
 
 
-def way_m(poses: Floats) -> float:
+def path_length_m(poses: Floats) -> float:
     """Length of the path through (N, 3) poses."""
     return float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())

@@ -13,7 +13,7 @@ from drivers.counted import counted
 from service import web
 from service.mapstore.picture import WHITE_FREE
 from service.offline.report.charts import clock, timeline
-from service.offline.report.content import Content, read_content, way_m
+from service.offline.report.content import Content, path_length_m, read_content
 from service.offline.report.map_figure import map_figure
 from service.offline.report.markup import Markup, joined, tag
 from service.offline.writing import refuse_unwritable_file, whole_files
@@ -141,7 +141,7 @@ def _figures(content: Content) -> Markup:
     summary, trajectory, states = content.summary, content.trajectory, content.states
     figures: list[tuple[str, str, str]] = []
     if trajectory is not None:
-        figures.append(("Path", f"{way_m(trajectory.pose):,.1f} m".replace(",", " "), ""))
+        figures.append(("Path", f"{path_length_m(trajectory.pose):,.1f} m".replace(",", " "), ""))
     if content.picture is not None:
         free = sum(int((band == WHITE_FREE).sum()) for band in content.picture.bands())
         area_m2 = free * content.picture.cell_m**2

@@ -248,8 +248,8 @@ def _score_trajectory(estimate: Trajectory, path: Path, shift_s: float, offset_x
         )
     e, t = estimate.pose[known], truth.at(estimate.stamp_ns[known])
     motion = align(e, t)
-    way_m = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(t[:, :2], axis=0).T))))
-    starts, ends = _steps(way_m)
+    path_length_m = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(t[:, :2], axis=0).T))))
+    starts, ends = _steps(path_length_m)
     rpe_m, rpe_deg = _size(_relative_error(e, t, starts, ends))
     closure_m, closure_deg = _size(_relative_error(e, t, np.array([0]), np.array([len(e) - 1])))
     aligned_m, aligned_deg = _size(_difference(compose(motion, e), t))
@@ -258,7 +258,7 @@ def _score_trajectory(estimate: Trajectory, path: Path, shift_s: float, offset_x
         kind="trajectory",
         poses_scored=len(e),
         poses_left_out=int(np.count_nonzero(~known)),
-        path_m=float(way_m[-1]),
+        path_m=float(path_length_m[-1]),
         shift_s=shift_s,
         offset_x_m=offset_x_m,
         ate_aligned_m=_spread_of(aligned_m),
@@ -286,10 +286,10 @@ def _known(truth: Trajectory, stamp_ns: npt.NDArray[np.int64]) -> npt.NDArray[np
     return known
 
 
-def _steps(way_m: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _steps(path_length_m: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """From each pose to the first that lies RPE_STEP_M further along the true path."""
-    ends = np.searchsorted(way_m, way_m + RPE_STEP_M - 1e-9)
-    starts = np.flatnonzero(ends < len(way_m))
+    ends = np.searchsorted(path_length_m, path_length_m + RPE_STEP_M - 1e-9)
+    starts = np.flatnonzero(ends < len(path_length_m))
     return starts, ends[starts]
 
 

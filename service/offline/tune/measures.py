@@ -103,7 +103,7 @@ def _placed(graph: SavedGraph) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
     def turned(xy: npt.NDArray[np.float32]) -> Floats:
         return np.column_stack((c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]))
 
-    passes = np.floor(graph.way_m / PASS_M).astype(np.int64)
+    passes = np.floor(graph.path_length_m / PASS_M).astype(np.int64)
     return turned(graph.xy_base) + pose[:, :2], turned(graph.normals[:, :2]), passes[frame]
 
 

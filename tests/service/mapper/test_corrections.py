@@ -33,7 +33,7 @@ def test_the_path_meets_the_corrected_scans_and_bends_evenly_between():
 
 def test_what_was_driven_before_a_part_of_the_map_begins_does_not_bend_to_it():
     start = Correction(2, SE2(0.2, 0.0, 0.0), SE2(0.2, 0.0, 0.0))
-    carried_to = Correction(85, SE2(0.8, 0.0, 0.0), SE2(0.8, 30.0, 0.0), begins_piece=True)  # in its sweep
+    carried_to = Correction(85, SE2(0.8, 0.0, 0.0), SE2(0.8, 30.0, 0.0), begins_segment=True)  # in its sweep
     outputs = [replace(of, stamp_ns=10 * of.stamp_ns) for of in STRAIGHT]
     poses = corrected(outputs, [replace(start, stamp_ns=20), carried_to])
     np.testing.assert_allclose([pose.y_m for pose in poses], [0.0] * 8 + [30.0] * 3, atol=1e-12)

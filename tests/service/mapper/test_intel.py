@@ -21,15 +21,15 @@ def test_chance_does_not_shorten_the_motion_along_a_corridor(shared: Path) -> No
     mapper = build_mapper(mapping_config(), {"laser": SE2()})
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
     odometry = [frame for frame in frames if isinstance(frame, OdometrySample)]
-    matched = _way_m(
+    matched = _path_length_m(
         [o.stamp_ns for o in outputs], [(o.pose_odom_base.x_m, o.pose_odom_base.y_m) for o in outputs]
     )
-    driven = _way_m([o.stamp_ns for o in odometry], [(o.x_m, o.y_m) for o in odometry])
+    driven = _path_length_m([o.stamp_ns for o in odometry], [(o.x_m, o.y_m) for o in odometry])
     assert driven > 2.0
     assert matched == pytest.approx(driven, abs=0.35)
 
 
-def _way_m(stamps_ns: list[int], xy_m: list[tuple[float, float]]) -> float:
+def _path_length_m(stamps_ns: list[int], xy_m: list[tuple[float, float]]) -> float:
     time_s = (np.array(stamps_ns) - stamps_ns[0]) * 1e-9
     x_m, y_m = (np.interp([FROM_S, TO_S], time_s, column) for column in np.array(xy_m).T)
     return math.hypot(x_m[1] - x_m[0], y_m[1] - y_m[0])

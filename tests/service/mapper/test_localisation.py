@@ -33,14 +33,14 @@ def judged(
     news: PlaceNews,
     state: State,
     reason: str = "",
-    piece: int = 2,
+    segment: int = 2,
     measured: Measurement | None = MEASURED,
 ) -> tuple[Localisation, State, str]:
     place = Localisation("proven")
     place.take(GraphUpdate({}, place=news))
     match = place.judged(
         Match(MOTION, POINTS, 0.9, state, reason, measured=measured),
-        MapChange(piece=piece),
+        MapChange(segment=segment),
         OF_GRAPH,
         1,
         PRIOR,
@@ -56,12 +56,12 @@ def test_a_scan_on_a_detached_map_that_was_found_has_the_pose_of_the_find_and_it
 
 
 @pytest.mark.parametrize(
-    ("state", "piece", "measured"), [("lost", 1, MEASURED), ("lost", 2, None), ("ok", 2, MEASURED)]
+    ("state", "segment", "measured"), [("lost", 1, MEASURED), ("lost", 2, None), ("ok", 2, MEASURED)]
 )
 def test_a_find_says_nothing_of_another_detached_map_of_a_scan_beside_it_and_of_one_on_the_map(
-    state: State, piece: int, measured: Measurement | None
+    state: State, segment: int, measured: Measurement | None
 ):
-    place, *facts = judged(FOUND, state, "", piece, measured)
+    place, *facts = judged(FOUND, state, "", segment, measured)
     assert facts == [state, ""]
     assert place.pose_map_odom == OF_GRAPH
     assert place.covariance_of(MOTION) is MOTION.covariance
@@ -94,9 +94,9 @@ def test_what_the_graph_has_decided_holds_until_it_says_else_or_ends():
     place, *_ = judged(FOUND, "lost")
     lost = Match(MOTION, POINTS, 0.9, "lost", "why", measured=MEASURED)
     place.take(GraphUpdate({"loop_closures": 1}))
-    assert place.judged(lost, MapChange(piece=2), OF_GRAPH, 1, PRIOR).state == "degraded"
+    assert place.judged(lost, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "degraded"
     place.graph_ended()
-    assert place.judged(lost, MapChange(piece=2), OF_GRAPH, 1, PRIOR).state == "lost"
+    assert place.judged(lost, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "lost"
     assert place.pose_map_odom == OF_GRAPH
 
 

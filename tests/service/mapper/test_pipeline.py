@@ -141,20 +141,20 @@ class FindingGraph(NoGraph):
 
     pose_map_odom, covariance = SE2(5.0, -2.0, 0.7), np.diag([0.02, 0.02, 0.001])
 
-    def __init__(self, piece: int) -> None:
-        self.piece: int | None = piece
+    def __init__(self, segment: int) -> None:
+        self.segment: int | None = segment
 
     def apply_result(self):
-        if self.piece is None:
+        if self.segment is None:
             return GraphUpdate({}, place=PlaceNews(possible=[PossiblePlace(1.0, 2.0, 310.0)]))
         known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
-        once = UnconfirmedPlace(self.piece, self.pose_map_odom, known)
+        once = UnconfirmedPlace(self.segment, self.pose_map_odom, known)
         return GraphUpdate({}, place=PlaceNews(unconfirmed_place=once))
 
 
 def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    graph = FindingGraph(piece=1)
+    graph = FindingGraph(segment=1)
     mapper.components = replace(mapper.components, graph=graph)
     outputs = carried_into_another_room(mapper, noise_at=40)
     assert [next(outputs).state for _ in range(3)] == ["lost"] * 3
@@ -166,7 +166,7 @@ def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and
         assert graph.covariance[2, 2] < output.covariance[2, 2] < 2.0 * graph.covariance[2, 2]
     assert mapper.changed_tiles() == []
     assert next(outputs).state == "lost"  # this scan lies nowhere, not in the piece either
-    graph.piece = None  # the find was wrong
+    graph.segment = None  # the find was wrong
     mapper.apply_result()
     withdrawn = next(outputs)
     assert (withdrawn.state, withdrawn.pose_map_odom) == ("lost", SE2())
@@ -176,7 +176,7 @@ def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and
 
 def test_where_another_detached_map_was_found_says_nothing_of_this_one():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    mapper.components = replace(mapper.components, graph=FindingGraph(piece=2))
+    mapper.components = replace(mapper.components, graph=FindingGraph(segment=2))
     outputs = carried_into_another_room(mapper)
     next(outputs)
     mapper.apply_result()

@@ -154,9 +154,9 @@ def test_the_free_direction_of_a_corridor_follows_odometry() -> None:
     corridor = drive(CORRIDOR, down_the_corridor, 6.0, wheel_scale=1.05)
     outputs = run(corridor.frames)
     away = errors(outputs, corridor.truth)
-    way_m = 5.08
+    path_length_m = 5.08
     # What the wheels say, less the little that noise of the normals holds back.
-    assert away[-1, 0] == pytest.approx(0.05 * way_m, abs=0.06)
+    assert away[-1, 0] == pytest.approx(0.05 * path_length_m, abs=0.06)
     assert np.abs(away[:, 1]).max() < 0.02
     assert np.degrees(np.abs(away[:, 2]).max()) < 0.15
     last = outputs[-1]

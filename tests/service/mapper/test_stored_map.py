@@ -277,12 +277,16 @@ def test_a_graph_comes_back_from_its_arrays_to_a_millimetre(first):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("way_m", "way_m has the shape"), ("loop_ends", "key frames that are not among"), ("map", "no number")],
+    [
+        ("path_length_m", "way_m has the shape"),
+        ("loop_ends", "key frames that are not among"),
+        ("map", "no number"),
+    ],
 )
 def test_arrays_that_are_no_graph_are_refused_by_name(first, name, words):
     graph: SavedGraph = first[1].graph
     wrong = {
-        "way_m": graph.way_m[:-1],
+        "path_length_m": graph.path_length_m[:-1],
         "loop_ends": np.full((1, 2), len(graph)),
         "map": np.full_like(graph.map, np.nan),
     }
@@ -312,8 +316,8 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_again(first, s
     """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     drove, begin = first
     mapper = new_mapper(begin)
-    pieces = back_end_of(mapper).pieces
-    best_of, wrongly = pieces.best_of, []
+    detached = back_end_of(mapper).detached_search
+    best_of, wrongly = detached.best_of, []
 
     def find_wrongly(found, prior):
         best = best_of(found, prior)
@@ -324,7 +328,7 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_again(first, s
         shift = np.array([3.0, 0.0, 0.0])
         return se2.compose(at, shift), replace(loop, measured=se2.compose(loop.measured, shift))
 
-    pieces.best_of = find_wrongly
+    detached.best_of = find_wrongly
     outputs = list(outputs_of(mapper, second.frames))
     states = [output.state for output in outputs]
     off = [off_m(drove, second, output) for output in outputs]

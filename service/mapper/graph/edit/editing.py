@@ -74,8 +74,8 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
         raise EditError("no key frame lies in that time; map info tells from when to when each session lasts")
     if not is_kept.any():
         raise EditError("that is all of the map: nothing would be left")
-    piece = graph.piece if is_bridged else _pieces_cut(graph.piece, is_kept)
-    less = only(replace(graph, piece=piece), is_kept)
+    segment = graph.segment if is_bridged else _segments_after_cut(graph.segment, is_kept)
+    less = only(replace(graph, segment=segment), is_kept)
     bridge = "--bridge lets odometry hold them over what is cut"
     _refuse_if_disconnected(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
     return less
@@ -87,7 +87,8 @@ def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
     loops_kept = is_kept[graph.loop_ends].all(axis=1)
     points_kept = np.repeat(is_kept, graph.point_count)
     per_frame = (
-        "stamp_ns odom map way_m covariance score gap_s piece is_lost range_sigma_m sensor_xy_m point_count"
+        "stamp_ns odom map path_length_m covariance score gap_s segment is_lost range_sigma_m sensor_xy_m "
+        "point_count"
     )
     return replace(
         graph,
@@ -111,8 +112,8 @@ def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None
     """
     if keyframes is None:
         first = _observing_keyframe(graph, xy_map[0], np.ones(len(graph), np.bool_), "the first point")
-        elsewhere = (np.abs(graph.way_m - graph.way_m[first]) > SAME_PASS_M) | (
-            graph.piece != graph.piece[first]
+        elsewhere = (np.abs(graph.path_length_m - graph.path_length_m[first]) > SAME_PASS_M) | (
+            graph.segment != graph.segment[first]
         )
         keyframes = (
             first,
@@ -196,8 +197,8 @@ def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
     frame in it.
     """
     joined = [*graph.loop_ends.tolist(), *graph.by_hand.pair_ends.tolist()]
-    for piece in np.unique(graph.piece):
-        own = np.flatnonzero(graph.piece == piece).tolist()
+    for segment in np.unique(graph.segment):
+        own = np.flatnonzero(graph.segment == segment).tolist()
         joined += pairwise(own)
     return np.array(groups_of(len(graph), joined), np.int64)
 
@@ -214,12 +215,14 @@ def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
     )
 
 
-def _pieces_cut(piece: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+def _segments_after_cut(
+    segment: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int64]:
     """Numbers of pieces where odometry says nothing over what is cut out of one."""
-    cut = piece.copy()
-    number = int(piece.max()) + 1
-    for one in np.unique(piece):
-        own = np.flatnonzero(piece == one)
+    cut = segment.copy()
+    number = int(segment.max()) + 1
+    for one in np.unique(segment):
+        own = np.flatnonzero(segment == one)
         here = is_kept[own]
         run = np.cumsum(here & ~np.append(False, here[:-1]))  # 1 for what is kept first, and so on
         later = here & (run > 1)

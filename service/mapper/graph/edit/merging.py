@@ -86,11 +86,13 @@ def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
     """The key frames of several graphs one behind the other, each still in its own map frame."""
     graphs = (first, *others)
     before = np.cumsum([0, *(len(graph) for graph in graphs)]).tolist()
-    way_m, piece = [first.way_m], [first.piece]
+    path_length_m, segment = [first.path_length_m], [first.segment]
     refused, by_hand = first.refused, first.by_hand
     for graph, count in zip(others, before[1:], strict=False):
-        way_m.append(graph.way_m - graph.way_m[0] + way_m[-1][-1] + SESSION_APART_M)
-        piece.append(graph.piece - graph.piece.min() + piece[-1].max() + 1)
+        path_length_m.append(
+            graph.path_length_m - graph.path_length_m[0] + path_length_m[-1][-1] + SESSION_APART_M
+        )
+        segment.append(graph.segment - graph.segment.min() + segment[-1].max() + 1)
         refused = refused.followed_by(replace(graph.refused, ends=graph.refused.ends + count))
         by_hand = by_hand.followed_by(graph.by_hand, count)
 
@@ -104,8 +106,8 @@ def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
     ends = [graph.loop_ends + count for graph, count in zip(graphs, before, strict=False)]
     return SavedGraph(
         **{name: joined(name) for name in names.split()},
-        way_m=np.concatenate(way_m),
-        piece=np.concatenate(piece),
+        path_length_m=np.concatenate(path_length_m),
+        segment=np.concatenate(segment),
         loop_ends=np.concatenate(ends),
         refused=refused,
         by_hand=by_hand,
@@ -133,7 +135,7 @@ def find_second(
     for number, k in enumerate(queries if enough is None else _spread(queries)):
         if enough is not None and not found and number >= MAX_PLACES_MISSED:
             break
-        near = own[np.abs(keyframes.way_m[own] - keyframes.way_m[k]) <= 0.5 * config.place_m]
+        near = own[np.abs(keyframes.path_length_m[own] - keyframes.path_length_m[k]) <= 0.5 * config.place_m]
         near = near if enough is None else near[:: max(1, len(near) // QUERY_KEYFRAMES)]
         best = search.best_of(search.places_of(near.tolist(), k, known, only_winners=enough is not None))
         if best is None:
@@ -159,7 +161,7 @@ def _query_places(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[i
     """Of some key frames by rising number one each QUERY_EVERY_M of the way."""
     queries: list[int] = []
     for k in own.tolist():
-        if not queries or keyframes.way_m[k] >= keyframes.way_m[queries[-1]] + QUERY_EVERY_M:
+        if not queries or keyframes.path_length_m[k] >= keyframes.path_length_m[queries[-1]] + QUERY_EVERY_M:
             queries.append(k)
     return queries
 
@@ -177,7 +179,10 @@ def _agreeing(keyframes: KeyframeList, found: list[tuple[int, Floats]]) -> list[
             (other, other_pose)
             for other, other_pose in found
             if _agree(
-                keyframes.map[other], pose, other_pose, abs(keyframes.way_m[k] - keyframes.way_m[other])
+                keyframes.map[other],
+                pose,
+                other_pose,
+                abs(keyframes.path_length_m[k] - keyframes.path_length_m[other]),
             )
         ]
         if len(same) > len(agreeing):

@@ -75,7 +75,12 @@ def with_area_driven_again(
         )
     is_new &= np.isin(of, kept)
     less, gone = _without_points_in(graph, seen, cell_m)
-    way_m = session.way_m[kept] - session.way_m[kept[0]] + graph.way_m[-1] + SESSION_APART_M
+    path_length_m = (
+        session.path_length_m[kept]
+        - session.path_length_m[kept[0]]
+        + graph.path_length_m[-1]
+        + SESSION_APART_M
+    )
     anchored = np.unique([kept[0], kept[-1]])
     nearest = [int(np.argmin(np.hypot(*(graph.map[:, :2] - session.map[k, :2]).T))) for k in anchored]
     between = se2.between(graph.map[nearest], session.map[anchored])
@@ -85,8 +90,8 @@ def with_area_driven_again(
         replace(
             less,
             **{name: _joined(less, session, name, kept) for name in _PER_FRAME},
-            way_m=np.concatenate((graph.way_m, way_m)),
-            piece=np.concatenate((graph.piece, np.full(len(kept), graph.piece.max() + 1))),
+            path_length_m=np.concatenate((graph.path_length_m, path_length_m)),
+            segment=np.concatenate((graph.segment, np.full(len(kept), graph.segment.max() + 1))),
             point_count=np.concatenate((less.point_count, counts[kept])),
             xy_base=np.concatenate((less.xy_base, session.xy_base[is_new])),
             normals=np.concatenate((less.normals, session.normals[is_new])),

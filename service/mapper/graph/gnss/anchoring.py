@@ -90,13 +90,13 @@ class Anchoring:
             return False
         frame = self._frame or self._middle(among)
         enu = self._enu(frame, among)
-        way_m = keyframes.way_m[[self._fixes[k].keyframe for k in among]]
-        is_near = np.hypot(*enu.T) <= way_m[-1] + FAR_M
-        among, enu, way_m = among[is_near], enu[is_near], way_m[is_near]
+        path_length_m = keyframes.path_length_m[[self._fixes[k].keyframe for k in among]]
+        is_near = np.hypot(*enu.T) <= path_length_m[-1] + FAR_M
+        among, enu, path_length_m = among[is_near], enu[is_near], path_length_m[is_near]
         self.counts["fixes_contradicting"] = int((~is_near).sum())
         if len(among) < MIN_FIXES:
             return False
-        consensus = find_consensus(self._way(keyframes, covariance, among, enu, way_m))
+        consensus = find_consensus(self._way(keyframes, covariance, among, enu, path_length_m))
         accepted = int(consensus.is_accepted.sum())
         self.counts["fixes_contradicting"] += len(among) - accepted
         turned = se2.adjoint(consensus.pose_odom_enu)
@@ -207,7 +207,7 @@ class Anchoring:
         covariance: Floats,
         which: npt.NDArray[np.int64],
         enu: Floats,
-        way_m: Floats,
+        path_length_m: Floats,
     ) -> FixPath:
         keyframe, antenna = self._points(keyframes, which)
         odom = keyframes.odom[keyframe]
@@ -218,7 +218,7 @@ class Anchoring:
         np.add.at(step, last[inside], moved @ covariance[inside] @ moved.transpose(0, 2, 1))
         step += np.diag([FLOOR_M**2, FLOOR_M**2, 1e-6])
         covariances, repeats = self._covariances(which), self._repeats(which)
-        return FixPath(odom, step, way_m, antenna, enu, covariances, repeats)
+        return FixPath(odom, step, path_length_m, antenna, enu, covariances, repeats)
 
     def _repeats(self, which: npt.NDArray[np.int64]) -> Floats:
         """(M,) how many fixes as near in time to the one before make one independent measurement.

@@ -38,7 +38,7 @@ class FixPath:
 
     odom         (M, 3)      pose_odom_base of the key frame of each
     step         (M, 3, 3)   covariance of the way from the one before to each, in its own axes; row 0: unused
-    way_m        (M,)        driven up to each
+    path_length_m        (M,)        driven up to each
     antenna      (M, 2) m    at the moment of the fix, in the frame of the key frame
     enu          (M, 2) m    east and north of the fix
     covariance   (M, 2, 2)   m^2, east and north, as the receiver says
@@ -47,7 +47,7 @@ class FixPath:
 
     odom: Floats
     step: Floats
-    way_m: Floats
+    path_length_m: Floats
     antenna: Floats
     enu: Floats
     covariance: Floats
@@ -63,18 +63,18 @@ class Consensus:
     covariance: Floats
 
 
-def find_consensus(way: FixPath) -> Consensus:
+def find_consensus(path: FixPath) -> Consensus:
     """M >= 2. Deterministic. Raises GraphError where the solver fails."""
-    is_accepted, poses = _graduate(way, np.ones(len(way.odom), np.bool_))
-    is_candidate = np.ones(len(way.odom), np.bool_)
+    is_accepted, poses = _graduate(path, np.ones(len(path.odom), np.bool_))
+    is_candidate = np.ones(len(path.odom), np.bool_)
     for _ in range(ROUNDS):
-        is_wrong = _wrong_stretches(way, _errors(way, poses))
+        is_wrong = _wrong_stretches(path, _errors(path, poses))
         if not (is_wrong & is_accepted).any() or (is_accepted & ~is_wrong).sum() < 2:
             break
         is_candidate &= ~is_wrong
-        is_accepted, poses = _graduate(way, is_candidate)
-    solved = solve(_graph(way, poses, is_accepted.astype(np.float64)), covariances_of=[len(way.odom)])
-    return Consensus(is_accepted, solved.poses[-1], solved.covariances[len(way.odom)])
+        is_accepted, poses = _graduate(path, is_candidate)
+    solved = solve(_graph(path, poses, is_accepted.astype(np.float64)), covariances_of=[len(path.odom)])
+    return Consensus(is_accepted, solved.poses[-1], solved.covariances[len(path.odom)])
 
 
 def fix_edges(
@@ -123,14 +123,14 @@ def align(points: Floats, enu: Floats) -> Floats:
     return np.array([*(points.mean(axis=0) - turned), theta])
 
 
-def _graduate(way: FixPath, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
+def _graduate(path: FixPath, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
     """Fixes accepted (M,) and poses (M + 1, 3), E the last, by graduated non-convexity."""
-    points = se2.points_from(way.odom, way.antenna)
-    start = align(points[is_candidate], way.enu[is_candidate])
-    poses = np.vstack((way.odom, start))
+    points = se2.points_from(path.odom, path.antenna)
+    start = align(points[is_candidate], path.enu[is_candidate])
+    poses = np.vstack((path.odom, start))
     weight = is_candidate.astype(np.float64)
-    poses = solve(_graph(way, poses, weight), QUICK).poses
-    chi2 = _chi2(way, poses)
+    poses = solve(_graph(path, poses, weight), QUICK).poses
+    chi2 = _chi2(path, poses)
     worst = float(chi2[is_candidate].max())
     if worst <= CHI2_99_OF_2:
         return is_candidate, poses
@@ -139,8 +139,8 @@ def _graduate(way: FixPath, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.ND
         weight = is_candidate * _weights(chi2, mu)
         if weight.sum() < 2.0:
             return weight > 0.5, poses
-        poses = solve(_graph(way, poses, weight), QUICK).poses
-        chi2 = _chi2(way, poses)
+        poses = solve(_graph(path, poses, weight), QUICK).poses
+        chi2 = _chi2(path, poses)
         is_decided = bool(((weight == 0.0) | (weight == 1.0)).all())
         if (is_decided and mu > 1.0) or mu > MAX_MU:
             return weight > 0.5, poses
@@ -154,36 +154,36 @@ def _weights(chi2: Floats, mu: float) -> Floats:
     return np.where(chi2 <= low, 1.0, np.where(chi2 >= high, 0.0, between))
 
 
-def _graph(way: FixPath, poses: Floats, weight: Floats) -> PoseGraph:
-    count = len(way.odom)
+def _graph(path: FixPath, poses: Floats, weight: Floats) -> PoseGraph:
+    count = len(path.odom)
     used = np.flatnonzero(weight > MIN_EDGE_WEIGHT)
     heading = poses[used, 2] - poses[-1, 2]
-    covariance = way.covariance[used] * (way.repeats[used] / weight[used])[:, None, None]
-    fixes = fix_edges(count, used, heading, way.antenna[used], way.enu[used], covariance, 0.0)
+    covariance = path.covariance[used] * (path.repeats[used] / weight[used])[:, None, None]
+    fixes = fix_edges(count, used, heading, path.antenna[used], path.enu[used], covariance, 0.0)
     step = np.arange(1, count)
-    measured = se2.between(way.odom[:-1], way.odom[1:])
-    keyframes = Edges(step - 1, step, measured, way.step[1:], np.zeros(count - 1))
+    measured = se2.between(path.odom[:-1], path.odom[1:])
+    keyframes = Edges(step - 1, step, measured, path.step[1:], np.zeros(count - 1))
     return PoseGraph(poses, keyframes.followed_by(fixes))
 
 
-def _errors(way: FixPath, poses: Floats) -> Floats:
+def _errors(path: FixPath, poses: Floats) -> Floats:
     """(M, 2) m east and north: fix minus where the antenna was."""
-    off: Floats = way.enu - se2.points_seen(poses[-1], se2.points_from(poses[:-1], way.antenna))
+    off: Floats = path.enu - se2.points_seen(poses[-1], se2.points_from(poses[:-1], path.antenna))
     return off
 
 
-def _chi2(way: FixPath, poses: Floats) -> Floats:
-    off = _errors(way, poses)
-    return np.asarray(np.einsum("ki,ki->k", off, np.linalg.solve(way.covariance, off[..., None])[..., 0]))
+def _chi2(path: FixPath, poses: Floats) -> Floats:
+    off = _errors(path, poses)
+    return np.asarray(np.einsum("ki,ki->k", off, np.linalg.solve(path.covariance, off[..., None])[..., 0]))
 
 
-def _wrong_stretches(way: FixPath, off_m: Floats) -> npt.NDArray[np.bool_]:
+def _wrong_stretches(path: FixPath, off_m: Floats) -> npt.NDArray[np.bool_]:
     """(M,) fixes in a stretch between two jumps of the error that lies off as a whole.
 
     A reflected signal puts each fix of a minute off by no more than a single one may be. What tells it from
     noise is that it begins and ends at once.
     """
-    sigma_m = np.sqrt(np.trace(way.covariance, axis1=1, axis2=2) / 2.0)
+    sigma_m = np.sqrt(np.trace(path.covariance, axis1=1, axis2=2) / 2.0)
     change_m = np.hypot(*np.diff(off_m, axis=0).T)
     limit_m = JUMP_M + JUMP_SIGMAS * np.maximum(sigma_m[1:], sigma_m[:-1])
     starts = np.flatnonzero(change_m > limit_m) + 1

@@ -204,10 +204,10 @@ class LiveEdits:
         gone = [loop for loop in loops if (loop.of, loop.to) == (of, to)]
         if not gone:
             raise EditError(f"no accepted loop joins the key frames {of} and {to} any more")
-        pieces, piece = np.unique(self._keyframes.piece, return_inverse=True)
+        segments, segment = np.unique(self._keyframes.segment, return_inverse=True)
         left = [(loop.of, loop.to) for loop in loops if loop not in gone] + before.pair_ends.tolist()
-        group = groups_of(len(pieces), piece[np.array(left, np.int64).reshape(-1, 2)].tolist())
-        if group[piece[of]] != group[piece[to]]:
+        group = groups_of(len(segments), segment[np.array(left, np.int64).reshape(-1, 2)].tolist())
+        if group[segment[of]] != group[segment[to]]:
             raise EditError(
                 "nothing else says where a part of the map lies that was begun after the vehicle was lost; "
                 "join it by a pair of points first, or cut it out"

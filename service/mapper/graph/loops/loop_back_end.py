@@ -92,11 +92,11 @@ class LoopBackEnd:
         self._refusals = Refusals(None if stored is None else stored.refused)
         self._submaps = SubmapCache(config, self.keyframes, self._usable)
         self._drift = PathDrift(self.keyframes, config.keyframe_distance_m)
-        self._searched_m = float(self.keyframes.way_m[-1]) if stored is not None else 0.0
+        self._searched_m = float(self.keyframes.path_length_m[-1]) if stored is not None else 0.0
         self._due = SolutionDue(config, self._searched_m)
         # Numbers of the pieces whose place in the map is known.
-        self._joined = {0} if stored is None else set(self.keyframes.piece.tolist())
-        self.pieces = DetachedSearch(config, self.keyframes)
+        self._joined = {0} if stored is None else set(self.keyframes.segment.tolist())
+        self.detached_search = DetachedSearch(config, self.keyframes)
         self._is_merging = self._is_across = False  # as of begin_session_at
         self._placement = Placement(stored is not None)
         self._old_passes = OldPasses(config, self.keyframes)
@@ -107,7 +107,7 @@ class LoopBackEnd:
     def make_ready(self) -> None:
         """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
         if self.keyframes.stored:
-            self.pieces.make_ready(np.flatnonzero(self._usable()))
+            self.detached_search.make_ready(np.flatnonzero(self._usable()))
 
     def work(self, batch: Batch) -> Result:
         result = self._work(batch)
@@ -128,9 +128,9 @@ class LoopBackEnd:
         return result
 
     def _place(self) -> PlaceNews:
-        pieces = self.pieces
-        possible = pieces.possible if self._is_detached() else ()
-        return PlaceNews(self._placement.state, possible, pieces.pose_refused, pieces.unconfirmed_place)
+        detached = self.detached_search
+        possible = detached.possible if self._is_detached() else ()
+        return PlaceNews(self._placement.state, possible, detached.pose_refused, detached.unconfirmed_place)
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
@@ -138,10 +138,10 @@ class LoopBackEnd:
         taken_out = self._old_passes.taken_out  # who sends fixes does not know of it
         self._anchoring.add([replace(fix, keyframe=fix.keyframe - taken_out) for fix in batch.fixes])
         if batch.request == "set_pose":
-            self.pieces.expect_at(np.array(batch.pose))
+            self.detached_search.expect_at(np.array(batch.pose))
         if batch.request == "set_mode":
             return self._set_mode(batch.is_localizing)
-        joined = self._look_for_piece() if self._is_detached() else None
+        joined = self._search_detached() if self._is_detached() else None
         every_m = self._config.keyframe_distance_m if batch.is_last else self._config.search_every_m
         moved = joined is not None or (batch.change is None and self._search_loops(every_m))
         moved |= self._anchoring.is_due and self._find_anchors()
@@ -178,7 +178,7 @@ class LoopBackEnd:
         if joined is not None or batch.request:
             self._due.require_rendering()
         rendered = self.render() if self._due.take_rendering() else None
-        newest = self.keyframes.newest_by_piece()
+        newest = self.keyframes.newest_by_segment()
         return Result(*self._counts, joined, newest, known, rendered, edited=edited)
 
     def _set_mode(self, is_localizing: bool) -> Result:
@@ -211,7 +211,7 @@ class LoopBackEnd:
             return None, EditAnswer(error=str(error))
         self._candidates = []
         self._submaps.clear()
-        self.pieces.forget_map()
+        self.detached_search.forget_map()
         return applied, self._edits.answer(applied, self._known(), self.keyframes.map)
 
     @property
@@ -230,7 +230,7 @@ class LoopBackEnd:
 
     def _is_detached(self) -> bool:
         """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
-        return bool(self.keyframes.count) and int(self.keyframes.piece[-1]) not in self._joined
+        return bool(self.keyframes.count) and int(self.keyframes.segment[-1]) not in self._joined
 
     def _find_anchors(self) -> bool:
         """Whether fixes are worth a solution now."""
@@ -239,23 +239,23 @@ class LoopBackEnd:
 
     def _known(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames whose place in the map is known."""
-        return np.isin(self.keyframes.piece, list(self._joined))
+        return np.isin(self.keyframes.segment, list(self._joined))
 
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(N,) key frames that others can be aligned with: matched, with points, in a place that is known."""
         return self.keyframes.is_usable & self._known()
 
-    def _look_for_piece(self) -> int | None:
+    def _search_detached(self) -> int | None:
         """Number of the newest piece, if its place was found now; else None."""
-        loops = self.pieces.find(np.flatnonzero(self._usable()))
+        loops = self.detached_search.find(np.flatnonzero(self._usable()))
         if loops is None:
             return None
-        piece = int(self.keyframes.piece[-1])
-        self._joined.add(piece)
-        self._placement.found(float(self.keyframes.way_m[-1]))
+        segment = int(self.keyframes.segment[-1])
+        self._joined.add(segment)
+        self._placement.found(float(self.keyframes.path_length_m[-1]))
         self._loops += loops
         self._accepted.append([*loops])
-        return piece
+        return segment
 
     def _append(self, frame: KeyFrame) -> None:
         keyframes = self.keyframes
@@ -266,16 +266,16 @@ class LoopBackEnd:
     def _search_loops(self, every_m: float) -> bool:
         """Search if it is time; whether what came to be accepted is worth a solution now."""
         keyframes = self.keyframes
-        if not keyframes.count or keyframes.way_m[-1] - self._searched_m < every_m:
+        if not keyframes.count or keyframes.path_length_m[-1] - self._searched_m < every_m:
             return False
-        self._searched_m = float(keyframes.way_m[-1])
+        self._searched_m = float(keyframes.path_length_m[-1])
         self._verify_placement()
         for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
             self._refusals.add([found], NOT_SUPPORTED)
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
-        self._candidates = [loop for loop in self._candidates if keyframes.way_m[loop.to] >= oldest_m]
+        self._candidates = [loop for loop in self._candidates if keyframes.path_length_m[loop.to] >= oldest_m]
         return self._due.has_news(keyframes, self._loops)
 
     def _verify_placement(self) -> None:
@@ -293,22 +293,22 @@ class LoopBackEnd:
         fit = submap.align(cloud, expected)
         is_near = math.dist(fit.pose[:2], expected[:2]) < LOOP_WINDOW_M
         agrees = self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MAX_AGAINST
-        if self._placement.seen(float(keyframes.way_m[last]), agrees):
-            self._revoke_placement(int(keyframes.piece[last]))
+        if self._placement.seen(float(keyframes.path_length_m[last]), agrees):
+            self._revoke_placement(int(keyframes.segment[last]))
 
-    def _revoke_placement(self, piece: int) -> None:
+    def _revoke_placement(self, segment: int) -> None:
         """A piece does not lie where it was found."""
         self._due.require_rendering()
-        self._joined.discard(piece)
-        of_piece = self.keyframes.piece == piece
-        self._loops = [loop for loop in self._loops if not (of_piece[loop.of] or of_piece[loop.to])]
+        self._joined.discard(segment)
+        of_segment = self.keyframes.segment == segment
+        self._loops = [loop for loop in self._loops if not (of_segment[loop.of] or of_segment[loop.to])]
         self._candidates, self._accepted = [], []
 
     def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
         """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
         config, keyframes = self._config, self.keyframes
-        way = keyframes.way_m
-        first = int(np.searchsorted(way, way[last] - config.place_m))
+        path_length_m = keyframes.path_length_m
+        first = int(np.searchsorted(path_length_m, path_length_m[last] - config.place_m))
         usable = self._usable()
         members = [k for k in range(first, last + 1) if usable[k]]
         if len(members) < 3:
@@ -321,15 +321,15 @@ class LoopBackEnd:
         else:
             reach_m, reach_rad = np.full(keyframes.count, window[0]), np.full(keyframes.count, window[1])
         away_m = np.hypot(*(keyframes.map[:, :2] - keyframes.map[reference, :2]).T)
-        apart = np.abs(way - way[reference]) >= config.apart_m + config.place_m
+        apart = np.abs(path_length_m - path_length_m[reference]) >= config.apart_m + config.place_m
         if window is None:
-            apart &= way < way[reference]
+            apart &= path_length_m < path_length_m[reference]
         near = np.flatnonzero(apart & usable & (away_m <= reach_m + 1.0))
         if self._fixed_count or self._is_across:
             near = near[near < (self._fixed_count or keyframes.stored)]
         cloud: PointCloud | None = None
         found = []
-        for k in passes_to_search(way, near, away_m, reach_m, config.place_m):
+        for k in passes_to_search(path_length_m, near, away_m, reach_m, config.place_m):
             submap = self._submaps.about(k)
             if cloud is None:
                 cloud = cloud_of(keyframes, members, reference)
@@ -357,19 +357,19 @@ class LoopBackEnd:
 
     def _accept(self, found: Loop) -> None:
         """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
-        config, way = self._config, self.keyframes.way_m
+        config, path_length_m = self._config, self.keyframes.path_length_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
 
         def says_the_same(loop: Loop) -> bool:
-            is_near = abs(way[loop.to] - way[found.to]) <= WITHIN_M
-            is_near &= abs(way[loop.of] - way[found.of]) <= 2.0 * WITHIN_M
+            is_near = abs(path_length_m[loop.to] - path_length_m[found.to]) <= WITHIN_M
+            is_near &= abs(path_length_m[loop.of] - path_length_m[found.of]) <= 2.0 * WITHIN_M
             return is_near and agree(self.keyframes, found, loop, base, growth)
 
         if any(map(says_the_same, self._refusals.by_hand(self._loops))):
             self._refusals.add([found], BY_HAND)
             return
         group = [loop for loop in self._candidates if says_the_same(loop)]
-        is_one_spot = np.ptp([way[loop.to] for loop in group]) < config.consensus_span_m
+        is_one_spot = np.ptp([path_length_m[loop.to] for loop in group]) < config.consensus_span_m
         if is_one_spot and not self._drift.confirms(found):
             return
         new = [loop for loop in group if loop not in self._loops and loop not in self._disabled]
@@ -409,7 +409,7 @@ class LoopBackEnd:
                 self._anchoring.solved(poses[-1])
             if not self._disable_refuted():
                 break
-        self._due.solved(float(self.keyframes.way_m[-1]), before, self.keyframes.map)
+        self._due.solved(float(self.keyframes.path_length_m[-1]), before, self.keyframes.map)
 
     def _disable_refuted(self) -> bool:
         """Whether a loop had to go."""
@@ -435,7 +435,7 @@ class LoopBackEnd:
         self._submaps.clear()
         return Result(
             *self._counts,
-            newest=keyframes.newest_by_piece(),
+            newest=keyframes.newest_by_segment(),
             rendered_map=self.render(),
             all=self._old_passes.corrections(),
             g2o=to_g2o(self.graph()),
@@ -444,13 +444,15 @@ class LoopBackEnd:
 
     def _search_again(self) -> None:
         """Stretches against the passes that lie near them now: revisits that were missed on the way."""
-        config, way = self._config, self.keyframes.way_m
-        done = {(round(way[loop.to] / 3.0), round(way[loop.of] / 3.0)) for loop in self._loops}
+        config, path_length_m = self._config, self.keyframes.path_length_m
+        done = {
+            (round(path_length_m[loop.to] / 3.0), round(path_length_m[loop.of] / 3.0)) for loop in self._loops
+        }
         self._candidates = list(self._loops)
         new = []
         for last in stretches_to_search(self.keyframes, self._loops, config):
             for loop in self._search(last, FINISH_WINDOW):
-                spot = (round(way[loop.to] / 3.0), round(way[loop.of] / 3.0))
+                spot = (round(path_length_m[loop.to] / 3.0), round(path_length_m[loop.of] / 3.0))
                 if spot not in done and loop.of < loop.to:
                     done.add(spot)
                     new.append(loop)
@@ -497,4 +499,4 @@ class LoopBackEnd:
         self._anchoring.renumber(new.number)
         self._submaps.keep_before(int(np.argmin(new.is_kept)))
         self._drift = PathDrift(keyframes, self._config.keyframe_distance_m)
-        self.pieces.forget_numbers()
+        self.detached_search.forget_numbers()

@@ -42,7 +42,7 @@ from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY
 from service.mapper.judgement import sigmas_of
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
-# Between key frames of a detached piece, also at standstill. After MAX_STATIONARY from one spot each
+# Between key frames of a detached segment, also at standstill. After MAX_STATIONARY from one spot each
 # interval is twice the one before, at most MAX_DOUBLED times: further scans add no evidence.
 DETACHED_INTERVAL_NS, MAX_DOUBLED = 500_000_000, 4
 
@@ -90,25 +90,25 @@ class LoopClosing(BackgroundGraph[Result]):
         self._fresh: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
         self._last: SE2 | None = None  # of the newest key frame
-        self._piece = 0  # that the newest scan lies in
+        self._segment = 0  # that the newest scan lies in
         self._last_ns = 0
         self._stationary_pose: SE2 | None = None  # of the first key frame from where the vehicle stands
         self._stationary_count = 0  # key frames after that one from there
         self._prediction_variance = (0.0, 0.0)  # since then, as of KeyFrame
         self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
         self._is_unmeasured = False  # nobody measured the way since the newest place that is known
-        self._way_m = 0.0  # of those not yet sent
+        self._path_length_m = 0.0  # of those not yet sent
         self._last_result: Result | None = None
         self._pose_refused: tuple[float, float, float] | None = None
         self._loops = 0 if stored is None else len(stored.loop_ends)
         self._disabled = 0
 
     @property
-    def finds_pieces(self) -> bool:
+    def finds_segments(self) -> bool:
         return not self.fault
 
     def add(self, scan: MappedScan) -> SE2:
-        pose, self._piece = scan.match.motion.pose_odom_base, scan.change.piece
+        pose, self._segment = scan.match.motion.pose_odom_base, scan.change.segment
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         self._is_unmeasured |= scan.is_motion_unmeasured
         sigma_m, sigma_rad = sigmas_of(scan.prior)
@@ -116,14 +116,14 @@ class LoopClosing(BackgroundGraph[Result]):
             self._prediction_variance[0] + sigma_m**2,
             self._prediction_variance[1] + sigma_rad**2,
         )
-        is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.piece > 0)
+        is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.segment > 0)
         self._is_looking = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._stationary_count - MAX_STATIONARY, 0), MAX_DOUBLED)
         is_due = self._is_step(pose, self._last) or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:
             if self._last is not None:
-                self._way_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
+                self._path_length_m += math.hypot(pose.x_m - self._last.x_m, pose.y_m - self._last.y_m)
             self._last, self._last_ns = pose, scan.stamp_ns
             self._stationary_count += 1
             if self._is_step(pose, self._stationary_pose):
@@ -132,7 +132,9 @@ class LoopClosing(BackgroundGraph[Result]):
             self._keyframes += 1
             self._gap_s, self._prediction_variance = 0.0, (0.0, 0.0)
         self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
-        if is_keyframe and (self._way_m >= self._config.search_every_m or (is_detached and not self.waiting)):
+        if is_keyframe and (
+            self._path_length_m >= self._config.search_every_m or (is_detached and not self.waiting)
+        ):
             self._submit()
         return self._pose_map_odom
 
@@ -223,7 +225,7 @@ class LoopClosing(BackgroundGraph[Result]):
         """What is wanted, with the key frames and fixes since the last batch."""
         self._jobs.submit(replace(wanted, frames=self._fresh, fixes=self._fixes.take()))
         self._sent.append(self._fresh)
-        self._fresh, self._way_m = [], 0.0
+        self._fresh, self._path_length_m = [], 0.0
 
     def _give_up(self) -> None:
         self._sent.clear()
@@ -253,7 +255,7 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.joined is not None:
             self._is_unmeasured = False
         if result.newest:  # its first is the newest of all: a scan may lie in a piece that began since
-            correction = result.newest.get(self._piece, next(iter(result.newest.values())))
+            correction = result.newest.get(self._segment, next(iter(result.newest.values())))
             self._pose_map_odom = correction.pose_map_base @ correction.pose_odom_base.inverse()
         since = [frame for batch in self._sent for frame in batch] + self._fresh
         is_all = result.rendered_map is not None and result.rendered_map.is_part is None
@@ -288,9 +290,9 @@ def _key_frame(
         stamp_ns=scan.stamp_ns,
         pose_odom_base=match.motion.pose_odom_base,
         covariance=scan.covariance,
-        piece=scan.change.piece,
+        segment=scan.change.segment,
         score=match.inlier_ratio,
-        is_lost=match.measured is None and scan.change.piece == 0 and match.state == "lost",
+        is_lost=match.measured is None and scan.change.segment == 0 and match.state == "lost",
         xy_base=points.xy_base.astype(np.float32),
         sensor_xy_m=(points.sensor_base.x_m, points.sensor_base.y_m),
         angle_step_rad=points.spacing_rad,

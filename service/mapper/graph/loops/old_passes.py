@@ -50,7 +50,7 @@ class OldPasses:
         self._looked_back = 0  # key frames whose context were asked for passes too many
         self._spent: set[int] = set()  # key frames to be taken out
         # (G,) of those taken out, compact, for an hour of laps makes thousands: ...
-        self._gone_ns, self._begins_piece = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+        self._gone_ns, self._begins_segment = np.zeros(0, np.int64), np.zeros(0, np.bool_)
         self._odom = np.zeros((0, 3))
         self._beside = np.zeros(0, np.int64)  # ... the key frame that lay nearest to each, and ...
         self._from_beside = np.zeros((0, 3))  # ... where each lay as seen from it
@@ -69,29 +69,29 @@ class OldPasses:
         config, keyframes = self._config, self._keyframes
         if not loops:
             return
-        way = keyframes.way_m
-        ends_m = way[[(loop.to, loop.of) for loop in loops]]
+        path_length_m = keyframes.path_length_m
+        ends_m = path_length_m[[(loop.to, loop.of) for loop in loops]]
         to_m, of_m = ends_m[np.argsort(ends_m[:, 0], kind="stable")].T
-        until = int(np.searchsorted(way, way[-1] - WITHIN_M))
+        until = int(np.searchsorted(path_length_m, path_length_m[-1] - WITHIN_M))
         for k in range(self._looked_back, until):
-            first = int(np.searchsorted(to_m, way[k] - config.place_m))
-            last = int(np.searchsorted(to_m, way[k] + config.place_m, side="right"))
+            first = int(np.searchsorted(to_m, path_length_m[k] - config.place_m))
+            last = int(np.searchsorted(to_m, path_length_m[k] + config.place_m, side="right"))
             if first == last:
                 continue
             away = se2.between(keyframes.map[k], keyframes.map[:k])
             near = np.flatnonzero(
                 (np.hypot(away[:, 0], away[:, 1]) <= SAME_SPOT_M)
                 & (np.abs(away[:, 2]) <= SAME_VIEW_RAD)
-                & (way[:k] < way[k] - config.apart_m)
+                & (path_length_m[:k] < path_length_m[k] - config.apart_m)
                 & keyframes.has_points[:k]
             )
-            passes = np.split(near, np.flatnonzero(np.diff(way[near]) > config.apart_m) + 1)
+            passes = np.split(near, np.flatnonzero(np.diff(path_length_m[near]) > config.apart_m) + 1)
             is_tied = False
             for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
                 if is_tied:
                     self._spent.update(oldest.tolist())
                 else:
-                    apart_m = np.abs(of_m[first:last, None] - way[oldest])
+                    apart_m = np.abs(of_m[first:last, None] - path_length_m[oldest])
                     is_tied = bool((apart_m <= config.place_m).any())
                     if is_tied:
                         continue
@@ -113,7 +113,7 @@ class OldPasses:
         is_kept = np.ones(keyframes.count, np.bool_)
         is_kept[list(self._spent)] = False
         self._spent.clear()
-        borders = np.flatnonzero(np.diff(keyframes.piece))
+        borders = np.flatnonzero(np.diff(keyframes.segment))
         is_kept[: max(keyframes.stored, 1)] = True
         for stays in (borders, borders + 1, *needed):
             is_kept[np.asarray(stays, np.int64)] = True
@@ -135,8 +135,8 @@ class OldPasses:
         self._from_beside[again] = se2.compose(from_beside[row], self._from_beside[again])
         self._beside[again] = beside[row]
         self._gone_ns = np.append(self._gone_ns, np.array(keyframes.stamps_ns, np.int64)[gone])
-        begins = keyframes.piece[gone] != keyframes.piece[np.maximum(gone - 1, 0)]
-        self._begins_piece = np.append(self._begins_piece, begins)
+        begins = keyframes.segment[gone] != keyframes.segment[np.maximum(gone - 1, 0)]
+        self._begins_segment = np.append(self._begins_segment, begins)
         self._odom = np.vstack((self._odom, keyframes.odom[gone]))
         self._beside = np.append(self._beside, beside)
         self._from_beside = np.vstack((self._from_beside, from_beside))
@@ -150,7 +150,7 @@ class OldPasses:
             self._gone_ns.tolist(),
             self._odom.tolist(),
             poses.tolist(),
-            self._begins_piece.tolist(),
+            self._begins_segment.tolist(),
             strict=True,
         )
         gone = [Correction(stamp_ns, SE2(*odom), SE2(*pose), begins) for stamp_ns, odom, pose, begins in rows]

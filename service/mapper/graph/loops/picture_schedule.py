@@ -46,14 +46,14 @@ class PictureSchedule:
         if not at_once and stamp_ns < self._due_ns:
             return None
         self._due_ns = stamp_ns + PERIOD_NS
-        is_joined = np.isin(keyframes.piece, list(joined))
+        is_joined = np.isin(keyframes.segment, list(joined))
         of_accepted = {name.removeprefix("loop_"): of_all for name, of_all in loop_arrays(accepted).items()}
         refused = refusals.arrays(accepted)
         of_refused = refused.by_field()
         picture = draw(
             stamp_ns,
             keyframes.map[:, :2],
-            stretches(keyframes.way_m, keyframes.piece, is_joined & ~keyframes.is_lost),
+            stretches(keyframes.path_length_m, keyframes.segment, is_joined & ~keyframes.is_lost),
             of_accepted["ends"],
             of_refused["ends"],
         )
@@ -76,4 +76,4 @@ def _evidence(
     first = known[np.argsort(-rank[known], kind="stable")][:MAX_SHOWN]
     stamps_ns = np.array(keyframes.stamps_ns, np.int64)
     shown = {name: of_all[first] for name, of_all in loops.items()}
-    return evidence(shown, stamps_ns, keyframes.map, keyframes.way_m, int(stamps_ns[is_joined].min()))
+    return evidence(shown, stamps_ns, keyframes.map, keyframes.path_length_m, int(stamps_ns[is_joined].min()))

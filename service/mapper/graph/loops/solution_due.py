@@ -24,32 +24,32 @@ LEVER_M = 10.0  # from a key frame to the walls that it saw
 class SolutionDue:
     """Remembers the newest solution, and how far the map has moved since it was drawn."""
 
-    def __init__(self, config: LoopsConfig, way_m: float) -> None:
-        """way_m: at the end of the stored map"""
+    def __init__(self, config: LoopsConfig, path_length_m: float) -> None:
+        """path_length_m: at the end of the stored map"""
         self._config = config
-        self._solved_m = way_m
+        self._solved_m = path_length_m
         self._unrendered_m = 0.0
 
     def has_news(self, keyframes: KeyframeList, loops: Sequence[Loop]) -> bool:
         """Whether one of the newest of these loops would move the map by more than it is itself unsure of, or
         SOLVE_EVERY_M were driven since the newest solution.
         """
-        loops, way_m = loops[-NEWEST_LOOPS:], keyframes.way_m
-        if way_m[-1] - self._solved_m >= SOLVE_EVERY_M and any(
-            way_m[loop.to] > self._solved_m for loop in loops
+        loops, path_length_m = loops[-NEWEST_LOOPS:], keyframes.path_length_m
+        if path_length_m[-1] - self._solved_m >= SOLVE_EVERY_M and any(
+            path_length_m[loop.to] > self._solved_m for loop in loops
         ):
             return True
         for loop, chi2 in zip(loops, edge_chi2(as_edges(loops), keyframes.map).tolist(), strict=True):
             off_m, off_rad = disagreement(keyframes, loop)
-            if way_m[loop.to] <= way_m[-1] - WITHIN_M:
+            if path_length_m[loop.to] <= path_length_m[-1] - WITHIN_M:
                 continue
             if (off_m > self._config.solve_at_m and chi2 > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
                 return True
         return False
 
-    def solved(self, way_m: float, before: Floats, after: Floats) -> None:
+    def solved(self, path_length_m: float, before: Floats, after: Floats) -> None:
         """The key frames lay at (N, 3) before and lie at (N, 3) now."""
-        self._solved_m = way_m
+        self._solved_m = path_length_m
         away_m = np.hypot(*(after - before)[:, :2].T) + LEVER_M * np.abs(
             wrap_angle(after[:, 2] - before[:, 2])
         )

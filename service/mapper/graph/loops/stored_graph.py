@@ -62,7 +62,7 @@ def saved_graph(
 
     held   only of the first so many; None: of all
     """
-    is_known = np.isin(keyframes.piece, list(joined))
+    is_known = np.isin(keyframes.segment, list(joined))
     if fixed_count is not None:
         is_known[fixed_count:] = False
     by_hand = keyframes.by_hand
@@ -78,11 +78,11 @@ def saved_graph(
         stamp_ns=np.array(keyframes.stamps_ns, np.int64)[kept],
         odom=keyframes.odom[kept],
         map=keyframes.map[kept],
-        way_m=keyframes.way_m[kept],
+        path_length_m=keyframes.path_length_m[kept],
         covariance=keyframes.covariance[kept],
         score=keyframes.score[kept],
         gap_s=keyframes.gap_s[kept],
-        piece=keyframes.piece[kept],
+        segment=keyframes.segment[kept],
         is_lost=keyframes.is_lost[kept],
         range_sigma_m=keyframes.range_sigma_m[kept],
         sensor_xy_m=np.array([one.sensor_xy_m for one in thinned], np.float64).reshape(-1, 2),
@@ -176,17 +176,17 @@ class Placement:
         self._found_m = 0.0  # way at which it was found
         self._contradictions = 0
 
-    def found(self, way_m: float) -> None:
+    def found(self, path_length_m: float) -> None:
         if self.state == "unknown":
-            self.state, self._found_m, self._contradictions = "unproven", way_m, 0
+            self.state, self._found_m, self._contradictions = "unproven", path_length_m, 0
 
-    def seen(self, way_m: float, agrees: bool) -> bool:
+    def seen(self, path_length_m: float, agrees: bool) -> bool:
         """What is seen after so much way on known ground lies where the map says, or not; whether the place
         must be taken back.
         """
         if self.state != "unproven":
             return False
-        if agrees and way_m - self._found_m >= MIN_APART_M:
+        if agrees and path_length_m - self._found_m >= MIN_APART_M:
             self.state = "proven"
         self._contradictions = 0 if agrees else self._contradictions + 1
         if self._contradictions < MAX_CONTRADICTIONS:

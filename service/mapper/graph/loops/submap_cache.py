@@ -27,13 +27,13 @@ class SubmapCache:
 
     def about(self, k: int) -> CandidateSubmap:
         """One about key frame k; a place that is kept already and lies near will do."""
-        way, config = self._keyframes.way_m, self._config
+        path_length_m, config = self._keyframes.path_length_m, self._config
         for reference in self._submaps:
-            if abs(way[reference] - way[k]) <= config.search_every_m:
+            if abs(path_length_m[reference] - path_length_m[k]) <= config.search_every_m:
                 self._submaps.move_to_end(reference)
                 return self._submaps[reference]
-        first = int(np.searchsorted(way, way[k] - config.place_m))
-        last = int(np.searchsorted(way, way[k] + config.place_m, side="right"))
+        first = int(np.searchsorted(path_length_m, path_length_m[k] - config.place_m))
+        last = int(np.searchsorted(path_length_m, path_length_m[k] + config.place_m, side="right"))
         usable = self._usable()
         members = [m for m in range(first, last) if usable[m]]
         self._submaps[k] = CandidateSubmap(self._keyframes, members, k)

@@ -31,7 +31,7 @@ class BackgroundGraph(ABC, Generic[ResultT]):
         return self._jobs.fault
 
     @property
-    def finds_pieces(self) -> bool:
+    def finds_segments(self) -> bool:
         return False
 
     def apply_result(self) -> GraphUpdate | None:

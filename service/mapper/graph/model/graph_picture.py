@@ -51,18 +51,22 @@ def draw(
     )
 
 
-def stretches(way_m: Floats, piece: Ints, is_known: npt.NDArray[np.bool_]) -> Ints:
+def stretches(path_length_m: Floats, segment: Ints, is_known: npt.NDArray[np.bool_]) -> Ints:
     """(N,) numbers of stretches: a new one begins with another piece, another session, and after a gap."""
-    if not len(way_m):
+    if not len(path_length_m):
         return np.empty(0, np.int64)
-    begins = (np.diff(piece) != 0) | (np.diff(way_m) >= DRAWN_GAP_M) | (np.diff(is_known.astype(int)) != 0)
+    begins = (
+        (np.diff(segment) != 0)
+        | (np.diff(path_length_m) >= DRAWN_GAP_M)
+        | (np.diff(is_known.astype(int)) != 0)
+    )
     numbers = np.concatenate(([0], np.cumsum(begins))).astype(np.int64)
     return np.where(is_known, numbers, -1)
 
 
 def draw_saved(graph: SavedGraph) -> GraphPicture:
     """What was stored: its key frames, the loops that hold and those that were refused."""
-    stretch = stretches(graph.way_m, graph.piece, ~graph.is_lost)
+    stretch = stretches(graph.path_length_m, graph.segment, ~graph.is_lost)
     stamp_ns = int(graph.stamp_ns[-1]) if len(graph) else 0
     return draw(stamp_ns, graph.map[:, :2], stretch, graph.loop_ends, graph.refused.ends)
 

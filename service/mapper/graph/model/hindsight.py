@@ -49,7 +49,7 @@ def known_pose(
     joined   numbers of those pieces
     graph    with edges in hindsight; of it the first `held` key frames are one pose
     """
-    placed = np.flatnonzero(np.isin(keyframes.piece, list(joined)))
+    placed = np.flatnonzero(np.isin(keyframes.segment, list(joined)))
     if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():
         return None
     k = int(placed[-1])

@@ -27,7 +27,7 @@ class KeyFrame:
     stamp_ns: int
     pose_odom_base: SE2
     covariance: Floats  # (3, 3) of the pose against the local map, base axes
-    piece: int  # connected piece of the map that it belongs to
+    segment: int  # connected piece of the map that it belongs to
     score: float  # share of its points on the local map
     is_lost: bool  # the pose is a prediction
     xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
@@ -86,15 +86,15 @@ class KeyframeList:
 
     def _restore(self, stored: SavedGraph) -> None:
         self.count = self.stored = len(stored)
-        _, piece = np.unique(stored.piece, return_inverse=True)
+        _, segment = np.unique(stored.segment, return_inverse=True)
         self._poses = np.column_stack((stored.odom, stored.map))
         self._numbers = np.column_stack(
             (
-                stored.way_m,
+                stored.path_length_m,
                 stored.score,
                 stored.is_lost,
                 stored.point_count > 0,
-                -1 - piece,
+                -1 - segment,
                 stored.gap_s,
                 stored.range_sigma_m,
             )
@@ -125,7 +125,7 @@ class KeyframeList:
         return self._poses[: self.count, 3:]
 
     @property
-    def way_m(self) -> Floats:
+    def path_length_m(self) -> Floats:
         """(N,) travelled up to each."""
         return self._numbers[: self.count, 0]
 
@@ -147,7 +147,7 @@ class KeyframeList:
         return has
 
     @property
-    def piece(self) -> npt.NDArray[np.int64]:
+    def segment(self) -> npt.NDArray[np.int64]:
         """(N,) number of the connected piece of the map that each belongs to."""
         return self._numbers[: self.count, 4].astype(np.int64)
 
@@ -189,7 +189,7 @@ class KeyframeList:
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
         if self.count == self.stored:
             return odom
-        same = np.flatnonzero(self.piece[self.stored :] == frame.piece)
+        same = np.flatnonzero(self.segment[self.stored :] == frame.segment)
         before = self.stored + int(same[-1]) if len(same) else self.count - 1
         return se2.compose(self.map[before], se2.between(self.odom[before], odom))
 
@@ -201,18 +201,20 @@ class KeyframeList:
         k = self.count
         pose = frame.pose_odom_base
         self._poses[k] = pose.x_m, pose.y_m, pose.theta_rad, *pose_map
-        way_m = 0.0
+        path_length_m = 0.0
         if k and k == self.stored:
-            way_m = self._numbers[k - 1, 0] + SESSION_APART_M
+            path_length_m = self._numbers[k - 1, 0] + SESSION_APART_M
         elif k:
             before = self._poses[k - 1]
-            way_m = self._numbers[k - 1, 0] + float(np.hypot(pose.x_m - before[0], pose.y_m - before[1]))
+            path_length_m = self._numbers[k - 1, 0] + float(
+                np.hypot(pose.x_m - before[0], pose.y_m - before[1])
+            )
         self._numbers[k] = (
-            way_m,
+            path_length_m,
             frame.score,
             frame.is_lost,
             True,
-            frame.piece,
+            frame.segment,
             frame.gap_s,
             frame.range_sigma_m,
         )
@@ -221,7 +223,7 @@ class KeyframeList:
         self._motion_covariance[k] = np.nan if known is None else known
         self._prediction_variance[k] = frame.prediction_variance
         if frame.is_unmeasured:
-            self.unmeasured.add(frame.piece)
+            self.unmeasured.add(frame.segment)
         self.stamps_ns.append(frame.stamp_ns)
         self.thinned.append(thinned)
         self.count += 1
@@ -233,17 +235,17 @@ class KeyframeList:
             self.stamps_ns[k],
             SE2(*self.odom[k].tolist()),
             SE2(*self.map[k].tolist()),
-            bool(self.piece[k] != self.piece[before]),
+            bool(self.segment[k] != self.segment[before]),
         )
 
-    def newest_by_piece(self) -> dict[int, Correction]:
+    def newest_by_segment(self) -> dict[int, Correction]:
         """Of the newest one, and of the newest one of another piece: a vehicle may be back in that since."""
-        piece = int(self.piece[-1])
-        newest = {piece: self.correction(self.count - 1)}
-        others = np.flatnonzero(self.piece[self.stored :] != piece)
+        segment = int(self.segment[-1])
+        newest = {segment: self.correction(self.count - 1)}
+        others = np.flatnonzero(self.segment[self.stored :] != segment)
         if len(others):
             k = self.stored + int(others[-1])
-            newest[int(self.piece[k])] = self.correction(k)
+            newest[int(self.segment[k])] = self.correction(k)
         return newest
 
     def keep(self, is_kept: npt.NDArray[np.bool_]) -> None:

@@ -83,8 +83,8 @@ def agree(
     there = se2.compose(a.measured, se2.between(keyframes.odom[a.to], keyframes.odom[b.to]))
     back = se2.compose(se2.between(keyframes.odom[a.of], keyframes.odom[b.of]), b.measured)
     error = se2.between(there, back)
-    way = keyframes.way_m
-    path_m = abs(way[a.to] - way[b.to]) + abs(way[a.of] - way[b.of])
+    path_length_m = keyframes.path_length_m
+    path_m = abs(path_length_m[a.to] - path_length_m[b.to]) + abs(path_length_m[a.of] - path_length_m[b.of])
     return bool(
         np.hypot(error[0], error[1]) <= base[0] + growth[0] * path_m
         and abs(error[2]) <= base[1] + growth[1] * path_m

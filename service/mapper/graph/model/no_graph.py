@@ -12,7 +12,7 @@ class NoGraph:
     waiting = 0
     ready = False
     fault = ""
-    finds_pieces = False
+    finds_segments = False
 
     def add(self, scan: MappedScan) -> SE2:
         return SE2()

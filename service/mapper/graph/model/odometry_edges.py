@@ -15,7 +15,7 @@ LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
 MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: ... added at most where an end hardly lies on the map
 UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
 # ... into a piece, where no scan was missing, so that nobody carried the vehicle; added to the motion model's
-PIECE_COVARIANCE = np.diag([1.0, 1.0, 0.01])
+NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
 MAX_SCAN_GAP_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
 MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
 GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
@@ -56,21 +56,21 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     is_by_motion   a step is known as well as the motion model says, where it says so and the match is not
                    in doubt; one to or from a key frame that was not matched always is
     """
-    edges, is_into_piece = matched_steps(keyframes, step_m)
+    edges, is_into_segment = matched_steps(keyframes, step_m)
     covariance, is_lost = edges.covariance, lost_steps(keyframes)
     then, now = keyframes.motion_covariance[edges.of], keyframes.motion_covariance[edges.to]
-    is_by_model = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_piece | is_by_motion)
+    is_by_model = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_segment | is_by_motion)
     covariance[is_by_model] = covariance_added(
         then[is_by_model], now[is_by_model], edges.measured[is_by_model]
     )
     covariance[is_by_model] += MIN_EDGE_COVARIANCE if is_by_motion else STEP_FLOOR
     # What was not matched cannot be a wrong match.
     covariance += np.where((is_by_model & is_lost)[:, None, None], 0.0, _prediction_covariance(keyframes))
-    covariance[is_into_piece] += PIECE_COVARIANCE
+    covariance[is_into_segment] += NEW_SEGMENT_COVARIANCE
     is_unmeasured = (keyframes.gap_s[1:] > MAX_SCAN_GAP_S) | np.isin(
-        keyframes.piece[1:], [*keyframes.unmeasured]
+        keyframes.segment[1:], [*keyframes.unmeasured]
     )
-    covariance[is_into_piece & (is_unmeasured | ~is_by_model)] = UNKNOWN_COVARIANCE
+    covariance[is_into_segment & (is_unmeasured | ~is_by_model)] = UNKNOWN_COVARIANCE
     return edges
 
 
@@ -80,7 +80,7 @@ def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.ND
     to = np.arange(1, keyframes.count, dtype=np.int64)
     covariance = keyframes.covariance[1:] + STEP_FLOOR
     covariance[lost_steps(keyframes)] = LOST_COVARIANCE
-    gap_m = np.maximum(np.diff(keyframes.way_m) - 2.0 * step_m, 0.0)
+    gap_m = np.maximum(np.diff(keyframes.path_length_m) - 2.0 * step_m, 0.0)
     covariance += (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
     measured = se2.between(keyframes.odom[of], keyframes.odom[to])
     return Edges(of, to, measured, covariance, np.zeros(len(of))), is_unknown
@@ -93,11 +93,11 @@ def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray
     """
     of = np.arange(keyframes.count - 1, dtype=np.int64)
     is_unknown = np.zeros(keyframes.count - 1, np.bool_)
-    pieces = keyframes.piece
+    segments = keyframes.segment
     last_of: dict[int, int] = {}
-    for k in (np.flatnonzero(np.diff(pieces)) + 1).tolist():
-        before, piece = int(pieces[k - 1]), int(pieces[k])
+    for k in (np.flatnonzero(np.diff(segments)) + 1).tolist():
+        before, segment = int(segments[k - 1]), int(segments[k])
         last_of[before] = k - 1
-        of[k - 1] = last_of.get(piece, k - 1)
-        is_unknown[k - 1] = piece not in last_of
+        of[k - 1] = last_of.get(segment, k - 1)
+        is_unknown[k - 1] = segment not in last_of
     return of, is_unknown

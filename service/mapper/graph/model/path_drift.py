@@ -56,8 +56,11 @@ class PathDrift:
         """Whether it is where the way leads, and the way is known so well that it can hardly be elsewhere."""
         if loop.of > loop.to:
             return False
-        way = self.covariance(loop)
-        return bool(np.sqrt(way[:2, :2].diagonal().max()) <= NEAR_SIGMA_M) and self.chi2(loop) <= CHI2_99_OF_3
+        path_covariance = self.covariance(loop)
+        return (
+            bool(np.sqrt(path_covariance[:2, :2].diagonal().max()) <= NEAR_SIGMA_M)
+            and self.chi2(loop) <= CHI2_99_OF_3
+        )
 
     def chi2(self, loop: Loop) -> float:
         """How far a loop is from where the way from `of` to a later `to` leads, in squared sigmas."""
@@ -72,11 +75,11 @@ class PathDrift:
             self._update_steps()
         ends, begun_at = self._path_steps(loop.of, loop.to)
         steps = ends - 1
-        way = carried(self._covariance[steps], se2.between(odom[ends], odom[loop.to])).sum(axis=0)
-        way += (begun_at != loop.of) * UNKNOWN_COVARIANCE
+        path_covariance = carried(self._covariance[steps], se2.between(odom[ends], odom[loop.to])).sum(axis=0)
+        path_covariance += (begun_at != loop.of) * UNKNOWN_COVARIANCE
         driven = odom[ends, :2] - odom[self._before[steps], :2]
         unmodelled_m = UNMODELLED_SHARE * np.hypot(driven[:, 0], driven[:, 1]).sum()
-        return np.asarray(way + unmodelled_m**2 * np.diag([1.0, 1.0, 0.0]))
+        return np.asarray(path_covariance + unmodelled_m**2 * np.diag([1.0, 1.0, 0.0]))
 
     def _path_steps(self, of: int, to: int) -> tuple[npt.NDArray[np.int64], int]:
         """Key frames that the steps from `of` to `to` end at, and the one that the first of them begins at.
@@ -100,10 +103,12 @@ class PathDrift:
 
 def lengths_from(keyframes: KeyframeList, loops: Sequence[Loop], k: int) -> Floats:
     """(N,) m of the shortest path from key frame k to each, over odometry and loops."""
-    way = keyframes.way_m
-    length_m = np.empty(len(way))
+    path_length_m = keyframes.path_length_m
+    length_m = np.empty(len(path_length_m))
     of = np.array([loop.of for loop in loops], np.int64)
     to = np.array([loop.to for loop in loops], np.int64)
-    step_m = np.diff(way) + POOR_MATCH_M * poor_match_steps(keyframes) + LOST_M * lost_steps(keyframes)
+    step_m = (
+        np.diff(path_length_m) + POOR_MATCH_M * poor_match_steps(keyframes) + LOST_M * lost_steps(keyframes)
+    )
     path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
     return length_m

@@ -78,8 +78,8 @@ class Hypothesis:
 
     pose_map_odom: Floats  # (3,)
     loop: Loop
-    way_m: float
-    piece: int
+    path_length_m: float
+    segment: int
     is_disputed: bool  # the vehicle may as well be where dead reckoning leads
     is_sure: bool = True  # ground that the map does not hold is excluded
 
@@ -95,7 +95,7 @@ class DetachedSearch:
         self._expected_odom: Floats | None = None  # the same: odom of the newest piece in the map
         self._tries = 0
         self.pose_refused: tuple[float, float, float] | None = None  # was said, and the piece is not there
-        self._refused_piece = 0
+        self._refused_segment = 0
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: of this session nothing is placed in the stored map
         self.possible: list[PossiblePlace] = []  # of the newest piece, as in PlaceNews
@@ -136,7 +136,7 @@ class DetachedSearch:
             keyframes.motion_covariance[k].copy(),
             one.loop.covariance + SEARCH_COVARIANCE,
         )
-        return UnconfirmedPlace(one.piece, SE2(*one.pose_map_odom.tolist()), known)
+        return UnconfirmedPlace(one.segment, SE2(*one.pose_map_odom.tolist()), known)
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Move the newest piece to where it lies, and give the loops that say so; None: nothing is sure.
@@ -149,22 +149,27 @@ class DetachedSearch:
         """
         config, keyframes = self._config, self._keyframes
         self.possible = []
-        piece = int(keyframes.piece[-1])
-        if piece != self._refused_piece:
+        segment = int(keyframes.segment[-1])
+        if segment != self._refused_segment:
             self.pose_refused = None
         is_in_stored = 0 < keyframes.stored < keyframes.count
         self._is_session_placed = not is_in_stored or bool((known >= keyframes.stored).any())
-        if (expected := self._find_expected(piece, known)) is not None:
+        if (expected := self._find_expected(segment, known)) is not None:
             return expected
-        own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)
-        from_m = keyframes.way_m[-1] - config.place_m
-        if self._hypothesis is not None and keyframes.way_m[-1] - self._hypothesis.way_m >= MIN_APART_M:
-            from_m = self._hypothesis.way_m + 0.5 * MIN_APART_M  # none of what the first find has seen
-        own = own[keyframes.way_m[own] >= from_m][-MAX_QUERY:]
+        own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)
+        from_m = keyframes.path_length_m[-1] - config.place_m
+        if (
+            self._hypothesis is not None
+            and keyframes.path_length_m[-1] - self._hypothesis.path_length_m >= MIN_APART_M
+        ):
+            from_m = (
+                self._hypothesis.path_length_m + 0.5 * MIN_APART_M
+            )  # none of what the first find has seen
+        own = own[keyframes.path_length_m[own] >= from_m][-MAX_QUERY:]
         if not len(own) or not len(known):
             return None
         reference, newest = int(own[-1]), int(known[-1])
-        reach_m = self._reach_m(piece, reference)
+        reach_m = self._reach_m(segment, reference)
         known = self._within(known, reference, reach_m)
         prior = self._prior_of(reference, known, newest, reach_m) if self._is_session_placed else None
         best = None
@@ -176,7 +181,10 @@ class DetachedSearch:
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
-        way_m, is_disputed = float(keyframes.way_m[reference]), self._allows_dead_reckoning(prior)
+        path_length_m, is_disputed = (
+            float(keyframes.path_length_m[reference]),
+            self._allows_dead_reckoning(prior),
+        )
         is_second = prior is not None and prior.explains(at)
         old = self._hypothesis
         agrees = old is not None and is_same_place(
@@ -184,20 +192,20 @@ class DetachedSearch:
         )
         is_sure = is_second or not self._is_session_placed or (agrees and old is not None and old.is_sure)
         is_sure = is_sure or self._excludes_new_ground(at, prior)
-        new = Hypothesis(se2.compose(at, inverse), loop, way_m, piece, is_disputed, is_sure)
+        new = Hypothesis(se2.compose(at, inverse), loop, path_length_m, segment, is_disputed, is_sure)
         # Of a session one find says where, for the vehicle may stand; it is proven later.
         if is_second or not self._is_session_placed:
-            self._place(piece, new.pose_map_odom)
+            self._place(segment, new.pose_map_odom)
             return (loop,)
         if old is None or not (old.is_sure and is_sure):
             self._hypothesis = new
             return None
-        if way_m - old.way_m < MIN_APART_M:
+        if path_length_m - old.path_length_m < MIN_APART_M:
             return None
         self._hypothesis = new
         if not agrees:
             return None
-        self._place(piece, new.pose_map_odom)
+        self._place(segment, new.pose_map_odom)
         return old.loop, new.loop
 
     def _allows_dead_reckoning(self, prior: OdometryPrior | None) -> bool:
@@ -242,11 +250,11 @@ class DetachedSearch:
             self._known_map = KnownMap(self._keyframes, known)
         return self._known_map
 
-    def _place(self, piece: int, pose_map_odom: Floats, is_set_by_operator: bool = False) -> None:
+    def _place(self, segment: int, pose_map_odom: Floats, is_set_by_operator: bool = False) -> None:
         keyframes = self._keyframes
         if self._expected is not None and not is_set_by_operator:
-            self._reject_expected(piece)
-        mine = keyframes.piece == piece
+            self._reject_expected(segment)
+        mine = keyframes.segment == segment
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
         self._hypothesis = self._expected = self._known_map = None
 
@@ -298,7 +306,7 @@ class DetachedSearch:
         probability = (
             ODOMETRY_PROBABILITY_MEASURED if math.isinf(reach_m) else ODOMETRY_PROBABILITY_CONTINUOUS
         )
-        if int(keyframes.piece[reference]) in keyframes.unmeasured:
+        if int(keyframes.segment[reference]) in keyframes.unmeasured:
             probability = ODOMETRY_PROBABILITY_UNMEASURED
         return OdometryPrior(pose, covariance_added(then, now, step), region, probability)
 
@@ -364,10 +372,10 @@ class DetachedSearch:
         log_ratio = self._known_map.log_ratio_where_known(self._query, best.pose, other.pose)
         return log_ratio + best.prior - other.prior
 
-    def _find_expected(self, piece: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
+    def _find_expected(self, segment: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest piece where a person has said, if it fits there; gives up after some tries."""
         keyframes = self._keyframes
-        own = np.flatnonzero((keyframes.piece == piece) & keyframes.is_usable)[-MAX_QUERY:]
+        own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)[-MAX_QUERY:]
         if self._expected is None or not len(own) or not len(known):
             return None
         if self._expected_odom is None:
@@ -383,17 +391,17 @@ class DetachedSearch:
         self._tries -= 1
         if loop is None:
             if self._tries == 0:
-                self._reject_expected(piece)
+                self._reject_expected(segment)
             return None
         found = se2.compose(keyframes.map[submap.reference], loop.measured)
         pose_map_odom = se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3)))
-        self._place(piece, pose_map_odom, is_set_by_operator=True)
+        self._place(segment, pose_map_odom, is_set_by_operator=True)
         return (loop,)
 
-    def _reject_expected(self, piece: int) -> None:
+    def _reject_expected(self, segment: int) -> None:
         assert self._expected is not None
         x_m, y_m, theta_rad = self._expected.tolist()
-        self._expected, self._refused_piece, self.pose_refused = None, piece, (x_m, y_m, theta_rad)
+        self._expected, self._refused_segment, self.pose_refused = None, segment, (x_m, y_m, theta_rad)
 
     def _loop_at(
         self, submap: CandidateSubmap, cloud: PointCloud, pose: Floats, reference: int
@@ -435,18 +443,20 @@ class DetachedSearch:
         loop = loop_of(of, reference, measured, information, weight.on_map, len(cloud.xy), weight.against)
         return CandidatePose(fit.pose, weight, loop, nats)
 
-    def _reach_m(self, piece: int, reference: int) -> float:
+    def _reach_m(self, segment: int, reference: int) -> float:
         """How far from where dead reckoning puts it a key frame of a piece may lie in the map; inf: anywhere.
 
         Where scans went missing before the piece the vehicle may have been carried anywhere, and where
         nothing of the session is placed dead reckoning says nothing.
         """
         keyframes = self._keyframes
-        first = int(np.flatnonzero(keyframes.piece == piece)[0])
-        is_anywhere = not self._is_session_placed or piece in keyframes.unmeasured
+        first = int(np.flatnonzero(keyframes.segment == segment)[0])
+        is_anywhere = not self._is_session_placed or segment in keyframes.unmeasured
         if is_anywhere or keyframes.gap_s[first] > MAX_SCAN_GAP_S:
             return math.inf
-        return MAX_OFF_M + MAX_OFF_SHARE * float(keyframes.way_m[reference] - keyframes.way_m[first])
+        return MAX_OFF_M + MAX_OFF_SHARE * float(
+            keyframes.path_length_m[reference] - keyframes.path_length_m[first]
+        )
 
     def _within(self, known: npt.NDArray[np.int64], reference: int, reach_m: float) -> npt.NDArray[np.int64]:
         """Those of known (K,) from where something can be seen that is seen from within reach_m of where dead

@@ -146,7 +146,7 @@ class ContourMap:
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
         return self._ground.overlap(xy_base, pose)
 
-    def join(self, piece: int) -> None:
+    def join(self, segment: int) -> None:
         """This map is one piece."""
 
     def insert(self, points: Points, match: Match) -> MapChange:

@@ -126,7 +126,7 @@ class PatchMap:
     def overlap(self, xy_base: Array, pose: SE2) -> Overlap:
         return self._ground.overlap(xy_base, pose)
 
-    def join(self, piece: int) -> None:
+    def join(self, segment: int) -> None:
         """This map is one piece."""
 
     def insert(self, points: Points, match: Match) -> MapChange:

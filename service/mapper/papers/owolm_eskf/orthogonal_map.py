@@ -140,7 +140,7 @@ class OrthogonalMap:
             values.append(likelihood[row, column].astype(np.float64))
         return moved_by(self.pose_axes_odom.inverse(), np.concatenate(centres)), np.concatenate(values)
 
-    def join(self, piece: int) -> None:
+    def join(self, segment: int) -> None:
         """This map is one piece."""
 
     def insert(self, points: Points, match: Match) -> MapChange:

@@ -207,7 +207,7 @@ class CountedSubmaps:
         self.log_weights[:] = 0.0
         self.weights[:] = 1.0 / len(self.particles)
 
-    def join(self, piece: int) -> None:
+    def join(self, segment: int) -> None:
         """This map is one piece."""
 
     def insert(self, points: Points, match: Match) -> CountedChange:

@@ -163,11 +163,13 @@ def test_a_laser_that_is_mounted_upside_down_contrary_to_its_config_is_named(is_
 def test_a_straight_drive_shows_no_point_about_which_the_vehicle_turns():
     """Three degrees beside the heading, and never a turn."""
     random = np.random.default_rng(5)
-    way_m = 0.5 + random.normal(0.0, 0.005, 200)
-    matched = np.column_stack([way_m, np.zeros(200), np.zeros(200)])
+    path_length_m = 0.5 + random.normal(0.0, 0.005, 200)
+    matched = np.column_stack([path_length_m, np.zeros(200), np.zeros(200)])
     aside = math.radians(3.0)
     fault = fault_of(
-        np.column_stack([matched, way_m * math.cos(aside), way_m * math.sin(aside), np.zeros(200)])
+        np.column_stack(
+            [matched, path_length_m * math.cos(aside), path_length_m * math.sin(aside), np.zeros(200)]
+        )
     )
     assert "drives 3.0 deg to the " in fault
     assert "turns around a point that is not known; are" in fault

@@ -35,7 +35,7 @@ class Ground:
     def overlap(self, xy_base: np.ndarray, pose: SE2) -> Overlap:
         return self._ground.overlap(xy_base, pose)
 
-    def join(self, piece: int) -> None: ...
+    def join(self, segment: int) -> None: ...
 
 
 @dataclass

@@ -10,7 +10,7 @@ from service.kernels.surfels import COLUMNS, COUNT, MEAN_X, MEAN_Y, SurfelGrid
 from service.mapper.components import MapChange
 from service.mapper.scan_match.submaps import (
     MAX_MISSES,
-    NEW_PIECE_ERROR,
+    NEW_SEGMENT_ERROR,
     Submap,
     SubmapsConfig,
     SurfelSubmaps,
@@ -94,10 +94,10 @@ def test_tiles_of_retired_submaps_go_back_to_the_pool() -> None:
 
 def test_a_lost_scan_begins_a_detached_map_that_a_fit_drops() -> None:
     chain = submaps()
-    assert insert(chain, 0.0).piece == 0
+    assert insert(chain, 0.0).segment == 0
     before, tiles = points_in(chain.matched_to), chain.tile_count
     change = insert(chain, 1.0, state="lost", is_matched=False)
-    assert (change.piece, change.is_keyframe) == (1, True)
+    assert (change.segment, change.is_keyframe) == (1, True)
     assert change.error_left < 0.05  # the piece begins where the pose is
     assert number(chain) == 0
     assert points_in(chain.matched_to) == before
@@ -113,7 +113,7 @@ def test_what_is_lost_grows_the_detached_map_and_leaves_the_map_alone() -> None:
     insert(chain, 0.0)
     before = points_in(chain.matched_to)
     for k in range(5):
-        assert insert(chain, 50.0 + k, state="lost", is_matched=k > 0).piece == 1
+        assert insert(chain, 50.0 + k, state="lost", is_matched=k > 0).segment == 1
     assert chain.detached is not None
     assert chain.detached.scan_count == 5
     assert points_in(chain.matched_to) == before
@@ -129,7 +129,7 @@ def test_a_detached_map_is_matched_to_only_once_the_graph_has_joined_it() -> Non
     assert (number(chain), chain.detached) == (0, detached)
     chain.join(1)
     assert (chain.matched_to, chain.detached) == (detached, None)
-    assert insert(chain, 50.6).piece == 1
+    assert insert(chain, 50.6).segment == 1
     assert points_in(detached) > 0.0
     assert detached is not None
     assert detached.scan_count == 2
@@ -140,8 +140,8 @@ def test_a_detached_map_is_matched_to_only_once_the_graph_has_joined_it() -> Non
 def test_scans_that_fit_neither_map_nor_detached_map_begin_another_one() -> None:
     chain = submaps()
     insert(chain, 0.0)
-    pieces = [insert(chain, 50.0, state="lost", is_matched=k == 1).piece for k in range(MAX_MISSES + 3)]
-    assert pieces == [1] * (MAX_MISSES + 1) + [2] * 2
+    segments = [insert(chain, 50.0, state="lost", is_matched=k == 1).segment for k in range(MAX_MISSES + 3)]
+    assert segments == [1] * (MAX_MISSES + 1) + [2] * 2
     chain.join(1)  # too late
     assert chain.detached is not None
     assert number(chain) == 0
@@ -227,7 +227,7 @@ def test_a_scan_of_hardly_any_returns_begins_no_detached_map_and_none_that_follo
     chain.insert(room, match_at(SE2(), room))
     few = points_of(square().xy_base[:4])
     change = chain.insert(few, match_at(SE2(1.0, 0.0, 0.0), few, state="lost"))
-    assert (change.is_keyframe, change.piece) == (False, 0)
+    assert (change.is_keyframe, change.segment) == (False, 0)
     assert chain.detached is None
 
 
@@ -248,7 +248,7 @@ def test_of_a_standing_vehicle_each_scan_takes_over_no_more_than_its_share(
         (0.1, 1.0, math.exp(-0.1 / (2.0 * math.pi))),
         (math.pi, 1.0, math.exp(-0.5)),  # of a view of a full turn half is new
         (0.1, 0.4, 0.4),  # so much of the scan lay on the map, the rest takes the pose's error over
-        (0.1, 0.0, NEW_PIECE_ERROR),
+        (0.1, 0.0, NEW_SEGMENT_ERROR),
     ],
 )
 def test_the_map_takes_over_the_error_of_the_pose_as_far_as_it_shows_new_ground(

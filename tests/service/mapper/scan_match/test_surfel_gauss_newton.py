@@ -90,7 +90,7 @@ def test_after_a_pause_in_which_no_one_saw_the_motion_a_scan_has_to_lie_on_the_m
 def test_where_no_one_measured_the_motion_the_map_is_asked_again_when_the_graph_has_found_the_place() -> None:
     """The same walls prove nothing, for others may look alike."""
     chain, matcher, points = mapped(square()), new_matcher(), square()
-    pieces = []
+    segments = []
     chain.detach(5.0)
     for _ in range(3):
         found = matcher.match(points, predicted(SE2(0.02, 0.0, 0.0)), chain)
@@ -98,10 +98,10 @@ def test_where_no_one_measured_the_motion_the_map_is_asked_again_when_the_graph_
         assert found.reason.startswith(
             "neither laser nor odometry measured the motion for 5.0 s (at most 4 s;"
         )
-        pieces.append(chain.insert(points, found).piece)
-    assert pieces == [1, 1, 1]
+        segments.append(chain.insert(points, found).segment)
+    assert segments == [1, 1, 1]
     chain.detach(4.0)  # carried once more: another piece
-    assert chain.insert(points, matcher.match(points, predicted(SE2()), chain)).piece == 2
+    assert chain.insert(points, matcher.match(points, predicted(SE2()), chain)).segment == 2
     chain.join(1)
     assert matcher.match(points, predicted(SE2()), chain).state == "lost"
     chain.join(2)

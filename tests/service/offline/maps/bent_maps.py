@@ -75,11 +75,11 @@ def bent_map() -> BentMap:
     assert len(graph.loop_ends) == 0
     begin = graph.map[ROUND]
     moved = np.array([begin[0] + SHIFTED_M[0], begin[1] + SHIFTED_M[1], begin[2] + TURNED_RAD])
-    poses, piece = graph.map.copy(), graph.piece.copy()
+    poses, segment = graph.map.copy(), graph.segment.copy()
     poses[ROUND:] = se2.compose(moved, se2.between(begin, graph.map[ROUND:]))
-    piece[ROUND:] = piece.max() + 1  # odometry says nothing of how it lies to the first round
+    segment[ROUND:] = segment.max() + 1  # odometry says nothing of how it lies to the first round
     true_poses = np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in truth])
-    bent = replace(graph, map=poses, piece=piece)
+    bent = replace(graph, map=poses, segment=segment)
     return BentMap(bent, true_poses, tiles_of(bent))
 
 

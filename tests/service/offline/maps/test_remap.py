@@ -115,7 +115,7 @@ def test_of_the_graph_only_points_in_the_area_went_and_key_frames_came(remapped)
     assert isinstance(after.graph, SavedGraph)
     count = len(before.graph)
     assert len(after.graph) - count == facts["keyframes_new"] > 3
-    for name in ("stamp_ns", "odom", "map", "way_m", "covariance", "piece", "score", "sensor_xy_m"):
+    for name in ("stamp_ns", "odom", "map", "path_length_m", "covariance", "segment", "score", "sensor_xy_m"):
         np.testing.assert_array_equal(
             getattr(after.graph, name)[:count], getattr(before.graph, name), err_msg=name
         )

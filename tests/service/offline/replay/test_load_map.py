@@ -63,7 +63,7 @@ def test_from_the_event_on_the_poses_are_those_in_the_loaded_map(first, second, 
         away = true.inverse() @ output.pose_map_base
         assert math.hypot(away.x_m, away.y_m) < 0.05
     assert done.graph is not None
-    assert len(np.unique(done.graph.piece)) == 2
+    assert len(np.unique(done.graph.segment)) == 2
     odom = np.array([(o.pose_odom_base.x_m, o.pose_odom_base.y_m) for o in done.outputs])
     assert np.hypot(*np.diff(odom, axis=0).T).max() < 0.1  # odom never jumps
 

@@ -178,10 +178,10 @@ def test_rpe_and_closure_agree_with_pose_by_pose_reckoning(tmp_path):
 
     steps = []
     for a in range(70):
-        way_m = 0.0
+        path_length_m = 0.0
         for b in range(a + 1, 70):
-            way_m += math.hypot(truth[b].x_m - truth[b - 1].x_m, truth[b].y_m - truth[b - 1].y_m)
-            if way_m >= 1.0:
+            path_length_m += math.hypot(truth[b].x_m - truth[b - 1].x_m, truth[b].y_m - truth[b - 1].y_m)
+            if path_length_m >= 1.0:
                 steps.append(error(a, b))
                 break
     assert found.rpe_pairs == len(steps)

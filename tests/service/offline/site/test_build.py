@@ -281,16 +281,16 @@ def boxes_along_the_ring(seed: int, count: int = 24) -> list[tuple[float, float,
     """At both walls of the corridors."""
     random = np.random.default_rng(seed)
     walls = []
-    for way_m, side_m in zip(
+    for path_length_m, side_m in zip(
         random.uniform(0.0, 46.0, count), random.choice([-0.75, 0.75], count), strict=True
     ):
-        x_m, y_m, _ = se2.compose(np.array(true_pose_at(way_m)), np.array([0.0, side_m, 0.0]))
+        x_m, y_m, _ = se2.compose(np.array(true_pose_at(path_length_m)), np.array([0.0, side_m, 0.0]))
         walls += rings.rectangle(x_m - 0.25, y_m - 0.25, x_m + 0.25, y_m + 0.25)
     return walls
 
 
-def true_pose_at(way_m: float) -> tuple[float, float, float]:
-    pose = rings.round_the_ring(way_m)
+def true_pose_at(path_length_m: float) -> tuple[float, float, float]:
+    pose = rings.round_the_ring(path_length_m)
     return pose.x_m, pose.y_m, pose.theta_rad
 
 

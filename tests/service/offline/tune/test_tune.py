@@ -72,14 +72,14 @@ def test_walls_that_two_passes_see_apart_are_measured():
         | {
             "stamp_ns": np.arange(2),
             "map": np.array([[0.0, 0.0, 0.0], [0.0, 0.02, 0.0]]),
-            "way_m": np.array([0.0, 20.0]),
+            "path_length_m": np.array([0.0, 20.0]),
             "point_count": np.array([len(x), len(x)]),
             "xy_base": np.vstack((wall, wall)),
             "normals": np.vstack((normals, normals)),
         }
     )
     assert pass_offset_m(graph) == pytest.approx(0.02, abs=1e-6)
-    assert pass_offset_m(replace(graph, way_m=np.array([0.0, 1.0]))) == 0.0
+    assert pass_offset_m(replace(graph, path_length_m=np.array([0.0, 1.0]))) == 0.0
 
 
 def test_the_entropy_of_a_map_is_that_of_its_known_cells():

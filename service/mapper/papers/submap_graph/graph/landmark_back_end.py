@@ -167,7 +167,7 @@ class LandmarkBackEnd:
     submaps: list[_Submap] = field(default_factory=list)
     drawn: list[Floats] = field(default_factory=list)
     poses: list[Floats] = field(default_factory=list)
-    way_m: list[float] = field(default_factory=list)
+    path_length_m: list[float] = field(default_factory=list)
     matches: list[_Match] = field(default_factory=list)
     landmarks: list[_Landmark] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
@@ -197,7 +197,7 @@ class LandmarkBackEnd:
 
     def _add(self, closed: ClosedSubmap) -> bool:
         """Take in a sub-map; whether landmarks were found in others."""
-        begin_m = self.way_m[-1] if self.way_m else 0.0
+        begin_m = self.path_length_m[-1] if self.path_length_m else 0.0
         aligned = self.realignment.realign(closed)
         scans: tuple[DrawnScan, ...] = tuple(KeptScan.of(scan) for scan in closed.scans[closed.carried :])
         if closed.carried:  # the very scans of the sub-map before: kept once
@@ -210,15 +210,15 @@ class LandmarkBackEnd:
                 self._add_node(submap, pose, pose, 0.0)
             elif away_m >= self.config.node_spacing_m or not submap.nodes:
                 moved = se2.compose(self.poses[-1], se2.between(self.drawn[-1], pose))
-                self._add_node(submap, pose, moved, self.way_m[-1] + away_m)
+                self._add_node(submap, pose, moved, self.path_length_m[-1] + away_m)
             submap.behind.append(len(self.drawn) - 1)
         return self._tie(len(self.submaps) - 1, widely=True)
 
-    def _add_node(self, submap: _Submap, drawn: Floats, pose: Floats, way_m: float) -> None:
+    def _add_node(self, submap: _Submap, drawn: Floats, pose: Floats, path_length_m: float) -> None:
         submap.nodes.append(len(self.drawn))
         self.drawn.append(drawn)
         self.poses.append(pose)
-        self.way_m.append(way_m)
+        self.path_length_m.append(path_length_m)
 
     def _tie_again(self) -> bool:
         """Align sub-maps with each other that lie close by now, and were not tied yet."""
@@ -346,10 +346,10 @@ class LandmarkBackEnd:
         drawn, poses = np.array(self.drawn), np.array(self.poses)
         count = len(drawn)
         measured = se2.between(drawn[:-1], drawn[1:])
-        way_m = np.maximum(np.diff(self.way_m), 0.1)
+        path_length_m = np.maximum(np.diff(self.path_length_m), 0.1)
         covariance = np.zeros((count - 1, 3, 3))
-        covariance[:, 0, 0] = covariance[:, 1, 1] = self.config.drift_m_per_sqrt_m**2 * way_m
-        covariance[:, 2, 2] = self.config.drift_rad_per_sqrt_m**2 * way_m
+        covariance[:, 0, 0] = covariance[:, 1, 1] = self.config.drift_m_per_sqrt_m**2 * path_length_m
+        covariance[:, 2, 2] = self.config.drift_rad_per_sqrt_m**2 * path_length_m
         edges = Edges(np.arange(count - 1), np.arange(1, count), measured, covariance, np.zeros(count - 1))
         if self.matches:
             holds = np.array([self._nearest(match.submaps[1], match.there) for match in self.matches])

@@ -84,7 +84,7 @@ def test_a_cut_takes_the_key_frames_of_its_time_and_nothing_else(ring: SavedGrap
     cut.checked()
     assert len(cut) == len(ring) - 10
     np.testing.assert_array_equal(cut.stamp_ns, np.delete(ring.stamp_ns, np.arange(first, last)))
-    assert len(np.unique(cut.piece)) == 2
+    assert len(np.unique(cut.segment)) == 2
     assert set(groups(cut).tolist()) == {0}
     stamps = {tuple(ring.stamp_ns[ends]) for ends in ring.loop_ends}
     assert {tuple(cut.stamp_ns[ends]) for ends in cut.loop_ends} <= stamps
@@ -107,7 +107,7 @@ def test_the_begin_and_the_end_can_be_cut_off_without_a_bridge(open_ring: SavedG
     np.testing.assert_array_equal(begun.map, open_ring.map[41:])
     ended = without_time(open_ring, 100 * TENTH_NS, 10**18, is_bridged=False)
     assert len(ended) == 100
-    assert len(np.unique(ended.piece)) == 1
+    assert len(np.unique(ended.segment)) == 1
 
 
 def test_a_cut_of_nothing_or_of_all_is_refused(ring: SavedGraph):
@@ -152,7 +152,7 @@ def test_a_pair_is_tied_to_the_passes_that_saw_its_points(open_ring: SavedGraph)
     of_second = points_map(open_ring)[open_ring.point_count[:k].sum() + 50]
     paired = with_pair(open_ring, np.stack((of_first, of_second)))
     first, second = paired.by_hand.pair_ends[0].tolist()
-    assert abs(open_ring.way_m[first] - open_ring.way_m[second]) > 10.0
+    assert abs(open_ring.path_length_m[first] - open_ring.path_length_m[second]) > 10.0
     seen = se2.points_from(open_ring.map[[first, second]], paired.by_hand.pair_xy[0])
     np.testing.assert_allclose(seen, np.stack((of_first, of_second)), atol=1e-9)
 
@@ -181,9 +181,9 @@ def test_a_loop_is_taken_back_and_the_others_stay(ring: SavedGraph):
 
 
 def test_a_loop_that_alone_holds_a_detached_map_is_not_taken_back(ring: SavedGraph):
-    piece = ring.piece.copy()
-    piece[ROUND:] = 7
-    torn = replace(ring, piece=piece)
+    segment = ring.segment.copy()
+    segment[ROUND:] = 7
+    torn = replace(ring, segment=segment)
     with pytest.raises(EditError, match="2 parts of the map would hang together by nothing"):
         without_loops(torn, range(len(ring.loop_ends)))
 

@@ -73,5 +73,7 @@ def test_loops_and_detached_maps_of_both_keep_their_key_frames(first, second):
     both = together(a, b)
     both.checked()
     np.testing.assert_array_equal(both.loop_ends[len(a.loop_ends) :] - len(a), b.loop_ends)
-    assert not set(both.piece[: len(a)].tolist()) & set(both.piece[len(a) :].tolist())
-    assert both.way_m[len(a)] > a.way_m[-1] + 50.0  # so that a loop between the two counts as one
+    assert not set(both.segment[: len(a)].tolist()) & set(both.segment[len(a) :].tolist())
+    assert (
+        both.path_length_m[len(a)] > a.path_length_m[-1] + 50.0
+    )  # so that a loop between the two counts as one

@@ -35,10 +35,12 @@ class Outing:
     fixes: list[GnssFix]
 
 
-def rectangle(way_m: float, length_m: float = 600.0, width_m: float = 400.0, radius_m: float = 20.0) -> SE2:
+def rectangle(
+    path_length_m: float, length_m: float = 600.0, width_m: float = 400.0, radius_m: float = 20.0
+) -> SE2:
     """Round a rectangle of 2 km with round corners, from the middle of its lower side."""
     half_m, side_m, arc_m = length_m / 2 - radius_m, width_m - 2 * radius_m, 0.5 * math.pi * radius_m
-    pose, left_m = SE2(), way_m
+    pose, left_m = SE2(), path_length_m
     for leg_m in (half_m, side_m, 2 * half_m, side_m):
         if left_m <= leg_m:
             break
@@ -50,7 +52,7 @@ def rectangle(way_m: float, length_m: float = 600.0, width_m: float = 400.0, rad
 
 
 def outing(
-    way_m: float = 2000.0,
+    path_length_m: float = 2000.0,
     seed: int = 0,
     model: GnssModel | None = None,
     turn_walk_rad: float = 0.0006,
@@ -65,7 +67,7 @@ def outing(
     frames, truth, accepted = [], [], SE2()
     nothing = np.empty((0, 2), np.float32)
     step_ns = round(STEP_M / speed_mps * 1e9)
-    for k in range(int(way_m / STEP_M) + 1):
+    for k in range(int(path_length_m / STEP_M) + 1):
         pose = route(k * STEP_M)
         if k:
             step = truth[-1].inverse() @ pose

@@ -3,9 +3,9 @@
 from service.mapper.graph.loops.stored_graph import MAX_CONTRADICTIONS, MIN_APART_M, Placement
 
 
-def found(way_m: float = 10.0) -> Placement:
+def found(path_length_m: float = 10.0) -> Placement:
     placement = Placement(is_in_stored=True)
-    placement.found(way_m)
+    placement.found(path_length_m)
     return placement
 
 

@@ -30,11 +30,11 @@ RING = [
 ]
 
 
-def round_the_ring(way_m: float) -> SE2:
+def round_the_ring(path_length_m: float) -> SE2:
     """Where the base is after so much way: straight between the corners, turning within a metre of them."""
     corners = [(0.0, 0.0), (LENGTH_M, 0.0), (LENGTH_M, WIDTH_M), (0.0, WIDTH_M)]
     sides = [LENGTH_M, WIDTH_M, LENGTH_M, WIDTH_M]
-    turns, left_m = divmod(way_m, sum(sides))
+    turns, left_m = divmod(path_length_m, sum(sides))
     for k, side_m in enumerate(sides):
         if left_m < side_m:
             ahead = math.pi / 2 * k

@@ -176,7 +176,7 @@ def test_the_only_loop_that_says_where_a_part_of_the_map_lies_is_not_refused(clo
     graph = saved(pickle.loads(closed_ring))
     graph = without_loops(graph, range(2, len(graph.loop_ends)))
     later = (np.arange(len(graph)) >= graph.loop_ends[:, 1].min()).astype(np.int64)
-    back_end = LoopBackEnd(LoopsConfig(), RENDERER, replace(graph, piece=later))
+    back_end = LoopBackEnd(LoopsConfig(), RENDERER, replace(graph, segment=later))
     first, second = shown(back_end, "accepted")
     assert not asked(back_end, what="refuse-loop", stamps_ns=first["stamps_ns"])[1].error
     _, answer = asked(back_end, what="refuse-loop", stamps_ns=second["stamps_ns"])
@@ -246,8 +246,8 @@ def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
 def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_kept(open_ring: bytes):
     """Some in the middle are of a piece whose place is not found: these are not stored."""
     back_end = pickle.loads(open_ring)
-    for piece, after_ns in ((1, 10**12), (0, 2 * 10**12)):
-        frames = [replace(f, piece=piece, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]
+    for segment, after_ns in ((1, 10**12), (0, 2 * 10**12)):
+        frames = [replace(f, segment=segment, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]
         back_end.work(Batch(frames))
     corners = back_end.keyframes.map[[len(FRAMES) + 1, -1], :2]
     asked(back_end, what="wall", corners=[*map(tuple, corners.tolist())])

@@ -184,7 +184,7 @@ def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple
     assert stored is not None
     back_end = LoopBackEnd(LoopsConfig(keep_passes=2), None, stored, is_localizing=True)
     frames, _ = key_frames(2.2, seed=1)
-    session = [replace(frame, piece=0) for frame in frames]
+    session = [replace(frame, segment=0) for frame in frames]
     results = [back_end.work(Batch(session[k : k + BATCH])) for k in range(0, len(session), BATCH)]
     keyframes = back_end.keyframes
     assert results[-1].place.placed == "proven"
@@ -205,7 +205,7 @@ def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
     back_end = LoopBackEnd(LoopsConfig(), None, stored, is_localizing=True)
     noise = np.random.default_rng(1)
     lost = [
-        replace(frame, piece=0, xy_base=noise.uniform(-4.0, 4.0, (60, 2)).astype(np.float32))
+        replace(frame, segment=0, xy_base=noise.uniform(-4.0, 4.0, (60, 2)).astype(np.float32))
         for frame in ring[0][: 4 * BATCH]
     ]
     results = [back_end.work(Batch(lost[k : k + BATCH])) for k in range(0, len(lost), BATCH)]
@@ -292,10 +292,10 @@ def test_behind_a_doubtful_match_loops_are_looked_for_farther_away(
     assert bool(seam_m(list(finished.all), truth).max() < 0.05) is says_so
 
 
-def moved(frame: KeyFrame, by: SE2, piece: int, later_ns: int) -> KeyFrame:
+def moved(frame: KeyFrame, by: SE2, segment: int, later_ns: int) -> KeyFrame:
     """The same key frame, in the odom of a piece that began elsewhere."""
     return replace(
-        frame, stamp_ns=frame.stamp_ns + later_ns, pose_odom_base=by @ frame.pose_odom_base, piece=piece
+        frame, stamp_ns=frame.stamp_ns + later_ns, pose_odom_base=by @ frame.pose_odom_base, segment=segment
     )
 
 
@@ -303,7 +303,7 @@ ELSEWHERE = SE2(30.0, -20.0, 1.0)
 SIDE = round(LENGTH_M / STEP_M)  # key frames along the first side
 
 
-def piece_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]:
+def segment_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]:
     """The frames as a piece whose odom says that it lies elsewhere."""
     later_ns = known[-1].stamp_ns + 10**8
     return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
@@ -313,7 +313,7 @@ def test_a_detached_map_that_is_found_twice_four_metres_apart_is_joined(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]
-    again = piece_after(known, known[5:-5])
+    again = segment_after(known, known[5:-5])
     back_end = LoopBackEnd(LoopsConfig(), None)
     back_end.work(Batch(known))
     joined_at = []
@@ -326,7 +326,7 @@ def test_a_detached_map_that_is_found_twice_four_metres_apart_is_joined(
     assert len(joined_at) == 1  # and not again
     assert (joined_at[0] + 4) * STEP_M >= 4.0
     finished = back_end.work(Batch([], is_last=True))
-    assert [k for k, one in enumerate(finished.all) if one.begins_piece] == [SIDE]
+    assert [k for k, one in enumerate(finished.all) if one.begins_segment] == [SIDE]
     for first, second in zip(finished.all[5:], finished.all[SIDE:], strict=False):
         away = first.pose_map_base.inverse() @ second.pose_map_base
         assert np.hypot(away.x_m, away.y_m) < 0.05
@@ -339,14 +339,14 @@ def test_where_a_detached_map_was_found_is_reported_from_the_first_find_until_it
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
     assert back_end.work(Batch(known)).place.unconfirmed_place is None
-    again = piece_after(known, known[5:-5])
+    again = segment_after(known, known[5:-5])
     results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
     is_reported = [result.place.unconfirmed_place is not None for result in results]
     first, joined = is_reported.index(True), [result.joined for result in results].index(1)
     assert is_reported == [first <= k < joined for k in range(len(results))]
     for once in (result.place.unconfirmed_place for result in results[first:joined]):
         assert once is not None
-        assert once.piece == 1
+        assert once.segment == 1
         off = once.pose_map_odom @ ELSEWHERE
         assert np.hypot(off.x_m, off.y_m) < 0.1
         assert abs(off.theta_rad) < 0.02
@@ -358,5 +358,5 @@ def test_a_detached_map_seen_from_one_place_only_is_not_joined(ring: tuple[list[
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
     back_end.work(Batch(known))
-    for k, frame in enumerate(piece_after(known, known[10:11] * 6)):
+    for k, frame in enumerate(segment_after(known, known[10:11] * 6)):
         assert not back_end.work(Batch([replace(frame, stamp_ns=frame.stamp_ns + k)])).joined

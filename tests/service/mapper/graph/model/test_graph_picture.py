@@ -19,10 +19,10 @@ def test_a_long_path_is_thinned_and_keeps_its_end() -> None:
 
 
 def test_a_stretch_ends_at_another_detached_map_another_session_and_a_gap() -> None:
-    way_m = np.array([0.0, 1.0, 2.0, 103.0, 104.0, 105.0, 106.0])
-    piece = np.array([0, 0, 0, 0, 1, 1, 1])
+    path_length_m = np.array([0.0, 1.0, 2.0, 103.0, 104.0, 105.0, 106.0])
+    segment = np.array([0, 0, 0, 0, 1, 1, 1])
     known = np.array([True, True, True, True, True, False, True])
-    numbers = stretches(way_m, piece, known)
+    numbers = stretches(path_length_m, segment, known)
     assert numbers[:3].tolist() == [0, 0, 0]
     assert numbers[5] == -1
     assert len(set(numbers.tolist())) == 5
@@ -33,8 +33,9 @@ def test_a_stored_graph_shows_its_key_frames_and_its_loops() -> None:
     n = 4
     graph = SavedGraph(
         stamp_ns=np.arange(n) + 5, odom=np.zeros((n, 3)), map=np.arange(3.0 * n).reshape(n, 3),
-        way_m=np.arange(n, dtype=float), covariance=np.zeros((n, 3, 3)), score=np.ones(n), gap_s=np.zeros(n),
-        piece=np.zeros(n, np.int64), is_lost=np.array([False, False, False, True]),
+        path_length_m=np.arange(n, dtype=float), covariance=np.zeros((n, 3, 3)),
+        score=np.ones(n), gap_s=np.zeros(n),
+        segment=np.zeros(n, np.int64), is_lost=np.array([False, False, False, True]),
         range_sigma_m=np.full(n, 0.01),
         sensor_xy_m=np.zeros((n, 2)), point_count=np.zeros(n, np.int64),
         xy_base=np.zeros((0, 2), np.float32), normals=np.zeros((0, 3), np.float32),

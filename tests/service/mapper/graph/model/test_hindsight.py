@@ -26,7 +26,7 @@ WIDE = np.diag([0.04, 0.09, 0.01])  # of a while in which nothing was matched
 
 
 def driven(
-    wide: Sequence[int] = (), doubtful: Sequence[int] = (), piece: Sequence[int] = (), is_known: bool = True
+    wide: Sequence[int] = (), doubtful: Sequence[int] = (), segment: Sequence[int] = (), is_known: bool = True
 ) -> KeyframeList:
     keyframes, pose, by_motion = KeyframeList(), np.zeros(3), np.zeros((3, 3))
     for k in range(COUNT):
@@ -36,7 +36,7 @@ def driven(
             k,
             SE2(*pose.tolist()),
             np.diag([1e-4, 1e-4, 1e-6]),
-            int(k in piece),
+            int(k in segment),
             0.4 if k in doubtful else 0.9,
             k in wide,
             NO_POINTS,
@@ -82,7 +82,7 @@ def test_without_a_loop_it_is_known_as_the_motion_model_says(odd: dict[str, Sequ
 
 def test_in_a_detached_map_whose_place_is_not_known_the_newest_key_frame_before_it_counts() -> None:
     """What odometry measured since comes on top of it."""
-    keyframes = driven(piece=range(15, COUNT))
+    keyframes = driven(segment=range(15, COUNT))
     found = known(keyframes)
     assert found.pose_odom_base == SE2(*keyframes.odom[14].tolist())
     np.testing.assert_array_equal(found.motion_covariance, keyframes.motion_covariance[14])

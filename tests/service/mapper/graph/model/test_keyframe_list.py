@@ -31,11 +31,11 @@ def test_a_key_frame_back_in_a_map_is_placed_by_the_newest_of_that_map():
     append(keyframes, WALLS, SE2(1.0, 0.0, 0.0), 0, noise)
     append(keyframes, WALLS, SE2(2.0, 1.0, 0.5), 1, noise)
     keyframes.map[:] = (1.0, 0.2, 0.0), (2.0, 0.0, 0.0)
-    newest = keyframes.newest_by_piece()
+    newest = keyframes.newest_by_segment()
     assert list(newest) == [1, 0]  # the first is the newest of all
     assert newest[0].pose_map_base == SE2(1.0, 0.2, 0.0)
 
     nothing = np.zeros((0, 2), np.float32)
     back = KeyFrame(1, SE2(3.0, 0.0, 0.0), np.eye(3), 0, 1.0, False, nothing, (0.0, 0.0), 0.01)
     assert keyframes.place_of(back) == pytest.approx([3.0, 0.2, 0.0])
-    assert keyframes.place_of(replace(back, piece=2)) == pytest.approx([2.398, -1.357, -0.5], abs=1e-3)
+    assert keyframes.place_of(replace(back, segment=2)) == pytest.approx([2.398, -1.357, -0.5], abs=1e-3)

@@ -18,7 +18,7 @@ from service.mapper.graph.model.odometry_edges import (
     LOST_COVARIANCE,
     MAX_PREDICTION_VARIANCE,
     MIN_EDGE_COVARIANCE,
-    PIECE_COVARIANCE,
+    NEW_SEGMENT_COVARIANCE,
     STEP_FLOOR,
     UNKNOWN_COVARIANCE,
     odometry_edges,
@@ -35,7 +35,7 @@ def edges(ahead_m: float = STEP_M, by_motion: bool = False, **odd: Any) -> Edges
     keyframes = KeyframeList()
     for k in range(COUNT):
         x_m = STEP_M * k + (ahead_m - STEP_M if k >= ODD else 0.0)
-        usual = {"score": 0.9, "is_lost": False, "piece": 0, "motion_covariance": 1e-6 * k * np.eye(3)}
+        usual = {"score": 0.9, "is_lost": False, "segment": 0, "motion_covariance": 1e-6 * k * np.eye(3)}
         pose = SE2(x_m, 0.0, 0.0)
         chosen = usual | (odd if k == ODD else {})
         frame = KeyFrame(
@@ -80,7 +80,7 @@ def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
 
 
 def test_no_one_knows_the_motion_into_another_map_and_back_it_is_counted_from_where_it_was_left() -> None:
-    found = edges(piece=1)
+    found = edges(segment=1)
     np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
     assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
     np.testing.assert_allclose(found.measured[ODD], [2.0 * STEP_M, 0.0, 0.0])
@@ -100,8 +100,8 @@ def test_no_one_knows_the_motion_into_another_map_and_back_it_is_counted_from_wh
 def test_into_another_map_dead_reckoning_knows_the_motion_where_no_one_can_have_carried_the_vehicle(
     odd: dict[str, Any], is_known: bool, by_motion: bool
 ) -> None:
-    found = edges(by_motion=by_motion, piece=1, **odd).covariance[ODD - 1]
-    expected = PIECE_COVARIANCE if is_known else UNKNOWN_COVARIANCE
+    found = edges(by_motion=by_motion, segment=1, **odd).covariance[ODD - 1]
+    expected = NEW_SEGMENT_COVARIANCE if is_known else UNKNOWN_COVARIANCE
     np.testing.assert_allclose(found, expected, atol=2e-5)
 
 

@@ -47,12 +47,12 @@ def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_re
     assert search.unconfirmed_place is None
     loop = SimpleNamespace(to=0, covariance=np.eye(3))
     search._hypothesis = SimpleNamespace(  # type: ignore[assignment]
-        pose_map_odom=np.array([1.0, 2.0, 0.5]), loop=loop, piece=3, is_disputed=is_disputed, is_sure=True
+        pose_map_odom=np.array([1.0, 2.0, 0.5]), loop=loop, segment=3, is_disputed=is_disputed, is_sure=True
     )
     facts = search.unconfirmed_place
     assert (facts is None) is is_disputed
     if facts is not None:
-        assert (facts.piece, facts.pose_map_odom.x_m) == (3, 1.0)
+        assert (facts.segment, facts.pose_map_odom.x_m) == (3, 1.0)
 
 
 JUNCTION = [  # of two bare corridors, 3 and 2 m wide

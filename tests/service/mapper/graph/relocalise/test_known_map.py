@@ -46,7 +46,7 @@ def append(
     keyframes: KeyframeList,
     walls: Walls,
     pose: SE2,
-    piece: int,
+    segment: int,
     noise: np.random.Generator,
     odom: SE2 | None = None,
     **motion: Any,
@@ -67,7 +67,7 @@ def append(
     nothing = np.zeros((0, 2), np.float32)
     odom = odom or pose
     frame = KeyFrame(
-        keyframes.count, odom, np.eye(3), piece, 0.9, False, nothing, (0.0, 0.0), STEP_RAD, **motion
+        keyframes.count, odom, np.eye(3), segment, 0.9, False, nothing, (0.0, 0.0), STEP_RAD, **motion
     )
     thinned = ThinnedScan(xy[kept].astype(np.float32), normals[kept].astype(np.float32), (0.0, 0.0))
     keyframes.append(frame, np.array([odom.x_m, odom.y_m, odom.theta_rad]), thinned)

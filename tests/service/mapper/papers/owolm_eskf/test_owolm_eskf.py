@@ -125,8 +125,8 @@ def test_along_a_bare_corridor_wheels_and_imu_say_how_far_it_was_and_the_state_s
     frames = [*with_imu(long.frames, down_the_corridor, 6.0), *wheels]
     outputs = run(sorted(frames, key=lambda frame: frame.arrived_ns), new_mapper())
     away = errors(outputs, long.truth)
-    way_m = long.truth[outputs[-1].stamp_ns].x_m
-    assert np.abs(away[:, 0]).max() < 0.02 * way_m
+    path_length_m = long.truth[outputs[-1].stamp_ns].x_m
+    assert np.abs(away[:, 0]).max() < 0.02 * path_length_m
     assert np.abs(away[:, 1]).max() < 0.03
     assert outputs[-1].state == "degraded"
     assert "does not fix the position along the direction" in outputs[-1].reason
