@@ -1,9 +1,8 @@
-"""Covariance of the pose where nothing but scans measures the motion, without what they say by chance; [31].
+"""Covariance of the pose where only scans measure the motion, without chance information; [31].
 
-There a match follows all that a scan says, for nothing better is there to be misled, but by chance walls
-without end seem to say where along them the vehicle is: the covariance that weighs predictions shrinks by it,
-and would call a pose known that nobody measured. This one, propagated beside it, is what is published, what
-the graph weighs steps by, and what the state is judged by.
+There a match follows the full information of a scan. By chance featureless walls seem to fix the position
+along them, so the filter's covariance shrinks although nothing was measured. This second covariance is
+propagated beside it; it is published, weighs the edges of the graph and decides the state.
 """
 
 import numpy as np
@@ -28,21 +27,21 @@ Matrix = npt.NDArray[np.float64]
 
 
 class ConsistentCovariance:
-    """Exists from a scan on before which nobody measured the motion, until somebody does again."""
+    """Active while only scans measure the motion."""
 
     def __init__(self) -> None:
-        # The covariance counts; all else is the estimator's.
+        # Only the covariance is used; the rest is a copy of the estimator's.
         self._packed: PackedFilter | None = None
 
     def predict(
         self, packed: PackedFilter, odometry: Track, gyro: Track, stamp_ns: int, settings: MotionSettings
     ) -> None:
-        """Goes on to the moment of a scan; packed: the estimator's state, as of the scan before."""
+        """Propagate to the time of a scan; packed: the estimator's state, as of the scan before."""
         if self._packed is not None:
             predict_motion(self.beside(packed), odometry, gyro, stamp_ns, settings)
 
     def watch(self, packed: PackedFilter, is_scan_alone: bool) -> None:
-        """Begins, or ends and leaves in `packed`, as of the prediction, what the pose is known worse."""
+        """Start, or stop and add to `packed` (as of the prediction) the excess of this covariance."""
         if is_scan_alone and self._packed is None:
             self._packed = PackedFilter(packed.numbers.copy(), packed.stamps.copy())
         elif not is_scan_alone and self._packed is not None:
@@ -55,10 +54,10 @@ class ConsistentCovariance:
     def correct(
         self, packed: PackedFilter, pose: SE2, measured: Measurement, settings: MotionSettings
     ) -> None:
-        """Takes in a match.
+        """Apply a match.
 
         packed  as of the prediction
-        pose    where scan and prediction together put the base
+        pose    of prediction and scan together
         """
         if self._packed is None:
             return
@@ -77,7 +76,7 @@ class ConsistentCovariance:
         )
 
     def widen(self, gap: Matrix) -> None:
-        """The prediction was known so much less (3, 3) than the model says; see Measurement.gap."""
+        """Add a covariance (3, 3) to that of the predicted pose; see Measurement.gap."""
         if self._packed is not None:
             widen_pose(views_of(self._packed), gap)
 
@@ -92,7 +91,7 @@ class ConsistentCovariance:
         return chosen.covariance[MAP_BLOCK, MAP_BLOCK].copy()
 
     def beside(self, packed: PackedFilter) -> PackedFilter:
-        """The estimator's state with this covariance; for reading."""
+        """The estimator's state with this covariance; read-only."""
         if self._packed is None:
             return packed
         self._packed.numbers[:COVARIANCE] = packed.numbers[:COVARIANCE]
@@ -101,7 +100,7 @@ class ConsistentCovariance:
 
 
 def widen_pose(state: Filter, by: Matrix) -> None:
-    """The pose is known so much less, (3, 3) in base axes, against the first scan and the local map alike."""
+    """Add a covariance (3, 3), base axes, to the pose against the first scan and the local map."""
     for rows in (LOCAL_BLOCK, MAP_BLOCK):
         for columns in (LOCAL_BLOCK, MAP_BLOCK):
             state.covariance[rows, columns] += by

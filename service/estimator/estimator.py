@@ -1,7 +1,6 @@
-"""The motion model: an error-state filter over pose, twist, odometry's errors and gyro bias.
+"""The motion model: an error-state filter of pose, twist, odometry errors and gyro bias.
 
-The model, its equations and its picture are docs/estimator.md; the arithmetic is in
-service/kernels/estimator.py.
+Model and equations: docs/estimator.md. Arithmetic: service/kernels/estimator.py.
 """
 
 import logging
@@ -44,33 +43,33 @@ from service.outputs import NO_REASON, Reason
 log = logging.getLogger(__name__)
 
 CAPACITY = 4096
-MAX_SAMPLES = 200_000  # that wait for a scan; then those between the oldest and newest quarter are dropped
-# Times the variance of its model, 30 sigmas: that is no noise but a fault, the same in all samples. fr079's
-# odometry reaches 580, csail's 1150 where one sample is 46 deg late.
+MAX_SAMPLES = 200_000  # waiting for a scan; above, all between oldest and newest quarter are dropped
+# Factor on the modelled variance, 30 sigma: no noise but a fault, equal in all samples. The odometry of fr079
+# reaches 580, that of csail 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
 GYRO_PAUSE_S = 0.05  # between two samples
-ACCELERATION_S = 0.2  # in which an acceleration fades: a drive reaches its speed in some tenths
-FADE_S = 1.0  # in which a speed fades that neither scans nor odometry confirm
-NEW_GROUND_M = 0.5  # a turn of a radian shows as much new as so many metres
+ACCELERATION_S = 0.2  # time constant of an acceleration: a drive reaches its speed in some tenths of a second
+FADE_S = 1.0  # time constant of a speed that neither scans nor odometry confirm
+NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this path length
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
-PAUSE_NS = 1_000_000_000  # of odometry; shorter ones are bridged without a word
-MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: odometry that says more has begun anew
-MIN_ELAPSED_S = 0.05  # stamps that came in a burst may lie closer together than what they stand for
-NODE_S = 0.01  # of a sweep, from one moment at which the motion is asked to the next
+PAUSE_NS = 1_000_000_000  # of odometry; shorter pauses are bridged without notice
+MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
+MIN_ELAPSED_S = 0.05  # stamps of a burst may be closer together than the samples were taken
+NODE_S = 0.01  # of a sweep, between two times at which the motion is evaluated
 MAX_NODES = 65
 TELL_AGAIN_NS = 10_000_000_000
-FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, where odometry does not say
+FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry
 MIN_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
 
 
 class EstimatorConfig(Section):
-    """How far each source of motion is trusted. A walk is a standard deviation that grows with the root."""
+    """Noise of each motion source. A walk is a standard deviation that grows with the square root."""
 
     odometry_position_walk: float = Field(default=0.02, gt=0.0)  # m per root metre driven
     odometry_heading_walk: float = Field(default=0.01, gt=0.0)  # rad per root metre driven
     odometry_turn_walk: float = Field(default=0.02, gt=0.0)  # rad per root radian turned
-    odometry_scale_sigma: float = Field(default=0.02, ge=0.0)  # of way and turn, before anything is learnt
-    odometry_lag_sigma_s: float = Field(default=0.05, ge=0.0)  # of its stamps, before anything is learnt
+    odometry_scale_sigma: float = Field(default=0.02, ge=0.0)  # of path length and rotation, prior
+    odometry_lag_sigma_s: float = Field(default=0.05, ge=0.0)  # of its stamps, prior
     odometry_jitter_s: float = Field(default=0.01, ge=0.0)  # of each stamp
     gyro_walk: float = Field(default=0.002, gt=0.0)  # rad per root second
     gyro_bias_sigma_radps: float = Field(default=0.02, ge=0.0)
@@ -80,11 +79,11 @@ class EstimatorConfig(Section):
 
 @dataclass(slots=True)
 class _Samples:
-    """A Track that grows, and forgets what lies before the last scan."""
+    """A growing Track; samples before the last scan are dropped."""
 
     width: int
     track: Track = field(init=False)
-    dropped: int = 0  # because too many waited, as long as nobody has asked
+    dropped: int = 0  # since the last take_dropped, because too many waited
 
     def __post_init__(self) -> None:
         self.track = Track(
@@ -93,12 +92,12 @@ class _Samples:
 
     @property
     def last(self) -> int | None:
-        """Row of the newest; None: there is none."""
+        """Row of the newest sample; None: empty."""
         first, end = self.track.span.tolist()
         return end - 1 if end > first else None
 
     def longest_pause_s(self, since_ns: int, until_ns: int) -> float:
-        """Between two moments, the longest time without a sample; 0 where it is no longer than PAUSE_NS."""
+        """Longest time without a sample between two times, s; 0 where it is at most PAUSE_NS."""
         first, end = self.track.span.tolist()
         if until_ns - since_ns <= PAUSE_NS:
             return 0.0
@@ -107,7 +106,7 @@ class _Samples:
         return longest_ns * 1e-9 if longest_ns > PAUSE_NS else 0.0
 
     def covered_ns(self, since_ns: int, until_ns: int) -> int:
-        """Of the time between two moments, from the first sample on, if there is one then or later."""
+        """Part of an interval covered by samples, from the first sample in or after it, ns."""
         first, end = self.track.span.tolist()
         row = first + int(np.searchsorted(self.track.stamp_ns[first:end], since_ns))
         if row == end:
@@ -128,7 +127,7 @@ class _Samples:
         self.track.span[0] = self.track.span[1]
 
     def forget_before(self, stamp_ns: int) -> None:
-        """Drop samples before a moment, but two of them: a speed needs a pair."""
+        """Drop the samples before a time, except two: a speed needs a pair."""
         first, end = self.track.span.tolist()
         if end - first <= 2 or self.track.stamp_ns[first + 2] >= stamp_ns:
             return
@@ -136,7 +135,7 @@ class _Samples:
         self.track.span[0] = min(max(first, keep), max(end - 2, 0))
 
     def take_dropped(self) -> int:
-        """How many were dropped since the last call because too many waited."""
+        """Number of samples dropped since the last call because too many waited."""
         dropped, self.dropped = self.dropped, 0
         return dropped
 
@@ -174,7 +173,7 @@ class Estimator:
         )
         self._odometry, self._gyro = _Samples(5), _Samples(2)
         self._gyro_rate = 0.0
-        self._jump_reported_ns = 0  # not again before
+        self._jump_reported_ns = 0  # next warning at the earliest
         self._still = Standstill()
         self._is_unwitnessed = False  # as in Standstill, since the last scan
         self._consistent = ConsistentCovariance()
@@ -195,7 +194,7 @@ class Estimator:
 
     @property
     def fault(self) -> Reason:
-        """Which source contradicts the scans, and what may be the matter; NO_REASON where none does."""
+        """The source that contradicts the scans, with likely causes; NO_REASON where none does."""
         if self._still.is_stuck:
             return Reason(
                 "odometry_stuck",
@@ -277,7 +276,7 @@ class Estimator:
         )
 
     def _reckoned(self) -> Reckoned | None:
-        """The newest step, with the noise that was learnt, at least that of the model."""
+        """The newest odometry increment, with the learnt noise, at least that of the model."""
         x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self.filter.said.tolist()
         if not is_said or self._elapsed_s <= 0.0:
             return None
@@ -300,7 +299,7 @@ class Estimator:
     def correct(self, measured: Measurement | None) -> Motion:
         state = self.filter
         if measured is not None and measured.gap is not None:
-            state.path.span[:] = 0  # it was found elsewhere: that is no motion
+            state.path.span[:] = 0  # matched elsewhere: this jump is no motion
             widen_pose(state, measured.gap)
             self._consistent.widen(measured.gap)
         if measured is not None and self._elapsed_s > 0.0:
@@ -327,11 +326,11 @@ class Estimator:
         motion_at(packed, *tracks, seconds, self._settings, pose, twist, covariance)
         forward, left, turn = twist.tolist()
         if self._origin_ns == int(self.filter.stamp_ns[0]) + round(seconds * 1e9):
-            pose[:] = 0.0  # `odom` itself, without what rounding leaves of it
+            pose[:] = 0.0  # the origin of `odom`, without rounding errors
         return Motion(SE2(*pose.tolist()), (forward, left, turn), covariance)
 
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
-        """The mean of the newest prediction and what a scan says alone, and its covariance."""
+        """Weighted mean of the newest prediction and a pose by the scan alone, and its covariance."""
         predicted = SE2(*self.filter.pose.tolist())
         prior = measured.prior_weight * np.linalg.inv(self.filter.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
         covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
@@ -358,7 +357,7 @@ class Estimator:
             self._origin_ns = origin_ns
 
     def _begin_twist(self, stamp_ns: int) -> None:
-        """The speed as odometry has it now, at the first scan and after a pause: what it was says nothing."""
+        """Set the twist to odometry's, at the first scan and after a pause; the old twist is discarded."""
         twist = np.zeros(3)
         begin_twist(self._odometry.track, stamp_ns, self._settings, twist)
         state = self.filter
@@ -372,7 +371,7 @@ class Estimator:
         self._begin_acceleration()
 
     def _begin_acceleration(self) -> None:
-        """None is known, but for how large one is; [2]."""
+        """Reset the acceleration to zero with its prior covariance; [2]."""
         state = self.filter
         rows = slice(ACCELERATION, ACCELERATION + 3)
         state.acceleration[:] = 0.0
@@ -402,7 +401,7 @@ class Estimator:
                     self._is_unwitnessed = self._still.is_unwitnessed
                     return True
             else:
-                # What was driven while it was stuck it has not counted, or has: nobody knows.
+                # The motion while odometry was stuck is unknown.
                 is_dead = self._still.is_stuck or self._still.is_unwitnessed
                 if is_dead or self._has_restarted(sample, last):
                     self._begin_odometry()
@@ -411,14 +410,14 @@ class Estimator:
         return True
 
     def _begin_odometry(self) -> None:
-        """What was driven since the last sample nobody knows."""
+        """Drop odometry's samples: the motion since the last one is unknown."""
         self._odometry.forget()
         self.filter.last_odom[7] = 0.0
 
     def _has_restarted(self, sample: OdometrySample, last: int) -> bool:
-        """Whether odometry has jumped since the sample before, as when the base's computer restarts.
+        """Whether odometry has jumped since the previous sample, as after a restart of the base's computer.
 
-        What was driven between the two nobody knows: there odometry counts as silent.
+        The motion between the two samples is unknown: odometry counts as silent there.
         """
         x_m, y_m, theta_rad = self._odometry.track.value[last, :3].tolist()
         elapsed_s = (sample.stamp_ns - int(self._odometry.track.stamp_ns[last])) * 1e-9
@@ -450,7 +449,7 @@ class Estimator:
                 return False
             turn = 0.5 * (rate + self._gyro_rate) * elapsed_s
             turned, missed = track.value[last].tolist()
-            if elapsed_s > GYRO_PAUSE_S:  # [8] what it turned in a pause is a bridge between two rates
+            if elapsed_s > GYRO_PAUSE_S:  # [8] the rotation in a pause is interpolated between two rates
                 missed += self._settings.turn_acceleration**2 * elapsed_s**3 / 12.0
             self._gyro.append(sample.stamp_ns, (turned + turn, missed))
         self._gyro_rate = rate

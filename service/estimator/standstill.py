@@ -1,8 +1,8 @@
-"""Odometry that says the same pose again: its vehicle stands, or it is dead and says so for ever; [30].
+"""Odometry that repeats a pose: the vehicle stands, or the encoder or its driver has failed; [30].
 
-A dead encoder says that the vehicle stands, and more precisely than any other source says anything. The same
-pose, to the last bit, is believed only of odometry that has moved before, and after a stop that a vehicle can
-make or that scans confirm. Odometry that has stood while the vehicle drove counts only once it moves again.
+By its model a dead encoder measures standstill more precisely than any other source. The same pose, to the
+last bit, is used only from odometry that has moved before, and after a stop that a vehicle can make or that
+scans confirm. Odometry that stood while the vehicle moved is used again once its pose changes.
 """
 
 import math
@@ -16,37 +16,37 @@ from service.geometry.se2 import wrap_angle
 from service.kernels.filter_state import TWIST, Filter
 from service.kernels.tracks import Track
 
-# Speed of a vehicle that stands, 1 sigma, and by how many sigmas one that drives is faster; what it brakes.
+# Speed at standstill, 1 sigma; a vehicle that moves is faster by so many sigmas.
 STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
 MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0  # of a vehicle that stops by itself
-# So long, or so far, odometry stands while the vehicle drives; then it counts only once it moves again.
+# Odometry that stands so long, or so far, while the vehicle moves is stuck.
 STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
 MISSED_SCANS = 5  # and more than STUCK_NS: the laser is silent
 
 
 @dataclass(frozen=True, slots=True)
 class _ImpossibleStop:
-    """Odometry stands from one sample to the next, faster than a vehicle brakes."""
+    """Odometry stops between two samples, faster than a vehicle brakes."""
 
-    speed_mps: float  # before; 0: from that a vehicle can have stopped
+    speed_mps: float  # before; 0: the vehicle can have stopped from it
     turn_radps: float  # likewise
     pose: npt.NDArray[np.float64]  # (3,) at the last scan before
-    way_m: float  # from there until it stood, by odometry
+    way_m: float  # path length from there to the stop, by odometry
     turn_rad: float
 
 
 @dataclass(slots=True)
 class Standstill:
-    """`says_nothing` with each sample of the same pose as the one before; another pose begins a new one."""
+    """Call `says_nothing` with each sample that repeats a pose; another pose begins a new Standstill."""
 
-    has_moved: bool = False  # once at all
-    is_stuck: bool = False  # it stands while the vehicle drives
-    is_unwitnessed: bool = False  # it began to stand as no vehicle can, and no scan says whether that does
-    _since_ns: int | None = None  # stamp of the first sample like the one before
-    _stop: _ImpossibleStop | None = None  # with which it began to stand, as long as no scan has confirmed it
+    has_moved: bool = False  # at least once
+    is_stuck: bool = False  # odometry stands while the vehicle moves
+    is_unwitnessed: bool = False  # odometry stopped faster than a vehicle brakes, and no scan confirms it
+    _since_ns: int | None = None  # stamp of the first repeated sample
+    _stop: _ImpossibleStop | None = None  # until a scan confirms it
 
     def says_nothing(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
-        """Whether such a sample is no evidence of the motion.
+        """Whether such a sample is no evidence of standstill.
 
         track      of odometry, up to the sample that was used last
         state      as of the last scan
@@ -55,7 +55,7 @@ class Standstill:
         scan_ns = int(state.stamp_ns[0])
         is_unheard = stamp_ns - scan_ns > STUCK_NS
         if is_unheard and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
-            return False  # no scan is to say anything else
+            return False  # no scan is expected yet
         if self._since_ns is None:
             self._since_ns, self._stop = stamp_ns, _impossible_stop(stamp_ns, track, state)
         if is_unheard:
@@ -72,30 +72,31 @@ class Standstill:
 
 
 def _drives(state: Filter) -> bool:
-    """Whether its speed at the last scan is more than zero by more than that can be wrong."""
+    """Whether the speed at the last scan differs significantly from zero."""
     variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDING_SIGMA)
     return bool(np.any(np.square(state.twist) > DRIVES_SIGMAS**2 * variance))
 
 
 def _goes_on(stop: _ImpossibleStop, state: Filter) -> bool:
-    """Whether its speed by the scans is nearer to that before the stop than to none."""
+    """Whether the speed by the scans is closer to that before the stop than to zero."""
     forward, left, turn = state.twist.tolist()
     drives = 2.0 * math.hypot(forward, left) > stop.speed_mps > 0.0
     return drives or 2.0 * abs(turn) > stop.turn_radps > 0.0
 
 
 def _went_on(stop: _ImpossibleStop, state: Filter) -> bool:
-    """Whether it has gone farther since, by the scans, than odometry says."""
+    """Whether the scans moved farther since then than odometry reports."""
     x_m, y_m, theta_rad = poses.between(stop.pose, state.pose).tolist()
     is_farther = math.hypot(x_m, y_m) > stop.way_m + STUCK_M
     return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
 
 
 def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleStop | None:
-    """That of odometry at its newest sample, from its speed in one of the last two steps, for it may have
-    stood for part of the last one; None: a vehicle can have stopped so.
+    """The impossible stop at odometry's newest sample; None: a vehicle can have stopped so.
 
-    stamp_ns   of the first sample of the same pose
+    Both of the last two steps are tested, because odometry may have stood for part of the last one.
+
+    stamp_ns   of the first repeated sample
     """
     first, end = track.span.tolist()
     last_ns = int(track.stamp_ns[end - 1])
