@@ -1,12 +1,11 @@
-"""Whether the vehicle drives along its heading, by odometry: else its lasers are mounted otherwise than said.
+"""Check whether the vehicle moves along its heading by odometry; else a laser's mounting is wrong.
 
-The map of one laser agrees with itself however that is mounted: a mounting that is wrong shows only where the
-motion that scans measure is held against that of odometry. With E the pose of the base as configured in the
-base of odometry, a step B of scan matching is E^-1 O E for a step O of odometry. With o, b the translations,
-R the rotation of both, t the translation of E and s the scale of odometry, that is linear in what is unknown:
-s o = E b - (R - I) t (Censi, Franchi, Marchionni, Oriolo: Simultaneous calibration of odometry and sensor
-parameters for mobile robots, IEEE Transactions on Robotics 29, 2013). `corridor calibrate` does the same with
-more care, after the drive.
+The map of one laser is consistent for any mounting: a wrong one shows only in the comparison of scan matching
+with odometry. With E the pose of the base as configured in the base of odometry, a step B of scan matching is
+E^-1 O E for a step O of odometry. With o, b the translations, R the rotation of both, t the translation of E
+and s the scale of odometry, this is linear in the unknowns: s o = E b - (R - I) t (Censi, Franchi,
+Marchionni, Oriolo: Simultaneous calibration of odometry and sensor parameters for mobile robots, IEEE
+Transactions on Robotics 29, 2013). `corridor calibrate` estimates the same offline, more accurately.
 """
 
 import math
@@ -24,35 +23,35 @@ from service.mapper.checks.stamp_check import BATCH
 from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
-MOUNTING_STEP_M, MOUNTING_STEP_RAD = 0.4, 0.15  # one of both ends a step
-MIN_TURN_RAD = 0.1  # of a step that tells where the laser sits: in less, noise of headings looks the same
+MOUNTING_STEP_M, MOUNTING_STEP_RAD = 0.4, 0.15  # either ends a step
+MIN_TURN_RAD = 0.1  # of a step that shows the position of the laser: smaller rotations are heading noise
 LONGEST_STEP_NS = 3_000_000_000
-MAX_SAMPLE_GAP_NS = 1_000_000_000  # between samples of odometry, within which it counts as known
-SAMPLES_KEPT = 512  # of odometry that are kept
-STEPS = 200  # the newest count: 80 m and more
+MAX_SAMPLE_GAP_NS = 1_000_000_000  # longest gap of odometry that is interpolated
+SAMPLES_KEPT = 512  # of odometry
+STEPS = 200  # the newest are used: 80 m and more
 MIN_STEPS = 3  # two measurements each, of four unknowns
-# Of a step: what scan matching errs by, and odometry, per root metre and per radian; more is estimated.
+# Noise of a step by scan matching; by odometry, per root metre and per radian. The excess is estimated.
 MATCH_M, WALK_M, TURN_NOISE_M = 0.01, 0.02, 0.02
-WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # so that what no step measures can be inverted, too
-MIN_OPPOSED_RAD = 3.0  # turned in all, before turns the other way are no accident
-MIN_SCALE, MAX_SCALE = 0.5, 2.0  # odometry beyond is not what shows a mounting
-AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: as people know axle and mounting
-KNOWN_SIGMA_M = 1.0  # of the point the vehicle turns around: a way without turns does not show it
+WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # keeps unobservable directions invertible
+MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
+MIN_SCALE, MAX_SCALE = 0.5, 2.0  # beyond it odometry is unusable for this check
+AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: of axle and mounting by hand
+KNOWN_SIGMA_M = 1.0  # of the centre of rotation: a path without turns does not show it
 
 
 class OdometryMounting:
-    """Compares steps of scan matching with those of odometry; `fault` is NO_REASON while they go together."""
+    """Compares steps of scan matching with those of odometry; `fault` is NO_REASON while they agree."""
 
     def __init__(self) -> None:
         self.fault = NO_REASON
         self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES_KEPT)
-        self._waiting: tuple[int, SE2] | None = None  # a pose that is newer than odometry
+        self._waiting: tuple[int, SE2] | None = None  # a pose newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
         self._count = 0  # of steps
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """The next sample, in the order of stamps."""
+        """Add the next sample, in the order of stamps."""
         self._samples.append((sample.stamp_ns, SE2(sample.x_m, sample.y_m, sample.theta_rad)))
         if self._waiting is not None and sample.stamp_ns >= self._waiting[0]:
             stamp_ns, pose = self._waiting
@@ -60,7 +59,7 @@ class OdometryMounting:
             self.add_pose(stamp_ns, pose)
 
     def add_pose(self, stamp_ns: int, pose_odom_base: SE2) -> None:
-        """Where a scan that lay on the map was found; in the order of stamps."""
+        """Add the pose of a matched scan, in the order of stamps."""
         if not self._samples:
             return
         if stamp_ns > self._samples[-1][0]:
@@ -89,11 +88,11 @@ class OdometryMounting:
             self.fault = fault_of(np.array(self._steps))
 
     def interrupt(self) -> None:
-        """The place was lost: what comes next is no step from what was before."""
+        """Discard the current step after the pose was lost."""
         self._last = self._waiting = None
 
     def _odometry_at(self, stamp_ns: int) -> SE2 | None:
-        """Interpolated; None where it was silent."""
+        """Interpolated odometry; None where it was silent."""
         newest_first = reversed(self._samples)
         for (after_ns, after), (before_ns, before) in pairwise(newest_first):
             if before_ns <= stamp_ns <= after_ns:
@@ -110,9 +109,9 @@ class OdometryMounting:
 
 
 def fault_of(steps: Floats) -> Reason:
-    """NO_REASON where they go together.
+    """The fault that steps show; NO_REASON where scans and odometry agree.
 
-    steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their begin
+    steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their start
     """
     if turns_are_opposed(steps):
         return Reason(
@@ -142,8 +141,9 @@ def fault_of(steps: Floats) -> Reason:
 
 
 def turns_are_opposed(steps: Floats) -> bool:
-    """Whether scans and odometry turn about as far, and one of them the wrong way: a laser that is mounted
-    upside down maps a mirror image of the place, and the map agrees with itself.
+    """Whether scans and odometry rotate equally far in opposite directions.
+
+    A laser mounted upside down maps a mirror image of the place, which is consistent in itself.
     """
     matched, driven = steps[:, 2], steps[:, 5]
     does_turn = np.abs(matched) > MIN_TURN_RAD
@@ -156,7 +156,7 @@ def turns_are_opposed(steps: Floats) -> bool:
 def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     """(3,) the base as configured in the base of odometry, x, y m and yaw rad; and its covariance (3, 3).
 
-    None where odometry does not show it: it is dead, or its scale is nowhere near 1.
+    None where odometry is dead or its scale is far from 1.
     """
     x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:5]
     turned = np.where(np.abs(turn) < MIN_TURN_RAD, 0.0, turn)

@@ -1,6 +1,4 @@
-"""Scans that are not mapped: one that is sent again and again, and those that come before the odometry that
-knows the way to them.
-"""
+"""Scans that are not mapped: repeated ones, and those before the odometry of their motion."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,24 +6,24 @@ import numpy.typing as npt
 from drivers.frames import LaserScan
 from service.mapper.judgement import GAP_S
 
-ODOMETRY_WAIT_NS = 1_000_000_000  # after a pause of all: bases send odometry at 2 Hz and more often
+ODOMETRY_WAIT_NS = 1_000_000_000  # after a pause of all sensors: odometry arrives at 2 Hz or more
 SPEED_NS = 50_000_000  # over which the motion model takes a speed from odometry
-REPEATED_TRAVEL_M = 0.02  # motion over which a laser cannot see the same to the last bit
+REPEATED_TRAVEL_M = 0.02  # path length after which a real scan cannot be identical
 
 
 class ScanCheck:
-    """Looks at the scans of one laser, in the order of their arrival."""
+    """Checks the scans of one laser, in the order of their arrival."""
 
     def __init__(self) -> None:
         self._last: LaserScan | None = None
         self._travel_m = 0.0  # since the first of equal scans
 
     def is_repeated(self, scan: LaserScan, travel_m: float) -> bool:
-        """Whether a scan equals the one before to the last bit though the vehicle has moved.
+        """Whether a scan equals the previous one to the last bit although the vehicle has moved.
 
-        Scans without a return are no evidence: a laser out of range of everything sends them too.
+        Scans without returns are no evidence: a laser with nothing in range repeats them, too.
 
-        travel_m   m   moved since the scan before, as predicted
+        travel_m   m   since the previous scan, as predicted
         """
         last, self._last = self._last, scan
         if last is None or not _are_same(last.range_m, scan.range_m) or not np.isfinite(scan.range_m).any():
@@ -36,15 +34,16 @@ class ScanCheck:
 
 
 class OdometryWait:
-    """After a pause of laser and odometry, whichever comes first. What was driven meanwhile the first sample
-    of odometry tells, and how fast the vehicle is now the next ones: a scan that comes sooner would be
-    predicted and deskewed by a guess.
+    """Drops scans after a pause of laser and odometry until odometry has measured the motion meanwhile.
+
+    The first sample gives the motion during the pause, the next ones the present speed; an earlier scan would
+    be predicted and deskewed without either.
     """
 
     def __init__(self) -> None:
         self._newest_ns: int | None = None  # stamp of the newest sample
         self._since_ns = 0  # stamp of the first one after the newest pause
-        self._began_ns: int | None = None  # stamp of the first scan that was left out
+        self._began_ns: int | None = None  # stamp of the first scan that was dropped
 
     def add(self, stamp_ns: int) -> None:
         if self._newest_ns is None or stamp_ns - self._newest_ns > GAP_S * 1e9:
@@ -52,7 +51,7 @@ class OdometryWait:
         self._newest_ns = stamp_ns
 
     def waits(self, stamp_ns: int, last_ns: int | None) -> bool:
-        """Whether a scan is to be left out. last_ns: of the scan before; None: there was none."""
+        """Whether a scan is to be dropped. last_ns: of the previous scan; None: there was none."""
         if self._newest_ns is None or last_ns is None or self._knows(stamp_ns, last_ns, self._newest_ns):
             self._began_ns = None
             return False
@@ -63,20 +62,18 @@ class OdometryWait:
     def _knows(self, stamp_ns: int, last_ns: int, newest_ns: int) -> bool:
         if stamp_ns - last_ns <= GAP_S * 1e9:
             return True
-        if self._since_ns <= last_ns:  # no pause of odometry has ended since the scan before
+        if self._since_ns <= last_ns:  # no pause of odometry has ended since the previous scan
             return stamp_ns - newest_ns <= GAP_S * 1e9
         return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_NS
 
 
 def _are_same(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> bool:
-    """Whether two scans' ranges are equal; no return is equal to no return. The first beam that is not ends
-    it, nearly always.
-    """
+    """Whether the ranges of two scans are equal, with NaN equal to NaN; mostly decided by the first beam."""
     if a.shape != b.shape or not len(a):
         return a.shape == b.shape
     differs = a != b
     first = differs.argmax()
     first = differs.argmax() if len(a) else 0
-    if a[first] == a[first] or b[first] == b[first]:  # no NaN
+    if a[first] == a[first] or b[first] == b[first]:  # not NaN
         return not differs[first]
     return bool((np.isnan(a) & np.isnan(b))[differs].all())

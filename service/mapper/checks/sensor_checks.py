@@ -1,4 +1,4 @@
-"""What the mapper asks of its sensors before and after a match: does this scan take part, and why not?"""
+"""Checks of the sensors before and after a match: whether a scan is mapped, and why not."""
 
 from collections import Counter
 from dataclasses import replace
@@ -14,7 +14,7 @@ from service.mapper.components import Match
 from service.mapper.judgement import too_few
 from service.outputs import Reason, State
 
-CONFIRMED_NS = 500_000_000  # for which a scan that lay on the map confirms the place
+CONFIRMED_NS = 500_000_000  # for which an inlier scan confirms the pose
 
 
 class Verdict(NamedTuple):
@@ -28,14 +28,14 @@ class _Laser:
     def __init__(self) -> None:
         self.repeats = ScanCheck()
         self.mounting = MountingCheck()
-        self.confirmed_ns: int | None = None  # moment of its newest scan with returns; None: that was lost
+        self.confirmed_ns: int | None = None  # stamp of its newest scan with returns; None: that one was lost
         self.travel_m = 0.0  # of the vehicle, up to its newest scan
 
 
 class SensorChecks:
     """All checks of lasers and odometry against each other. Calls come in the order of scans.
 
-    counters    where scans that do not take part are counted, by laser
+    counters    of dropped scans, by laser
     """
 
     def __init__(self, counters: Counter[str]) -> None:
@@ -51,7 +51,7 @@ class SensorChecks:
         self._odometry_mounting.add_odometry(sample)
 
     def begin_laser(self, sensor: str) -> None:
-        """A laser's first scan: beside others it is compared with their map before it takes part."""
+        """Register a laser at its first scan; beside others it is compared with their map first."""
         if sensor in self._lasers:
             return
         self._lasers[sensor] = _Laser()
@@ -66,7 +66,7 @@ class SensorChecks:
         return True
 
     def refuse(self, scan: LaserScan, at_ns: int, travel_m: float) -> Verdict | None:
-        """Why a scan is not to be matched; None: it is. travel_m: m since the scan before, as predicted."""
+        """Reason not to match a scan; None: it is matched. travel_m: m since the previous scan, predicted."""
         laser = self._lasers[scan.sensor]
         self._travel_m += travel_m
         moved_m, laser.travel_m = self._travel_m - laser.travel_m, self._travel_m
@@ -80,8 +80,9 @@ class SensorChecks:
         return Verdict("degraded" if self._confirmed_by_another(scan.sensor, at_ns) else "lost", reason)
 
     def where_to_compare(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:
-        """Where to look for a scan of a laser whose mounting or stamps are in doubt, which has no say in pose
-        and map; None: it takes part.
+        """Where to search a scan of a laser whose mounting or stamps are in doubt; None: it is mapped.
+
+        Such a scan has no effect on pose and map.
         """
         mounting = self._lasers[sensor].mounting
         is_in_doubt = not mounting.is_right or self._stamps.fault_of(sensor)
@@ -91,7 +92,7 @@ class SensorChecks:
         return mounting.where_to_look(predicted, self._stamps.late_s(sensor))
 
     def compare(self, match: Match, at_ns: int, looked_for: Prediction, usual: Verdict) -> Verdict:
-        """Of a scan that was matched from `where_to_compare`. usual: of the newest scan that was mapped."""
+        """Verdict on a scan matched from `where_to_compare`. usual: of the newest mapped scan."""
         sensor = match.points.scan.sensor
         mounting = self._lasers[sensor].mounting
         if match.measured is not None and match.state != "lost":
@@ -106,9 +107,9 @@ class SensorChecks:
         return Verdict("lost" if is_alone else "degraded", fault.reworded(f"{sensor} {fault}"))
 
     def judge(self, match: Match, at_ns: int, motion_fault: Reason) -> Match | Verdict:
-        """The match with the state that the sensors allow; or why it is not mapped.
+        """The match with the state that the sensors allow; or the reason why it is not mapped.
 
-        motion_fault    of a source of motion, by the motion model
+        motion_fault    of a motion source, by the motion model
         """
         sensor = match.points.scan.sensor
         few = too_few(match.points)
@@ -119,7 +120,7 @@ class SensorChecks:
             self._stamps.interrupt()
             if other := self._confirmed_by_another(sensor, at_ns):
                 return self._contradicted(match, other, few)
-        if not few:  # else it says nothing of the place, for or against
+        if not few:  # else it is no evidence for or against the pose
             self._lasers[sensor].confirmed_ns = at_ns if match.state != "lost" else None
         if match.state != "ok":
             return match
@@ -130,9 +131,9 @@ class SensorChecks:
         return replace(match, state="degraded", reason=fault) if fault else match
 
     def _contradicted(self, match: Match, other: str, few: Reason) -> Verdict:
-        """A scan that fits nowhere while those of another laser do: its laser is wrong, not the place.
+        """Verdict on a scan that fits nowhere while another laser confirms the pose: its laser is at fault.
 
-        One of hardly a return contradicts nothing: its laser is covered, or nothing is in its range.
+        A scan with few returns contradicts nothing: its laser is covered, or nothing is in range.
         """
         sensor = match.points.scan.sensor
         if few:
@@ -147,7 +148,7 @@ class SensorChecks:
         return Verdict("degraded", reason)
 
     def _confirmed_by_another(self, sensor: str, at_ns: int) -> str:
-        """Another laser whose scans lay on the map just now; "" where there is none."""
+        """Another laser whose scans confirmed the pose recently; "" where there is none."""
         confirming = [
             name
             for name, laser in self._lasers.items()

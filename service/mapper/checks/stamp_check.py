@@ -1,11 +1,10 @@
-"""Whether the stamps of several lasers go together: turns of the vehicle, as each laser saw them.
+"""Check of the stamps of several lasers against each other, by the rotation that each of them sees.
 
-A laser whose stamps are late shows the vehicle at the heading that it had before: scans taken for those of
-their stamps turn the map to and fro at each turn, and as half of the scans fit it, nothing looks wrong. With
-theta(t) the heading at which the scans of another laser lie, one of stamp t that is late by d lies at
-theta(t - d), so off by c - d omega, where omega is the rate of turn and c what is left of the mountings. Both
-follow from a linear regression over the scans (Qin, Shen: Online temporal calibration for monocular visual-
-inertial systems, IROS 2018, for the model).
+Late stamps show the vehicle at an earlier heading, which rotates the map back and forth in turns although
+half of the scans fit it. With theta(t) the heading by the scans of another laser, a scan of stamp t that is
+late by d has the heading theta(t - d), an error of c - d omega with rate of turn omega and mounting error c.
+Both follow from a linear regression over the scans (Qin, Shen: Online temporal calibration for monocular
+visual-inertial systems, IROS 2018, for the model).
 """
 
 import math
@@ -18,33 +17,33 @@ from service.geometry.chi2 import CHI2_999_OF_1
 from service.geometry.se2 import wrap_angle
 from service.outputs import NO_REASON, Reason
 
-MAX_SCAN_GAP_NS = 400_000_000  # between two scans, within which the vehicle turns steadily
-MIN_NOISE_RAD = 1e-3  # of a heading by a scan; more is estimated
-SCANS = 400  # the newest count
-BATCH = 25  # scans, or steps, after which a check judges
-SCANS_WITH_SAME_ERRORS = 20.0  # scans that see the same errors of the map
-TOLERANCE_S = 0.005  # how well people know by how much their lasers lag
-KNOWN_S = 0.002  # sigma from which on stamps that go together are cleared of a fault
+MAX_SCAN_GAP_NS = 400_000_000  # between two scans, within which the rate of turn counts as constant
+MIN_NOISE_RAD = 1e-3  # of a heading by a scan; the excess is estimated
+SCANS = 400  # the newest are used
+BATCH = 25  # scans, or steps, between two evaluations of a check
+SCANS_WITH_SAME_ERRORS = 20.0  # scans with correlated errors, from the same part of the map
+TOLERANCE_S = 0.005  # of configured latencies
+KNOWN_S = 0.002  # sigma below which consistent stamps clear a fault
 
 
 class StampCheck:
-    """Of one laser beside another. `late_s` is 0 while their stamps go together."""
+    """Check of one laser against another. `late_s` is 0 while their stamps agree."""
 
     def __init__(self) -> None:
-        self.late_s = 0.0  # stamps of the one behind those of the other, where they do not
+        self.late_s = 0.0  # stamps of the one behind those of the other, where they disagree
         self.sigma_s = 0.0
         self._other: tuple[int, float] | None = None  # newest scan of the other laser: stamp, heading
         self._waiting: list[tuple[int, float]] = []  # scans of the one since then
-        self._scans: deque[tuple[float, float]] = deque(maxlen=SCANS)  # rate of turn, offset of the heading
+        self._scans: deque[tuple[float, float]] = deque(maxlen=SCANS)  # rate of turn, error of the heading
         self._new = 0
 
     def add(self, stamp_ns: int, heading_rad: float) -> None:
-        """A scan of the laser, where it lies on the map."""
+        """Add a matched scan of the laser."""
         if self._other is not None and stamp_ns - self._other[0] <= MAX_SCAN_GAP_NS:
             self._waiting.append((stamp_ns, heading_rad))
 
     def add_other(self, stamp_ns: int, heading_rad: float) -> None:
-        """A scan of the other laser; in the order of stamps."""
+        """Add a matched scan of the other laser, in the order of stamps."""
         before, self._other = self._other, (stamp_ns, heading_rad)
         waiting, self._waiting = self._waiting, []
         if before is None or stamp_ns - before[0] > MAX_SCAN_GAP_NS:
@@ -59,7 +58,7 @@ class StampCheck:
             self._judge()
 
     def interrupt(self) -> None:
-        """The place was lost: headings before and after it are not of one way."""
+        """Discard waiting scans after the pose was lost."""
         self._other = None
         self._waiting = []
 
@@ -72,11 +71,11 @@ class StampCheck:
 
 
 def lag_of(scans: npt.NDArray[np.float64]) -> tuple[float, float]:
-    """By how much stamps are late, s, and its sigma, which is inf where the vehicle did not turn.
+    """Lag of stamps, s, and its sigma, inf where the vehicle did not turn.
 
-    scans   (K, 2) rad/s, rad   rate of turn, and by how much the heading is off
+    scans   (K, 2) rad/s, rad   rate of turn, and error of the heading
 
-    The noise may be another in turns than on straight ways. Source of such a sigma: White, A
+    The sigma allows for noise that differs between turns and straight paths. Source: White, A
     heteroskedasticity-consistent covariance matrix estimator, Econometrica 48, 1980.
     """
     rate, off = (scans - scans.mean(axis=0)).T
@@ -89,14 +88,14 @@ def lag_of(scans: npt.NDArray[np.float64]) -> tuple[float, float]:
 
 
 class StampChecks:
-    """Of all lasers, beside the one that began the map."""
+    """Checks of all lasers against the one that began the map."""
 
     def __init__(self) -> None:
         self._first: str | None = None
         self._checks: dict[str, StampCheck] = {}
 
     def add(self, sensor: str, stamp_ns: int, heading_rad: float) -> None:
-        """Where a scan lies that fits the map, at the moment its points are brought to; by rising stamps."""
+        """Add the heading of a matched scan at the time of its deskewed points; by rising stamps."""
         if self._first is None:
             self._first = sensor
         if sensor != self._first:
@@ -106,17 +105,17 @@ class StampChecks:
             check.add_other(stamp_ns, heading_rad)
 
     def interrupt(self) -> None:
-        """The place was lost."""
+        """Discard waiting scans after the pose was lost."""
         for check in self._checks.values():
             check.interrupt()
 
     def late_s(self, sensor: str) -> float:
-        """Stamps of this laser behind those of the first; 0 where they go together."""
+        """Stamps of this laser behind those of the first; 0 where they agree."""
         check = self._checks.get(sensor)
         return 0.0 if check is None else check.late_s
 
     def fault_of(self, sensor: str) -> Reason:
-        """NO_REASON where the stamps of this laser go together with those of the first."""
+        """NO_REASON where the stamps of this laser agree with those of the first."""
         check = self._checks.get(sensor)
         if check is None or check.late_s == 0.0:
             return NO_REASON
