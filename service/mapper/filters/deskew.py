@@ -1,4 +1,4 @@
-"""Scan -> points: beams that cannot be used go, the motion during the sweep is taken out."""
+"""Scan to points: unusable beams are dropped, the motion during the sweep is removed."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,22 +17,22 @@ from service.kernels.normals import range_noise
 from service.kernels.sweep import bend_returns
 from service.mapper.components import Points
 
-NOISE_SCANS = 100  # over which the noise of a sensor's ranges is taken
-MIN_NOISE_M = 0.003  # of a range: no laser of the supported ones is better
-UNKNOWN_NOISE_M = 0.03  # of a laser that has shown none yet
+NOISE_SCANS = 100  # over which the range noise of a laser is averaged
+MIN_NOISE_M = 0.003  # of a range: no supported laser is better
+UNKNOWN_NOISE_M = 0.03  # of a range, before it is measured
 
 
 class BeamsConfig(Section):
-    """Which returns are used, besides what the sensor itself says of its range."""
+    """Range limits of used returns, besides those of the sensor."""
 
     nearest_m: float = Field(default=0.10, ge=0.0)  # nearer: error codes of some devices, dirt on the window
     farthest_m: float = Field(default=100.0, gt=0.0)
 
 
 class DeskewByTwist:
-    """A component that is called; remembers the directions of the beams of each sensor.
+    """Deskewing by constant twist; caches the beam directions of each sensor.
 
-    outline_m   corners of the vehicle, base frame: returns within are of the vehicle itself, and go
+    outline_m   corners of the vehicle, base frame: returns inside it are dropped
     """
 
     def __init__(
@@ -48,11 +48,11 @@ class DeskewByTwist:
         self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
 
     def moment_of(self, scan: LaserScan) -> int:
-        """That of the first beam."""
+        """Time of the deskewed points: that of the first beam."""
         return scan.stamp_ns
 
     def __call__(self, scan: LaserScan, motion: Motion, at_ns: int | None = None) -> Points:
-        """Points at the moment of the motion, at_ns; None: that of the first beam. Raises InputError."""
+        """Points at the time at_ns of the motion; None: that of the first beam. Raises InputError."""
         mounting = self._mountings.get(scan.sensor)
         if mounting is None:
             known = ", ".join(sorted(self._mountings)) or "none"
@@ -90,17 +90,17 @@ class DeskewByTwist:
     def _take_out_deviation(
         self, xy_raw: npt.NDArray[np.float64], beam_time_s: npt.NDArray[np.float64], motion: Motion
     ) -> None:
-        """Nothing: the twist is all that is known of the motion."""
+        """Subtract the measured deviation from the twist; here there is none."""
 
     def _leave_out_itself(self, returns: Returns, count: int) -> int:
-        """Close up the returns that lie outside of the vehicle; how many there are."""
+        """Drop the returns inside the vehicle; returns the number of the others."""
         outside = np.flatnonzero(~is_inside(returns.xy_raw[:count], self._outline_m))
         for array in returns:
             array[: len(outside)] = array[outside]
         return len(outside)
 
     def _noise_of(self, sensor: str, shown_m: float) -> float:
-        """Mean over the scans so far, of the newest NOISE_SCANS."""
+        """Mean range noise over at most the newest NOISE_SCANS scans."""
         count, mean_m = self._noise.get(sensor, (0, UNKNOWN_NOISE_M))
         if shown_m > 0.0:
             count = min(count + 1, NOISE_SCANS)
@@ -117,11 +117,11 @@ class DeskewByTwist:
 
 
 class DeskewByMotion(DeskewByTwist):
-    """By the twist, and by what is known of the motion during the sweep beyond it; [23]."""
+    """Deskewing by the twist and the measured motion during the sweep; [23]."""
 
     def moment_of(self, scan: LaserScan) -> int:
-        """The middle of the sweep: an error of the twist then turns its two halves against each other, and
-        not the scan against the map.
+        """The middle of the sweep: an error of the twist then rotates its halves against each other instead
+        of displacing the scan.
         """
         return scan.stamp_ns + scan.beam_interval_ns * (len(scan.range_m) - 1) // 2
 

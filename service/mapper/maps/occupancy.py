@@ -1,4 +1,4 @@
-"""What is shown and driven on: occupancy in tiles of 64 cells a side, in the map frame."""
+"""The published occupancy map, in tiles of 64 cells a side, in the map frame."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -34,21 +34,21 @@ from service.mapper.components import (
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.outputs import UNKNOWN, TileUpdate
 
-OCCUPANCY_POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only what is seen costs memory
+OCCUPANCY_POOL_TILES = 131_072  # 1.6 GB of address space, 1.3 km2 at 5 cm; only touched pages take memory
 
 
 class OccupancyConfig(Section):
-    """When a scan is drawn, and how far its beams clear."""
+    """When a scan is rendered, and how far its beams clear."""
 
     insert_distance_m: float = Field(default=0.10, gt=0.0)
     insert_turn_rad: float = Field(default=0.08, gt=0.0)
-    insert_interval_s: float = Field(default=0.5, gt=0.0)  # also when standing: who walked away is cleared
-    free_range_m: float = Field(default=25.0, gt=0.0)  # beams clear cells up to here
+    insert_interval_s: float = Field(default=0.5, gt=0.0)  # also at standstill: people who left are cleared
+    free_range_m: float = Field(default=25.0, gt=0.0)  # length up to which beams clear cells
 
 
-HIT_LOG_ODDS = 1.2  # of an end point: one is 77 %, so that thin legs show
-MISS_LOG_ODDS = 0.5  # of a beam that passes: weaker, since beams graze cells whose walls they do not meet
-MAX_LOG_ODDS = 3.5  # of both signs, 97 %: after seven beams through it no wall stands any more
+HIT_LOG_ODDS = 1.2  # of an end point: one hit is 77 %, so that thin legs are visible
+MISS_LOG_ODDS = 0.5  # of a passing beam: weaker, because beams graze cells of walls they do not meet
+MAX_LOG_ODDS = 3.5  # of both signs, 97 %: seven passing beams clear a wall
 STEP_LOG_ODDS = 0.05  # so that +-6 fits in a byte
 EVIDENCE = Evidence(
     round(HIT_LOG_ODDS / STEP_LOG_ODDS),
@@ -57,13 +57,13 @@ EVIDENCE = Evidence(
     round(MAX_LOG_ODDS / STEP_LOG_ODDS),
 )
 FREE_EVIDENCE = 2 * EVIDENCE.miss  # two misses and no hit
-SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent: what the most evidence of both signs shows
+SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent at the limits of evidence
 NO_CELLS: Cells = np.zeros((0, 2), np.int64)
-DRAWN_AT_ONCE = 2  # scans of before a correction, with each new one
+DRAWN_AT_ONCE = 2  # older scans rendered with each new one after a correction
 
 
 class Canvas:
-    """Evidence in tiles, and how scans get there."""
+    """Evidence in tiles, and the rendering of scans into them."""
 
     def __init__(
         self, evidence: Evidence, free_range_m: float, cell_m: float, capacity: int = OCCUPANCY_POOL_TILES
@@ -80,7 +80,7 @@ class Canvas:
             capacity,
         )
         self.tiles = TileMap(self.pool)
-        self._walls: _CellsByTile = []  # drawn by a person
+        self._walls: _CellsByTile = []  # drawn by the operator
         self._scan_number = 0
 
     def draw(self, xy_base: npt.NDArray[np.float64], sensor_xy_m: tuple[float, float], pose: SE2) -> None:
@@ -113,15 +113,15 @@ class Canvas:
 
     @property
     def wall_cells(self) -> Cells:
-        """Where walls stand that a person has drawn."""
+        """Cells of walls drawn by the operator."""
         return np.concatenate((NO_CELLS, *(cells for _, _, cells in self._walls)))
 
     def set_walls(self, cells: Cells) -> None:
-        """Let walls stand in these cells and no others, whatever beams say from now on."""
+        """Make exactly these cells walls, whatever beams measure from now on."""
         self._walls = _by_tile(cells)
 
     def stand_walls(self) -> None:
-        """Put walls up that beams have weakened since."""
+        """Restore walls that beams have weakened."""
         self._fill(self._walls, self._evidence.most)
 
     def _fill(self, cells_by_tile: "_CellsByTile", value: int) -> None:
@@ -145,9 +145,9 @@ class Canvas:
         return slot
 
     def rendered_map(self) -> RenderedMap:
-        """A copy of all there is."""
+        """A copy of the map."""
         tiles = np.array(self.tiles.tiles(), np.int64).reshape(-1, 3)
-        # Contiguous, as they come out of another process: else the kernel that takes them is compiled twice.
+        # Contiguous, as from another process: else the kernel is compiled twice.
         row, column = np.ascontiguousarray(tiles[:, 0]), np.ascontiguousarray(tiles[:, 1])
         evidence = self.pool.arrays[0][tiles[:, 2]]
         return RenderedMap(row, column, evidence, self.wall_cells)  # type: ignore[arg-type]
@@ -167,7 +167,7 @@ class Canvas:
         self.stand_walls()
 
     def replace_part(self, part: RenderedMap) -> None:
-        """Only the cells that the part names; where it and this hold nothing no tile is made."""
+        """Replace only the cells of the part; no tile is created where both are empty."""
         assert part.is_part is not None
         there = {(row, column) for row, column, _ in self.tiles.tiles()}
         for row, column, evidence, is_part in zip(
@@ -193,7 +193,7 @@ _CellsByTile = list[tuple[int, int, Cells]]  # row and column of the tile, and c
 
 
 def cells_of_wall(wall: WallToRender, cell_m: float) -> Cells:
-    """(K, 2) row and column."""
+    """(K, 2) row and column of the cells of a wall."""
     cells = cells_along(wall.corners_map, cell_m)
     for corners in wall.erased_map:
         cells = cells[~is_inside(centres_of(cells, cell_m), corners)]
@@ -241,10 +241,11 @@ class OccupancyRenderer:
 
 
 def rendered_of(tiles: Sequence[TileUpdate], walls: Iterable[WallToRender] = ()) -> RenderedMap:
-    """Stored tiles of the finest level as a map that a session goes on in: the least evidence that shows so.
+    """Stored tiles of the finest level as a map to continue in, with the least evidence that renders the
+    same.
 
-    walls   that a person has drawn
-    Raises ValueError where they are not of this size.
+    walls   drawn by the operator
+    Raises ValueError for tiles of another size.
     """
     fine = [tile for tile in tiles if tile.level == 0]
     if any(tile.cells.shape != (GRID_TILE_CELLS, GRID_TILE_CELLS) for tile in fine):
@@ -272,7 +273,7 @@ class OccupancyTiles:
         self._cell_m = cell_m
         self.renderer = OccupancyRenderer(config.free_range_m, cell_m)
         self._canvas = self.renderer.canvas()
-        self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last handed out
+        self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last published
         self._version = 0
         self._to_draw: deque[ScanToRender] = deque()
         self._last: tuple[SE2, int] | None = None
@@ -293,12 +294,12 @@ class OccupancyTiles:
         self._canvas.draw(points.xy_base, (sensor.x_m, sensor.y_m), pose_map_base)
 
     def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
-        """Tiles that the rendered map lacks become unknown; only those that differ get a new version.
+        """Replace the map; tiles that are not in it become unknown, only changed tiles get a new version.
 
-        `since` is drawn with the next scans, a few with each, so that none of them has to wait.
+        The scans `since` are rendered with the next scans, a few with each, so that none is delayed.
         """
         if rendered_map.is_part is not None:
-            self._canvas.draw_again(self._to_draw)  # they are of before the part was drawn
+            self._canvas.draw_again(self._to_draw)  # older than the part
             self._canvas.replace_part(rendered_map)
         else:
             self._canvas.replace_by(rendered_map)
@@ -323,9 +324,9 @@ class OccupancyTiles:
         return updates
 
     def tiles(self) -> list[TileUpdate]:
-        """The map as changed_tiles would give it, had it never been called; that is left as it is.
+        """All tiles, as changed_tiles returns them on its first call, without its effects.
 
-        Versions say nothing: they count the tiles given.
+        Versions are serial numbers.
         """
         self._canvas.stand_walls()
         evidence, _touched, _changed = self._canvas.pool.arrays

@@ -1,16 +1,17 @@
-"""How long things stand around the vehicle, drawn for people to look at."""
+"""A grid of how long cells around the vehicle are occupied, for display."""
 
 import numpy as np
 
 from service.mapper.components import Standing
 from service.outputs import UNKNOWN, Grid, MapperOutput
 
-SHOWN_REACH_M = 40.0  # so far around the vehicle; at 10 cm a cell, 640 000 of them at most
+SHOWN_REACH_M = 40.0  # around the vehicle; at 10 cm a cell, at most 640 000 cells
 
 
 def draw_standing(standing: Standing, newest: MapperOutput) -> Grid | None:
-    """A grid of the map around the newest pose: UNKNOWN where nothing stands, else for how long something
-    has, per cent of the time from which on it counts in full. None where nothing stands within reach.
+    """A grid of the static score around the newest pose, per cent of the time after which it is full.
+
+    Free cells are UNKNOWN. None where nothing is occupied within reach.
     """
     c, s = np.cos(newest.pose_map_odom.theta_rad), np.sin(newest.pose_map_odom.theta_rad)
     x_m = newest.pose_map_odom.x_m + c * standing.xy_odom[:, 0] - s * standing.xy_odom[:, 1]

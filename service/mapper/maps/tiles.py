@@ -1,8 +1,8 @@
-"""Tiles without bound: a pool that never moves a cell, and an index that grows in all directions.
+"""Unbounded tiled maps: a pool that never moves a cell, and an index that grows in all directions.
 
-A pool reserves address space once and commits it page by page as tiles are touched. Where the kernel refuses
-the reservation (strict overcommit, address-space limit), or when it is used up, the pool doubles with a copy
-and says so in the log: slower for one scan, never wrong.
+A pool reserves address space once; pages are committed as tiles are touched. Where the kernel refuses the
+reservation (strict overcommit, address-space limit), or when it is used up, the pool doubles with a copy and
+logs it: one slow scan.
 """
 
 import logging
@@ -25,7 +25,7 @@ MIN_CAPACITY = 64
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One array of a pool: what a tile holds."""
+    """One array of a pool, with the shape and type of a tile."""
 
     shape: tuple[int, ...]
     dtype: npt.DTypeLike
@@ -36,7 +36,7 @@ class Layer:
 
 
 def reserve(layer: Layer, capacity: int) -> npt.NDArray[np.generic]:
-    """A zeroed (capacity, *shape) array whose pages cost nothing until touched.
+    """A zeroed (capacity, *shape) array whose pages take no memory until touched.
 
     Raises OSError where the kernel refuses that much address space.
     """
@@ -47,7 +47,7 @@ def reserve(layer: Layer, capacity: int) -> npt.NDArray[np.generic]:
 
 
 def reach_of(xy_base: npt.NDArray[np.float64]) -> float:
-    """Distance of the farthest of some points, (N, 2) with N > 0, from the origin of their frame, m."""
+    """Distance of the farthest point, (N, 2) with N > 0, from the origin of its frame, m."""
     return math.sqrt(farthest_m2(xy_base))
 
 
@@ -72,7 +72,7 @@ class TilePool:
         self.counts = np.zeros(2, np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickle: the slots that were ever taken. The rest is address space and weighs nothing."""
+        """For pickle: only slots that were ever taken."""
         released, taken = self.counts.tolist()
         return {
             "layers": self._layers,
@@ -97,11 +97,11 @@ class TilePool:
 
     @property
     def used_count(self) -> int:
-        """Slots that hold a tile now."""
+        """Slots in use."""
         return int(self.counts[1] - self.counts[0])
 
     def make_room(self, tile_count: int) -> None:
-        """See to it that so many tiles can be taken without asking again."""
+        """Reserve room for so many tiles."""
         short = self.used_count + tile_count - self.capacity
         if short <= 0:
             return
@@ -113,7 +113,7 @@ class TilePool:
         self.free = free
 
     def take(self, count: int) -> npt.NDArray[np.int32]:
-        """So many slots, those handed back first; make_room was asked. The caller fills them."""
+        """Take so many slots, released ones first, after make_room. The caller fills them."""
         top = int(self.counts[0])
         again = min(count, top)
         fresh = int(self.counts[1]) + np.arange(count - again, dtype=np.int32)
@@ -123,7 +123,7 @@ class TilePool:
         return slots
 
     def release(self, slots: npt.NDArray[np.int32]) -> None:
-        """Hand slots back; whoever takes one clears it."""
+        """Release slots; they are cleared when taken again."""
         top = int(self.counts[0])
         self.free[top : top + len(slots)] = slots
         self.counts[0] = top + len(slots)
@@ -135,7 +135,7 @@ class TilePool:
 
 
 class TileMap:
-    """Which tiles one map has, and in which slots of the pool. Growing copies slot numbers, never cells."""
+    """The tiles of one map and their slots in the pool. Growing copies slot numbers, not cells."""
 
     def __init__(self, pool: TilePool) -> None:
         self.pool = pool
@@ -144,7 +144,7 @@ class TileMap:
         self._empty = True
 
     def cover(self, tiles: TileRange) -> None:
-        """Make index and pool ready for any of these tiles to be touched."""
+        """Reserve room in index and pool for any of these tiles."""
         self.pool.make_room(tiles.tile_count)
         if self._empty:
             self.origin[:] = tiles.first_row, tiles.first_column
@@ -156,7 +156,7 @@ class TileMap:
         right = max(tiles.last_column - (column + width - 1), 0)
         if above == below == left == right == 0:
             return
-        # each side that is too short grows by at least half of what there is, so growing stays rare
+        # sides grow by at least half of the present size, so growing stays rare
         above, below = (max(n, height // 2 + 1) if n else 0 for n in (above, below))
         left, right = (max(n, width // 2 + 1) if n else 0 for n in (left, right))
         slots = np.full((above + height + below, left + width + right), NO_TILE, np.int32)
@@ -167,18 +167,18 @@ class TileMap:
     def cover_around(
         self, xy_m: tuple[float, float], reach_m: float, cell_m: float, tile_bits: int, margin_cells: int = 1
     ) -> None:
-        """cover() what lies within reach of a place, and so many cells around that."""
+        """cover() a square of half width reach_m around a position, with a margin in cells."""
         (x_m, y_m), r = xy_m, reach_m
         self.cover(tiles_of((x_m - r, y_m - r), (x_m + r, y_m + r), cell_m, tile_bits, margin_cells))
 
     def index(self) -> TileIndex:
-        """The view a kernel works on; valid until the next cover()."""
+        """The arrays for a kernel; valid until the next cover()."""
         return TileIndex(self.slots, self.origin, self.pool.free, self.pool.counts)
 
     def tiles(self, marked: npt.NDArray[np.generic] | None = None) -> list[tuple[int, int, int]]:
         """(tile row, tile column, slot) of every tile, by row and column.
 
-        marked   by slot; given, only tiles whose slot is not 0 there
+        marked   by slot; if given, only tiles whose entry is not 0
         """
         rows, columns = np.nonzero(self.slots != NO_TILE)
         slots = self.slots[rows, columns]
@@ -189,24 +189,24 @@ class TileMap:
         return list(zip(rows.tolist(), columns.tolist(), slots.tolist(), strict=True))
 
     def take(self, row: int, column: int) -> tuple[int, bool]:
-        """Give a tile that cover() made ready, and that has none, a slot: (slot, used before)."""
+        """Assign a slot to a tile that cover() prepared and that has none: (slot, used before)."""
         slot, used_before = take_slot(self.index(), row, column)
         return int(slot), bool(used_before)
 
     def drop(self, row: int, column: int) -> None:
-        """Hand the slot of one tile back."""
+        """Release the slot of one tile."""
         place = (row - int(self.origin[0]), column - int(self.origin[1]))
         self.pool.release(self.slots[place].reshape(1))
         self.slots[place] = NO_TILE
 
     def release(self) -> None:
-        """Hand every tile back to the pool; the map is empty afterwards."""
+        """Release every tile; the map is then empty."""
         self.pool.release(self.slots[self.slots != NO_TILE])
         self.slots = np.full((1, 1), NO_TILE, np.int32)
         self._empty = True
 
     def copy_from(self, other: "TileMap") -> None:
-        """Become the same as another map of the same pool, in tiles of its own."""
+        """Become a copy of another map of the same pool, with tiles of its own."""
         self.release()
         taken = other.slots != NO_TILE
         count = int(np.count_nonzero(taken))
