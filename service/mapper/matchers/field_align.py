@@ -1,4 +1,4 @@
-"""Points aligned with a likelihood map, and what it says of them there, where speed does not matter."""
+"""Alignment of points with a likelihood map, and its values there; not optimised for speed."""
 
 import numpy as np
 
@@ -15,11 +15,11 @@ def align(
     start: Floats,
     iterations: int,
 ) -> Floats:
-    """The pose (3,) uphill from `start`, its theta not wrapped.
+    """The pose (3,) of a local maximum near `start`, its theta not wrapped.
 
-    xy, weights   (N, 2) m, base frame, and (N,), as thin_evenly gives them
+    xy, weights   (N, 2) m, base frame, and (N,), from thin_evenly
     prior         pose (3,), and its information (3, 3) in the axes of the field
-    iterations    at most; 0: none
+    iterations    upper bound; 0: none
     """
     pose, settings = start.copy(), LmSettings(iterations)
     align_points(
@@ -37,7 +37,7 @@ def align(
 
 
 def values_at(xy: Floats, pose: Floats, field: LikelihoodField) -> Floats:
-    """(N, 3): likelihood at points (N, 2) of the base frame, and its slopes in 1/m."""
+    """(N, 3): likelihood at points (N, 2) of the base frame, and its gradient in 1/m."""
     values = np.empty((len(xy), 3))
     read_field(xy, pose, field, values)
     return values

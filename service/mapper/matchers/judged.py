@@ -1,4 +1,4 @@
-"""What every matcher does around its own work: is the match one, and where else is the vehicle if not?"""
+"""Common part of the matchers of the papers: acceptance of a match, and search after a loss."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
@@ -31,18 +31,18 @@ from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
-SEARCHED_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of where a search leads
+SEARCHED_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of the result of a search
 
 MIN_COVARIANCE = 1e-12 * np.eye(3)  # of a search: its pose is compared with the prediction alone
-CONFIRM_S = 0.1  # from a find to the search that is to confirm it
-MAX_WIDENING = 16.0  # of the first window, after searches in vain
+CONFIRM_S = 0.1  # from a result to the search that is to confirm it
+MAX_WIDENING = 16.0  # of the first window, after failed searches
 MAX_REST_S = 1.0  # wide searches take longer, so they rest longer
 STANDS = Reason(
     "prediction_stands",
     "the scan fits the map where the prediction puts it, and nowhere else in the window that was searched; "
     "the pose is the prediction. Drive on, to where more walls are in view",
 )
-RESTART_M = 5.0  # measured way of a lost vehicle, after which the map begins anew
+RESTART_M = 5.0  # measured path of a lost vehicle after which a new map begins
 UNCONFIRMED = Reason(
     "unconfirmed",
     "the scan fits the map at a place that the prediction allows; a second scan has to confirm it. Drive on",
@@ -54,25 +54,25 @@ KnownMap_contra = TypeVar("KnownMap_contra", bound=KnownMap, contravariant=True)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Where a matcher has put a scan, before anybody has said what it is worth."""
+    """The result of a matcher before it is judged."""
 
     measured: Measurement
-    points: Points  # deskewed with the twist found
+    points: Points  # deskewed with the estimated twist
 
 
 class Aligner(Protocol[KnownMap_contra]):
-    """What a matcher does itself."""
+    """The part of a matcher that differs between the papers."""
 
     def align(
         self, points: Points, predicted: Prediction, local_map: KnownMap_contra, is_found: bool
     ) -> Aligned:
-        """Put a scan on a map that is not empty; is_found: a search led to the prediction, not the way."""
+        """Align a scan with a map that is not empty; is_found: the prediction is the result of a search."""
         ...
 
     def search(
         self, points: Points, local_map: KnownMap_contra, pose: SE2, reach: tuple[float, float]
     ) -> SE2 | None:
-        """The likeliest pose so many m and rad around one in odom; None where nothing is known there."""
+        """The most likely pose within (m, rad) of a pose in odom; None where the map is unknown there."""
         ...
 
 
@@ -84,23 +84,22 @@ class _Verdict:
 
 
 class JudgedMatching:
-    """Has scans aligned with a map, judges where they came to lie, and has lost ones searched for.
+    """Aligns scans with a map, judges the result, and searches for the pose after a loss.
 
-    What little lies on the map does not say where: on new ground the prediction stands, if it was measured
-    and nothing contradicts it. A search in vain makes the next twice as wide. A find that is far from the
-    prediction is a hypothesis, since rooms look alike: the next one must say the same. A vehicle that has
-    measured RESTART_M of way without being found is on ground that the map does not show, or shows wrong; the
-    map begins anew where the prediction is.
+    On new ground few inliers decide nothing: the prediction is kept if it was measured and nothing
+    contradicts it. A failed search doubles the next window. A result far from the prediction is a hypothesis,
+    because rooms look alike, and must be confirmed by the next one. After RESTART_M of measured path without
+    relocalisation the map there is missing or wrong; a new map begins at the prediction.
     """
 
     def __init__(self, limits: JudgementConfig) -> None:
         self._limits = limits
         self._is_lost = False
-        self._rest_until_ns = 0  # no search before
+        self._rest_until_ns = 0  # next search at the earliest
         self._widening = 1.0
         self._confirmation = Confirmation()
-        self._lost_path_m = 0.0  # that was measured since the last match
-        self._before: tuple[Points, SE2] | None = None  # the lost scan before, where it was predicted
+        self._lost_path_m = 0.0  # measured path length since the last match
+        self._before: tuple[Points, SE2] | None = None  # the previous lost scan and its predicted pose
 
     def match(
         self,
@@ -152,7 +151,7 @@ class JudgedMatching:
     def _judged(
         self, aligned: Aligned, predicted: Prediction, local_map: KnownMap, is_found: bool = False
     ) -> _Verdict:
-        """is_found: a search led there, so that the prediction says nothing for it."""
+        """is_found: the pose is the result of a search, so the prediction is no evidence."""
         measured, prior = aligned.measured, predicted.local_covariance
         alone: Matrix = np.asarray(np.linalg.inv(measured.information), np.float64)
         joined: Matrix = measured.covariance
@@ -176,7 +175,7 @@ class JudgedMatching:
         return self._verdict(evidence)
 
     def _judged_as_predicted(self, points: Points, predicted: Prediction, local_map: KnownMap) -> _Verdict:
-        """Whether a scan that could not be matched fits where the prediction puts it."""
+        """Whether a scan that could not be matched fits the map at its predicted pose."""
         overlap = local_map.overlap(points.xy_base, predicted.pose_odom_base)
         prior = sigmas_of(predicted.local_covariance)
         evidence = Evidence(
@@ -201,7 +200,7 @@ class JudgedMatching:
         aligner: Aligner[SomeKnownMap],
         ratio: float,
     ) -> Match | None:
-        """A match elsewhere, with clearly more than `ratio` of the scan on the map; None: there is none."""
+        """A match elsewhere, with clearly more than `ratio` of the scan on the map; None: no such match."""
         stamp_ns = points.scan.stamp_ns
         if stamp_ns < self._rest_until_ns:
             return None
@@ -230,7 +229,7 @@ class JudgedMatching:
         return self._confirmation.confirms(aligned.measured.pose_odom_base, predicted.pose_odom_base)
 
     def _starts_over(self, points: Points, predicted: Prediction) -> bool:
-        """Whether a lost vehicle has come far enough, and sees what stands: noise fits no scan before."""
+        """Whether a lost vehicle has moved far enough and two scans agree: noise matches no previous scan."""
         if predicted.is_measured:
             self._lost_path_m += predicted.travel_m
         before, self._before = self._before, (points, predicted.pose_odom_base)
@@ -246,9 +245,9 @@ class JudgedMatching:
 
 
 def judged_alone(aligned: Aligned, predicted: Prediction, inliers: int, limits: JudgementConfig) -> Match:
-    """The match of a matcher that is neither searched for nor asked about free ground.
+    """The match of a matcher without search and free space.
 
-    inliers   of the points: those that the matcher found a place for
+    inliers   of the points
     """
     count = len(aligned.points.xy_base)
     prior = sigmas_of(predicted.local_covariance)
@@ -271,7 +270,7 @@ def _matched(aligned: Aligned, predicted: Prediction, verdict: _Verdict) -> Matc
 
 
 def _alone(aligned: Aligned, chi2: float) -> Aligned:
-    """A find: what the scan says alone, to be joined with a prediction with that much less weight."""
+    """The result of a search by the scan alone, to be fused with a prior of reduced weight."""
     measured = replace(
         aligned.measured,
         covariance=np.asarray(np.linalg.inv(aligned.measured.information), np.float64),
@@ -282,7 +281,7 @@ def _alone(aligned: Aligned, chi2: float) -> Aligned:
 
 
 def _chi2(aligned: Aligned, predicted: Prediction, covariance: Matrix) -> float:
-    """How far a scan was aligned from the prediction; covariance: besides that of the prediction."""
+    """Chi2 of the aligned pose against the prediction; covariance: added to that of the prediction."""
     return chi2_between(
         predicted.pose_odom_base, aligned.measured.pose_odom_base, predicted.local_covariance + covariance
     )

@@ -1,4 +1,4 @@
-"""Where a scan lies on a map when the prediction was far off: a whole window, by branch and bound."""
+"""Search for a scan on a map far from the prediction, by branch and bound in a window."""
 
 import math
 
@@ -9,28 +9,28 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.mapper.matchers.window_search import search_bounded, thinned, window_around
 
-BEAMS = 150  # about so many are asked
+BEAMS = 150  # used in a search, about
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m
-WIDE_RAD, WIDE_STEP_RAD = 2.0, 0.04  # a window wider than the one is searched in steps of the other
-GAIN = 0.08  # so much more must lie on the map where a search leads
-REST_S = 0.5  # between two searches of the whole window
-LEAST = (0.3, 0.2)  # m, rad: windows of a search, half their width
-MOST = (8.0, math.pi)  # m, rad: the same at most
-FIRST = (2.0, 1.6)  # of a scan that is lost though the prediction is good
-SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # two finds of a lost vehicle agree
+WIDE_RAD, WIDE_STEP_RAD = 2.0, 0.04  # half width of a window, from which on headings are this far apart
+GAIN = 0.08  # least increase of the inlier ratio by a search
+REST_S = 0.5  # between two searches of the entire window
+LEAST = (0.3, 0.2)  # m, rad: least half width of a window
+MOST = (8.0, math.pi)  # m, rad: largest half width
+FIRST = (2.0, 1.6)  # of a scan that is lost although the prediction is certain
+SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # within which two results agree
 
 
 class Confirmation:
-    """A find far from the prediction is a hypothesis, since rooms look alike: the next must say the same."""
+    """A result far from the prediction is a hypothesis, as rooms look alike: the next one must agree."""
 
     def __init__(self) -> None:
-        self._pose_map_odom: SE2 | None = None  # odom of the prediction in that of the map, by the last find
+        self._pose_map_odom: SE2 | None = None  # predicted odom in that of the map, by the last result
 
     def forget(self) -> None:
         self._pose_map_odom = None
 
     def confirms(self, found: SE2, predicted: SE2) -> bool:
-        """Whether the find before, carried on by the prediction, says the same; both in one frame."""
+        """Whether the previous result, propagated by the prediction, agrees; both in one frame."""
         last, self._pose_map_odom = self._pose_map_odom, found @ predicted.inverse()
         if last is None:
             return False
@@ -45,13 +45,13 @@ def search_around(
     layer: LikelihoodLayer,
     step_rad: float = STEP_RAD,
 ) -> SE2 | None:
-    """The pose of the window at which the points lie best on a likelihood map.
+    """The pose of the window at which the points have the highest likelihood.
 
     xy_base   (N, 2) m, base frame; N > 0
-    pose      middle of the window, in the frame of the map
+    pose      centre of the window, in the frame of the map
     reach     (m, rad) half the width of the window
     step_rad  between two headings
-    None where nothing of the map lies within reach.
+    None where the map is empty within reach.
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
     window = window_around(np.array([pose.x_m, pose.y_m, pose.theta_rad]), reach, layer, step_rad)
@@ -63,12 +63,12 @@ def search_around(
 
 
 def step_of(reach: tuple[float, float]) -> float:
-    """How far apart headings may be: a window of so many m and rad must be searched within half a second."""
+    """Step between headings, rad, so that a window is searched within half a second."""
     return STEP_RAD if reach[1] <= WIDE_RAD else WIDE_STEP_RAD
 
 
 def reach_of(prior: tuple[float, float]) -> tuple[float, float]:
-    """Half the window of a search around a prediction known to so many m and rad: three sigmas of it."""
+    """Half the search window around a prediction, m and rad: three sigmas, within LEAST and MOST."""
     reach_m, reach_rad = (
         min(max(3.0 * sigma, least), most) for sigma, least, most in zip(prior, LEAST, MOST, strict=True)
     )

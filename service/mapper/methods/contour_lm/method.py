@@ -1,4 +1,4 @@
-"""Li et al. 2016: scans matched to a learned map of blurred contours, the laser's speed found on the way."""
+"""Li et al. 2016: matching to a learned map of blurred contours, with the laser's velocity estimated."""
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.methods.shared import (

@@ -1,4 +1,4 @@
-"""The default profile: every scan matched to surfels, odometry or IMU holding what the scan does not see."""
+"""The default profile: scans matched to surfels; odometry or IMU fix what the scan leaves open."""
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.graph.loops.loop_closing import LoopClosing
