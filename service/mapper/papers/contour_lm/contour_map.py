@@ -1,4 +1,4 @@
-"""A likelihood map learned from all scans, in a pyramid: blurred contours and a background model."""
+"""A likelihood map learned from all scans, as a pyramid: blurred contours and a background model."""
 
 from typing import Literal
 
@@ -31,7 +31,7 @@ FIRST_SCAN_CELLS = 65_536
 
 
 class ContoursConfig(Section):
-    """Which neighbouring end points are joined (eq. 5), and what becomes of those that are not."""
+    """Which neighbouring end points are joined (eq. 5), and the use of the others."""
 
     longest_step_m: float = Field(default=0.15, gt=0.0)  # d_th
     most_ratio: float = Field(default=2.0, ge=1.0)  # r_th
@@ -39,14 +39,14 @@ class ContoursConfig(Section):
 
 
 class BlurConfig(Section):
-    """How likely a place beside a contour is (eqs. 6 and 7). Lengths in cells, the same on every level."""
+    """Likelihood beside a contour (eqs. 6 and 7). Lengths in cells, equal on every level."""
 
     along_cells: float = Field(default=10.0, gt=0.0)
     across_cells: float = Field(default=1.5, gt=0.0)
     traditional: bool = False  # the contour as likely as its points, blurred across only
     squared: bool = False  # a Gaussian instead of the printed exponent
     sub_cell: bool = True  # cells with a point are as likely as their centre; False: 1
-    least: float = Field(default=0.05, gt=0.0, lt=1.0)  # what is below counts as nothing
+    least: float = Field(default=0.05, gt=0.0, lt=1.0)  # smaller likelihoods count as 0
 
 
 class LearningConfig(Section):
@@ -61,14 +61,14 @@ class LearningConfig(Section):
     update: Literal["averaged", "printed"] = "averaged"  # printed: max() at a hit, interpolation beside it
     bounded: bool = True  # printed interpolation stops at the scan's own likelihood; False: it fills up
     count_blur: bool = True  # cells that are only blurred count as seen
-    free_range_m: float = Field(default=20.0, gt=0.0)  # beams fade cells up to here
+    free_range_m: float = Field(default=20.0, gt=0.0)  # length up to which beams lower cells
 
 
 class ContourMapConfig(Section):
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
-    levels: int = Field(default=3, ge=1, le=6)  # each with cells twice as wide as the one before
-    insert_distance_m: float = Field(default=0.05, ge=0.0)  # learn after so much way,
-    insert_turn_rad: float = Field(default=0.05, ge=0.0)  # ... or turn,
+    levels: int = Field(default=3, ge=1, le=6)  # each with cells twice as wide as the previous one
+    insert_distance_m: float = Field(default=0.05, ge=0.0)  # learn after this path length,
+    insert_turn_rad: float = Field(default=0.05, ge=0.0)  # ... or rotation,
     insert_time_s: float = Field(default=0.0, ge=0.0)  # ... or time; 0: every scan
     contours: ContoursConfig = ContoursConfig()
     blur: BlurConfig = BlurConfig()
@@ -113,7 +113,7 @@ class ContourMap:
             POOL_TILES,
         )
         self._tiles = [TileMap(self._pool) for _ in range(self._config.levels)]
-        self._last: tuple[int, SE2] | None = None  # when, and from where, a scan was learned
+        self._last: tuple[int, SE2] | None = None  # stamp and pose of the last learned scan
         self._skipped = 0  # scans since then
         self._ground = KnownGround()
 
@@ -130,12 +130,12 @@ class ContourMap:
         return self._pool.used_count
 
     def level(self, number: int) -> LikelihoodLevel:
-        """0 is the finest; valid until the next insert."""
+        """The arrays of a level, 0 is the finest; valid until the next insert."""
         index = self._tiles[number].index()
         return LikelihoodLevel(index, *self._pool.arrays, self._cell_m(number))  # type: ignore[arg-type, call-arg]
 
     def field(self, number: int) -> LikelihoodField:
-        """A level, to be read between cells; valid as long."""
+        """A level with interpolation between cells; valid until the next insert."""
         level = self.level(number)
         return LikelihoodField(level.tiles, level.likelihood, level.cell_m)
 
@@ -147,7 +147,7 @@ class ContourMap:
         return self._ground.overlap(xy_base, pose)
 
     def join(self, segment: int) -> None:
-        """This map is one piece."""
+        """Nothing to do: the map is a single segment."""
 
     def insert(self, points: Points, match: Match) -> MapChange:
         if not len(points.xy_base) or match.state == "lost":
@@ -180,7 +180,7 @@ class ContourMap:
         return MapChange(is_keyframe=True)
 
     def _is_due(self, stamp_ns: int, pose: SE2) -> bool:
-        """Whether the next scan is to be learned; it then stands for those that were left out before it."""
+        """Whether the next scan is learned; it then stands for those skipped before it."""
         if self._last is None:
             return True
         config = self._config
@@ -196,7 +196,7 @@ class ContourMap:
         pose: npt.NDArray[np.float64],
         level: LikelihoodLevel,
     ) -> None:
-        """List what the scan tells of a level; the list may turn out too short."""
+        """List the cells of a level that the scan observes; the list may be too short."""
         learning = self._config.learning
         blur_scan(points.xy_base, contour, pose, level, self._blur, self._cells)
         if not learning.decrease:

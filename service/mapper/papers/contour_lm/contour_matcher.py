@@ -1,4 +1,4 @@
-"""Brute search on the coarsest level, then Levenberg-Marquardt down the pyramid with the speed inside it."""
+"""Brute search on the coarsest level, then Levenberg-Marquardt down the pyramid with the velocity."""
 
 import math
 from dataclasses import replace
@@ -29,31 +29,31 @@ from service.mapper.papers.contour_lm.contour_map import ContourMap
 
 Array = npt.NDArray[np.float64]
 PRINTED_BEAMS = 540
-MAX_TRIALS, MAX_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a prior nothing else ends it
+MAX_TRIALS, MAX_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a prior only these end it
 
 
 class WeightsConfig(Section):
-    """How points are weighed so that every orientation of wall has its say (eq. 9)."""
+    """Weights of points that balance the orientations of walls (eq. 9)."""
 
-    balance: bool = True  # False: every point weighs the same
+    balance: bool = True  # False: equal weights
     bins: int = Field(default=12, ge=1, le=180)  # B, over 180 deg
-    middle_count: float = Field(default=100.0, gt=0.0)  # of 540 beams; scaled to what the sensor has
+    middle_count: float = Field(default=100.0, gt=0.0)  # of 540 beams; scaled to the sensor's
     slope_count: float = Field(default=50.0, gt=0.0)
     beams_each_side: int = Field(default=4, ge=1, le=10)  # neighbours for a normal
-    half_length_m: float = Field(default=0.15, ge=0.0, le=1.0)  # ... or as many more as lie this near
-    # Neighbours spread no wider than this need no robust estimate.
+    half_length_m: float = Field(default=0.15, ge=0.0, le=1.0)  # ... or more within this distance
+    # Neighbours with less scatter need no robust estimate.
     thin_m: float = Field(default=0.02, ge=0.0)
 
 
 class SearchConfig(Section):
-    """The rough search before: a window of so many sigmas of the prediction, within bounds."""
+    """The coarse search before the alignment: a window in sigmas of the prediction, within limits."""
 
     window_sigmas: float = Field(default=2.0, ge=0.0)
     most_window_m: float = Field(default=0.5, ge=0.0)
     most_window_rad: float = Field(default=0.35, ge=0.0)
     step_rad: float = Field(default=0.04, gt=0.0)
-    beams: int = Field(default=90, ge=10)  # asked, evenly chosen
-    least_gain: float = Field(default=0.05, ge=0.0)  # so much likelier than the prediction it must be
+    beams: int = Field(default=90, ge=10)  # used, evenly chosen
+    least_gain: float = Field(default=0.05, ge=0.0)  # least increase of the likelihood over the prediction
 
 
 class ContourLmConfig(JudgementConfig):
@@ -67,15 +67,15 @@ class ContourLmConfig(JudgementConfig):
     first_damping: float = Field(default=1e-3, gt=0.0)
     estimate_velocity: bool = True
     beam_time: Literal["measured", "printed"] = "measured"  # printed: the period over the number of beams
-    # of 1 - likelihood: what a point says against odometry, and what is reported of the pose
+    # of 1 - likelihood: weight of a point against odometry, and in the reported covariance
     residual_sigma: float = Field(default=0.6, gt=0.0)
-    prior: Literal["wheels", "always", "never"] = "wheels"  # when the prediction has a say in the cost
+    prior: Literal["wheels", "always", "never"] = "wheels"  # when the prediction enters the cost
     floor_position_m: float = Field(default=0.006, gt=0.0)
     floor_heading_rad: float = Field(default=0.0015, gt=0.0)
 
 
 class ContourLm:
-    """Matcher[ContourMap]. The motion model makes a mean with the prediction where the cost did not."""
+    """Matcher[ContourMap]. Without a prior in the cost the motion model fuses the prediction."""
 
     def __init__(self, config: ContourLmConfig) -> None:
         self._config = config
@@ -93,7 +93,7 @@ class ContourLm:
     def match(self, points: Points, predicted: Prediction, local_map: ContourMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
 
-    compare = match  # what the matcher remembers of the scan before is of any laser
+    compare = match  # its state is independent of the laser
 
     def align(
         self, points: Points, predicted: Prediction, local_map: ContourMap, is_found: bool = False
@@ -120,7 +120,7 @@ class ContourLm:
         return search_around(points.xy_base, pose, reach, local_map.search_layer(), step_of(reach))
 
     def _normals_of(self, xy_base: Array, points: Points) -> Array:
-        """(N,) rad, base axes; NaN where too few points are beside one."""
+        """(N,) rad, base axes; NaN with too few neighbours."""
         config = self._config.weights
         angle = np.empty(len(xy_base))
         estimate_orientations(
@@ -153,7 +153,7 @@ class ContourLm:
         return np.asarray(points.beam * (scan.scan_period_ns * 1e-9 / len(scan.range_m)), np.float64)
 
     def _search(self, xy_base: Array, predicted: Prediction, local_map: ContourMap) -> Array:
-        """Where to start: the prediction, or the candidate around it that is clearly likelier."""
+        """Initial pose: the prediction, or a clearly more likely candidate around it."""
         config = self._config.search
         begin = predicted.pose_odom_base
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
@@ -184,7 +184,8 @@ class ContourLm:
     ) -> Array:
         """Coarse to fine; changes xy_base, pose and twist. Returns the Hessian of the finest level.
 
-        The speed is found on the finest level alone: an error of a coarse cell in 20 ms is metres a second.
+        The velocity is estimated on the finest level only: an error of a coarse cell in 20 ms is metres a
+        second.
         """
         config = self._config
         to = predicted.pose_odom_base
@@ -219,7 +220,7 @@ class ContourLm:
         return hessian
 
     def _has_prior(self, predicted: Prediction) -> bool:
-        """Whether the prediction has a say in the cost."""
+        """Whether the prediction enters the cost."""
         prior = self._config.prior
         return predicted.elapsed_s > 0.0 and (
             prior == "always" or (prior == "wheels" and predicted.is_measured)
@@ -236,7 +237,7 @@ class ContourLm:
     def _keep_likelier(
         self, xy_base: Array, weights: Array, field: LikelihoodField, predicted: Array, pose: Array
     ) -> None:
-        """Go back to the prediction where the scan lies better there: wide cells know a place to cm only."""
+        """Return to the prediction if the scan fits better there: coarse cells resolve only cm."""
         costs = []
         for at in (predicted, pose):
             costs.append(float(weights @ np.square(1.0 - values_at(xy_base, at, field)[:, 0])))
@@ -252,10 +253,10 @@ class ContourLm:
         pose: Array,
         hessian: Array,
     ) -> None:
-        """The Hessian (3, 3) with each point counting across the wall it lies on, if any.
+        """Recompute the Hessian (3, 3) with each point's gradient projected on its wall's normal.
 
-        Along a wall the slope of the map is noise of its cells. Its squares add up to knowledge that nobody
-        has of the way down a corridor, and the prediction would be overruled by it.
+        Along a wall the gradient of the map is noise of its cells. Its squares add up to information along a
+        corridor that does not exist, and would outweigh the prediction.
         """
         values = values_at(xy_base, pose, field)
         angle = np.where(np.isnan(normal_rad), 0.0, normal_rad + pose[2])
@@ -265,7 +266,7 @@ class ContourLm:
         likelihood_normal_equations(xy_base, values, scaled, pose, hessian, np.empty(3))
 
     def _covariance(self, hessian: Array, theta_rad: float) -> Array:
-        """(3, 3) in base axes: what the slope of the map at the points says, no wider than a metre or so."""
+        """(3, 3) in base axes, by the gradient of the map at the points, at most about a metre."""
         information = np.empty((3, 3))
         rotate_information(hessian, -theta_rad, information)
         return inverse(information + np.eye(3)) + self._floor

@@ -1,4 +1,4 @@
-"""ICP says about where, an exhaustive search of the likelihood map says exactly where."""
+"""ICP gives a coarse pose, an exhaustive search of the likelihood map the final one."""
 
 import math
 from typing import Literal
@@ -29,24 +29,24 @@ from service.mapper.papers.imle.scan_icp import IcpConfig, ScanIcp, deskewed
 Array = npt.NDArray[np.float64]
 Sums = npt.NDArray[np.float32]
 
-HEADING_STEPS_BETWEEN = 5  # refining divides a step of heading by this
+HEADING_STEPS_BETWEEN = 5  # refinement divides a heading step by this
 REFINE_CELLS = 3
 
 
 class IcpThenSearchConfig(JudgementConfig):
-    """How far is searched around what ICP says, and when the result is accepted."""
+    """Size of the search around the result of ICP, and when the result is accepted."""
 
     icp: IcpConfig = IcpConfig()
-    window_rms: float = Field(default=3.0, gt=0.0)  # half a window is so many times the error of ICP,
-    least_window_m: float = Field(default=0.05, gt=0.0)  # but no less
-    most_window_m: float = Field(default=0.5, gt=0.0)  # and no more than this
+    window_rms: float = Field(default=3.0, gt=0.0)  # half a window over the rms error of ICP,
+    least_window_m: float = Field(default=0.05, gt=0.0)  # at least this
+    most_window_m: float = Field(default=0.5, gt=0.0)  # and at most this
     window_rad: float = Field(default=0.349, gt=0.0)  # to each side: 20 deg
     step_rad: float = Field(default=0.00873, gt=0.0)  # 0.5 deg
     search: Literal["narrowing", "exhaustive"] = "narrowing"
     narrow_cells: int = Field(default=2, ge=1)  # coarse cells around the coarse maximum, and
-    narrow_steps: int = Field(default=2, ge=1)  # steps of heading: what is searched on the fine layer
+    narrow_steps: int = Field(default=2, ge=1)  # heading steps, searched on the fine layer
     refine: bool = True  # between the cells and steps
-    refine_scale: float = Field(default=3.0, gt=0.0)  # beams share errors, so as many count as one
+    refine_scale: float = Field(default=3.0, gt=0.0)  # number of beams with a common error
 
     covariance_scale: float = Field(default=10.0, gt=0.0)
     floor_position_m: float = Field(default=0.005, gt=0.0)
@@ -61,7 +61,7 @@ class IcpThenSearch:
         self._icp = ScanIcp(config.icp)
         self._matching = JudgedMatching(config)
         self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
-        self.evaluated = 0  # candidates of the last scan, by layer searched one after the other
+        self.evaluated = 0  # candidates of the last scan, over all searches
         self.window_m = 0.0  # half the window of the last scan
 
     def match(self, points: Points, predicted: Prediction, local_map: PatchMap) -> Match:
@@ -70,12 +70,12 @@ class IcpThenSearch:
             self._icp.remember(match)
         return match
 
-    compare = match  # what the matcher remembers of the scan before is of any laser
+    compare = match  # its state is independent of the laser
 
     def align(
         self, points: Points, predicted: Prediction, local_map: PatchMap, is_found: bool = False
     ) -> Aligned:
-        """Found by a search, the scan before has no say: it lies elsewhere."""
+        """Align by ICP and search; after a relocalisation without ICP, as the previous scan was elsewhere."""
         config = self._config
         begin, rms_m = predicted.pose_odom_base, 0.0
         if not is_found:
@@ -91,7 +91,7 @@ class IcpThenSearch:
             start = self._widening(points.xy_base, coarse, begin)
             half = config.narrow_cells * local_map.config.coarse_cells
             best, covariance = self._around(points.xy_base, fine, start.pose, half)
-            if _widest(covariance) > half * fine.cell_m / 2:  # the narrow window cuts the surface off
+            if _widest(covariance) > half * fine.cell_m / 2:  # the narrow window truncates the distribution
                 half = math.ceil(self.window_m / coarse.cell_m)
                 _, covariance = self._around(points.xy_base, coarse, start.pose, half)
         else:
@@ -113,7 +113,7 @@ class IcpThenSearch:
         return search_around(points.xy_base, pose, reach, local_map.coarse, step_of(reach))
 
     def _widening(self, xy_base: Array, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
-        """Search the window, and one twice as wide while the best candidate lies on the border."""
+        """Search the window, doubled while the best candidate lies on its border."""
         config = self._config
         pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
         while True:
@@ -131,7 +131,7 @@ class IcpThenSearch:
     def _around(
         self, xy_base: Array, layer: LikelihoodLayer, pose: Array, half: int
     ) -> tuple[SearchResult, Array]:
-        """The best within so many cells and narrow_steps of a pose, and the covariance there."""
+        """The best within `half` cells and narrow_steps of a pose, and its covariance."""
         config = self._config
         window = SearchWindow(pose, half, half, config.narrow_steps, config.step_rad)
         best, sums = self._ask(xy_base, layer, window)
@@ -143,7 +143,7 @@ class IcpThenSearch:
         return best, sums
 
     def _refined(self, xy_base: Array, layer: LikelihoodLayer, best: SearchResult) -> Array:
-        """Between the cells: the mean of what lies around the best, each candidate by how likely it is."""
+        """Sub-cell pose: the likelihood-weighted mean of the candidates around the best."""
         step_rad = self._config.step_rad / HEADING_STEPS_BETWEEN
         window = SearchWindow(best.pose, REFINE_CELLS, REFINE_CELLS, HEADING_STEPS_BETWEEN, step_rad)
         best, sums = self._ask(xy_base, layer, window)
@@ -156,7 +156,7 @@ class IcpThenSearch:
     def _covariance(
         self, best: SearchResult, sums: Sums, window: SearchWindow, layer: LikelihoodLayer
     ) -> Array:
-        """(3, 3) of x, y, theta in the frame of the map, from the surface around the best."""
+        """(3, 3) of x, y, theta in the frame of the map, from the candidates around the best."""
         top = float(sums[best.k, best.j, best.i])
         _, moments = surface_moments(sums, top, self._config.covariance_scale / layer.scale)
         steps = np.array([layer.cell_m, layer.cell_m, window.theta_step_rad])

@@ -1,4 +1,4 @@
-"""Monte-Carlo search on the likelihood map as tinySLAM does it, to measure exhaustive search against."""
+"""Monte Carlo search on the likelihood map as in tinySLAM, as a reference for the exhaustive search."""
 
 import numpy as np
 from pydantic import Field
@@ -16,18 +16,18 @@ from service.mapper.papers.imle.scan_icp import deskewed
 
 
 class MonteCarloConfig(JudgementConfig):
-    """How far the trials go, and how many of them."""
+    """Size and number of the trials."""
 
     sigma_m: float = Field(default=0.1, gt=0.0)  # of the first trials
     sigma_rad: float = Field(default=0.349, gt=0.0)  # 20 deg
-    trials: int = Field(default=1000, ge=10)  # in vain, then it ends
+    trials: int = Field(default=1000, ge=10)  # without success before it ends
     seed: int = Field(default=1, ge=0)
     position_sigma_m: float = Field(default=0.05, gt=0.0)  # reported
     heading_sigma_rad: float = Field(default=0.02, gt=0.0)
 
 
 class MonteCarloSearch:
-    """Matcher[PatchMap]. Draws its numbers from the seed in its settings alone."""
+    """Matcher[PatchMap]. Random numbers come from the configured seed only."""
 
     def __init__(self, config: MonteCarloConfig) -> None:
         self._config = config
@@ -61,4 +61,4 @@ class MonteCarloSearch:
         on_map = local_map.overlap(aligned.points.xy_base, pose).on_map
         return judged_alone(aligned, predicted, on_map, config)
 
-    compare = match  # nothing is remembered
+    compare = match  # stateless

@@ -1,7 +1,7 @@
 """A likelihood map in patches: those near the vehicle in memory, the others in a store.
 
-A patch holds two layers, a fine one to match on and a coarse one to begin with, one byte a cell. Nothing is
-ever forgotten: a cell once hit stays hit.
+A patch has two layers, a fine one to match on and a coarse one to begin with, one byte a cell. Cells are
+never cleared.
 """
 
 import math
@@ -25,27 +25,27 @@ from service.mapper.patch_store import NewPatchStore, PatchKey
 
 Array = npt.NDArray[np.float64]
 
-# Tang et al. 2014, section 2.3: what nothing was seen of, the two rings and the hit, outwards in.
+# Tang et al. 2014, section 2.3: background, the two rings and the hit, from outside to inside.
 BACKGROUND, OUTER, INNER, HIT = 0.1, 0.3, 0.6, 0.9
 HIT_CODE = {"product": 250, "mean": 8}  # 8 is 0.8 in tenths, exactly; with 250, ln 3 is exact, ln 6 to 0.1 %
 
 
 class PatchMapConfig(Section):
-    """How the map is cut and drawn, and how much of it is kept in memory."""
+    """How the map is divided and rendered, and how much of it is kept in memory."""
 
     cell_m: float = Field(default=0.01, gt=0.0)
-    insert_distance_m: float = Field(default=0.2, ge=0.0)  # a scan is drawn after so much way,
-    insert_turn_rad: float = Field(default=0.1, ge=0.0)  # ... or turn
-    coarse_cells: int = Field(default=5, ge=2)  # a cell of the coarse layer is so many of the fine one wide
+    insert_distance_m: float = Field(default=0.2, ge=0.0)  # a scan is inserted after this path length,
+    insert_turn_rad: float = Field(default=0.1, ge=0.0)  # ... or rotation
+    coarse_cells: int = Field(default=5, ge=2)  # fine cells along the edge of a coarse one
     patch_cells: int = Field(default=1000, ge=20)  # fine cells along the edge of a patch
     ring_cells: int = Field(default=4, ge=1, le=10)  # width of each of the two rings on the fine layer
-    # Neighbouring points so near each other are joined by a line.
+    # Neighbouring points closer than this are joined by a line.
     join_m: float = Field(default=0.15, ge=0.0)
-    smooth_m: float = Field(default=0.3, ge=0.0)  # along a line points are averaged so far to each side
-    join_steps: float = Field(default=20.0, ge=0.0)  # and nearer than so many arcs between beams besides
+    smooth_m: float = Field(default=0.3, ge=0.0)  # half width of the mean along a line
+    join_steps: float = Field(default=20.0, ge=0.0)  # added to join_m, in arcs between beams
     score: Literal["product", "mean"] = "product"  # of the likelihoods of the points
     resident_patches: int = Field(default=64, ge=16)  # a patch of 1000 cells a side takes 1.04 MB
-    ahead_m: float = Field(default=5.0, ge=0.0)  # patches so near to what was seen are fetched beforehand
+    ahead_m: float = Field(default=5.0, ge=0.0)  # patches within this distance of the scan are prefetched
 
     @model_validator(mode="after")
     def _whole(self) -> "PatchMapConfig":
@@ -68,7 +68,7 @@ class PatchMapConfig(Section):
 
 
 class PatchMap:
-    """LocalMap, in the odom frame. `prepare` first, then `fine` and `coarse` may be read."""
+    """LocalMap, in the odom frame. `fine` and `coarse` are valid after `prepare`."""
 
     def __init__(self, config: PatchMapConfig, new_store: NewPatchStore) -> None:
         self.config = config
@@ -87,7 +87,7 @@ class PatchMap:
     def start_over(self) -> None:
         config = self.config
         self.is_empty = True
-        self._last: SE2 | None = None  # where the scan drawn last was taken
+        self._last: SE2 | None = None  # pose of the last inserted scan
         self._store = self._new_store()
         coarse = config.patch_cells // config.coarse_cells
         self._ground = KnownGround()
@@ -100,7 +100,7 @@ class PatchMap:
             config.resident_patches,
         )
         self._tiles = TileMap(self._pool)
-        self._slots: dict[PatchKey, int] = {}  # of the patches in memory, the one used longest ago first
+        self._slots: dict[PatchKey, int] = {}  # of the patches in memory, least recently used first
 
     @property
     def fine(self) -> LikelihoodLayer:
@@ -112,11 +112,11 @@ class PatchMap:
 
     @property
     def resident(self) -> list[PatchKey]:
-        """Patches in memory, the one used longest ago first."""
+        """Patches in memory, least recently used first."""
         return list(self._slots)
 
     def prepare(self, xy_map: Array, margin_m: float) -> None:
-        """Bring in what is known of the patches within margin_m of some points, (N, 2) m."""
+        """Load the stored patches within margin_m of some points, (N, 2) m."""
         near = self._touched(xy_map, margin_m)
         for key in near:
             if key not in self._slots and self._store.holds(key):
@@ -127,13 +127,13 @@ class PatchMap:
         return self._ground.overlap(xy_base, pose)
 
     def join(self, segment: int) -> None:
-        """This map is one piece."""
+        """Nothing to do: the map is a single segment."""
 
     def insert(self, points: Points, match: Match) -> MapChange:
-        """Draw a scan, unless it was not placed; then fetch one of the patches that may be wanted next.
+        """Insert a matched scan, then prefetch one patch.
 
-        The paper draws one scan a second, 0.28 m on. Of 25 a second none would move: what is drawn a
-        centimetre back draws the next scan there, for nothing is ever forgotten.
+        The paper inserts one scan a second, every 0.28 m. At 25 scans a second the pose would stand still: a
+        scan inserted a centimetre behind attracts the next one, because cells are never cleared.
         """
         if match.state == "lost" or len(points.xy_base) == 0:
             return MapChange()
@@ -162,7 +162,7 @@ class PatchMap:
         return MapChange(is_keyframe=True)
 
     def _join_m(self, points: Points) -> Array:
-        """How long a line to each point may be, (N,): a wall seen obliquely has its points far apart."""
+        """(N,) longest line to each point: on an oblique wall points are far apart."""
         sensor = points.sensor_base
         range_m = np.hypot(points.xy_base[:, 0] - sensor.x_m, points.xy_base[:, 1] - sensor.y_m)
         arc_m = abs(points.scan.angle_step_rad) * range_m
@@ -170,7 +170,7 @@ class PatchMap:
         return join_m
 
     def _look_ahead(self, xy_map: Array, near: list[PatchKey]) -> None:
-        """One patch a scan, so that none has to wait for many."""
+        """Prefetch one patch per scan, so that no scan waits for many."""
         soon = [
             key
             for key in self._touched(xy_map, self.config.ahead_m)
@@ -188,7 +188,7 @@ class PatchMap:
         return self._pool.arrays[2]  # type: ignore[return-value]
 
     def _touched(self, xy_map: Array, margin_m: float) -> list[PatchKey]:
-        """Patches within a margin (at most half a patch) of some points, by row and column."""
+        """Patches within a margin, at most half a patch, of some points, by row and column."""
         if len(xy_map) == 0:
             return []
         patch_m = self.config.patch_m
@@ -204,7 +204,7 @@ class PatchMap:
                 self._slots[key] = self._slots.pop(key)
 
     def _bring_in(self, key: PatchKey, wanted: Iterable[PatchKey]) -> None:
-        """Give a patch a place in memory; for one of `wanted` at most so much is thrown out as must be."""
+        """Load a patch into memory; patches in `wanted` are not evicted."""
         if len(self._slots) >= self.config.resident_patches:
             oldest = next((other for other in self._slots if other not in wanted), None)
             if oldest is not None:
@@ -228,8 +228,9 @@ class PatchMap:
 
 
 def _along(lines_map: Array, join_m: Array, apart_m: float) -> Array:
-    """The points (N, 2), and places so far apart on the way to each that is no farther than join_m (N,):
-    a line between two points may cut off the corner of a patch that neither lies in.
+    """The points (N, 2), and points at most apart_m apart on each line of at most join_m (N,).
+
+    A line between two points may cross the corner of a patch that contains neither.
     """
     steps = np.diff(lines_map, axis=0)
     lengths_m = np.hypot(*steps.T)

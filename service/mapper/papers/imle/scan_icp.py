@@ -1,4 +1,4 @@
-"""Scan to scan by iterative closest points: the start of a search, or a matcher by itself."""
+"""Scan-to-scan ICP: the start of a search, or a matcher by itself."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -23,20 +23,20 @@ Array = npt.NDArray[np.float64]
 
 
 class IcpConfig(Section):
-    """Which points are pairs, and when it ends."""
+    """Pairing, and convergence."""
 
-    pair_m: float = Field(default=1.0, gt=0.0)  # points farther apart are no pair
-    points: int = Field(default=180, ge=20)  # of the newer scan that look for a partner, evenly chosen
+    pair_m: float = Field(default=1.0, gt=0.0)  # largest distance of a pair
+    points: int = Field(default=180, ge=20)  # of the newer scan that are paired, evenly chosen
     iterations: int = Field(default=50, ge=1, le=1000)
-    settled: float = Field(default=1e-3, gt=0.0)  # m and rad: ends with a step below it
-    least_inlier_ratio: float = Field(default=0.5, ge=0.0, le=1.0)  # of the points must have a partner
+    settled: float = Field(default=1e-3, gt=0.0)  # m and rad: a smaller step is the last
+    least_inlier_ratio: float = Field(default=0.5, ge=0.0, le=1.0)  # share of the points with a partner
 
 
 class Step(NamedTuple):
-    """Where the base is by the scan before.
+    """Pose of the base by the previous scan.
 
-    rms_m   root mean square of the pairs' distances
-    share   of the points that are in pairs
+    rms_m   root mean square distance of the pairs
+    share   of the points with a partner
     """
 
     pose: SE2
@@ -45,14 +45,14 @@ class Step(NamedTuple):
 
 
 class ScanIcp:
-    """Remembers the scan before, and where it was."""
+    """ICP against the previous scan."""
 
     def __init__(self, config: IcpConfig) -> None:
         self._config = config
         self._last: tuple[Array, SE2] | None = None
 
     def step(self, points: Points, predicted: Prediction) -> Step | None:
-        """None where there was no scan before, or where it has too little in common."""
+        """The step by ICP; None without a previous scan, or with too few pairs."""
         if self._last is None:
             return None
         older, pose = self._last
@@ -78,7 +78,7 @@ class ScanIcp:
 
 
 def deskewed(points: Points, predicted: Prediction, pose: SE2) -> Points:
-    """The points with the twist that follows from where the base was found."""
+    """The points deskewed with the twist at a matched pose."""
     xy_base = np.empty_like(points.xy_base)
     deskew_points(points.xy_raw, points.beam_time_s, np.array(predicted.twist_at(pose)), xy_base)
     return replace(points, xy_base=xy_base)
@@ -95,9 +95,9 @@ class IcpScanToScanConfig(IcpConfig, JudgementConfig):
 
 
 class IcpScanToScan:
-    """Matcher[PatchMap] that never looks at the map: what the searches are measured against.
+    """Matcher[PatchMap] that does not use the map: a reference for the searches.
 
-    The prediction is where ICP begins and has no other say, so nothing is left to be joined.
+    The prediction is only the initial pose, so the result is already final.
     """
 
     def __init__(self, config: IcpScanToScanConfig) -> None:
@@ -127,4 +127,4 @@ class IcpScanToScan:
         self._icp.remember(match)
         return match
 
-    compare = match  # what the matcher remembers of the scan before is of any laser
+    compare = match  # its state is independent of the laser

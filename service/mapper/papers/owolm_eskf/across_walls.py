@@ -1,8 +1,8 @@
-"""What a scan says of the pose where it lies on the map: across walls, and what its single dots say.
+"""Information of a scan on the map, across walls, and by its isolated points.
 
-The map holds dots. Far along a corridor those of one scan lie apart, the next scan sends its beams the same
-ways, and where it stands still on the map all its dots meet those of the scan before: slopes of the map along
-a wall say where the vehicle was, not where it is.
+The map consists of points. Far along a corridor those of one scan are isolated, and the beams of the next
+scan hit the same places. Where the scan is held back on the map, its points meet those of the previous scan:
+the gradient along a wall then refers to the previous pose.
 """
 
 import math
@@ -19,25 +19,25 @@ from service.mapper.walls import walls_of
 
 Array = npt.NDArray[np.float64]
 
-# Normals of short pieces are off by 10 to 25 deg, and one wall then says so much of the way along it: a
-# direction of which the points in no segment say less than this share of what they say of the other.
+# Normals of short surfaces are off by 10 to 25 deg, so that one wall seems to fix the position along it. A
+# direction is dropped if the points in no segment have less than this share of the information of the other.
 MIN_SHARE = 0.2
-BESIDE_M = 0.3  # a dot so near to the line of a wall is of that wall: of a door in it, or of its frame
-NEAR_AXIS_RAD = math.radians(15.0)  # walls run along the axes of the map: a normal so near to one is that
+BESIDE_M = 0.3  # distance from the line of a wall within which a point belongs to it, as a door or its frame
+NEAR_AXIS_RAD = math.radians(15.0)  # walls follow the axes of the map: closer normals are set to an axis
 
 
 def information_across(
     points: Points, values: Array, weights: Array, segment: npt.NDArray[np.int32], pose: Array
 ) -> Array:
-    """(3, 3) information of x, y, theta in the axes of the map; zero along what nothing fixes.
+    """(3, 3) information of x, y, theta in the axes of the map; zero in unobservable directions.
 
-    values    (N, 3)   likelihood at each end point, and its slopes, 1/m, in the axes of the map
+    values    (N, 3)   likelihood at each end point, and its gradient, 1/m, in the axes of the map
     weights   (N,)     of each point, over the variance of 1 - likelihood
     segment   (N, 2)   segments parallel to x and to y that each is in; NO_SEGMENT for none
     pose      (3,)     of the base in the axes of the map
 
-    A point in a segment counts across that. Another counts along the normal of the piece that it lies on; on
-    no piece, as the single returns far along a wall are, it says nothing.
+    A point in a segment counts across it, another one along the normal of its surface. Points without a
+    surface, such as single returns far along a wall, are left out.
     """
     sensor_xy_m = (points.sensor_base.x_m, points.sensor_base.y_m)
     step_rad = abs(points.scan.angle_step_rad)
@@ -59,7 +59,7 @@ def information_across(
 def information_of_dots(
     points: Points, values: Array, weights: Array, segment: npt.NDArray[np.int32], pose: Array
 ) -> Array:
-    """The same, with each dot beside no wall counting in both directions: furniture, or a wall's far end."""
+    """The same; points beside no wall count in both directions: furniture, or a wall's far end."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     xy = points.xy_base @ np.array([[c, s], [-s, c]])
     along_x, along_y = (segment != NO_SEGMENT).T
@@ -73,7 +73,7 @@ def information_of_dots(
 
 
 def _is_beside(across_m: Array, segment: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-    """(N,) whether a point is near the line of a segment; across_m: its place across those."""
+    """(N,) whether a point is near the line of a segment; across_m: its coordinate across the segments."""
     lines_m = np.array([across_m[segment == k].mean() for k in np.unique(segment[segment != NO_SEGMENT])])
     is_beside: npt.NDArray[np.bool_] = (np.abs(across_m[:, None] - lines_m) < BESIDE_M).any(axis=1)
     return is_beside
@@ -89,7 +89,7 @@ def _without_weak_direction(slopes: Array, weights: Array) -> Array:
 
 
 def _along_axes(ways: Array) -> Array:
-    """Unit vectors (N, 2), those near an axis turned to lie along it."""
+    """Unit vectors (N, 2), those near an axis rotated onto it."""
     angle = np.arctan2(ways[:, 1], ways[:, 0])
     axis = np.round(angle / QUARTER_RAD)
     is_near = np.abs(angle - axis * QUARTER_RAD) < NEAR_AXIS_RAD

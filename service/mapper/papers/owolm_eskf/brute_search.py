@@ -1,4 +1,4 @@
-"""Brute search down a pyramid of likelihood maps, then uphill between the cells of the finest."""
+"""Brute search down a pyramid of likelihood maps, then gradient ascent between the cells of the finest."""
 
 import math
 
@@ -23,20 +23,20 @@ from service.mapper.papers.owolm_eskf.orthogonal_map import OrthogonalMap
 
 Array = npt.NDArray[np.float64]
 
-BLIND = np.diag([1e-4, 1e-4, 0.1])  # known at least: sigma of 100 m and 3 rad
-RECOVERY_CELL_M = 0.1  # a lost scan is searched for on the first level whose cells are so wide
+BLIND = np.diag([1e-4, 1e-4, 0.1])  # least information: sigma of 100 m and 3 rad
+RECOVERY_CELL_M = 0.1  # a lost scan is searched for on the first level with cells at least this wide
 
 
 class BruteSearchConfig(JudgementConfig):
-    """How far around the prediction is searched, and when the result is accepted."""
+    """Size of the search around the prediction, and when the result is accepted."""
 
-    least_window_m: float = Field(default=0.2, gt=0.0)  # the window is window_sigmas of the prediction,
-    most_window_m: float = Field(default=1.0, gt=0.0)  # but no less and no more than this to each side
+    least_window_m: float = Field(default=0.2, gt=0.0)  # half window: window_sigmas of the prediction,
+    most_window_m: float = Field(default=1.0, gt=0.0)  # within these limits
     least_window_rad: float = Field(default=0.035, gt=0.0)
     most_window_rad: float = Field(default=0.35, gt=0.0)
     window_sigmas: float = Field(default=3.0, gt=0.0)
     beams: int = Field(default=360, ge=20)  # used in the search, evenly chosen
-    refine_iterations: int = Field(default=15, ge=0, le=100)  # 0: the best cell is the answer
+    refine_iterations: int = Field(default=15, ge=0, le=100)  # 0: the best cell is the result
     residual_sigma: float = Field(default=0.3, gt=0.0)  # of 1 - likelihood
     covariance_scale: float = Field(default=30.0, gt=0.0)
     floor_position_m: float = Field(default=0.01, gt=0.0)
@@ -44,7 +44,7 @@ class BruteSearchConfig(JudgementConfig):
 
 
 class BruteSearch:
-    """Matcher[OrthogonalMap]. Says what the scan alone says; the motion model makes a mean of both."""
+    """Matcher[OrthogonalMap]. Measures by the scan alone; the motion model fuses the prediction."""
 
     def __init__(self, config: BruteSearchConfig) -> None:
         self._config = config
@@ -54,7 +54,7 @@ class BruteSearch:
     def match(self, points: Points, predicted: Prediction, local_map: OrthogonalMap) -> Match:
         return self._matching.match(points, predicted, local_map, self)
 
-    compare = match  # what the matcher remembers of the scan before is of any laser
+    compare = match  # its state is independent of the laser
 
     def align(
         self, points: Points, predicted: Prediction, local_map: OrthogonalMap, is_found: bool = False
@@ -75,7 +75,7 @@ class BruteSearch:
         values = values_at(every, pose, field)
         across = information_across(points, values, weights, segment, pose)
         sure = covariance = self._covariance(across, BLIND, theta_rad)
-        if not predicted.is_confirmed:  # one witness of the motion may be wrong: dots are asked as well
+        if not predicted.is_confirmed:  # a single motion source may be wrong: isolated points count, too
             said = information_of_dots(points, values, weights, segment, pose)
             least = np.diag(1.0 / np.square([window_m, window_m, window_rad]))
             covariance = self._covariance(said, least, theta_rad)
@@ -96,8 +96,8 @@ class BruteSearch:
     ) -> tuple[Array, Array]:
         """Best cell of the finest level, and the step between candidates there (m, m, rad).
 
-        A level is passed over while its cells are wider than the window. The window of the next is a cell
-        of the one before and its step of heading, to each side.
+        Levels with cells wider than the window are skipped. The next window is a cell and a heading step of
+        the level before, to each side.
         """
         reach_m = max(float(np.percentile(np.hypot(xy_base[:, 0], xy_base[:, 1]), 80.0)), 1.0)
         layers: list[LikelihoodLayer] = local_map.search_layers()
@@ -122,6 +122,6 @@ class BruteSearch:
         )
 
     def _covariance(self, said: Array, least: Array, theta_rad: float) -> Array:
-        """(3, 3) of x, y, theta in base axes, from what the points say and what is known at least."""
+        """(3, 3) of x, y, theta in base axes, from the information of the points and a least information."""
         information = said / self._config.covariance_scale + least
         return in_base_axes(inverse(information), theta_rad) + self._floor

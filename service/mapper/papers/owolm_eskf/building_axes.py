@@ -1,4 +1,4 @@
-"""Which way the walls of a building run, from one scan."""
+"""Direction of the walls of a building, from one scan."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 BINS = 180  # of half a degree: directions of walls repeat every quarter turn
-CHORD_BEAMS = 8  # a direction is taken over so many beams, so that noise turns it little
+CHORD_BEAMS = 8  # length of a chord in beams, which averages noise
 NEAR_PEAK_RAD = math.radians(3.0)
 QUARTER_RAD = math.pi / 2.0
 
@@ -14,14 +14,14 @@ QUARTER_RAD = math.pi / 2.0
 def building_axes(
     xy_base: npt.NDArray[np.float64], gap_m: npt.NDArray[np.float64], least_inlier_ratio: float
 ) -> float | None:
-    """Direction of the walls in the base frame, rad in (-pi/4, pi/4]; None where no direction stands out.
+    """Direction of the walls in the base frame, rad in (-pi/4, pi/4]; None without a dominant direction.
 
     xy_base       (N, 2) m, in beam order
     gap_m         (N,) m: a longer step to the next point ends a surface
-    least_inlier_ratio   of the length of all chords, that must lie within 3 deg of the walls' direction
+    least_inlier_ratio   share of the length of all chords within 3 deg of the direction
 
-    A histogram of the directions of chords, folded to a quarter turn and weighted with their lengths, gives
-    the peak; the mean of what lies near it, weighted with the squares, the direction.
+    The peak is that of a histogram of chord directions modulo a quarter turn, weighted with length; the
+    direction is the mean of the chords near it, weighted with squared length.
     """
     if len(xy_base) <= CHORD_BEAMS:
         return None

@@ -1,7 +1,7 @@
-"""Where an inertial unit takes itself to be, and a Kalman filter of 15 states over its error.
+"""Inertial navigation state, and a Kalman filter of 15 states over its error.
 
-x forward, y left, z up: the navigation frame is the odom frame, levelled. The north-east-down frame of the
-paper is the same turned by pi about x; only the sign of gravity tells them apart (see strapdown_step).
+x forward, y left, z up: the navigation frame is the levelled odom frame. The north-east-down frame of the
+paper is rotated by pi about x; the two differ only in the sign of gravity (see strapdown_step).
 """
 
 import math
@@ -33,10 +33,9 @@ class ErrorStateFilter:
     """Navigation state and its error: 3 each of position, velocity, attitude, force bias, rate bias.
 
     Errors are "believed less true" (Qian et al. 2019, eq. 16: r = r_IMU - dr). After each observation the
-    error is taken out of the state, so the filter always predicts an error of zero; only its covariance is
-    carried.
-    Transitions and noise are gathered over the steps since the last observation and applied to the covariance
-    together (Phi = ... Phi_2 Phi_1): the same covariance as step by step, for a tenth of the time.
+    error is subtracted from the state, so the predicted error is zero and only its covariance is propagated.
+    Transitions and noise are accumulated over the steps since the last observation and applied to the
+    covariance together (Phi = ... Phi_2 Phi_1): the same covariance as step by step, in a tenth of the time.
 
     covariance   (15, 15) of the error as of the last settle()
     arm_m        (3,) the IMU in the base frame
@@ -56,7 +55,7 @@ class ErrorStateFilter:
         force, rate, force_walk, rate_walk = densities**2
         self._noise_per_s = np.zeros(
             STRAPDOWN_STATES
-        )  # diagonal of G W G^T: rotations leave equal axes alone
+        )  # diagonal of G W G^T: rotations leave equal axes unchanged
         self._noise_per_s[VELOCITY:ATTITUDE] = force
         self._noise_per_s[ATTITUDE:FORCE_BIAS] = rate
         self._noise_per_s[FORCE_BIAS:RATE_BIAS] = force_walk
@@ -72,19 +71,19 @@ class ErrorStateFilter:
 
     @property
     def pose(self) -> SE2:
-        """Of the base."""
+        """Pose of the base."""
         base = self.position_m - self.rotation @ self._arm_m
         return SE2(float(base[0]), float(base[1]), self.yaw_rad)
 
     def base_velocity(self, rate_radps: Array) -> Array:
-        """(3,) m/s of the base, along its axes seen from above; rate: of the body, bias included."""
+        """(3,) m/s of the base, along its horizontal axes; rate: of the body, bias included."""
         about = np.cross(rate_radps - self.rate_bias, self._arm_m)
         velocity = self.velocity_mps - self.rotation @ about
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return np.array([c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2]])
 
     def advance(self, time_s: float, force_mps2: Array, rate_radps: Array) -> None:
-        """One inertial step; force and rate in base axes, biases still in."""
+        """Propagate by one inertial step; force and rate in base axes, biases included."""
         strapdown_step(
             self.position_m,
             self.velocity_mps,
@@ -105,13 +104,13 @@ class ErrorStateFilter:
         sigmas: Array,
         is_measured: bool,
     ) -> None:
-        """One step that is known otherwise, by wheels or by the last speed: the IMU was silent.
+        """Propagate by one step from odometry or the last speed, while the IMU is silent.
 
-        step     way of the base
+        step     motion of the base
         twist    speed of the base afterwards, m/s forward and left, rad/s
-        sigmas   (3,) of the way (m), the turn (rad) and the speed (m/s)
-        is_measured   by wheels, along the base's axes; else step and twist follow from the estimated speed,
-                      so that a wrong speed and a wrong way go together
+        sigmas   (3,) of the distance (m), the rotation (rad) and the speed (m/s)
+        is_measured   by odometry, along the base's axes; else step and twist follow from the estimated speed,
+                      and their errors are correlated
         """
         before = self.rotation.copy()
         base = self.position_m - before @ self._arm_m
@@ -127,7 +126,7 @@ class ErrorStateFilter:
         self.velocity_mps = speed + np.cross([0.0, 0.0, twist[2]], arm)
 
         transition = np.eye(STRAPDOWN_STATES)
-        swept = way + arm - before @ self._arm_m  # a wrong heading turns the way of the IMU
+        swept = way + arm - before @ self._arm_m  # an error of heading rotates the path of the IMU
         transition[VELOCITY:ATTITUDE, :] = 0.0
         if is_measured:
             transition[POSITION:VELOCITY, ATTITUDE:FORCE_BIAS] = -cross_matrix(swept)
@@ -144,7 +143,7 @@ class ErrorStateFilter:
         self._gather(transition, noise)
 
     def settle(self) -> None:
-        """Let the covariance catch up with the steps taken."""
+        """Apply the accumulated transitions to the covariance."""
         self.covariance = self._transition @ self.covariance @ self._transition.T + self._noise
         self._transition = np.eye(STRAPDOWN_STATES)
         self._noise = np.zeros((STRAPDOWN_STATES, STRAPDOWN_STATES))
@@ -154,12 +153,12 @@ class ErrorStateFilter:
         return self._of_base(self.covariance)
 
     def doubt_pose(self, weight: float) -> None:
-        """Believe position and yaw as if their information were that part of what it is; below 1."""
+        """Multiply the information of position and yaw by a weight below 1."""
         rows = np.ix_([POSITION, POSITION + 1, ATTITUDE + 2], [POSITION, POSITION + 1, ATTITUDE + 2])
         self.covariance[rows] *= 1.0 / weight
 
     def observe_pose(self, pose: SE2, covariance_base: Array) -> None:
-        """A match: z = r_IMU - r_lidar of x, y and yaw (eqs. 12 to 16); covariance in base axes."""
+        """Update with a match: z = r_IMU - r_lidar of x, y, yaw (eqs. 12 to 16), base axes."""
         believed = self.pose
         z = [
             believed.x_m - pose.x_m,
@@ -170,7 +169,7 @@ class ErrorStateFilter:
         self._update(np.array(z), self.pose_rows(), turn @ covariance_base @ turn.T)
 
     def observe_speed(self, speed_mps: tuple[float, float], rate_radps: Array, sigma_mps: float) -> None:
-        """Wheels: speed of the base forward and left."""
+        """Update with odometry: speed of the base forward and left."""
         believed = self.base_velocity(rate_radps)
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         rows = np.zeros((2, STRAPDOWN_STATES))
@@ -180,7 +179,7 @@ class ErrorStateFilter:
         self._update(z, rows, sigma_mps**2 * np.eye(2))
 
     def observe_floor(self, sigma_m: float, sigma_mps: float) -> None:
-        """The vehicle stays on its floor: neither height nor climb. A planar laser sees neither."""
+        """Update with zero height and climb, which a planar laser cannot see."""
         rows = np.zeros((2, STRAPDOWN_STATES))
         rows[0, POSITION + 2] = 1.0
         rows[1, VELOCITY + 2] = 1.0
@@ -188,7 +187,7 @@ class ErrorStateFilter:
         self._update(z, rows, np.diag([sigma_m**2, sigma_mps**2]))
 
     def pose_rows(self) -> Array:
-        """H of x, y and yaw of the base: (3, 15). Yaw is the heading of the body's x axis seen from above."""
+        """H of x, y and yaw of the base: (3, 15). Yaw is the heading of the body's horizontal x axis."""
         rotation = self.rotation
         rows = np.zeros((3, STRAPDOWN_STATES))
         rows[0, POSITION] = rows[1, POSITION + 1] = 1.0
@@ -200,7 +199,7 @@ class ErrorStateFilter:
         return rows
 
     def place_at_origin(self) -> None:
-        """Call the present place and heading the origin, and sure; speed, tilt and biases stay."""
+        """Reset position and heading to zero without uncertainty; speed, tilt and biases remain."""
         turn = np.empty((3, 3))
         rotation_of(np.array([0.0, 0.0, -self.yaw_rad]), turn)
         self.rotation = turn @ self.rotation
@@ -226,7 +225,7 @@ class ErrorStateFilter:
         return of_base
 
     def _update(self, z: Array, rows: Array, covariance: Array) -> None:
-        """Kalman update in Joseph's form, then the error is taken out of the state (eq. 16)."""
+        """Kalman update in Joseph's form; the error is then subtracted from the state (eq. 16)."""
         across = self.covariance @ rows.T
         gain = across @ np.linalg.inv(rows @ across + covariance)
         rest = np.eye(STRAPDOWN_STATES) - gain @ rows
@@ -248,6 +247,6 @@ def _turn(angle_rad: float) -> Array:
 
 
 def _orthonormal(rotation: Array) -> Array:
-    """The nearest rotation to one that rounding has bent: one Newton step of the polar decomposition."""
+    """The nearest rotation to a rounded one: one Newton step of the polar decomposition."""
     straight: Array = 0.5 * rotation @ (3.0 * np.eye(3) - rotation.T @ rotation)
     return straight

@@ -1,8 +1,8 @@
-"""Two filters of one drive: what walls say of it, and what every dot of the map says.
+"""Two filters of one drive: one corrected by walls only, one by every point of the map.
 
-Along a bare corridor dots hold the pose back (across_walls.py); beside furniture they are all that fixes it.
-From where walls fix the position both filters set out alike. While they agree, the pose is that of the dots,
-which is the smoother one; how well it is known is always what the walls say.
+Along a bare corridor isolated points hold the pose back (across_walls.py); beside furniture only they fix it.
+Both filters start equal where walls fix the position. While they agree, the pose is that of the points, which
+is smoother; the covariance is always that of the walls.
 """
 
 import copy
@@ -16,30 +16,30 @@ from service.geometry.se2 import SE2
 from service.mapper.judgement import chi2_between, sigmas_of
 from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter
 
-BLIND_SIGMA = (100.0, 100.0, math.pi)  # m, m, rad: of what a scan says nothing about
-FIXED_M = 0.1  # sigma in the worst direction, up to which walls fix the position: that of `degraded_sigma_m`
-# Share of the way between both poses that dots have moved theirs backwards: a half where wheels give the way
-# with the wrong sign, as those of fr079 do in reverse; none where dots hold it back, but for a match's noise.
+BLIND_SIGMA = (100.0, 100.0, math.pi)  # m, m, rad: where a scan has no information
+FIXED_M = 0.1  # largest sigma in the worst direction where walls fix the position; as `degraded_sigma_m`
+# Share of the distance between both poses by which points moved theirs backwards: a half where odometry has
+# the wrong sign, as that of fr079 in reverse; zero but for noise where points hold it back.
 BACKWARDS_SHARE = 0.25
-STEP_M = 0.05  # of way, in which that is counted
+STEP_M = 0.05  # path length between two evaluations of it
 MIN_COVARIANCE = 1e-6 * np.eye(3)
 
 
 class FilterPair:
-    """across: corrected across walls alone. dots: by all that lies on the map; None: that is not asked."""
+    """across: corrected by walls only. dots: by all points on the map; None: not in use."""
 
     def __init__(self, begun: ErrorStateFilter) -> None:
         self.across = begun
         self.dots: ErrorStateFilter | None = None
         self._is_confirmed = False
         self.is_fixed = True  # by the walls of the newest match
-        self._drift = np.zeros((2, 2))  # m^2, of the ground in sight against the first scan, odom axes
-        self._counted = SE2(), SE2()  # both, where what follows was counted last
-        self._backwards_m = 0.0  # that dots went against the motion, since both were one
+        self._drift = np.zeros((2, 2))  # m^2, of the visible ground against the first scan, odom axes
+        self._counted = SE2(), SE2()  # both poses at the last evaluation
+        self._backwards_m = 0.0  # motion of the points' pose against the path, since both were equal
 
     @property
     def is_confirmed(self) -> bool:
-        """Wheels and IMU both measure the motion: then dots are not asked."""
+        """Odometry and IMU both measure the motion: then isolated points are not used."""
         return self._is_confirmed
 
     @is_confirmed.setter
@@ -59,7 +59,7 @@ class FilterPair:
     def covariance(self) -> Matrix:
         """(3, 3) of the pose against the first scan, base axes.
 
-        Behind a stretch in which only the motion said how far it was, the map is as far off as that was.
+        Behind a stretch whose length only the prediction determined, the map has its error.
         """
         covariance = self.across.pose_covariance()
         turn = _rotation(self.across.yaw_rad)
@@ -67,11 +67,11 @@ class FilterPair:
         return covariance
 
     def observe(self, measured: Measurement) -> None:
-        """Take a match: its information is what walls say, its covariance what dots do."""
+        """Apply a match: its information is that of walls, its covariance that of all points."""
         if measured.prior_weight < 1.0:
             for each in self.all:
                 each.doubt_pose(measured.prior_weight)
-        told, across = self.across.pose, _across(measured)  # told: where wheels or IMU put the base
+        told, across = self.across.pose, _across(measured)  # told: as predicted
         self.is_fixed = sigmas_of(across)[0] <= FIXED_M
         before = self.across.pose_covariance()
         self.across.observe_pose(measured.pose_odom_base, across)
@@ -86,7 +86,7 @@ class FilterPair:
             self._begin_to_count()
 
     def _compare(self, told: SE2, dots: ErrorStateFilter) -> None:
-        """Where both contradict each other, dots are left, unless they went the other way."""
+        """Drop the filter of the points where the two contradict, unless odometry has the wrong sign."""
         way, by_dots = self._counted[0].inverse() @ told, self._counted[1].inverse() @ dots.pose
         backwards_m = self._backwards_m + _backwards_m(way, by_dots)
         if math.hypot(way.x_m, way.y_m) >= STEP_M:
@@ -99,7 +99,7 @@ class FilterPair:
         if backwards_m <= BACKWARDS_SHARE * float(np.hypot(*apart[:2])):
             self.dots = None
             return
-        known = self.across.covariance  # no surer than before
+        known = self.across.covariance  # not reduced
         self.across = copy.deepcopy(dots)
         self.across.covariance = known
         self._begin_to_count()
@@ -109,7 +109,7 @@ class FilterPair:
 
 
 def _backwards_m(way: SE2, by_dots: SE2) -> float:
-    """How far dots went against a way; little of it is the noise of a match."""
+    """Distance that the points' pose moved against a path; a small part is noise of a match."""
     length_m = math.hypot(way.x_m, way.y_m)
     if length_m == 0.0:
         return 0.0
@@ -123,6 +123,6 @@ def _rotation(angle_rad: float) -> Matrix:
 
 
 def _across(measured: Measurement) -> Matrix:
-    """(3, 3) covariance of what a scan says without any prediction, base axes; wide where it says nothing."""
+    """(3, 3) covariance of a scan alone, base axes; wide in unobservable directions."""
     least = np.diag(1.0 / np.square(BLIND_SIGMA)) if measured.is_joined else 0.0
     return np.asarray(np.linalg.inv(measured.information + least), np.float64)

@@ -1,4 +1,4 @@
-"""The motion model of an inertial unit that scans correct; where it is silent, wheels or the last speed."""
+"""Motion model of an IMU corrected by scans; where it is silent, odometry or constant velocity."""
 
 import math
 
@@ -18,15 +18,15 @@ from service.mapper.papers.owolm_eskf.odometry_track import OdometryTrack
 from service.outputs import NO_REASON, Reason
 
 Twist = tuple[float, float, float]
-STILL_STEP_NS = 100_000_000  # while standing, the filter is told so at this interval
-STILL_SIGMA = (0.0005, 0.0005, 0.0001)  # m, m, rad: how still it stands
+STILL_STEP_NS = 100_000_000  # interval of zero-motion updates at standstill
+STILL_SIGMA = (0.0005, 0.0005, 0.0001)  # m, m, rad: of a zero-motion update
 MIN_STILL_SAMPLES = 20
-MAX_UNKNOWN_S = 0.3  # at 1 m/s no farther than scans of the map lie apart
+MAX_UNKNOWN_S = 0.3  # at 1 m/s the distance between inserted scans
 ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S = 1.0, 0.05
 
 
 class InertialMotionConfig(Section):
-    """The IMU's errors and place, and what is assumed where it is silent."""
+    """Errors and mounting of the IMU, and assumptions while it is silent."""
 
     imu_x_m: float = 0.0  # the IMU in the base frame
     imu_y_m: float = 0.0
@@ -39,21 +39,21 @@ class InertialMotionConfig(Section):
     rate_bias_radps: float = Field(default=0.001, gt=0.0)  # 200 deg/h
     bias_time_s: float = Field(default=600.0, gt=0.0)  # a bias walks by its own size in this time
     tilt_sigma_rad: float = Field(default=0.03, gt=0.0)  # at the start
-    max_hold_s: float = Field(default=0.1, gt=0.0)  # a sample stands in so long for missing ones
+    max_hold_s: float = Field(default=0.1, gt=0.0)  # for which a sample replaces missing ones
     still_rate_radps: float = Field(default=0.02, gt=0.0)  # scatter of a standing IMU
     still_force_mps2: float = Field(default=0.15, gt=0.0)
 
-    first_speed_mps: float = Field(default=1.0, ge=0.0)  # sigma at the first scan, unless it is seen to stand
+    first_speed_mps: float = Field(default=1.0, ge=0.0)  # sigma at the first scan, unless at standstill
     floor_sigma_m: float = Field(default=0.05, gt=0.0)
     climb_sigma_mps: float = Field(default=0.05, gt=0.0)
 
     wheel_speed_sigma_mps: float = Field(default=0.1, gt=0.0)  # beside an IMU
-    position_sigma_m: float = Field(default=0.02, gt=0.0)  # wheels alone: + per_m * d
+    position_sigma_m: float = Field(default=0.02, gt=0.0)  # odometry alone: + per_m * d
     position_sigma_per_m: float = Field(default=0.10, ge=0.0)
     heading_sigma_rad: float = Field(default=0.02, gt=0.0)
     heading_sigma_per_rad: float = Field(default=0.15, ge=0.0)
     heading_sigma_per_m_rad: float = Field(default=0.02, ge=0.0)
-    acceleration_mps2: float = Field(default=2.0, gt=0.0)  # of a speed that is only guessed
+    acceleration_mps2: float = Field(default=2.0, gt=0.0)  # at constant velocity
     turn_acceleration_radps2: float = Field(default=4.0, gt=0.0)
 
 
@@ -66,16 +66,16 @@ class InertialMotion:
         self._odometry = OdometryTrack(ODOMETRY_MAX_GUESS_S, ODOMETRY_WINDOW_S)
         self.filters = FilterPair(self._new_filter())
         self._is_inertial = False  # the IMU made the newest prediction
-        self._at_ns: int | None = None  # where the filter stands
+        self._at_ns: int | None = None  # time of the filter's state
         self._matched: tuple[int, SE2] | None = None
-        self._unknown_s = 0.0  # that neither walls nor a sensor said where the base was
+        self._unknown_s = 0.0  # in which neither walls nor a sensor measured the motion
         self._turn_radps = 0.0  # between the last two matches
-        self._turn = 0.0  # rad/s at the newest prediction, where the IMU is silent
+        self._turn = 0.0  # rad/s at the newest prediction, while the IMU is silent
         self._rate = np.zeros(3)  # of the body at the last prediction, bias included
 
     @property
     def fault(self) -> Reason:
-        """What a filter cannot weigh: a stretch of which nobody knows how long it was."""
+        """A stretch of unmeasured length, which the covariance does not cover; or NO_REASON."""
         if self._unknown_s <= MAX_UNKNOWN_S:
             return NO_REASON
         return Reason(
@@ -123,7 +123,7 @@ class InertialMotion:
             twist_base=self._twist(),
             covariance=self.filters.covariance(),
             local_covariance=self.filters.best.pose_covariance(),
-            twist_gain=np.zeros((3, 3)),  # the filter learns speed itself
+            twist_gain=np.zeros((3, 3)),  # the filter estimates the speed itself
             elapsed_s=elapsed_s,
             travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
             is_measured=self._is_inertial or wheels is not None,
@@ -147,10 +147,10 @@ class InertialMotion:
         return Motion(self.filters.best.pose @ step, twist, self.filters.covariance())
 
     def settle(self, share: float) -> None:
-        """The filter has one pose, and its error against the map is its error."""
+        """Nothing to do: the filter has a single pose error."""
 
     def _forget(self, stamp_ns: int) -> None:
-        """Samples from before a scan, and stand where it is."""
+        """Drop the samples before a scan, and set the time of the state."""
         self._track.use_up(stamp_ns)
         self._odometry.use_up(stamp_ns)
         self._at_ns = stamp_ns
@@ -167,7 +167,7 @@ class InertialMotion:
         )
 
     def _align(self, stamp_ns: int) -> None:
-        """Tilt and biases from before the first scan, if the vehicle stood; else level, unbiased."""
+        """Estimate tilt and biases before the first scan, if the vehicle stood; else level, unbiased."""
         stamps, felt = self._track.before(stamp_ns)
         if len(stamps) < MIN_STILL_SAMPLES or not self._track.covers(stamps[0], stamp_ns):
             return
@@ -200,7 +200,7 @@ class InertialMotion:
         self, filter_: ErrorStateFilter, elapsed_s: float, way: SE2 | None, wheel_twist: Twist | None
     ) -> None:
         config = self._config
-        guess = elapsed_s**2  # 0.5 a t^2 within the interval, and as much for the lag of the last speed
+        guess = elapsed_s**2  # 0.5 a t^2 within the interval, and as much for the delay of the last speed
         self._turn = self._turn_radps if wheel_twist is None else wheel_twist[2]
         if way is not None and wheel_twist is not None:
             d, a = math.hypot(way.x_m, way.y_m), abs(way.theta_rad)

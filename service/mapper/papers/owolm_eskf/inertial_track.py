@@ -1,4 +1,4 @@
-"""What an IMU felt: samples in order of their stamps, cut into steps of constant rate and force."""
+"""Samples of an IMU in the order of their stamps, as steps of constant rate and force."""
 
 import itertools
 import math
@@ -16,9 +16,9 @@ TRIM_COUNT = 8192
 
 
 class InertialTrack:
-    """Samples of an IMU whose x axis is turned by yaw_rad from the base's; kept until they are used up.
+    """Samples of an IMU whose x axis is rotated by yaw_rad against the base's; kept until used.
 
-    max_hold_s   how long a sample stands in for the missing ones behind it
+    max_hold_s   for which a sample replaces missing ones behind it
     """
 
     def __init__(self, yaw_rad: float, max_hold_s: float) -> None:
@@ -30,8 +30,9 @@ class InertialTrack:
         self._used_ns: int | None = None
 
     def add(self, sample: ImuSample) -> bool:
-        """Samples may come out of order, as long as their time has not been used up. False where one was
-        left out: too late, of a stamp that is there already, or not a number.
+        """Add a sample, in any order after the last used stamp.
+
+        False if it was dropped: too late, of a known stamp, or not finite.
         """
         felt = np.array([*sample.force_mps2, *sample.rate_radps])
         if not np.isfinite(felt).all() or (self._used_ns is not None and sample.stamp_ns <= self._used_ns):
@@ -42,12 +43,12 @@ class InertialTrack:
         turn = self._base_from_sensor
         self._stamps.insert(place, sample.stamp_ns)
         self._samples.insert(place, (turn @ felt[:3], turn @ felt[3:]))
-        if len(self._stamps) > TRIM_COUNT:  # nobody asks: no scans come
+        if len(self._stamps) > TRIM_COUNT:  # no scans arrive
             del self._stamps[: TRIM_COUNT // 2], self._samples[: TRIM_COUNT // 2]
         return True
 
     def covers(self, from_ns: int, to_ns: int) -> bool:
-        """Whether no moment is farther than max_hold_s behind a sample."""
+        """Whether no time is more than max_hold_s behind a sample."""
         first = bisect_right(self._stamps, from_ns) - 1
         last = bisect_right(self._stamps, to_ns)
         if last == 0 or (first < 0 and self._stamps[0] - from_ns > self._max_hold_ns):
@@ -56,7 +57,7 @@ class InertialTrack:
         return all(b - a <= self._max_hold_ns for a, b in itertools.pairwise(edges))
 
     def steps(self, from_ns: int, to_ns: int) -> Iterator[Step]:
-        """Steps from sample to sample, each with the mean of both ends; only where covers() is true."""
+        """Steps between samples, with the mean of both ends; requires covers()."""
         inside = range(bisect_right(self._stamps, from_ns), bisect_left(self._stamps, to_ns))
         edges = [from_ns, *(self._stamps[k] for k in inside), to_ns]
         for begin_ns, end_ns in itertools.pairwise(edges):
@@ -69,19 +70,19 @@ class InertialTrack:
         return self._at(stamp_ns)[1]
 
     def before(self, stamp_ns: int) -> tuple[list[int], npt.NDArray[np.float64]]:
-        """Stamps up to a moment, and (N, 6) forces and rates."""
+        """Stamps up to a time, and (N, 6) forces and rates."""
         count = bisect_right(self._stamps, stamp_ns)
         felt = np.array([np.concatenate(sample) for sample in self._samples[:count]])
         return self._stamps[:count], felt.reshape(-1, 6)
 
     def use_up(self, stamp_ns: int) -> None:
-        """Forget what lies before this moment, but for the last sample."""
+        """Drop the samples before a time, except the last."""
         first = max(bisect_right(self._stamps, stamp_ns) - 1, 0)
         del self._stamps[:first], self._samples[:first]
         self._used_ns = stamp_ns
 
     def _at(self, stamp_ns: int) -> tuple[Vector, Vector]:
-        """Between two samples straight, outside the nearest."""
+        """Interpolated linearly between two samples, constant outside."""
         k = bisect_right(self._stamps, stamp_ns)
         if k == 0 or k == len(self._stamps):
             return self._samples[min(k, len(self._samples) - 1)]

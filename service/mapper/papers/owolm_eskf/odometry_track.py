@@ -1,4 +1,4 @@
-"""Where odometry says the vehicle was: poses between samples, and a little beyond them."""
+"""Poses by odometry, interpolated between samples and extrapolated briefly."""
 
 import math
 from bisect import bisect_right
@@ -7,17 +7,18 @@ from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
 
 KEEP_NS = 10_000_000_000  # of samples before the last scan, and before the newest
-TRIM_COUNT = 4096  # so many may wait for a scan before those between are dropped
-MIN_SPEED_S = 0.005  # samples that lie closer together say nothing of a speed
+TRIM_COUNT = 4096  # samples that may wait for a scan; above it those between are dropped
+MIN_SPEED_S = 0.005  # closer samples give no speed
 
 
 class OdometryTrack:
-    """Samples in order of their stamps. Only differences of poses are used, never the twist in a sample:
-    recordings carry zeros there, and drivers disagree about its axes. Stamps may come in bursts: a speed is
-    that of a while.
+    """Samples in the order of their stamps.
 
-    max_guess_s       how far beyond the samples a pose is guessed from the last speed
-    speed_window_s    over which that speed is taken, so that encoder ticks average out
+    Only differences of poses are used, not the twist of a sample: recordings have zeros there, and drivers
+    disagree about its axes. Stamps may come in bursts, so a speed is taken over a time window.
+
+    max_guess_s       longest extrapolation at the last speed
+    speed_window_s    of that speed, so that encoder ticks average out
     """
 
     def __init__(self, max_guess_s: float, speed_window_s: float) -> None:
@@ -28,7 +29,7 @@ class OdometryTrack:
         self._used_ns: int | None = None
 
     def add(self, sample: OdometrySample) -> bool:
-        """False where the sample is not newer than the last one, or not a number."""
+        """Add a sample; False if it is not newer than the last one, or not finite."""
         if not (math.isfinite(sample.x_m) and math.isfinite(sample.y_m) and math.isfinite(sample.theta_rad)):
             return False
         if self._stamps and sample.stamp_ns <= self._stamps[-1]:
@@ -40,13 +41,13 @@ class OdometryTrack:
         return True
 
     def use_up(self, stamp_ns: int) -> None:
-        """Ways begin at this moment or later from now on."""
+        """Steps begin at this time or later from now on."""
         self._used_ns = stamp_ns
         first = min(bisect_right(self._stamps, stamp_ns - KEEP_NS) - 1, len(self._stamps) - 2)
         self._drop(0, max(first, 0))
 
     def between(self, from_ns: int, to_ns: int) -> SE2 | None:
-        """Pose of the later base in the earlier one; None where the samples cannot tell."""
+        """Pose of the later base in the earlier one; None outside the samples."""
         if len(self._stamps) < 2:
             return None
         before_s = max((self._stamps[0] - from_ns) * 1e-9, 0.0)
@@ -56,7 +57,7 @@ class OdometryTrack:
         return self._pose_at(from_ns).inverse() @ self._pose_at(to_ns)
 
     def twist_at(self, stamp_ns: int) -> tuple[float, float, float] | None:
-        """Speed around a moment (m/s forward, m/s left, rad/s), by the nearest samples; None as above."""
+        """Speed at a time (m/s forward, m/s left, rad/s), by the nearest samples; None as above."""
         if len(self._stamps) < 2:
             return None
         last = min(max(bisect_right(self._stamps, stamp_ns), 1), len(self._stamps) - 1)
@@ -75,7 +76,7 @@ class OdometryTrack:
         return forward / elapsed_s, left / elapsed_s, turn / elapsed_s
 
     def _drop_between(self) -> None:
-        """Forget what no way begins or ends at: the laser may be silent for a day."""
+        """Drop the samples that no step needs: the laser may be silent for a day."""
         first = 0 if self._used_ns is None else bisect_right(self._stamps, self._used_ns + KEEP_NS)
         self._drop(first, max(bisect_right(self._stamps, self._stamps[-1] - KEEP_NS) - 1, first))
 

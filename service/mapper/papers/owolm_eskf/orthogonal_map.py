@@ -1,4 +1,4 @@
-"""OWOLM: a pyramid of likelihood maps along the axes of the building, where straight walls weigh more."""
+"""OWOLM: a pyramid of likelihood maps along the axes of the building, in which straight walls weigh more."""
 
 import logging
 from dataclasses import dataclass
@@ -31,17 +31,17 @@ from service.mapper.papers.owolm_eskf.building_axes import building_axes
 
 log = logging.getLogger(__name__)
 
-POOL_TILES = 262_144  # 1.3 GB of address space a level; only what is seen costs memory
+POOL_TILES = 262_144  # 1.3 GB of address space a level; only touched pages take memory
 RULES = {"noisy_or": NOISY_OR, "maximum": MAXIMUM}
 
 
 class SegmentsConfig(Section):
-    """Which points make an orthogonal blurred segment."""
+    """Which points form an orthogonal blurred segment."""
 
     width_m: float = Field(default=0.04, gt=0.0)  # twice the ranging error
     least_points: int = Field(default=20, ge=2)
     length_m: float = Field(default=1.0, gt=0.0)
-    gap_m: float = Field(default=0.03, ge=0.0)  # gap_m + gap_steps * angle step * range parts a segment
+    gap_m: float = Field(default=0.03, ge=0.0)  # gap_m + gap_steps * angle step * range splits a segment
     gap_steps: float = Field(default=3.0, ge=0.0)
 
 
@@ -57,14 +57,14 @@ class OrthogonalMapConfig(Section):
     segments: SegmentsConfig = SegmentsConfig()
     segment_sigma_cells: float = Field(default=0.5, gt=0.0)
     other_sigma_cells: float = Field(default=3.0, gt=0.0)
-    across_only: bool = False  # narrow across the wall alone
+    across_only: bool = False  # narrow only across the wall
     about_point: bool = True
     rule: Literal["noisy_or", "maximum"] = "noisy_or"
     insert_distance_m: float = Field(default=0.3, ge=0.0)
     insert_turn_rad: float = Field(default=0.1, ge=0.0)
-    # At once where less of the scan lies on the map.
+    # A scan with a lower inlier ratio is inserted at once.
     insert_inlier_ratio: float = Field(default=0.9, ge=0.0, le=1.0)
-    on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # a point from here on lies on the map
+    on_map_likelihood: float = Field(default=0.02, gt=0.0, le=1.0)  # least likelihood of an inlier
     first_scans: int = Field(default=1, ge=1)
 
 
@@ -80,7 +80,7 @@ class _Level:
 
 
 class OrthogonalMap:
-    """LocalMap. Level 0 is the finest; every level takes every scan that is inserted."""
+    """LocalMap. Level 0 is the finest; each inserted scan goes into every level."""
 
     def __init__(self, config: OrthogonalMapConfig) -> None:
         self._config = config
@@ -110,7 +110,7 @@ class OrthogonalMap:
         return self._config.ratio
 
     def search_layers(self) -> list[LikelihoodLayer]:
-        """For the exhaustive search, the finest first; valid until the next insert()."""
+        """The layers for an exhaustive search, the finest first; valid until the next insert()."""
         layers = []
         for level in self._levels:
             cells = level.pool.arrays[1]
@@ -120,7 +120,7 @@ class OrthogonalMap:
         return layers
 
     def field(self) -> LikelihoodField:
-        """The finest level, to be read between cells; valid until the next insert()."""
+        """The finest level, with interpolation between cells; valid until the next insert()."""
         finest = self._levels[0]
         return LikelihoodField(finest.tiles.index(), finest.pool.arrays[0], finest.cell_m)  # type: ignore[arg-type]
 
@@ -141,7 +141,7 @@ class OrthogonalMap:
         return moved_by(self.pose_axes_odom.inverse(), np.concatenate(centres)), np.concatenate(values)
 
     def join(self, segment: int) -> None:
-        """This map is one piece."""
+        """Nothing to do: the map is a single segment."""
 
     def insert(self, points: Points, match: Match) -> MapChange:
         pose = match.motion.pose_odom_base
@@ -188,7 +188,7 @@ class OrthogonalMap:
         return segment
 
     def gaps(self, points: Points) -> npt.NDArray[np.float64]:
-        """(N,) m: how far the next point of the same surface may lie."""
+        """(N,) m: largest distance to the next point of the same surface."""
         config = self._config.segments
         away = points.xy_base - (points.sensor_base.x_m, points.sensor_base.y_m)
         gaps: npt.NDArray[np.float64] = config.gap_m + config.gap_steps * abs(

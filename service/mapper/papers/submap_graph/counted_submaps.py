@@ -1,4 +1,4 @@
-"""Sub-maps of counts, one for each particle: what a particle filter draws while it drives."""
+"""Sub-maps of counts, one for each particle of a particle filter."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,12 +16,12 @@ from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 from service.mapper.papers.submap_graph.key_scan import DrawnScan, KeyScan
 
-SAME_WALL_M = 0.10  # a return so near to a wall lies on it
-POOL_TILES = 131_072  # 1.3 GB of address space; only what is seen costs memory
+SAME_WALL_M = 0.10  # largest distance of a return from its wall
+POOL_TILES = 131_072  # 1.3 GB of address space; only touched pages take memory
 
 
 class CountedSubmapsConfig(Section):
-    """How sub-maps are cut, and what a count says."""
+    """How sub-maps are cut, and the weight of a count."""
 
     particles: int = Field(default=30, ge=1, le=1000)
     cell_m: float = Field(default=0.05, ge=0.02, le=0.5)
@@ -29,11 +29,11 @@ class CountedSubmapsConfig(Section):
     occupied_by_pass: float = Field(default=0.4, gt=0.0, lt=0.5)  # O_f
     free_range_m: float = Field(default=6.0, gt=0.0)
     pass_stride: int = Field(default=2, ge=1)  # every so many beams clear cells; all of them hit
-    length_m: float = Field(default=12.0, gt=0.0)  # travelled until a sub-map is closed
-    overlap_m: float = Field(default=4.0, ge=0.0)  # of the last way are drawn into the next one, too
+    length_m: float = Field(default=12.0, gt=0.0)  # path length of a sub-map
+    overlap_m: float = Field(default=4.0, ge=0.0)  # of its end that is also inserted into the next one
     keyframe_distance_m: float = Field(default=0.30, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.10, gt=0.0)
-    first_scans: int = Field(default=3, ge=1)  # of a map that is empty, even standing
+    first_scans: int = Field(default=3, ge=1)  # of an empty map, also at standstill
 
     @property
     def weights(self) -> CountWeights:
@@ -45,12 +45,12 @@ class CountedSubmapsConfig(Section):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedSubmap:
-    """A sub-map that is done: the way of the best particle, and the scans it drew. Can be pickled.
+    """A finished sub-map: the path of the best particle, and its scans. Can be pickled.
 
     number   rises by one from sub-map to sub-map
-    scans    K that were drawn; the first `carried` of them belong to the sub-map before as well
-    track    (K, 3) float64   where the best particle was at each, in the odom frame
-    config   how it was drawn
+    scans    K scans; the first `carried` of them belong to the previous sub-map as well
+    track    (K, 3) float64   pose of the best particle at each, in the odom frame
+    config   of its map
     """
 
     number: int
@@ -62,13 +62,13 @@ class ClosedSubmap:
 
 @dataclass(frozen=True, slots=True)
 class CountedChange(MapChange):
-    """What an insert did, with the sub-map it closed."""
+    """MapChange with the sub-map that the insert closed."""
 
     closed: ClosedSubmap | None = None
 
 
 class CountedMap:
-    """Tiles of counts in a pool that several maps share."""
+    """Tiles of counts in a shared pool."""
 
     def __init__(self, pool: TilePool, config: CountedSubmapsConfig) -> None:
         self._tiles = TileMap(pool)
@@ -105,7 +105,7 @@ class CountedMap:
         sensor_xy_m: npt.NDArray[np.float64],
         pose: npt.NDArray[np.float64],
     ) -> None:
-        """Count a scan; a map takes at most 65 535 of them before a cell may count one twice."""
+        """Count a scan; after 65 535 of them a cell may count one twice."""
         reach_m = max(reach_of(xy_base), reach_of(sensor_xy_m.reshape(1, 2)))
         x_m, y_m, _ = pose.tolist()
         self._tiles.cover_around((x_m, y_m), reach_m, self._cell_m, TILE_BITS)
@@ -122,7 +122,7 @@ class CountedMap:
         )
 
     def copy_from(self, other: "CountedMap") -> None:
-        """Become the same as a map of the same pool."""
+        """Become a copy of a map of the same pool."""
         self._tiles.copy_from(other._tiles)
         self._scan_number = other._scan_number
 
@@ -136,7 +136,7 @@ class CountedMap:
 
 @dataclass(slots=True, eq=False)
 class Particle:
-    """One story of the sub-map: where the base is, where it was at each key scan, what it drew."""
+    """One hypothesis of the sub-map: pose of the base, its poses at the key scans, and its map."""
 
     map: CountedMap
     pose: npt.NDArray[np.float64]  # (3,) m, m, rad in the odom frame
@@ -144,10 +144,10 @@ class Particle:
 
 
 class CountedSubmaps:
-    """The sub-map being drawn, as often as there are particles; the matcher moves them.
+    """The sub-map in progress, once per particle; the matcher moves the particles.
 
-    Every length_m the best particle's is closed, and all go on from where that one is. The last overlap_m
-    of its way are drawn into the next one first, so that the next scan meets a map, not a single scan.
+    Every length_m the best particle's is closed, and all particles continue from it. The last overlap_m of
+    its path is inserted into the next one first, so that the next scan meets a map instead of a single scan.
     """
 
     def __init__(self, config: CountedSubmapsConfig) -> None:
@@ -157,14 +157,14 @@ class CountedSubmaps:
         self._carried = 0
         self._number = 0
         self._travelled_m = 0.0
-        self._broken_off: ClosedSubmap | None = None  # closed before its time, to be handed out
+        self._broken_off: ClosedSubmap | None = None  # closed early, to be returned
         self.particles = [Particle(self._new_map(), np.zeros(3)) for _ in range(config.particles)]
         self.log_weights = np.zeros(config.particles)
         self.weights = np.full(config.particles, 1.0 / config.particles)
 
     @property
     def is_empty(self) -> bool:
-        """No scan was drawn yet."""
+        """Whether no scan was inserted yet."""
         return not self._scans
 
     @property
@@ -179,20 +179,20 @@ class CountedSubmaps:
         return self._overlap(self.best.map, xy_base, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
 
     def overlap_of(self, particle: Particle, xy_base: npt.NDArray[np.float64]) -> Overlap:
-        """How a scan lies on the map of a particle, where that particle is."""
+        """Overlap of a scan with the map of a particle, at its pose."""
         return self._overlap(particle.map, xy_base, particle.pose)
 
     def gather(self, pose: SE2) -> None:
-        """Put every particle at a pose in odom."""
+        """Set every particle to a pose in odom."""
         for particle in self.particles:
             particle.pose = np.array([pose.x_m, pose.y_m, pose.theta_rad])
 
     def start_over(self) -> None:
-        """The sub-map is closed as it is, and nothing of it drawn into the next."""
+        """Close the sub-map as it is; the next one starts empty."""
         self._broken_off = self._close(self.best, overlap_m=-1.0)
 
     def take_over(self, chosen: npt.NDArray[np.int64]) -> None:
-        """Particle n becomes particle chosen[n], all with equal weights; chosen rises."""
+        """Replace particle n by particle chosen[n], all with equal weights; chosen rises."""
         survivors = set(chosen.tolist())
         given = set()
         copies = []
@@ -208,10 +208,10 @@ class CountedSubmaps:
         self.weights[:] = 1.0 / len(self.particles)
 
     def join(self, segment: int) -> None:
-        """This map is one piece."""
+        """Nothing to do: the map is a single segment."""
 
     def insert(self, points: Points, match: Match) -> CountedChange:
-        """Draw a key scan into every particle's map, at the particle's own pose."""
+        """Insert a key scan into every particle's map, at the particle's own pose."""
         if not len(points.xy_base) or match.state == "lost":
             return CountedChange()
         if self.is_empty:
@@ -248,7 +248,7 @@ class CountedSubmaps:
         )
 
     def _close(self, best: Particle, overlap_m: float) -> ClosedSubmap:
-        """Begin the next sub-map with the end of the best particle's; below 0: with nothing."""
+        """Begin the next sub-map with the end of the best particle's; overlap_m below 0: empty."""
         closed = ClosedSubmap(
             self._number, self._carried, tuple(self._scans), np.array(best.track), self.config
         )

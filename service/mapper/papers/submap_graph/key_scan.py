@@ -1,4 +1,4 @@
-"""The scans that sub-maps are drawn of; closed ones keep them for the session, in a quarter of the memory."""
+"""Scans of sub-maps; closed ones are kept for the session in a quarter of the memory."""
 
 import zlib
 from dataclasses import dataclass
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-RANGE_STEP_M = 1e-3  # a tenth of what the ranges scatter
+RANGE_STEP_M = 1e-3  # a tenth of the range noise
 BEARING_STEP_RAD = 1e-4  # 1 mm at 10 m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyScan:
-    """A scan that was drawn."""
+    """An inserted scan."""
 
     stamp_ns: int
     xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
@@ -22,10 +22,10 @@ class KeyScan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptScan:
-    """A KeyScan whose end points are kept to whole steps of range and bearing, seen from the sensor.
+    """A KeyScan with end points rounded to steps of range and bearing from the sensor.
 
-    Neighbouring beams end at much the same range and are turned alike, so the differences of ranges and the
-    second differences of bearings are small; they are what is kept, by deflate: some 2 bytes a beam for 8.
+    Neighbouring beams differ little in range and in bearing step, so differences of ranges and second
+    differences of bearings are small; they are deflated to about 2 bytes a beam instead of 8.
     """
 
     stamp_ns: int
@@ -39,7 +39,7 @@ class KeptScan:
         ranges = np.rint(np.hypot(*away.T) / RANGE_STEP_M).astype(np.int32)
         bearings = np.rint(np.unwrap(np.arctan2(away[:, 1], away[:, 0])) / BEARING_STEP_RAD).astype(np.int32)
         steps = np.stack((np.diff(ranges, prepend=[0]), np.diff(bearings, 2, prepend=[0, 0])))
-        unsigned = ((steps << 1) ^ (steps >> 31)).astype("<u4")  # small whatever the sign
+        unsigned = ((steps << 1) ^ (steps >> 31)).astype("<u4")  # zigzag: small for either sign
         by_byte = unsigned.view(np.uint8).reshape(-1, 4).T  # the upper ones are nearly all 0
         return cls(scan.stamp_ns, scan.sensor_xy_m, scan.angle_step_rad, zlib.compress(by_byte.tobytes()))
 

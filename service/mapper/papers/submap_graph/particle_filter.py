@@ -1,9 +1,8 @@
-"""A Rao-Blackwellised particle filter: every particle is aligned with the map that it drew itself.
+"""A Rao-Blackwellised particle filter: every particle is aligned with its own map.
 
-Sample, weigh, resample, as in Zhang et al. 2016, section 1.2; the maps are drawn by CountedSubmaps. A step of
-a particle is drawn from the motion model and then aligned with its map: without odometry the sample alone
-would miss it.
-What it is weighed by is then not p / q of eq. 2, for nobody knows the q of a sample that was moved;
+Sample, weigh, resample, as in Zhang et al. 2016, section 1.2; the maps are those of CountedSubmaps. The step
+of a particle is sampled from the motion model and then aligned with its map, because without odometry the
+sample alone would miss it. Its weight is then not p / q of eq. 2, as the q of a moved sample is unknown;
 `draw: around_scan` has a q and that weight.
 """
 
@@ -31,26 +30,26 @@ from service.mapper.matchers.window_search import layer_of, thinned, window_arou
 from service.mapper.papers.submap_graph.counted_submaps import CountedSubmaps, Particle
 
 Array = npt.NDArray[np.float64]
-SEARCH_STEP_RAD = 0.02  # turns a point at 5 m by two cells
+SEARCH_STEP_RAD = 0.02  # rotates a point at 5 m by two cells
 
 
 class ParticleFilterConfig(JudgementConfig):
-    """How particles are drawn, aligned with their maps and weighed."""
+    """How particles are sampled, aligned with their maps and weighed."""
 
     seed: int = Field(default=1, ge=0)
     # aligned: from the motion model, then aligned with the map, weighed by the likelihood of the scan
-    # around_scan: around where it lies best, weighed by p / q (eq. 2)
+    # around_scan: around the aligned pose, weighed by p / q (eq. 2)
     draw: Literal["aligned", "around_scan"] = "aligned"
     align_sigma: float = Field(default=0.5, gt=0.0)  # of 1 - likelihood, against the motion model
     align_beams: int = Field(default=180, ge=10)
     align_iterations: int = Field(default=8, ge=0, le=100)
     likelihood_floor: float = Field(default=0.05, gt=0.0, lt=1.0)
     likelihood_gain: float = Field(default=0.1, gt=0.0, le=1.0)  # beams are not independent
-    # share of the returns on known ground that lie on walls: with less, the map is searched around
+    # inliers over returns on known ground; below it the map is searched
     least_agreement: float = Field(default=MIN_AGREEMENT_FAR, ge=0.0, le=1.0)
     search_m: float = Field(default=0.5, gt=0.0)  # to each side
     search_rad: float = Field(default=0.35, gt=0.0)
-    resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # of the particles still worth something
+    resample_below: float = Field(default=0.5, ge=0.0, le=1.0)  # effective share of the particles
     floor_position_m: float = Field(default=0.006, gt=0.0)
     floor_heading_rad: float = Field(default=0.0015, gt=0.0)
 
@@ -63,11 +62,11 @@ class ParticleFilter:
         self._matching = JudgedMatching(config)
         self._random = np.random.Generator(np.random.Philox(key=config.seed))
         self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
-        self._last = SE2()  # where the motion model had the base at the scan before
+        self._last = SE2()  # pose by the motion model at the previous scan
         self._deviates: Array = np.zeros((0, 3))  # of the scan being aligned, a row a particle
 
     def match(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> Match:
-        """A lost scan neither weighs the particles nor leaves them where it drew them."""
+        """The match; a lost scan neither weighs the particles nor moves them."""
         log_weights = local_map.log_weights.copy()
         match = self._matching.match(points, predicted, local_map, self)
         if match.measured is None:
@@ -79,12 +78,12 @@ class ParticleFilter:
         self._last = match.motion.pose_odom_base
         return match
 
-    compare = match  # what the matcher remembers of the scan before is of any laser
+    compare = match  # its state is independent of the laser
 
     def align(
         self, points: Points, predicted: Prediction, local_map: CountedSubmaps, is_found: bool = False
     ) -> Aligned:
-        """Prediction and scan together: the particles are drawn from the one and weighed by the other."""
+        """Fuse prediction and scan: particles are sampled from the former and weighed by the latter."""
         if is_found:
             local_map.gather(predicted.pose_odom_base)
             local_map.log_weights[:] = 0.0
@@ -111,7 +110,7 @@ class ParticleFilter:
         local_map.take_over(chosen)
 
     def move_particles(self, way: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
-        """Move each particle by a way and an error of it, drawn anew; the latter where it is drawn from."""
+        """Move each particle by a step, and by a sampled error where particles are drawn from the motion."""
         step = np.array([way.x_m, way.y_m, way.theta_rad])
         self._deviates = self._random.standard_normal((len(local_map.particles), 3))
         root = _root(covariance) if self._config.draw == "aligned" else np.zeros((3, 3))
@@ -121,10 +120,10 @@ class ParticleFilter:
     def _align_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
         """Align each particle with its map.
 
-        Where returns end in what the best particle's map knows to be free, wheels may have said what is not
-        so: then that map is searched around, all particles are moved alike, and aligned from there. A scan
-        that merely meets little of the map, as on new ground, is not searched for: where the far walls of a
-        corridor are dots, a search finds the place of the scan before.
+        Where returns lie in free space of the best particle's map, odometry may be wrong: that map is then
+        searched, all particles are moved alike and aligned again. A scan with few inliers alone, as on new
+        ground, is not searched for: in a corridor whose far walls are isolated points a search finds the
+        previous pose.
         """
         weights = local_map.log_weights.copy()
         likelihood, best = self.align_particles(points, predicted, local_map)
@@ -143,7 +142,7 @@ class ParticleFilter:
                 particle.pose = pose
 
     def _search(self, points: Points, particle: Particle) -> Array:
-        """How far (3,) from where a particle is its map fits best, in its own axes."""
+        """Offset (3,) of the best fit from a particle's pose, in its own axes."""
         config = self._config
         layer = layer_of(particle.map.likelihood())
         window = window_around(particle.pose, (config.search_m, config.search_rad), layer, SEARCH_STEP_RAD)
@@ -153,7 +152,7 @@ class ParticleFilter:
     def align_particles(
         self, points: Points, predicted: Prediction, local_map: CountedSubmaps
     ) -> tuple[float, int]:
-        """Align each particle with its map and weigh it; the mean likelihood of the best, and which it is."""
+        """Align each particle with its map and weigh it; returns the best mean likelihood and its index."""
         information = inverse(predicted.local_covariance + 1e-12 * np.eye(3))
         means = np.empty(len(local_map.particles))
         thin = thin_evenly(points.xy_base, self._config.align_beams, self._config.align_sigma)
@@ -166,12 +165,12 @@ class ParticleFilter:
     def _align_one(
         self, thin: tuple[Array, Array], particle: Particle, information: Array, deviates: Array
     ) -> tuple[float, float]:
-        """Align a particle with its map, or draw it around where it lies.
+        """Align a particle with its map, or sample it around the aligned pose.
 
         thin          points (M, 2) and weights (M,) of thin_evenly
         information   (3, 3) of the motion, base axes
-        Returns the logarithm of what its weight is multiplied by, but for what all share, and the mean
-        likelihood. Source of p / q: Grisetti, Stachniss, Burgard 2007, section III.
+        Returns the logarithm of the factor on its weight, up to a constant, and the mean likelihood.
+        Source of p / q: Grisetti, Stachniss, Burgard 2007, section III.
         """
         config, field = self._config, particle.map.likelihood()
         start, prior = particle.pose, np.empty((3, 3))
@@ -206,7 +205,7 @@ class ParticleFilter:
 
 
 def _root(covariance: Array) -> Array:
-    """A square root of a covariance, also of one that is singular."""
+    """A square root of a covariance, which may be singular."""
     values, axes = np.linalg.eigh(covariance)
     root: Array = axes * np.sqrt(np.maximum(values, 0.0))
     return root

@@ -1,8 +1,8 @@
-"""The graph of track points and virtual landmarks: what is done with each closed sub-map, and on request.
+"""The graph of track points and virtual landmarks, updated by closed sub-maps and by requests.
 
 Zhang et al. 2016: a track point every few metres, odometry terms between them, and landmark terms to points
-that two sub-maps share. Landmarks come from aligning sub-maps with each other, or from a person who names
-pairs of points.
+that two sub-maps share. Landmarks come from aligning sub-maps with each other, or from pairs of points set by
+the operator.
 """
 
 import math
@@ -43,37 +43,37 @@ from service.mapper.papers.submap_graph.key_scan import DrawnScan, KeptScan
 from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, aligned with the surfels of another
-MAX_WALLS = 8  # sub-maps whose walls are kept: they take two to four times as much as all their scans
+MAX_WALLS = 8  # sub-maps whose walls are cached: they take two to four times as much memory as their scans
 
 
 Ints = npt.NDArray[np.int64]
 
 
 class LandmarkGraphConfig(Section):
-    """Which sub-maps are aligned with each other, and how far odometry is trusted between track points."""
+    """Which sub-maps are aligned with each other, and the noise of odometry between track points."""
 
     match: SubmapMatchConfig = SubmapMatchConfig()
-    # Share of points, when a scan or a sub-map is aligned anew.
+    # Least share of inliers when a scan or a sub-map is aligned again.
     least_on_surfels: float = Field(default=0.4, ge=0.0, le=1.0)
     node_spacing_m: float = Field(default=2.0, gt=0.0)  # between track points
     drift_m_per_sqrt_m: float = Field(default=0.005, gt=0.0)
     drift_rad_per_sqrt_m: float = Field(default=0.001, gt=0.0)
-    # Sub-maps whose paths come this near are aligned with each other.
+    # Sub-maps whose paths are closer than this are aligned with each other.
     neighbour_m: float = Field(default=6.0, gt=0.0)
     most_neighbours: int = Field(default=3, ge=1)
-    search_m: float = Field(default=0.5, gt=0.0)  # to each side of where the graph says the neighbour is
-    search_per_m: float = Field(default=0.01, ge=0.0)  # more for each metre driven between the two
+    search_m: float = Field(default=0.5, gt=0.0)  # to each side of the neighbour's pose by the graph
+    search_per_m: float = Field(default=0.01, ge=0.0)  # added for each metre of path between the two
     most_search_m: float = Field(default=3.0, gt=0.0)
     search_rad: float = Field(default=0.08, gt=0.0)
     kernel_width: float = Field(default=1.0, ge=0.0)  # Cauchy, in sigmas, of a match
-    pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point that a person names
-    # The shown map is drawn anew if a track point moved this far.
+    pair_sigma_m: float = Field(default=0.02, gt=0.0)  # of a point set by the operator
+    # The published map is rendered again if a track point moved this far.
     render_again_m: float = Field(default=0.03, ge=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two points of the map, as it was shown, that are one: each seen by a sub-map."""
+    """Two points of the published map that are the same point, each observed by a sub-map."""
 
     number: int
     submaps: tuple[int, int]
@@ -82,7 +82,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """What is to be done. `pair` goes with "add" and "remove"."""
+    """A task of the back end. `pair` goes with "add" and "remove"."""
 
     what: Literal["submap", "add", "remove", "undo", "optimize", "finish"]
     closed: ClosedSubmap | None = None
@@ -91,14 +91,14 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What became of a batch.
+    """The result of a batch.
 
     stamps, poses   (K,) int64 and (K, 3): every key scan so far, in the map frame
     pose_map_odom   of the newest
-    links           pairs of sub-maps that hang together by automatic landmarks
-    residual_m      by number of the pair: how far its two points lie apart now
+    links           pairs of sub-maps connected by automatic landmarks
+    residual_m      by number of the pair: present distance of its two points
     rms_m           the same of all landmarks
-    g2o, keyframes  after the last batch: the graph as text, and how many of its poses are of the drive
+    g2o, keyframes  after the last batch: the graph as text, and the number of its poses of the path
     fault         why nothing was solved; "" else
     """
 
@@ -119,11 +119,11 @@ class Result:
 
 @dataclass(slots=True, eq=False)
 class _Submap:
-    closed: ClosedSubmap  # aligned anew, of kept scans
-    end_odom: Floats  # (3,) of its last scan, as the particle drew it
-    begin_m: float  # way driven before it
-    border: Floats  # (4, 2) corners around its walls, as it was drawn
-    nodes: list[int] = field(default_factory=list)  # of the graph, own ones
+    closed: ClosedSubmap  # realigned, of kept scans
+    end_odom: Floats  # (3,) of its last scan, by the particle
+    begin_m: float  # path length before it
+    border: Floats  # (4, 2) corners around its walls, as inserted
+    nodes: list[int] = field(default_factory=list)  # own nodes in the graph
     behind: list[int] = field(default_factory=list)  # for each own scan the last node up to it
 
     @property
@@ -133,11 +133,11 @@ class _Submap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
-    """A sub-map aligned with another. What it errs by, all landmarks found in it have in common.
+    """A sub-map aligned with another. Its error is common to all landmarks found in it.
 
     submaps      the new one and the old one
-    middle       (3,) of the landmarks, in the drawing of the new one
-    there        (3,) where the match puts it, in the drawing of the old one
+    middle       (3,) of the landmarks, in the frame of the new one
+    there        (3,) its matched pose, in the frame of the old one
     covariance   (3, 3) of that, in its own axes
     """
 
@@ -149,18 +149,18 @@ class _Match:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Landmark:
-    """A point that two sub-maps share: where it is in the drawing of each, and how sure in either."""
+    """A point that two sub-maps share: its position in the frame of each, and its sigma in either."""
 
     submaps: tuple[int, int]
     xy: tuple[Floats, Floats]
     sigma_m: float
-    match: int | None = None  # that found it in the second
-    pair: int | None = None  # that a person named
+    match: int | None = None  # the match that gave its position in the second
+    pair: int | None = None  # the pair of the operator
 
 
 @dataclass(slots=True, eq=False)
 class LandmarkBackEnd:
-    """BackEnd. Track points are in two frames: `drawn` in odom, with scans aligned anew; `poses` in map."""
+    """BackEnd. Track points are in two frames: `drawn` in odom, with realigned scans; `poses` in map."""
 
     config: LandmarkGraphConfig
     renderer: MapRenderer | None
@@ -172,8 +172,8 @@ class LandmarkBackEnd:
     landmarks: list[_Landmark] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     tried: set[tuple[int, int]] = field(default_factory=set)
-    walls: dict[int, WallPoints] = field(default_factory=dict)  # by sub-map, that used last at the end
-    rendered: Floats | None = None  # poses of the nodes when the shown map was last drawn
+    walls: dict[int, WallPoints] = field(default_factory=dict)  # by sub-map, least recently used first
+    rendered: Floats | None = None  # poses of the nodes at the last rendering of the published map
     realignment: SubmapRealignment = field(init=False)
 
     def __post_init__(self) -> None:
@@ -196,11 +196,11 @@ class LandmarkBackEnd:
         return self._result(fault, is_last=batch.what == "finish")
 
     def _add(self, closed: ClosedSubmap) -> bool:
-        """Take in a sub-map; whether landmarks were found in others."""
+        """Add a sub-map; returns whether landmarks were found in others."""
         begin_m = self.path_length_m[-1] if self.path_length_m else 0.0
         aligned = self.realignment.realign(closed)
         scans: tuple[DrawnScan, ...] = tuple(KeptScan.of(scan) for scan in closed.scans[closed.carried :])
-        if closed.carried:  # the very scans of the sub-map before: kept once
+        if closed.carried:  # shared with the previous sub-map: stored once
             scans = self.submaps[-1].closed.scans[-closed.carried :] + scans
         submap = _Submap(replace(aligned, scans=scans), closed.track[-1], begin_m, _corners(aligned))
         self.submaps.append(submap)
@@ -221,12 +221,12 @@ class LandmarkBackEnd:
         self.path_length_m.append(path_length_m)
 
     def _tie_again(self) -> bool:
-        """Align sub-maps with each other that lie close by now, and were not tied yet."""
+        """Align sub-maps that are near each other by now and were not aligned yet."""
         ties = [self._tie(k, widely=False) for k in range(len(self.submaps))]
         return any(ties)
 
     def _tie(self, new: int, widely: bool) -> bool:
-        """Find landmarks of a sub-map in those before it, the nearest first."""
+        """Find landmarks of a sub-map in earlier ones, the nearest first."""
         config = self.config
         tied = False
         for away_m, old in self._neighbours(new)[: config.most_neighbours]:
@@ -252,7 +252,7 @@ class LandmarkBackEnd:
         return tied
 
     def _on_surfels(self, new: int, old: int, found: Found) -> Found | None:
-        """The same, aligned point to line; None where too little of what both have seen lies on walls."""
+        """The same, refined point to line; None where too few of the common points are inliers."""
         config = self.config
         cloud, other = self._cloud(new), self._walls(old)
         common = is_seen(other, se2.points_from(found.pose, cloud.xy))
@@ -265,7 +265,7 @@ class LandmarkBackEnd:
         return replace(found, pose=shift, covariance=at_origin, share=fit.share)
 
     def _walls(self, number: int) -> WallPoints:
-        """The walls of a sub-map, drawn again from its scans where they were forgotten."""
+        """The walls of a sub-map, recomputed from its scans if not cached."""
         walls = self.walls.pop(number, None)
         if walls is None:
             walls = draw_walls(self.submaps[number].closed, self.config.match)
@@ -295,14 +295,14 @@ class LandmarkBackEnd:
         poses = np.array(self.poses)
         mine = poses[self.submaps[new].nodes, :2]
         found = []
-        for old in range(new - 1):  # the one before shares scans: it says nothing that odometry does not
+        for old in range(new - 1):  # the previous one shares scans, so it adds nothing to odometry
             theirs = poses[self.submaps[old].nodes, :2]
             apart = np.hypot(*(mine[:, None] - theirs[None]).transpose(2, 0, 1))
             found.append((round(float(apart.min()), 6), old))
         return sorted(found)
 
     def _guess(self, new: int, old: int) -> Floats:
-        """Pose of the drawing of `new` in that of `old`, by the graph, where the two come nearest."""
+        """Pose of the frame of `new` in that of `old`, by the graph, at their closest nodes."""
         poses = np.array(self.poses)
         mine, theirs = self.submaps[new].nodes, self.submaps[old].nodes
         apart = np.hypot(*(poses[mine, None, :2] - poses[None, theirs, :2]).transpose(2, 0, 1))
@@ -328,20 +328,20 @@ class LandmarkBackEnd:
             self.landmarks = [mark for mark in self.landmarks if mark.pair != number]
 
     def _in_drawing(self, submap: int, xy_map: Floats) -> Floats:
-        """A point of the map, in the frame that a sub-map was drawn in, by its nearest track point."""
+        """A point of the map in the frame of a sub-map, by its nearest track point."""
         nodes = self.submaps[submap].nodes
         node = min(nodes, key=lambda k: math.dist(self.poses[k][:2], xy_map))
         return se2.points_from(self.drawn[node], se2.points_seen(self.poses[node], xy_map))
 
     def _nearest(self, submap: int, xy: Floats) -> int:
-        """The track point of a sub-map that is nearest to a point of its drawing."""
+        """The track point of a sub-map that is nearest to a point of its frame."""
         return min(self.submaps[submap].nodes, key=lambda node: math.dist(self.drawn[node][:2], xy[:2]))
 
     def _graph(self) -> PoseGraph:
-        """Behind the track points one pose for each match: where it puts the landmarks' middle.
+        """The pose graph; after the track points one pose for each match: that of its landmarks' centre.
 
-        The landmarks are seen from there and from the new sub-map, so that the error of the match moves all
-        of them alike.
+        The landmarks are observed from there and from the new sub-map, so that the error of the match is
+        common to all of them.
         """
         drawn, poses = np.array(self.drawn), np.array(self.poses)
         count = len(drawn)
@@ -386,7 +386,7 @@ class LandmarkBackEnd:
         self.poses = list(solve(self._graph()).poses[: len(self.drawn)])
 
     def _key_poses(self) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Stamps and map poses of all key scans: bent along between the track points on both sides."""
+        """Stamps and map poses of all key scans, interpolated between the track points on both sides."""
         closed = [submap.closed for submap in self.submaps]
         stamps = [scan.stamp_ns for one in closed for scan in one.scans[one.carried :]]
         drawn = np.concatenate([one.track[one.carried :] for one in closed])
@@ -431,7 +431,7 @@ class LandmarkBackEnd:
         )
 
     def _picture(self, stamp_ns: int) -> GraphPicture:
-        """Track points; sub-maps that hang together; their borders."""
+        """Track points, connected sub-maps and their borders."""
         nodes = np.array(self.poses)
         middle = [submap.nodes[len(submap.nodes) // 2] for submap in self.submaps]
         borders = [
@@ -451,7 +451,7 @@ class LandmarkBackEnd:
         ]
 
     def _apart_m(self, mark: _Landmark) -> float:
-        """How far the map has the two places of a landmark from each other."""
+        """Distance of the two positions of a landmark in the map."""
         ends = []
         for side in (0, 1):
             node = self._nearest(mark.submaps[side], mark.xy[side])
@@ -460,7 +460,7 @@ class LandmarkBackEnd:
 
 
 def _corners(closed: ClosedSubmap) -> Floats:
-    """(4, 2) of the rectangle around what a sub-map has seen, along the axes of its drawing."""
+    """(4, 2) of the bounding box of a sub-map's scans, along the axes of its frame."""
     seen = [
         se2.points_from(pose, scan.xy_base.astype(np.float64))
         for scan, pose in zip(closed.scans, closed.track, strict=True)
@@ -471,7 +471,7 @@ def _corners(closed: ClosedSubmap) -> Floats:
 
 
 def _bent(map_nodes: Floats, odom_nodes: Floats, a: Ints, b: Ints, poses: Floats) -> Floats:
-    """Poses (K, 3) between two track points each, moved by what both moved, weighed by the way to each."""
+    """Poses (K, 3) between two track points each, moved by the mean of their corrections, by distance."""
     ends = [se2.compose(map_nodes[k], se2.between(odom_nodes[k], poses)) for k in (a, b)]
     to_a, to_b = (np.hypot(*(odom_nodes[k, :2] - poses[:, :2]).T) for k in (a, b))
     share = np.divide(to_a, to_a + to_b, out=np.zeros(len(poses)), where=to_a + to_b > 0.0)

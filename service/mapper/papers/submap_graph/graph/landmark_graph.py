@@ -1,4 +1,4 @@
-"""The graph of the profile submap_graph: closed sub-maps go to the back end, corrections come in."""
+"""The graph of the profile submap_graph: closed sub-maps go to the back end, corrections come back."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -31,7 +31,7 @@ from service.mapper.papers.submap_graph.graph.landmark_back_end import (
 
 
 class PointOfSubmap(Section):
-    """A point of the shown map, and the sub-map that drew it."""
+    """A point of the published map, and the sub-map it belongs to."""
 
     submap: int = Field(ge=0)
     x_m: float = Field(allow_inf_nan=False)  # map frame
@@ -39,7 +39,7 @@ class PointOfSubmap(Section):
 
 
 class PairRequest(Section):
-    """Two points that are one in the world. The word for them is that of the interface."""
+    """Two points that are the same point of the world. Its name is that of the interface."""
 
     first: PointOfSubmap
     second: PointOfSubmap
@@ -59,8 +59,8 @@ class LandmarkGraph(BackgroundGraph[Result]):
         new_worker: NewWorker,
     ) -> None:
         super().__init__(LandmarkBackEnd(config, renderer), new_worker)
-        self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: as the mapper gave it
-        self._since: list[tuple[int, MappedScan]] = []  # key scans that no closed sub-map holds
+        self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: pose by the mapper
+        self._since: list[tuple[int, MappedScan]] = []  # key scans in no closed sub-map
         self._submaps = 0  # closed so far
         self._next_pair = 0
         self._pairs: list[Pair] = []
@@ -80,7 +80,7 @@ class LandmarkGraph(BackgroundGraph[Result]):
         return "fixes_passed_over"
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
-        """add_landmark_pair, remove_landmark_pair, optimize, undo. The answer lists what is known by now."""
+        """add_landmark_pair, remove_landmark_pair, optimize, undo. The answer lists the present graph."""
         if self._jobs.fault:
             raise GraphRequestError(f"{name}: the graph has stopped: {self._jobs.fault}")
         answer: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Where one closed sub-map lies on another, and which of its points serve as virtual landmarks."""
+"""Alignment of one closed sub-map with another, and the choice of virtual landmarks."""
 
 import math
 from dataclasses import dataclass
@@ -20,39 +20,39 @@ from service.mapper.matchers.window_search import window_around
 from service.mapper.papers.submap_graph.counted_submaps import ClosedSubmap, CountedMap
 
 LEVELS = 6
-ON_MAP = 0.3  # likelihood from which a point lies on the other sub-map
-CORNER_REACH_M = 0.6  # how far around a point its neighbours say whether it is a corner
+ON_MAP = 0.3  # least likelihood of an inlier on the other sub-map
+CORNER_REACH_M = 0.6  # radius of the neighbours that decide whether a point is a corner
 
 
 class SubmapMatchConfig(Section):
-    """When two sub-maps are said to show the same place, and which points are landmarks."""
+    """When two sub-maps show the same place, and which points are landmarks."""
 
     search_cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
     most_points: int = Field(default=400, ge=50)
     align_sigma: float = Field(default=0.5, gt=0.0)
     align_iterations: int = Field(default=30, ge=1, le=200)
-    # Of the common points that lie on the other.
+    # Inliers over common points.
     least_inlier_ratio: float = Field(default=0.6, gt=0.0, le=1.0)
-    least_common: int = Field(default=120, ge=10)  # points that both sub-maps have seen the place of
+    least_common: int = Field(default=120, ge=10)  # points on ground that both sub-maps have observed
     common_part: float = Field(default=0.25, gt=0.0, le=1.0)  # of all points, at least
     landmarks: int = Field(default=4, ge=2, le=20)  # K, of each pair of sub-maps
     landmark_probability: float = Field(default=0.95, gt=0.5, lt=1.0)
     landmark_spacing_m: float = Field(default=1.5, gt=0.0)
     landmark_sigma_m: float = Field(default=0.02, gt=0.0)
-    match_sigma_m: float = Field(default=0.015, gt=0.0)  # of a match, besides what its fit says:
-    match_sigma_rad: float = Field(default=0.004, gt=0.0)  # sub-maps are bent
+    match_sigma_m: float = Field(default=0.015, gt=0.0)  # of a match, added to that of the fit:
+    match_sigma_rad: float = Field(default=0.004, gt=0.0)  # sub-maps are distorted
     match_covariance_scale: float = Field(default=0.5, gt=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallPoints:
-    """What is left of a sub-map's counts: its occupied cells, in the odom frame it was drawn in.
+    """The occupied cells of a sub-map, in its odom frame.
 
     xy            (M, 2) float64   m, centres of cells more likely occupied than not
     probability   (M,) float64
     cornerness    (M,) float64     m^2, lesser principal moment of the occupied cells around
-    field         likelihood of end points; tiles without any are left out
-    seen          (H, W) bool      at search_cell_m: whether the place was ever hit or seen through
+    field         likelihood of end points; empty tiles are left out
+    seen          (H, W) bool      at search_cell_m: whether a cell was observed
     corner_xy     (2,)             m, lower left corner of seen[0, 0]
     """
 
@@ -67,16 +67,16 @@ class WallPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """pose (3,) of the drawing of the new sub-map in that of the old one, its covariance, and landmarks."""
+    """pose (3,) of the frame of the new sub-map in that of the old one, its covariance, and landmarks."""
 
     pose: Floats
     covariance: Floats
     share: float
-    landmarks: Floats  # (K, 2) m, in the drawing of the new one
+    landmarks: Floats  # (K, 2) m, in the frame of the new one
 
 
 def draw_walls(closed: ClosedSubmap, match: SubmapMatchConfig) -> WallPoints:
-    """Count the scans of a closed sub-map again along the best particle's way, and keep its walls."""
+    """Count the scans of a closed sub-map again along the best particle's path, and return its walls."""
     config = closed.config
     pool = CountedMap.new_pool(4096)
     drawn = CountedMap(pool, config)
@@ -115,12 +115,12 @@ def find(
 ) -> Found | None:
     """Align a sub-map with another: an exhaustive search (by branch and bound), then to a fraction of a cell.
 
-    guess   (3,) pose of the new drawing in the old one;  reach   m and rad searched to each side of it
-    None where they do not show the same place, or not enough of it.
+    guess   (3,) pose of the new frame in the old one;  reach   m and rad searched to each side of it
+    None where they do not show the same place, or too little of it.
     """
     if len(new.xy) < config.least_common or len(old.xy) < config.least_common:
         return None
-    middle = new.xy.mean(axis=0)  # turns are about the middle, so that a turn and a shift stay apart
+    middle = new.xy.mean(axis=0)  # rotations about the middle are uncorrelated with shifts
     points = new.xy[:: max(1, len(new.xy) // config.most_points)] - middle
     start = se2.compose(guess, np.array([*middle, 0.0]))
     pose = _search(points, old, start, reach, config)
@@ -147,7 +147,7 @@ def find(
 
 
 def about_origin(covariance: Floats, pose: Floats, shift: Floats) -> Floats:
-    """Covariance (old's axes) of where the drawing's origin comes to lie, from that of its middle."""
+    """Covariance (old's axes) of the frame's origin, from that of its middle."""
     lever = np.eye(3)
     lever[:2, 2] = -(shift[1] - pose[1]), shift[0] - pose[0]
     moved: Floats = lever @ covariance @ lever.T
@@ -176,9 +176,9 @@ def _search(
 
 
 def _landmarks(new: WallPoints, old: WallPoints, shift: Floats, config: SubmapMatchConfig) -> Floats:
-    """The likeliest points that both have, corners first, apart from each other.
+    """The most likely common points, corners first, with a least distance.
 
-    Source: Zhang et al. 2016, eq. 9; of many cells that are equally certain those are taken that fix most.
+    Source: Zhang et al. 2016, eq. 9; of many cells that are equally certain those with most information.
     """
     certain = np.flatnonzero(new.probability > config.landmark_probability)
     both = certain[values_at(new.xy[certain], shift, old.field)[:, 0] > ON_MAP]
@@ -243,7 +243,7 @@ def _seen(
 
 
 def is_seen(walls: WallPoints, xy: Floats) -> npt.NDArray[np.bool_]:
-    """Whether a sub-map has seen each place (N, 2), given in its drawing."""
+    """Whether a sub-map has observed each point (N, 2) of its frame."""
     cells = np.floor((xy - walls.corner_xy) / walls.search_cell_m).astype(np.int64)
     height, width = walls.seen.shape
     inside = ((cells >= 0) & (cells < (width, height))).all(axis=1)

@@ -1,7 +1,7 @@
-"""Closed sub-maps on surfels: their scans aligned anew, point to line, and one sub-map aligned with another.
+"""Closed sub-maps on surfels: their scans realigned point to line, and one sub-map aligned with another.
 
-A particle lies on cells, and what cells of 5 cm say of a wall is off by millimetres, always to the same side:
-that made ways of 12 m 5 mm too short. Surfels hold where in its cell a wall is.
+Particles are aligned with cells of 5 cm, which displace a wall by millimetres in one direction: paths of 12 m
+became 5 mm too short. Surfels keep the position of a wall within its cell.
 """
 
 from collections.abc import Sequence
@@ -17,22 +17,21 @@ from service.mapper.papers.submap_graph.counted_submaps import ClosedSubmap
 from service.mapper.papers.submap_graph.key_scan import DrawnScan
 from service.mapper.walls import walls_of
 
-# How sure the step of a particle is from key scan to key scan, m, m, rad. It says where a scan lies along
-# walls that say nothing.
+# Sigma of a particle's step between key scans, m, m, rad: it fixes a scan along walls without information.
 STEP_INFORMATION = np.diag([0.05**-2, 0.05**-2, 0.02**-2])
-INFLATION = 16.0  # beams share errors, so as many count as one
+INFLATION = 16.0  # number of beams with a common error
 
 
 class SubmapRealignment:
-    """Aligns sub-map after sub-map anew; all drawings stay in one frame, that of the first scan."""
+    """Realigns sub-map after sub-map; all stay in the frame of the first scan."""
 
     def __init__(self, least_inlier_ratio: float) -> None:
         self._least_share = least_inlier_ratio
-        self._before: dict[int, Floats] = {}  # by stamp: where the scans of the sub-map before were put
-        self._last: tuple[Floats, Floats] | None = None  # the newest scan: as it was drawn, and as aligned
+        self._before: dict[int, Floats] = {}  # by stamp: realigned poses of the previous sub-map
+        self._last: tuple[Floats, Floats] | None = None  # newest scan: pose by the particle, realigned
 
     def realign(self, closed: ClosedSubmap) -> ClosedSubmap:
-        """The same sub-map with another track: each scan aligned with the surfels of those before it."""
+        """The sub-map with a new track: each scan aligned with the surfels of those before it."""
         map_ = SurfelSet()
         track = closed.track.copy()
         for k, scan in enumerate(closed.scans):
@@ -66,8 +65,11 @@ def cloud_of(scans: Sequence[DrawnScan], track: Floats) -> PointCloud:
 
 
 def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_points: int) -> tuple[Fit, Floats]:
-    """A cloud aligned with surfels from the pose (3,) `shift` of its frame in theirs: how it lies about its
-    middle, where a turn and a shift stay apart; and the pose of its frame then."""
+    """Align a cloud with surfels from the pose (3,) `shift` of its frame in theirs.
+
+    Returns the fit about the cloud's middle, where rotation and shift are uncorrelated, and the pose of its
+    frame.
+    """
     middle = np.array([*cloud.xy.mean(axis=0), 0.0])
     every = max(1, len(cloud.xy) // most_points)
     thin = PointCloud(cloud.xy[::every] - middle[:2], cloud.normals[::every], cloud.sigma_m[::every])
