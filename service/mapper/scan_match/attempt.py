@@ -1,4 +1,4 @@
-"""What passes between the parts of the default profile's matcher."""
+"""Data passed between the parts of the default profile's matcher."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,15 +20,15 @@ Matrix = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
-    """A scan that is to be aligned with a map, and where the prediction puts it there."""
+    """A scan to be aligned with a map, with its predicted pose there."""
 
-    points: Points  # where their beams meet walls
-    unmoved: Points  # as they were measured
+    points: Points  # shifted along their walls, [24]
+    unmoved: Points  # as measured
     normals: Matrix  # (N, 3) from estimate_normals
     posts: Posts | None  # where there are few walls
     predicted: Prediction
     prior: Prior
-    usual_ratio: float  # inlier ratio of this laser's scans of late
+    usual_ratio: float  # recent inlier ratio of this laser's scans
 
     @property
     def stamp_ns(self) -> int:
@@ -37,18 +37,18 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Where it ended on one sub-map."""
+    """The result on one sub-map."""
 
     result: MatchResult
-    xy_base: Matrix  # (N, 2) m, deskewed with the twist found
+    xy_base: Matrix  # (N, 2) m, deskewed with the estimated twist
     submap: Submap
     state: State
     reason: Reason
-    is_contradicted: bool  # by free space and walls of the map; False where too much lies on it to ask
+    is_contradicted: bool  # by free space and walls of the map; False if the inlier ratio is high
     is_moving: npt.NDArray[np.bool_] | None = None  # as in Match
 
     def agreement(self, attempt: Attempt) -> float:
-        """Share on walls of what ends on known ground; 1 where nothing is known, for nothing contradicts."""
+        """Share on walls of the points on known ground; 1 where the ground is unknown."""
         wrong = sum(
             self.submap.contradicting(attempt.points, self.xy_base, attempt.normals, self.result.pose)
         )
@@ -62,7 +62,7 @@ class Aligned:
 
 
 def turned_about(sensor_base: SE2, predicted: Prediction) -> Prediction:
-    """Where the base would be if a laser that sits there looked the other way."""
+    """The prediction of the base if a laser of this mounting were turned by 180 degrees."""
     forward_mps, left_mps, turn_radps = predicted.twist_base
     return replace(
         predicted,
@@ -72,5 +72,5 @@ def turned_about(sensor_base: SE2, predicted: Prediction) -> Prediction:
 
 
 def chi2_of(pose: SE2, prior: Prior) -> float:
-    """How far a pose is from the prediction, in squared sigmas."""
+    """Chi2 of a pose against the prediction."""
     return chi2_between(SE2(*prior.pose.tolist()), pose, prior.covariance)

@@ -1,10 +1,9 @@
-"""Whether part of the scene moves: what stands still, and odometry, against all that the laser sees; [35].
+"""Detection of scenes that move, by static walls and odometry; [35].
 
-A scan that is matched to people who walk beside the vehicle shows a vehicle that stands. Some hundred returns
-outweigh any odometry, so no weight of the prediction helps: it takes a decision about which returns belong to
-what stands still. What was seen from different places, over STATIC_PATH_M of the path, stands still whatever
-moves now, and no vehicle changes its speed at once. Both decide between two hypotheses where the matched path
-leaves that of odometry and gyro:
+People who walk beside the vehicle make a scan match a vehicle at standstill. Hundreds of returns outweigh any
+odometry, so a weight of the prediction does not help; the returns must be classified. Walls seen over
+STATIC_PATH_M of the path are static, and no vehicle changes its speed at once. Both decide between two
+hypotheses where the matched path differs from that of odometry and gyro:
 
     laser      the matched pose is right, and odometry errs
     odometry   the pose by odometry is right, and part of the scene moves
@@ -35,22 +34,22 @@ from service.mapper.scan_match.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
 
 WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
-USUAL = EstimatorConfig()  # how vehicles move, and odometry errs, before anything is learnt
+USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
-RESIDUAL_SIGMA_M = 0.02  # of a return on a wall that stands still
-OUTLIER_SHARE = 0.1  # of the returns, which lie on no such wall by chance
-BEAMS_TOGETHER = 10  # neighbours see one thing: together they are one measurement of it
-# By how much likelier it is that part of the scene moves than that odometry errs, before anything is asked:
-# where things are seen to move, and where none are.
+RESIDUAL_SIGMA_M = 0.02  # of a return on a static wall
+OUTLIER_SHARE = 0.1  # of the returns, on no static wall
+BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
+# Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
+# observed, and where none are.
 MOVING_NATS, STILL_NATS = 5.0, -5.0
-MIN_STATIC_SHARE = 0.2  # of the returns on static walls: with less, their evidence is none
+MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
-ON_WALL_M = 0.05  # a return this near to a static wall lies on it
+ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
 MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
-# Between two scans: after more, the vehicle may be elsewhere as well as the scene have moved.
+# Between two scans: after a longer gap the vehicle may have been moved as well.
 MAX_UNSEEN_S = 1.0
-MAX_SILENT_S = 0.05  # of odometry that is alive, as it comes at 20 Hz
-STILL_NS = 1_000_000_000  # with less for so long, the scene stands still again
+MAX_SILENT_S = 0.05  # of working odometry, which arrives at 20 Hz or more
+STILL_NS = 1_000_000_000  # without moving returns, until the scene counts as static again
 NOTHING_MOVES = -1  # ns, before all stamps
 
 
@@ -61,29 +60,29 @@ class _Step:
     stamp_ns: int
     reckoned: SE2  # by odometry and gyro
     matched: SE2
-    variance_m2: float  # of `reckoned`, summed up
+    variance_m2: float  # of `reckoned`, accumulated
     variance_rad2: float
     travel_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conflict:
-    """Where odometry and gyro put the base, though it was matched elsewhere; covariance (3, 3), base axes."""
+    """Pose by odometry and gyro that contradicts the matched one; covariance (3, 3), base axes."""
 
     pose: SE2
     covariance: Matrix
-    is_turned: bool  # the headings differ: people who walk along turn no scan, late stamps do
+    is_turned: bool  # the headings differ: caused by late stamps, not by people who walk along
 
 
 class Reckoning:
-    """The path by odometry and gyro beside the matched one."""
+    """The path by odometry and gyro, compared with the matched one."""
 
     def __init__(self) -> None:
         self._steps: deque[_Step] = deque()
         self._silent_s = math.inf  # since odometry measured a step
 
     def restart(self, stamp_ns: int, matched: SE2) -> None:
-        """Compare from here on."""
+        """Start the comparison here."""
         self._steps.clear()
         self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0))
 
@@ -91,7 +90,7 @@ class Reckoning:
         self._steps.clear()
 
     def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
-        """A scan, and where it was matched; the conflict where both paths do not agree."""
+        """Add a scan and its matched pose; returns the conflict where the two paths disagree."""
         self._silent_s = self._silent_s + predicted.elapsed_s if predicted.reckoned is None else 0.0
         if self._silent_s > MAX_SILENT_S or not self._steps:
             self.restart(stamp_ns, matched)
@@ -115,7 +114,7 @@ class Reckoning:
 
 
 def _by_speed(predicted: Prediction) -> Reckoned:
-    """The step at the last speed: between scans of two lasers there may be no sample of odometry."""
+    """A step at constant velocity: between scans of two lasers there may be no sample of odometry."""
     elapsed_s = predicted.elapsed_s
     forward, left, turn = predicted.twist_base
     way_m2, turn_rad2 = _walked(elapsed_s)
@@ -123,7 +122,7 @@ def _by_speed(predicted: Prediction) -> Reckoned:
 
 
 def _walked(elapsed_s: float) -> tuple[float, float]:
-    """(m^2, rad^2) by how much a vehicle may leave the path of its last speed."""
+    """(m^2, rad^2) by which a vehicle may deviate from constant velocity."""
     walked_s3 = elapsed_s**3 / 3.0
     return USUAL.acceleration**2 * walked_s3, USUAL.turn_acceleration**2 * walked_s3
 
@@ -136,7 +135,7 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
     scale_m = USUAL.odometry_scale_sigma * travel_m
     way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
-    way_m2 += turn_rad2 * travel_m**2 / 3.0  # the heading walks along the path
+    way_m2 += turn_rad2 * travel_m**2 / 3.0  # random walk of the heading along the path
     turn_chi2 = wrap_angle(matched.theta_rad - reckoned.theta_rad) ** 2 / turn_rad2
     if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:
         return None
@@ -145,9 +144,9 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
 
 
 def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
-    """By how much likelier static walls are where odometry puts the base than where the laser does, nats.
+    """Log-likelihood ratio of the pose by odometry against that by the laser, by static walls, nats.
 
-    of_odometry, of_laser   (N,) residuals at both poses, m; NaN where no static wall is
+    of_odometry, of_laser   (N,) residuals at both poses, m; NaN without a static wall
     beam                    (N,) of the scan
     """
     ratio = _log_likelihood(of_odometry) - _log_likelihood(of_laser)
@@ -159,10 +158,10 @@ def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.in
 def inertia_nats(
     went_on: SE2, by_odometry: SE2, by_laser: SE2, elapsed_s: float, covariance: Matrix
 ) -> float:
-    """By how much likelier one step is than another, since a vehicle does not change its speed at once, nats.
+    """Log-likelihood ratio of two steps by constant velocity, nats.
 
-    went_on       where the base would be had it gone on as between the last matches
-    by_odometry   where odometry puts it, from the last match; by_laser: where the scan does
+    went_on       predicted pose at the velocity between the last matches
+    by_odometry   pose by odometry, from the last match; by_laser: by the scan
     elapsed_s     since the last match
     covariance    (3, 3) of the prediction, base axes
     """
@@ -183,12 +182,12 @@ def _log_likelihood(residual_m: Matrix) -> Matrix:
 
 
 class MovingScene:
-    """Watches the matches of a drive, and replaces those that what moves has led astray.
+    """Monitors the matches and replaces those that moving objects have displaced.
 
-    align               (attempt, start (3,), sub-map, is_held) -> the match; held to the prior, which then
-                        errs by no more than it says
+    align               (attempt, start (3,), sub-map, is_held) -> the match; with is_held the prior is
+                        Gaussian
     steady              the motion of the matches
-    degraded_sigma_m    a direction that is known worse is open
+    degraded_sigma_m    above this sigma a direction is unobservable
     """
 
     def __init__(
@@ -202,14 +201,15 @@ class MovingScene:
         self._degraded_sigma_m = degraded_sigma_m
         self._reckoning = Reckoning()
         self._moves_until_ns = NOTHING_MOVES  # at least
-        self._has_moved = False  # part of the scene, in the newest scan that was judged
-        # Since part of the scene was seen to move last: the steps from each match of what stands still to
-        # that of the whole scan, one after the other, and the way.
+        self._has_moved = False  # part of the scene, in the newest judged scan
+        # Since the last observation of motion: accumulated steps from the static match to that of the entire
+        # scan, and path length.
         self._drag, self._path_length_m = SE2(), 0.0
 
     def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
-        """The match of what stands still, while part of the scene moves; None: it stands still again, or what
-        stands still contradicts odometry.
+        """The match of the static returns while part of the scene moves.
+
+        None: the scene is static again, or its static part contradicts odometry.
         """
         if attempt.stamp_ns > self._moves_until_ns:
             return None
@@ -227,7 +227,7 @@ class MovingScene:
         return self._begun(by_odometry, attempt)
 
     def judge(self, aligned: Aligned, attempt: Attempt) -> Aligned:
-        """An accepted match, or that of what stands still where part of the scene has led it astray."""
+        """An accepted match, replaced by that of the static returns where moving ones have displaced it."""
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, aligned.pose)
         if attempt.predicted.elapsed_s > MAX_UNSEEN_S:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
@@ -236,7 +236,7 @@ class MovingScene:
             self._has_moved = False
             return aligned
         is_seen_moving = _moved_share(aligned) >= MIN_MOVING_SHARE
-        # What moves is seen in the scan before, too; in one alone some returns lie off the map by chance.
+        # Motion is visible in two consecutive scans; in one alone some returns are off the map by chance.
         is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
         if is_moving if conflict is None else not conflict.is_turned:
             prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
@@ -244,7 +244,7 @@ class MovingScene:
             if share >= MIN_STATIC_SHARE:
                 nats = self._evidence_nats(attempt, static, aligned)
                 nats += MOVING_NATS if is_moving else STILL_NATS
-            else:  # too little stands still to say anything
+            else:  # too few static returns
                 nats = self._inertia_nats(attempt, aligned) + STILL_NATS
             if nats >= 0.0:
                 return self._begun(static, attempt)
@@ -253,8 +253,9 @@ class MovingScene:
         return aligned
 
     def explain(self, attempt: Attempt, submap: Submap) -> Aligned | None:
-        """The match of what stands still near the prediction, for a scan that the map contradicts: what moves
-        may hide walls, but no beam passes through them. None: that is not so.
+        """The static match near the prediction, for a scan that the map contradicts; None: it does not fit.
+
+        Moving objects may hide walls, but no beam passes through a wall.
         """
         if attempt.predicted.reckoned is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
             self._reckoning.forget()
@@ -274,9 +275,7 @@ class MovingScene:
         return self._begun(static, attempt)
 
     def _evidence_nats(self, attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
-        """By how much likelier odometry is than the laser, by static walls and by inertia, for a scan that
-        was aligned in two ways on one sub-map.
-        """
+        """Log-likelihood ratio of odometry against the laser, by static walls and inertia, on one sub-map."""
         of_odometry, of_laser = (
             one.submap.static_residuals(one.xy_base, attempt.normals, one.result.pose)
             for one in (by_odometry, by_laser)
@@ -285,7 +284,7 @@ class MovingScene:
         return nats + self._inertia_nats(attempt, by_laser)
 
     def _inertia_nats(self, attempt: Attempt, by_laser: Aligned) -> float:
-        """The part of inertia in that; 0 where the motion of the last matches is not known."""
+        """The part of inertia; 0 where the motion of the last matches is unknown."""
         last, went_on = self._steady.last, self._steady.pose_at(attempt.stamp_ns)
         predicted = attempt.predicted
         if last is None or went_on is None or not predicted.is_measured:
@@ -295,7 +294,7 @@ class MovingScene:
         return inertia_nats(went_on, *poses, predicted.elapsed_s, attempt.prior.covariance)
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
-        """The match of the points on static walls, from a prior, and their share of all."""
+        """The match of the points on static walls, from a prior, and their share of all points."""
         residual_m = submap.static_residuals(attempt.points.xy_base, attempt.normals, prior.pose)
         is_static = np.isfinite(residual_m)
         normals = attempt.normals.copy()
@@ -313,7 +312,7 @@ class MovingScene:
         self._drag, self._path_length_m = SE2(), 0.0
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
-        """With the weight that the prediction has by its own distribution, and what is not to be mapped."""
+        """The static match with Student's weight of the prediction, and its moving returns marked."""
         is_moving = static.submap.moved(static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
         if moving_share >= MIN_MOVING_SHARE or self._is_dragged(static, attempt):
@@ -334,8 +333,9 @@ class MovingScene:
         return replace(static, result=result, state=state, reason=reason, is_moving=is_moving)
 
     def _is_dragged(self, static: Aligned, attempt: Attempt) -> bool:
-        """Whether matches of whole scans leave the path of what stands still: what moves along on ground that
-        the map does not know is not seen to move.
+        """Whether matches of entire scans drift from the static path.
+
+        On unknown ground moving objects are not recognised by free space.
         """
         whole = self._align(attempt, attempt.prior.pose, static.submap, False)
         self._drag = self._drag @ (static.pose.inverse() @ whole.pose)
@@ -346,7 +346,7 @@ class MovingScene:
 
 
 def _moved_share(aligned: Aligned) -> float:
-    """Of the returns, those that lie where nothing stood before."""
+    """Share of the returns in free or recently occupied cells."""
     return float(aligned.submap.moved(aligned.xy_base, aligned.result.pose).mean())
 
 

@@ -1,4 +1,4 @@
-"""Walls of a sub-map that a scan hits with too few beams to know their direction: key frames together do."""
+"""Normals of narrow walls, which a scan hits with too few beams, from several key frames."""
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +18,18 @@ from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 
 Matrix = npt.NDArray[np.float64]
 
-NARROW_WALL_POOL_TILES = 65_536  # 1.2 GB of address space: a laser that sees 200 m all around
-FOR_THE_MAP, FOR_THE_MATCH = range(HALVES)  # directions of its surfels, of the scan that is matched to them
+NARROW_WALL_POOL_TILES = 65_536  # 1.2 GB of address space: a laser with 200 m of range all around
+FOR_THE_MAP, FOR_THE_MATCH = range(HALVES)  # halves for surfels and for scans to be matched
 
 
 def narrow_wall_pool() -> TilePool:
-    """For all sub-maps of a session."""
+    """Pool for all sub-maps of a session."""
     shape = (MOMENT_TILE_CELLS, MOMENT_TILE_CELLS, HALVES, MOMENTS)
     return TilePool((Layer(shape, np.float32),), NARROW_WALL_POOL_TILES)
 
 
 class NarrowWalls:
-    """Of one sub-map; see service/kernels/cell_moments.py."""
+    """Narrow walls of one sub-map; see service/kernels/cell_moments.py."""
 
     def __init__(self, pool: TilePool, cell_m: float, grazing_weight: float) -> None:
         self._tiles = TileMap(pool)
@@ -38,11 +38,11 @@ class NarrowWalls:
         self._next_half: dict[str, int] = {}  # by laser: each sees other walls
 
     def directed(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
-        """The normals (N, 3) of a scan that is to be matched from a pose (3,)."""
+        """The normals (N, 3) of a scan to be matched from a pose (3,)."""
         return self._directed(points, normals, pose, FOR_THE_MATCH, ROUGH_WEIGHT)
 
     def insert(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
-        """Take in a key frame at a pose (3,); its normals (N, 3) as they are to be put into the map."""
+        """Add a key frame at a pose (3,); returns its normals (N, 3) for insertion into the map."""
         directed = self._directed(points, normals, pose, FOR_THE_MAP, 0.0)
         half = self._next_half.get(points.scan.sensor, 0)
         self._next_half[points.scan.sensor] = (half + 1) % HALVES
@@ -61,7 +61,7 @@ class NarrowWalls:
         return directed
 
     def release(self) -> None:
-        """Hand the tiles back; who takes one clears it."""
+        """Release the tiles; they are cleared when taken again."""
         self._tiles.release()
 
     def _directed(

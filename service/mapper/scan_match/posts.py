@@ -1,4 +1,4 @@
-"""Posts, trunks and pillars: round things without a plane, of which the middle is the same from all sides."""
+"""Posts, trunks and pillars: round objects without a plane, whose centre is the same from all sides."""
 
 import math
 from dataclasses import dataclass
@@ -11,25 +11,24 @@ from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
 
-# Share of the points on posts: in a wood 0.73 and more. With fewer, walls are in view, which fix the pose
-# better.
+# Share of the points on posts: 0.73 and more in a wood. With fewer posts, walls fix the pose better.
 MIN_POST_SHARE = 0.7
 MAX_WIDTH_M = 0.6  # of a post
-MIN_STEP_M = 0.3  # by so much lies what is beside a post farther away
-CENTROID = math.pi / 4.0  # of the radius: the points seen of a circle lie in front of its middle by so much
-ROUND_M = 0.02  # how round a post is
+MIN_STEP_M = 0.3  # least range step from a post to its background
+CENTROID = math.pi / 4.0  # in radii: distance of the centroid of the visible points in front of the centre
+ROUND_M = 0.02  # deviation of a post from a circle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posts:
     """M posts of a scan, as points of it.
 
-    xy_raw, xy_base   (M, 2) m, their middles, as those of the points
-    beam_time_s       (M,) of the beam in the middle of each
+    xy_raw, xy_base   (M, 2) m, their centres, as those of the points
+    beam_time_s       (M,) of the middle beam of each
     beam              (M,) int32
-    point             (M,) number of that beam's point
-    variance_m2       (M,) of the middle, in each direction
-    is_on_post        (N,) which points of the scan lie on one of them: their normals are those of chords
+    point             (M,) index of that beam's point
+    variance_m2       (M,) of the centre, in each direction
+    is_on_post        (N,) points of the scan on a post: their normals are those of chords
     """
 
     xy_raw: Matrix
@@ -41,7 +40,7 @@ class Posts:
     is_on_post: npt.NDArray[np.bool_]
 
     def normals(self, heading_rad: float, weight: Matrix) -> Matrix:
-        """(2 M, 3) of each post twice: the axes of the map in those of the base, and what the post weighs."""
+        """(2 M, 3) two normals of each post, along the axes of the map, in base axes, with its weight."""
         c, s = math.cos(heading_rad), math.sin(heading_rad)
         normals = np.empty((2 * len(self.point), 3))
         normals[0::2, 0], normals[0::2, 1] = c, -s
@@ -51,10 +50,10 @@ class Posts:
 
 
 def posts_of(points: Points) -> Posts | None:
-    """The posts that a scan sees whole; None where it does not see posts mostly.
+    """The posts that a scan sees completely; None where fewer than MIN_POST_SHARE of its points are on posts.
 
-    A post is a run of points side by side, at most MAX_WIDTH_M wide, before what is farther away on both
-    sides. Half its width is its radius. Returns that the laser loses by chance end no run.
+    A post is a run of consecutive points, at most MAX_WIDTH_M wide, with a farther background on both sides.
+    Half its width is its radius. Returns missing by chance do not end a run.
     """
     count = len(points.xy_raw)
     if count < 3:
@@ -64,7 +63,7 @@ def posts_of(points: Points) -> Posts | None:
     bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_POST_SHARE)
     is_possible, most_missing = look_for_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
     if not is_possible:
-        return None  # as below, in a twentieth of the time: so it is with nearly every scan
+        return None  # a test that is twenty times as fast and rejects nearly every scan
     away = points.xy_raw - sensor
     range_m = np.hypot(away[:, 0], away[:, 1])
     is_apart = np.diff(points.beam) > gap * (most_missing + 1)
@@ -77,7 +76,7 @@ def posts_of(points: Points) -> Posts | None:
     is_narrow = width_m <= MAX_WIDTH_M
     if (end - begin)[is_narrow].sum() < MIN_POST_SHARE * count:
         return None
-    # what is beside it: the point next to it, or nothing in reach
+    # on each side: the adjacent point is farther away, or there is none in range
     before = (begin > 0) & ~is_apart[begin - 1]
     after = (end < count) & ~is_apart[np.minimum(end, count - 1) - 1]
     is_before = ~before | (range_m[begin - 1] > range_m[begin] + MIN_STEP_M)

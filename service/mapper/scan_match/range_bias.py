@@ -1,4 +1,4 @@
-"""The systematic error of each laser's ranges, learnt while it maps and taken out of its points."""
+"""Systematic range error of each laser, learnt while mapping and subtracted from its points."""
 
 import math
 from dataclasses import dataclass, field
@@ -13,12 +13,12 @@ from service.mapper.components import Points
 from service.mapper.scan_match.submaps import Submap
 
 NODE_M, NODES = 0.5, 41  # the curve of the bias over range: 0 to 20 m
-SIGMA_M, SMOOTH_M = 0.01, 0.5  # of the curve before anything is learnt: its size, and how fast it changes
-OFFSET_SIGMA_M = 0.02  # of what all ranges are too long by, before anything is learnt
-# What is learnt of it changes the map where it is so much and so many sigmas: each time all walls are moved.
+SIGMA_M, SMOOTH_M = 0.01, 0.5  # prior of the curve: sigma and correlation length
+OFFSET_SIGMA_M = 0.02  # prior of the constant part
+# A change of the offset is applied to the map above this size and so many sigmas: each time all walls move.
 OFFSET_STEP_M, OFFSET_SIGMAS = 0.001, 2.0
-# Offset, slope and bend of the curve over 10 m look like another scale of the map, in a corridor like motion:
-# held at 0. What the offset does to the walls shows in the angle at which they are seen, and it is apart.
+# Offset, slope and curvature over 10 m are constrained to 0: they are equivalent to a scale of the map, and
+# in a corridor to motion. The offset is estimated separately, from the angles at which walls are seen.
 SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
 LEARN_EVERY_M = 0.05  # of travel
 
@@ -37,23 +37,23 @@ def _prior() -> npt.NDArray[np.float64]:
 @dataclass(slots=True)
 class _Learnt:
     curve_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(NODES))  # with the offset
-    offset_left_m: float = 0.0  # learnt, and not yet in the curve and in the map
+    offset_left_m: float = 0.0  # learnt, but not yet applied to curve and map
     information: npt.NDArray[np.float64] = field(default_factory=_prior)
-    travel_m: float = 0.0  # since it was learnt from last
+    travel_m: float = 0.0  # since the last update
 
 
 class RangeBias:
-    """Of every laser by its name."""
+    """Range bias of every laser by its name."""
 
     def __init__(self) -> None:
         self._learnt: dict[str, _Learnt] = {}
 
     def curve_m(self, sensor: str) -> npt.NDArray[np.float64]:
-        """(NODES,) by how much ranges of 0, NODE_M, 2 NODE_M, ... are too long, as far as it is known."""
+        """(NODES,) bias of ranges 0, NODE_M, 2 NODE_M, ..., m."""
         return self._learnt[sensor].curve_m if sensor in self._learnt else np.zeros(NODES)
 
     def without(self, points: Points) -> Points:
-        """The points without what is known of the bias."""
+        """The points with the learnt bias subtracted."""
         learnt = self._learnt.get(points.scan.sensor)
         if learnt is None:  # not setdefault: the prior takes as long as half a scan
             learnt = self._learnt[points.scan.sensor] = _Learnt()
@@ -73,7 +73,7 @@ class RangeBias:
         )
 
     def is_due(self, sensor: str, travel_m: float) -> bool:
-        """Whether a scan is to be learnt from, so far on from the one before; LEARN_EVERY_M apart."""
+        """Whether LEARN_EVERY_M was travelled since the last update; adds travel_m."""
         learnt = self._learnt[sensor]
         learnt.travel_m += travel_m
         return learnt.travel_m >= LEARN_EVERY_M
@@ -87,10 +87,10 @@ class RangeBias:
         laser: int,
         settings: MatchSettings,
     ) -> float:
-        """Take in a matched scan: deskewed points, their normals (N, 3), and the pose (3,) in the sub-map.
+        """Update the bias by a matched scan: deskewed points, normals (N, 3), and pose (3,) in the sub-map.
 
-        Returns how much more than before all ranges of the laser are too long, m: what its walls in the map
-        are to be moved by; 0 for as long as that is little.
+        Returns the change of the offset, m, by which the laser's walls in the map are to be moved; 0 while it
+        is small.
         """
         learnt = self._learnt[points.scan.sensor]
         learnt.travel_m = 0.0

@@ -1,21 +1,21 @@
-"""Where the vehicle would be had it gone on as between the last matches."""
+"""Prediction at the velocity of the last matches, without odometry."""
 
 from collections import deque
 
 from service.geometry.se2 import SE2
 
-MIN_STEP_NS, MAX_STEADY_STEP_NS = 20_000_000, 1_000_000_000  # between poses that tell the motion
+MIN_STEP_NS, MAX_STEADY_STEP_NS = 20_000_000, 1_000_000_000  # between poses that give a velocity
 
 
 class SteadyMotion:
-    """Where the vehicle would be had it gone on as between the last matches, whatever odometry says."""
+    """Prediction at the velocity of the last matches, independent of odometry."""
 
     def __init__(self) -> None:
-        # Stamps and poses; first and last are MIN_STEP_NS apart, for lasers follow one another closely.
+        # Stamps and poses; first and last are MIN_STEP_NS apart, because scans of several lasers are close.
         self._matched: deque[tuple[int, SE2]] = deque()
 
     def matched(self, stamp_ns: int, pose: SE2) -> None:
-        """The scan of that stamp was matched there."""
+        """Add a match."""
         self._matched.append((stamp_ns, pose))
         while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= MIN_STEP_NS:
             self._matched.popleft()
@@ -26,7 +26,7 @@ class SteadyMotion:
         return self._matched[-1][1] if self._matched else None
 
     def pose_at(self, stamp_ns: int) -> SE2 | None:
-        """None where that is not known, or for a moment too far ahead."""
+        """The predicted pose; None without a velocity, or for a stamp too far ahead."""
         if len(self._matched) < 2:
             return None
         (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]

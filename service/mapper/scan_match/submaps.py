@@ -1,4 +1,4 @@
-"""What scans are matched to: two overlapping sub-maps of surfels, of which the older one is read."""
+"""The local map of the default profile: two overlapping sub-maps of surfels; scans match the older one."""
 
 import math
 from dataclasses import replace
@@ -39,20 +39,18 @@ from service.mapper.scan_match.narrow_walls import NarrowWalls, narrow_wall_pool
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.walls import walls_of
 
-FIRST_SCANS = 25  # all of the first ones of a map are taken, even standing: half a second of a 50 Hz laser
-SURFEL_COUNT_LIMIT = 1000.0  # points of one laser that a surfel stands for at most: it forgets what was moved
-SURFEL_SIGMA_M = 0.01  # of the points that surfels count in: a unit alone, no pose depends on it
-FIELD_SIGMA_M = 0.15  # spread of a point in the coarse field: wide enough that a start one cell off slides in
-FIELD_ENOUGH = 0.95  # likelihood of a cell from which on more points add nothing
+FIRST_SCANS = 25  # of a map, inserted even at standstill: half a second of a 50 Hz laser
+SURFEL_COUNT_LIMIT = 1000.0  # points of one laser that a surfel averages over, so that it follows changes
+SURFEL_SIGMA_M = 0.01  # unit in which surfels count points; no pose depends on it
+FIELD_SIGMA_M = 0.15  # of a point in the coarse field: wide enough to attract a start that is off by a cell
+FIELD_ENOUGH = 0.95  # likelihood of a cell above which more points are skipped
 SUBMAP_POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
-GRAZING_WEIGHT = 5.0  # of a point whose beam runs along the wall, where one head-on has 1
-NEW_SEGMENT_ERROR = (
-    0.01  # of the pose's error against the map is left against a piece that begins at the pose
-)
-MAX_MISSES = 3  # then another piece is begun
-STATIC_PATH_M = 1.0  # what was seen over so much of the path stands still: nothing moves along for longer
+GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on it is 1
+NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a segment that begins at the pose
+MAX_MISSES = 3  # then another segment is begun
+STATIC_PATH_M = 1.0  # what is seen over so much of the path is static: no object moves along for longer
 MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
 MAX_NUMBER = 65_535  # of a key frame, then from 1 again
 
@@ -62,7 +60,7 @@ class SubmapsConfig(Section):
 
     dynamic_filter: DynamicFilterConfig = DynamicFilterConfig()
     cell_m: float = Field(default=0.10, ge=0.02, le=0.5)
-    spacing_m: float = Field(default=20.0, gt=0.0)  # a new sub-map each time so far was travelled
+    spacing_m: float = Field(default=20.0, gt=0.0)  # travel from one sub-map to the next
     keyframe_distance_m: float = Field(default=0.05, gt=0.0)
     keyframe_turn_rad: float = Field(default=0.05, gt=0.0)
     memory_m: float = Field(default=0.5, gt=0.0)
@@ -90,7 +88,7 @@ class Submap:
         return SurfelGrid(self._tiles.index(), surfels, field, self._config.cell_m)  # type: ignore[arg-type]
 
     def fine_grid(self) -> SurfelGrid:
-        """The surfels of the same points in cells of which PARTS x PARTS make up one, without a field."""
+        """Surfels of the same points in finer cells, PARTS x PARTS for each, without a field."""
         surfels, field = self._fine_tiles.pool.arrays
         cell_m = self._config.cell_m / PARTS
         return SurfelGrid(self._fine_tiles.index(), surfels, field, cell_m)  # type: ignore[arg-type]
@@ -98,7 +96,7 @@ class Submap:
     def weighed(
         self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """The normals of a scan as to be matched from a pose (3,): what stands for long weighs more."""
+        """The normals of a scan to be matched from a pose (3,), weighed by the static score."""
         if self._dynamic_filter.enough == 0:
             return normals
         weighed = normals.copy()
@@ -114,9 +112,7 @@ class Submap:
         normals: npt.NDArray[np.float64],
         pose: npt.NDArray[np.float64],
     ) -> tuple[int, int]:
-        """How many points (N, 2) of a scan at a pose (3,) lie where nothing stands, and how many behind what
-        stands, where nobody has looked.
-        """
+        """Points (N, 2) of a scan at a pose (3,) in free space, and behind walls on unknown ground."""
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         behind_m = self._dynamic_filter.behind_m
         in_free, behind = count_contradicting(
@@ -130,8 +126,9 @@ class Submap:
         normals: npt.NDArray[np.float64],
         pose: npt.NDArray[np.float64],
     ) -> npt.NDArray[np.float64]:
-        """(N,) m from points (N, 2) of a scan at a pose (3,) to static walls, those that have been seen over
-        STATIC_PATH_M of the path; NaN where none is.
+        """(N,) m, residuals of points (N, 2) at a pose (3,) to static walls; NaN without one.
+
+        A wall is static if it was seen over STATIC_PATH_M of the path.
         """
         residual_m = np.empty(len(xy_base))
         grid, sightings = self.grid(), self._sightings()
@@ -140,7 +137,7 @@ class Submap:
         return residual_m
 
     def moved(self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """(N,) whether points lie where nothing stood over STATIC_PATH_M of the path."""
+        """(N,) whether points are in cells not occupied over STATIC_PATH_M of the path."""
         is_moved = np.zeros(len(xy_base), np.bool_)
         find_moved(xy_base, pose, self.grid(), self._sightings(), self._static_mark, is_moved)
         return is_moved
@@ -148,7 +145,7 @@ class Submap:
     def through_static(
         self, points: Points, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
     ) -> int:
-        """How many beams pass through static walls."""
+        """Number of beams that pass through static walls."""
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         grid, sightings, behind_m = self.grid(), self._sightings(), self._dynamic_filter.behind_m
         return int(count_through(xy_base, sensor, pose, grid, sightings, self._static_mark, behind_m))
@@ -172,7 +169,7 @@ class Submap:
         self._last_pose = pose
         if self._dynamic_filter.enough > 0:
             normals = self._sight(points, normals, pose_vector, grid)
-        if posts is None:  # what is round has another direction from each side
+        if posts is None:  # round objects have another normal from each side
             normals = self.narrow_walls.insert(points, normals, pose_vector)
         walls = [(points.xy_base, normals)]
         if posts is not None:
@@ -189,7 +186,7 @@ class Submap:
         self.scan_count += 1
 
     def shorten(self, laser: int, step_m: float) -> None:
-        """Take out of the walls what one of LASERS has measured too long."""
+        """Move the walls by a change of a laser's constant range bias."""
         shorten_surfels(self.grid(), laser, step_m)
         shorten_surfels(self.fine_grid(), laser, step_m)
 
@@ -200,7 +197,7 @@ class Submap:
         pose: npt.NDArray[np.float64],
         grid: SurfelGrid,
     ) -> npt.NDArray[np.float64]:
-        """Note what a key frame sees and what it sees through; its normals, without points of what moves."""
+        """Update the static score by a key frame; returns its normals, with dynamic points at weight 0."""
         number = np.uint16(self.scan_count % MAX_NUMBER + 1)
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
         static = normals.copy()
@@ -214,7 +211,7 @@ class Submap:
         return static
 
     def _ticks_since(self, stamp_ns: int) -> int:
-        """From the key frame before to one of this stamp; 1 at least."""
+        """From the previous key frame to this stamp; at least 1."""
         last_ns = stamp_ns if self._last_ns is None else self._last_ns
         self._last_ns = stamp_ns
         return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
@@ -237,7 +234,7 @@ class Submap:
         return Sightings(score, touched, since)  # type: ignore[arg-type]
 
     def release(self) -> None:
-        """Hand the tiles back, with nothing sighted in them: who takes one clears its surfels alone."""
+        """Release the tiles with cleared sightings: only surfels are cleared when a tile is taken again."""
         slots = self._tiles.slots[self._tiles.slots != NO_TILE]
         for sighted in self._sightings():
             sighted[slots] = 0
@@ -247,19 +244,18 @@ class Submap:
 
 
 def _mark_at(path_m: float) -> int:
-    """Mark of the path of a sub-map, from 1 on; 0 before its beginning."""
+    """Path mark of a sub-map, from 1 on; 0 before its beginning."""
     return min(1 + math.floor(path_m / MARK_M), MAX_MARK) if path_m >= 0.0 else 0
 
 
 class SurfelSubmaps:
-    """The chain. Key frames go into two sub-maps; when the younger has grown spacing_m long, it takes over.
+    """The sub-maps. Key frames go into two of them; after spacing_m the younger one takes over.
 
-    Where a scan is lost, a detached piece is begun at the pose that the prediction gives. The next scans are
-    tried on the old map first: if they fit, the piece is dropped. Until then they are matched to the piece,
-    and the state stays lost, for nobody knows where it lies. Scans that fit neither begin another one. Where
-    nobody measured the way, the old map is not tried: a place in it that fits proves nothing while others may
-    fit as well. The graph looks for the piece in all of the map; once it has joined it, the piece is what
-    scans are matched to.
+    A lost scan begins a detached segment at the predicted pose. The next scans are matched to the old map
+    first; a match drops the segment. Otherwise they are matched to the segment, and the state stays lost,
+    because its place is unknown. Scans that match neither begin another segment. Without a measurement of the
+    motion the old map is not tried, because a match there may be ambiguous. The graph searches the map for
+    the segment; once it is joined, scans are matched to it.
     """
 
     def __init__(self, config: SubmapsConfig) -> None:
@@ -282,17 +278,15 @@ class SurfelSubmaps:
         self._next_number = 0
         self._pair: list[Submap] = []
         self._detached: Submap | None = None
-        self._segment = self._joined_segment = (
-            0  # number of the newest piece; of that which scans are matched to
-        )
-        self._pause_s = 0.0  # in which nobody measured the way to the piece; 0: it was measured
-        self._misses = 0  # scans in a row that fitted neither the map nor the piece
-        self._moved_m = self._turned = 0.0  # from the key frame before; turned: in fields of view
-        self._is_same_place = False  # as that of the key frame before
+        self._segment = self._joined_segment = 0  # number of the newest segment; of that in use
+        self._pause_s = 0.0  # without measured motion before the segment; 0: it was measured
+        self._misses = 0  # consecutive scans that matched neither the map nor the segment
+        self._moved_m = self._turned = 0.0  # from the previous key frame; turned: in fields of view
+        self._is_same_place = False  # as that of the previous key frame
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
         self._lasers: dict[str, int] = {}
-        self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of what is around
+        self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of the scene
 
     @property
     def matched_to(self) -> Submap | None:
@@ -301,13 +295,13 @@ class SurfelSubmaps:
 
     @property
     def detached(self) -> Submap | None:
-        """The piece that is not joined to the map; None where there is none."""
+        """The segment that is not joined to the map; None: there is none."""
         return self._detached
 
     @property
     def pause_s(self) -> float:
-        """For how long nobody measured the way, so that the map says nothing until the graph has found the
-        piece in it; 0: the way was measured.
+        """Duration of the motion that was not measured, s; above 0 the map is not used until the graph has
+        joined the segment.
         """
         return self._pause_s
 
@@ -329,7 +323,7 @@ class SurfelSubmaps:
         return None if self.matched_to is None else self.matched_to.standing()
 
     def join(self, segment: int) -> None:
-        """The graph has found where a detached piece lies: go on with it, if it is the newest."""
+        """Continue with a detached segment that the graph has joined, if it is the newest."""
         if self._detached is None or segment != self._segment:
             return
         for submap in self._pair:
@@ -339,11 +333,11 @@ class SurfelSubmaps:
         self._travelled_m = 0.0
 
     def laser_of(self, sensor: str) -> int:
-        """Its number among LASERS, in the order in which they came; LASERS: one too many."""
+        """Its number below LASERS, in the order of appearance; LASERS: one too many."""
         return self._lasers.setdefault(sensor, min(len(self._lasers), LASERS))
 
     def shorten(self, sensor: str, step_m: float) -> None:
-        """Its ranges turn out to have been so much too long: move the walls that it has seen."""
+        """Move the walls seen by a laser by a change of its constant range bias."""
         laser = self.laser_of(sensor)
         for submap in (*self._pair, self._detached):
             if submap is not None and laser < LASERS:
@@ -354,7 +348,7 @@ class SurfelSubmaps:
         return self._pool.used_count + self._fine_pool.used_count
 
     def on_walls(self, points: Points) -> tuple[Points, npt.NDArray[np.float64]]:
-        """The points, moved to where their beams meet walls, and the (N, 3) normals there; see walls_of."""
+        """The points, shifted along their walls to where their beams meet them, and (N, 3) normals."""
         sensor = points.sensor_base
         xy_base, normals = walls_of(
             points.xy_base,
@@ -363,7 +357,7 @@ class SurfelSubmaps:
             points.range_sigma_m,
             GRAZING_WEIGHT,
         )
-        xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm, turned by what a sweep turns by
+        xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm; rotation within the sweep neglected
         return replace(points, xy_base=xy_base, xy_raw=xy_raw), normals
 
     def insert(self, points: Points, match: Match) -> MapChange:
@@ -386,7 +380,7 @@ class SurfelSubmaps:
         return MapChange(is_keyframe=True, error_left=error_left, segment=self._joined_segment)
 
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
-        """Put a lost scan into the piece, if it was matched to it, or begins one; few returns do neither."""
+        """Insert a lost scan into the segment it was matched to, or begin one; few returns do neither."""
         if too_few(points):
             return MapChange(segment=self._joined_segment if self._detached is None else self._segment)
         pose = match.motion.pose_odom_base
@@ -411,8 +405,9 @@ class SurfelSubmaps:
         return MapChange(is_keyframe=True, error_left=error_left, segment=self._segment)
 
     def _error_left(self, match: Match, submap: Submap) -> float:
-        """What lay on the map keeps it from taking over the pose's error; what is new has all of it, but of
-        the n + 1 scans that a new map has of one place no more than its share.
+        """Factor on the pose's error against the map after inserting a scan; [11].
+
+        Inliers limit it, and in a young map its share of the scans from one place.
         """
         kept = math.exp(-self._moved_m / self._config.memory_m - self._turned)
         known = match.inlier_ratio
@@ -425,7 +420,7 @@ class SurfelSubmaps:
         self._last_of.clear()
 
     def _is_keyframe(self, points: Points, pose: SE2, submap: Submap) -> bool:
-        """Whether a sub-map wants a scan from here: it is new, or this laser is farther on than it was."""
+        """Whether a scan is inserted: the sub-map is young, or the laser has moved far enough."""
         last = self._last_of.get(points.scan.sensor)
         if last is None or submap.scan_count < FIRST_SCANS:
             return True
@@ -449,7 +444,7 @@ class SurfelSubmaps:
             submap.insert(points, normals, posts, pose, self.laser_of(points.scan.sensor))
 
     def new_submap(self) -> Submap:
-        """An empty one, which belongs to nothing yet."""
+        """An empty one, in no chain yet."""
         self._next_number += 1
         return Submap(self._next_number - 1, self._pool, self._fine_pool, self._narrow_pool, self._config)
 

@@ -1,4 +1,4 @@
-"""The matcher of the default profile: Gauss-Newton on surfels, with a coarse map to fall back on."""
+"""The matcher of the default profile: Gauss-Newton on surfels, with a coarse map for other initial poses."""
 
 import math
 from dataclasses import dataclass, replace
@@ -53,34 +53,34 @@ from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
-INLIER_M = 0.10  # a point this near to its surfel lies on the map
+INLIER_M = 0.10  # largest distance of an inlier from its surfel
 ITERATIONS, DESKEW_ROUNDS = 15, 8
 SETTLED_M, SETTLED_RAD = 5e-4, 1e-4  # a smaller step ends the alignment
-NEAR = 10.0  # times that, on surfels of whole cells: finer ones align from there
+NEAR = 10.0  # factor on these limits with whole cells, before half cells refine the pose
 COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
-COARSE_M, COARSE_RAD = 0.1, 0.05  # what it tells apart: a cell, and that at 2 m
-SAME_WALL_M = 0.05  # scans within one key frame's distance are matched to the same noise of the map
-CHANCE_M = 1.0  # of travel, over which what scans say by chance along an open direction adds up
+COARSE_M, COARSE_RAD = 0.1, 0.05  # resolution of the coarse map: a cell, and a cell at 2 m
+SAME_WALL_M = 0.05  # scans within one key frame distance match the same noise of the map
+CHANCE_M = 1.0  # of travel, over which chance information along an open direction accumulates
 MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
-MAX_REPEATS = 100.0  # scans that share one noise of the map, for a vehicle that stands
-GAUSSIAN = 1e9  # degrees of freedom of an error that is never far larger than usual
+MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
+GAUSSIAN = 1e9  # degrees of freedom of a Gaussian error
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
-USUAL_SCANS = 50  # over which the usual inlier ratio is taken
-# Of the usual inlier ratio: with less, other starts are tried. Of that far from the prediction: with less
-# near it, the map may have drawn the scan away, [33].
+USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
+# Factor on the usual inlier ratio, below which other initial poses are tried. Factor on the ratio far from
+# the prediction, below which a match near it may have been left for more inliers alone; [33].
 DOUBT_RATIO = 0.9
 
 
 class SurfelMatcherConfig(JudgementConfig):
     """How a scan is aligned with the sub-map, and when the result is accepted."""
 
-    wall_sigma_m: float = Field(default=0.004, gt=0.0)  # how even walls are
-    cauchy_m: float = Field(default=0.10, gt=0.0)  # a point so far off counts half
+    wall_sigma_m: float = Field(default=0.004, gt=0.0)  # roughness of walls
+    cauchy_m: float = Field(default=0.10, gt=0.0)  # distance at which a point has half its weight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gap:
-    """Where a detached piece of the map began, and how well that was known in the map before."""
+    """Start of a detached segment, and the covariance of its pose in the map."""
 
     pose: SE2
     covariance: Matrix  # (3, 3) base axes
@@ -114,18 +114,18 @@ class SurfelGaussNewton:
             degrees_of_freedom=STUDENT,
         )
         self._bias = RangeBias()
-        self._usual_ratios: dict[str, float] = {}  # by laser: each sees other things
+        self._usual_ratios: dict[str, float] = {}  # by laser
         self._steady = SteadyMotion()
         self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
-        self._was_contradicted = False  # the prediction, by the scan before
-        self._rest_until_ns = 0  # no wide search before
+        self._was_contradicted = False  # the prediction, by the previous scan
+        self._rest_until_ns = 0  # next wide search at the earliest
         self._gap: _Gap | None = None
-        self._began: _Gap | None = None  # the gap of a piece that would begin with this scan
-        self._detached: Submap | None = None  # the piece that `gap` belongs to
-        self._confirmation = Confirmation()  # of where the piece lies on the map
+        self._began: _Gap | None = None  # the gap of a segment that would begin with this scan
+        self._detached: Submap | None = None  # the segment of `gap`
+        self._confirmation = Confirmation()  # of a match of the segment with the map
 
     def bias_m(self, sensor: str) -> Matrix:
-        """(NODES,) by how much ranges of a laser are too long; see RangeBias."""
+        """(NODES,) range bias of a laser, m; see RangeBias."""
         return self._bias.curve_m(sensor)
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
@@ -137,7 +137,7 @@ class SurfelGaussNewton:
         if local_map.detached is None:
             self._gap = None
             self._detached = None
-        elif local_map.detached is not self._detached:  # a piece that begins where the prediction puts it
+        elif local_map.detached is not self._detached:  # a new segment at the predicted pose
             self._detached = local_map.detached
             self._gap = self._began
             self._confirmation.forget()
@@ -147,8 +147,9 @@ class SurfelGaussNewton:
         return match
 
     def compare(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
-        """No farther from the prediction than that errs: of new ground, more lies on the map wherever walls
-        look alike.
+        """The match near the prediction, within its covariance.
+
+        Farther away more of a scan on new ground may lie on the map, because walls look alike.
         """
         points = self._bias.without(points)
         if reason := too_few(points):
@@ -170,7 +171,7 @@ class SurfelGaussNewton:
         attempt = self._attempt(points, predicted, local_map)
         aligned = self._align(attempt, attempt.prior.pose, submap)
         if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
-            attempt = replace(attempt, usual_ratio=0.0)  # no other start is tried
+            attempt = replace(attempt, usual_ratio=0.0)  # no other initial pose is tried
             aligned = self._align(attempt, attempt.prior.pose, submap)
         return attempt, aligned
 
@@ -210,7 +211,7 @@ class SurfelGaussNewton:
         inlier_ratio: float,
         is_contradicted: bool,
     ) -> Match:
-        """The match on the detached piece, if there is one; lost for a reason all the same."""
+        """The match on the detached segment, if there is one; its state is lost for the given reason."""
         points, predicted = attempt.points, attempt.predicted
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
@@ -223,10 +224,10 @@ class SurfelGaussNewton:
         return self._as_match(detached, attempt, "lost", reason)
 
     def _is_found(self, aligned: Aligned, attempt: Attempt) -> bool:
-        """Whether a scan that was mapped apart is accepted as lying on the map again.
+        """Whether a scan from a detached segment is accepted as matched to the map again.
 
-        One find far from the prediction is a hypothesis, since rooms look alike; the next one must say the
-        same. A find that the way so far rules out is none: where else it may be the graph looks.
+        A match far from the prediction is a hypothesis, as rooms look alike; the next one must agree. A match
+        that the path excludes is rejected; the graph searches the rest of the map.
         """
         if self._gap is None:
             return True
@@ -269,9 +270,9 @@ class SurfelGaussNewton:
             local_map.shorten(sensor, offset_m)
 
     def _align(self, attempt: Attempt, start: Matrix, submap: Submap, is_held: bool = False) -> Aligned:
-        """The match on a sub-map, begun at `start`, a pose as in the prior, and what to think of it.
+        """The match on a sub-map from the initial pose `start`, and its judgement.
 
-        is_held: the prediction errs by no more than it says, and the map is asked what contradicts that.
+        is_held: the prior is Gaussian, and contradictions by the map are evaluated.
         """
         points = attempt.points
         xy_base, normals = points.xy_base.copy(), attempt.normals
@@ -288,7 +289,7 @@ class SurfelGaussNewton:
             attempt.prior,
             start,
             submap.grid(),
-            # Directions are noisier in them, and where scans alone measure the motion chance is followed.
+            # Half cells have noisier normals; where only scans measure the motion, chance would be followed.
             submap.grid() if attempt.predicted.is_scan_alone else submap.fine_grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
@@ -311,7 +312,7 @@ class SurfelGaussNewton:
     ) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = (
-            attempt.predicted.pause_s > GAP_S  # nobody saw the way: the vehicle may have been carried
+            attempt.predicted.pause_s > GAP_S  # not measured: the vehicle may have been carried
             or _chi2(result.pose, attempt.prior) > JUMP_CHI2
             or (is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S))
         )
@@ -333,11 +334,11 @@ class SurfelGaussNewton:
         )
 
     def _likelier(self, aligned: Aligned, attempt: Attempt) -> Aligned:
-        """A match far from the prediction, or the one near it, where scan and prediction agree better; [33].
+        """The more likely of a match far from the prediction and the match near it; [33].
 
-        Returns on ground that the map does not know cost as much as returns that contradict it, so a scan
-        that sees much of it, and walls alike all along, would be drawn into the map. Where about as much of
-        it lies on the map near the prediction, that is not why it was left.
+        Returns on unknown ground cost as much as contradicting ones. A scan with many of them would be
+        attracted to the map where walls look alike. A match near the prediction with about as many inliers
+        excludes this cause.
         """
         if aligned.result.prior_weight >= MIN_PRIOR_WEIGHT:
             return aligned
@@ -353,9 +354,9 @@ class SurfelGaussNewton:
         return near if cost_near + scan_cost < cost else aligned
 
     def _matched_as_if_driven_on(self, aligned: Aligned, attempt: Attempt) -> Aligned:
-        """Where little of the scan lies on the map: the match begun where the vehicle would be had it gone on
-        as before, if clearly more lies on the map there. Odometry may have died. Where the scan before
-        contradicted its prediction, this one is asked always, and any more is enough.
+        """The match from the pose at constant velocity, if it has clearly more inliers: odometry may be dead.
+
+        It is tried at a low inlier ratio; after a contradicted prediction always, and any gain is accepted.
         """
         share = aligned.result.share
         if share >= DOUBT_RATIO * attempt.usual_ratio and not self._was_contradicted:
@@ -365,18 +366,17 @@ class SurfelGaussNewton:
             return aligned
         begun = np.array([start.x_m, start.y_m, start.theta_rad])
         if _chi2(begun, attempt.prior) < JUMP_CHI2:
-            return aligned  # that is where the match began
+            return aligned  # the same initial pose
         found = self._align(attempt, begun, aligned.submap)
         gain = 0.0 if self._was_contradicted else GAIN
         return found if found.state != "lost" and found.result.share > share + gain else aligned
 
     def _searched(self, aligned: Aligned, attempt: Attempt) -> Aligned:
-        """The best pose of a window around the prediction, if clearly more of the scan lies on the map there.
+        """The best pose of a window around the prediction, if it has clearly more inliers.
 
-        A poor recovery is worse than none: a prediction that goes on is found again, a jump is not.
-        Returns that do not lie on the map may be of new ground, and more of them lie on it wherever things
-        look alike. So a match that the map does not contradict is left only for a pose that is about as
-        likely by the prediction.
+        A wrong recovery is worse than none: a prediction can be corrected later, a jump cannot. Returns off
+        the map may be on new ground, and elsewhere more of them may lie on it by chance. A match that the map
+        does not contradict is therefore replaced only by a pose that is about as likely by the prediction.
         """
         prior = sigmas_of(attempt.prior.covariance)
         share = aligned.result.share
@@ -405,7 +405,7 @@ class SurfelGaussNewton:
 def _with_posts(
     attempt: Attempt, posts: Posts, weighed: Matrix, heading_rad: float
 ) -> tuple[Returns, Matrix, Matrix]:
-    """The points of a scan, and behind them the middle of each post twice; what stood longer weighs more."""
+    """The points of a scan, followed by the centre of each post twice, weighed by the static score."""
     points = attempt.points
     weighed = weighed.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -432,16 +432,12 @@ def _unmeasured(pause_s: float) -> Reason:
 
 
 def _apart_m(predicted: Prediction) -> float:
-    """Travel since the scan before, m; standing, scans count as the hundredth part of SAME_WALL_M apart."""
+    """Travel since the previous scan, m; at standstill SAME_WALL_M / MAX_REPEATS."""
     return max(predicted.travel_m, SAME_WALL_M / MAX_REPEATS)
 
 
 def _chance_chi2(predicted: Prediction) -> float:
-    """Squared sigmas of chance that are taken off what a scan says; [22].
-
-    Chance misleads where the prediction knows better. Where nothing else measures the motion, the match
-    follows the little that the scan says; what is then known is less by chance all the same, [31].
-    """
+    """Squared sigmas of chance that are subtracted from the information of a scan; [22]."""
     return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MAX_CHANCE_SCANS))
 
 
@@ -450,13 +446,13 @@ def _chi2(pose: Matrix, prior: Prior) -> float:
 
 
 def _off(pose: Matrix, prior: Prior) -> Matrix:
-    """(3,) m, m, rad: where a pose (3,) lies seen from the prediction, in its axes."""
+    """(3,) m, m, rad: a pose (3,) relative to the prediction, in its axes."""
     away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
     return np.array([away.x_m, away.y_m, away.theta_rad])
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
-    """The prediction as the kernel wants it; gap: of a piece that it is carried through, against the map."""
+    """The prediction as a Prior; gap: covariance of a detached segment's start, propagated to here."""
     pose = predicted.pose_odom_base
     if gap is not None:
         step = gap.pose.inverse() @ pose
