@@ -1,4 +1,4 @@
-"""Changes that a person makes to a stored graph. Each gives a new graph; none solves it but `solved`."""
+"""Manual changes of a stored graph. Each function returns a new graph; only `solved` optimises it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,30 +24,30 @@ from service.mapper.graph.model.pose_graph import PoseGraph
 from service.mapper.refused_loops import BY_HAND, RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
-SEEN_WITHIN_M = 0.3  # of a point that a person points at, what saw it has a point
-SAME_PASS_M = 10.0  # of way: two points of one pass say nothing of two passes
+SEEN_WITHIN_M = 0.3  # from a given point to a point of the key frame that saw it
+SAME_PASS_M = 10.0  # path length: two points within it are of one pass
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """A graph after its solution."""
+    """A graph after optimisation."""
 
     graph: SavedGraph
     rendered_map: RenderedMap
-    contradicted: int  # loops that the rest contradicts, and that are gone
+    contradicted: int  # number of loops removed by the chi-square gate
     moved_m: Floats  # (N,) of each key frame
 
 
 def with_wall(graph: SavedGraph, corners_map: Floats) -> SavedGraph:
-    """With a wall through (C, 2) m of the map, C > 1."""
+    """The graph with a wall along the polyline (C, 2) m of the map, C > 1."""
     return replace(graph, by_hand=graph.by_hand.with_drawing(Drawing(DRAWN_WALL, 0, corners_map), graph.map))
 
 
 def with_area_erased(
     graph: SavedGraph, corners_map: Floats, becomes: Becomes = "as_seen"
 ) -> tuple[SavedGraph, int]:
-    """Without the points within a polygon (C, 2) m of the map, and how many these were. What later key frames
-    see there is new.
+    """The graph without the points within a polygon (C, 2) m of the map, and the number of these points.
+    Later key frames may fill the area again.
     """
     of = np.repeat(np.arange(len(graph)), graph.point_count)
     gone = is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners_map)
@@ -63,11 +63,11 @@ def with_area_erased(
 
 
 def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) -> SavedGraph:
-    """Without the key frames stamped from_ns to to_ns, both included.
+    """The graph without the key frames stamped from_ns to to_ns, both included.
 
-    is_bridged   odometry over what is cut holds the two ends; else only loops and pairs do
+    is_bridged   odometry over the cut connects its two ends; else only loops and pairs do
 
-    Raises EditError where no key frame or none but these lies there, or where the graph would fall apart.
+    Raises EditError if no key frame or every key frame lies there, or if the graph would be disconnected.
     """
     is_kept = (graph.stamp_ns < from_ns) | (graph.stamp_ns > to_ns)
     if is_kept.all():
@@ -82,7 +82,7 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
 
 
 def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
-    """Some of the key frames (N,), and what lies between them."""
+    """The graph of some key frames, (N,), with the loops and edits between them."""
     number = np.cumsum(is_kept) - 1
     loops_kept = is_kept[graph.loop_ends].all(axis=1)
     points_kept = np.repeat(is_kept, graph.point_count)
@@ -103,12 +103,12 @@ def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
 
 
 def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None = None) -> SavedGraph:
-    """With two points (2, 2) m of the map said to be one place.
+    """The graph with two points (2, 2) m of the map marked as one place.
 
-    keyframes   the two that saw them; None: the first point by the key frame that has a point nearest to it,
-                the second by that of another pass
+    keyframes   the two that saw them; None: for the first point the key frame with the nearest point, for the
+                second that of another pass
 
-    Raises EditError where nobody saw them, or one key frame both.
+    Raises EditError if no key frame saw a point, or one saw both.
     """
     if keyframes is None:
         first = _observing_keyframe(graph, xy_map[0], np.ones(len(graph), np.bool_), "the first point")
@@ -130,7 +130,7 @@ def with_pair(graph: SavedGraph, xy_map: Floats, keyframes: Sequence[int] | None
 
 
 def without_pair(graph: SavedGraph, number: int) -> SavedGraph:
-    """Raises EditError where there is no such pair, or where the graph would fall apart."""
+    """The graph without a pair. Raises EditError for an unknown pair, or if the graph would fall apart."""
     count = len(graph.by_hand.pair_ends)
     if not 0 <= number < count:
         raise EditError(f"there is no pair {number}; {_counted(count, 'pair')}")
@@ -140,7 +140,9 @@ def without_pair(graph: SavedGraph, number: int) -> SavedGraph:
 
 
 def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
-    """Raises EditError where there is no such loop, or where the graph would fall apart."""
+    """The graph without some loops. Raises EditError for an unknown loop, or if the graph would be
+    disconnected.
+    """
     count = len(graph.loop_ends)
     if unknown := [number for number in numbers if not 0 <= number < count]:
         raise EditError(f"there is no accepted loop {unknown[0]}; {_counted(count, 'loop')}")
@@ -158,7 +160,7 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
 
 
 def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
-    """What the graph says of some of its loops, by field; without the key frames that they join."""
+    """Fields of some loops of the graph, except loop_ends."""
     names = ("loop_measured", "loop_covariance", "loop_score", "loop_points", "loop_against")
     return {name: getattr(graph, name)[kept] for name in names}
 
@@ -169,7 +171,7 @@ def solved(
     config: LoopsConfig | None = None,
     anchoring: Anchoring | None = None,
 ) -> Solved:
-    """The poses that agree best with odometry, loops, pairs and fixes; the first key frame stays."""
+    """The graph optimised with odometry, loops, pairs and fixes; the first key frame stays fixed."""
     back_end = LoopBackEnd(config or LoopsConfig(), renderer, graph, anchoring=anchoring)
     rendered: Result = back_end.work(Batch([], "optimize"))
     saved = back_end.work(Batch([], "checkpoint")).saved
@@ -181,21 +183,19 @@ def solved(
 
 
 def drawn_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:
-    """What the graph shows within a polygon (C, 2) m of the map."""
+    """The graph rendered within a polygon (C, 2) m of the map."""
     drawn = LoopBackEnd(LoopsConfig(), renderer, graph).render(corners_map)
     assert drawn is not None
     return drawn
 
 
 def graph_of(graph: SavedGraph) -> PoseGraph:
-    """What is solved of a stored graph, at the poses that it has: odometry, loops and pairs as landmarks."""
+    """Pose graph of a stored graph at its poses: odometry, loops, and pairs as landmarks."""
     return LoopBackEnd(LoopsConfig(), None, graph).graph()
 
 
 def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
-    """(N,) number of the group that each key frame belongs to, by odometry, loops and pairs: the lowest key
-    frame in it.
-    """
+    """(N,) connected component of each key frame by odometry, loops and pairs: its lowest key frame."""
     joined = [*graph.loop_ends.tolist(), *graph.by_hand.pair_ends.tolist()]
     for segment in np.unique(graph.segment):
         own = np.flatnonzero(graph.segment == segment).tolist()
@@ -218,13 +218,13 @@ def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
 def _segments_after_cut(
     segment: npt.NDArray[np.int64], is_kept: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.int64]:
-    """Numbers of pieces where odometry says nothing over what is cut out of one."""
+    """Segment numbers after a cut: the parts that it leaves of a segment become segments of their own."""
     cut = segment.copy()
     number = int(segment.max()) + 1
     for one in np.unique(segment):
         own = np.flatnonzero(segment == one)
         here = is_kept[own]
-        run = np.cumsum(here & ~np.append(False, here[:-1]))  # 1 for what is kept first, and so on
+        run = np.cumsum(here & ~np.append(False, here[:-1]))  # 1 for the first part kept, 2 for the next ...
         later = here & (run > 1)
         cut[own[later]] = number + run[later] - 2
         number += max(int(run[-1]) - 1, 0)
@@ -234,9 +234,9 @@ def _segments_after_cut(
 def _refuse_if_disconnected(
     before: npt.NDArray[np.int64], graph: SavedGraph, instead: str, first_ns: int | None = None
 ) -> None:
-    """Raises EditError where key frames that hung together, (N,) by their groups before, do no more.
+    """Raises EditError if key frames of one component before, (N,), are disconnected now.
 
-    first_ns   from which times are told; None: that of the first key frame
+    first_ns   origin of the times in the message; None: that of the first key frame
     """
     first_ns = int(graph.stamp_ns.min()) if first_ns is None else first_ns
     after = groups(graph)
@@ -258,7 +258,7 @@ def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:
 
 
 def _observing_keyframe(graph: SavedGraph, xy_map: Floats, among: npt.NDArray[np.bool_], what: str) -> int:
-    """The key frame, of some, that has a point nearest to one of the map; of those alike the nearest."""
+    """Of some key frames the one with the point nearest to a point of the map; of equals the nearest one."""
     of = np.repeat(np.arange(len(graph)), graph.point_count)
     xy = se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))
     away_m = np.where(among[of], np.hypot(*(xy - xy_map).T), np.inf)

@@ -1,4 +1,4 @@
-"""Two stored graphs made one: where the second lies in the first, and all loops between them."""
+"""Merges two stored graphs: finds the place of the second in the first, and the loops between them."""
 
 from dataclasses import dataclass, replace
 
@@ -16,28 +16,28 @@ from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
-QUERY_EVERY_M = 4.0  # of the second's way
-MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two finds agree, both within AGREE_WAY_M of path
-AGREE_GROWTH = 0.02  # m for each m between them: what both maps are bent by
+QUERY_EVERY_M = 4.0  # of path in the second graph
+MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two results agree, plus AGREE_GROWTH
+AGREE_GROWTH = 0.02  # m per m of path between them: distortion of both maps
 MIN_MERGE_LOOPS = 3
-QUERY_KEYFRAMES = 6  # key frames of a place that are looked for, where not everywhere is asked
-MAX_PLACES_MISSED = 8  # far apart; where a quarter of the second overlaps, one in ten sessions has so many
-SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # every 8th place from these on, one series after the other
+QUERY_KEYFRAMES = 6  # key frames of a query, where the search may end early
+MAX_PLACES_MISSED = 8  # far apart; of sessions that overlap by a quarter, one in ten has so many
+SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # offsets of the series of every 8th place
 
 
 class MergeError(ValueError):
-    """Why two graphs are not merged."""
+    """Two graphs cannot be merged; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """One graph of two, and what held them together."""
+    """The merged graph, and the loops between its two parts."""
 
-    result: Result  # of the last solution: saved, rendered_map, g2o
-    pose_first_second: Floats  # (3,) of the second's map frame in the first's, as it was found
-    finds: int  # places of the second that were found in the first and agree
+    result: Result  # of the last optimisation: saved, rendered_map, g2o
+    pose_first_second: Floats  # (3,) second map frame in the first, by the search
+    finds: int  # number of places of the second that were found in the first and agree
     loops: list[Loop]  # between the two
-    residual_m: Floats  # of each of them, after the solution
+    residual_m: Floats  # of each loop, after optimisation
     residual_rad: Floats
 
 
@@ -48,11 +48,11 @@ def merge_graphs(
     pose_first_second: Floats | None = None,
     config: LoopsConfig | None = None,
 ) -> Merged:
-    """Find where the second map lies in the first, put it there, and solve both as one.
+    """Find the place of the second map in the first, and optimise both as one graph.
 
-    pose_first_second   (3,) m, m, rad, if a person knows it well enough (2 m, 0.2 rad); None: it is searched
+    pose_first_second   (3,) m, m, rad, if known within 2 m and 0.2 rad; None: it is searched
 
-    Raises MergeError where too little of the second is found in the first.
+    Raises MergeError if too few places of the second are found in the first.
     """
     config = config or LoopsConfig()
     both = together(first, second)
@@ -83,7 +83,7 @@ def merge_graphs(
 
 
 def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
-    """The key frames of several graphs one behind the other, each still in its own map frame."""
+    """The key frames of several graphs in sequence, each still in its own map frame."""
     graphs = (first, *others)
     before = np.cumsum([0, *(len(graph) for graph in graphs)]).tolist()
     path_length_m, segment = [first.path_length_m], [first.segment]
@@ -117,20 +117,20 @@ def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
 def find_second(
     both: SavedGraph, count: int, config: LoopsConfig, enough: int | None = None
 ) -> tuple[Floats, int]:
-    """Pose (3,) of the second's map frame in the first's that most places say, and how many.
+    """Pose (3,) of the second map frame in the first by most query results, and their number.
 
-    count    key frames of the first, which stand before those of the second
-    enough   end the search once so many places agree and no more than half as many say otherwise, or the
-             first MAX_PLACES_MISSED are found nowhere; None: ask everywhere
+    count    number of key frames of the first, which precede those of the second
+    enough   end the search when so many results agree and at most half as many disagree, or when the first
+             MAX_PLACES_MISSED queries fail; None: query every place
 
-    Raises MergeError where fewer than MIN_MERGE_LOOPS agree.
+    Raises MergeError if fewer than MIN_MERGE_LOOPS agree.
     """
     keyframes = KeyframeList(both)
     search = DetachedSearch(config, keyframes)
     usable = keyframes.is_usable
     known, own = np.flatnonzero(usable[:count]), count + np.flatnonzero(usable[count:])
     queries = _query_places(keyframes, own)
-    found: list[tuple[int, Floats]] = []  # key frame of the second, and the pose of its frame that it says
+    found: list[tuple[int, Floats]] = []  # key frame of the second, and the pose of its frame by that query
     agreeing: list[tuple[int, Floats]] = []
     for number, k in enumerate(queries if enough is None else _spread(queries)):
         if enough is not None and not found and number >= MAX_PLACES_MISSED:
@@ -158,7 +158,7 @@ def find_second(
 
 
 def _query_places(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[int]:
-    """Of some key frames by rising number one each QUERY_EVERY_M of the way."""
+    """Every QUERY_EVERY_M of path one of some key frames, ascending."""
     queries: list[int] = []
     for k in own.tolist():
         if not queries or keyframes.path_length_m[k] >= keyframes.path_length_m[queries[-1]] + QUERY_EVERY_M:
@@ -167,12 +167,12 @@ def _query_places(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[i
 
 
 def _spread(places: list[int]) -> list[int]:
-    """The same in another order, in which those after each other lie far apart: every 8th, and so on."""
+    """The places in an order in which consecutive ones are far apart: series of every 8th."""
     return [place for first in SPREAD for place in places[first :: len(SPREAD)]]
 
 
 def _agreeing(keyframes: KeyframeList, found: list[tuple[int, Floats]]) -> list[tuple[int, Floats]]:
-    """The most of them that put the second at one pose."""
+    """The largest set of results that agree on one pose."""
     agreeing: list[tuple[int, Floats]] = []
     for k, pose in found:
         same = [
@@ -191,7 +191,7 @@ def _agreeing(keyframes: KeyframeList, found: list[tuple[int, Floats]]) -> list[
 
 
 def _agree(place: Floats, a: Floats, b: Floats, apart_m: float) -> bool:
-    """Whether two poses of the second's frame put a place (3,) of it at the same spot."""
+    """Whether two poses of the second frame agree at a place (3,) of it."""
     away = se2.between(se2.compose(a, place), se2.compose(b, place))
     return bool(
         np.hypot(away[0], away[1]) <= MERGED_WITHIN_M + AGREE_GROWTH * apart_m

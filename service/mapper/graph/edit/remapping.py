@@ -1,4 +1,4 @@
-"""A part of a stored graph driven again: new key frames for an area, and everything else as it was."""
+"""Replaces a part of a stored graph by a new drive; the rest stays unchanged."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +15,7 @@ from service.mapper.edit_requests import EditError
 from service.mapper.graph.loops.stored_graph import ANCHOR_COVARIANCE
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
-MIN_KEYFRAME_POINTS = 20  # of a key frame in the area, for it to be kept
+MIN_KEYFRAME_POINTS = 20  # of a key frame in the area, else it is dropped
 _PER_FRAME = [
     "stamp_ns",
     "odom",
@@ -26,21 +26,21 @@ _PER_FRAME = [
     "is_lost",
     "range_sigma_m",
     "sensor_xy_m",
-]  # without way and points
+]  # except path length and points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remapped:
-    """A graph in which an area was driven again."""
+    """A graph in which an area was mapped again."""
 
     graph: SavedGraph
-    keyframes: int  # that are new
+    keyframes: int  # number of new ones
     points_gone: int
     points_new: int
 
 
 def scans_of(session: SavedGraph, first: int) -> list[ScanToRender]:
-    """The scans of the key frames from `first` on, where the map has them."""
+    """Scans of the key frames from `first` on, at their poses in the map."""
     ends = np.concatenate(([0], np.cumsum(session.point_count)))
     return [
         ScanToRender(
@@ -56,13 +56,13 @@ def scans_of(session: SavedGraph, first: int) -> list[ScanToRender]:
 def with_area_driven_again(
     graph: SavedGraph, session: SavedGraph, corners_map: Floats, seen: Cells, cell_m: float
 ) -> Remapped:
-    """The graph with what a session saw within a polygon (C, 2) m, that began in it and was only localised.
+    """The graph, updated within a polygon (C, 2) m by a session that only localised in it.
 
-    session   the key frames of `graph` first, as they are there, then those of the session
-    seen      (K, 2) row and column of the cells, of cell_m, within the polygon that the session has seen
+    session   the key frames of `graph`, unchanged, followed by those of the session
+    seen      (K, 2) row and column of the cells, of cell_m, within the polygon that the session observed
 
-    What the graph has in these cells is gone; what it has in others stays, also within the polygon. No key
-    frame of the graph moves. Raises EditError where the session saw nothing of the area.
+    Points of the graph in these cells are replaced; all others stay, also within the polygon. No key frame of
+    the graph moves. Raises EditError if the session observed nothing of the area.
     """
     first = len(graph)
     of, xy_map = _points(session)
@@ -111,7 +111,7 @@ def with_area_driven_again(
 
 
 def _points(graph: SavedGraph) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Of each point the key frame that saw it, and where it lies in the map, (M, 2) m."""
+    """The key frame of each point, and its position in the map, (M, 2) m."""
     of = np.repeat(np.arange(len(graph)), graph.point_count)
     return of, se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))
 

@@ -1,4 +1,4 @@
-"""Fixes in the graph: which are kept, which are accepted, and where the map lies on the earth by them."""
+"""GNSS fixes in the graph: which are accepted, and the geographic reference of the map by them."""
 
 import math
 from collections import Counter
@@ -24,51 +24,51 @@ from service.mapper.graph.gnss.fix_track import PlacedFix
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import Edges
 
-FAR_M = 1000.0  # a fix farther from the others than the way driven and this is on another part of the earth
-FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a vehicle that is not flat
-MIN_FIXES = 6  # accepted, for a reference
-MIN_ACCEPTED_SHARE = 0.5  # of the fixes kept, accepted: else it is they that contradict
-MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the map's direction is not known: the way was too short
-MORE_FIXES = (5, 0.05)  # asked anew when so many came, and such a share of them
-MAX_S = 10.0  # that a fix counts for, however long the pause before it was
-NEWEST_FIXES = 40  # fixes that are asked whether the map is still where it should be
-SOLVE_AT_M = 0.5  # what they must be off by together, to be worth a solution, and one sigma
+FAR_M = 1000.0  # a fix farther from the others than the path length plus this is a gross error
+FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a tilted vehicle
+MIN_FIXES = 6  # accepted ones for a reference
+MIN_ACCEPTED_SHARE = 0.5  # accepted, of the kept fixes: with fewer there is no consensus
+MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the path was too short for a heading of the map
+MORE_FIXES = (5, 0.05)  # new fixes, and share of them, after which the consensus is computed again
+MAX_S = 10.0  # weight limit of a fix after a pause
+NEWEST_FIXES = 40  # fixes by which the map's position is checked
+SOLVE_AT_M = 0.5  # their mean residual, and one sigma, that makes a solution worth while
 FIX_KERNEL_SIGMAS = 3.0  # Cauchy, in sigmas
 
 
 class Anchoring:
-    """Gathers fixes beside the key frames.
+    """Collects fixes, and computes which of them agree with the path of the key frames.
 
-    counts       of fixes, by what became of them
-    reference    where the map lies on the earth; None: not known
+    counts       fixes by their outcome
+    reference    geographic reference of the map; None: not known
     """
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.reference: GeoReference | None = None
         self._fixes: list[PlacedFix] = []
-        self._frame: LocalFrame | None = None  # for good, once there is a reference
-        self._fixes_at_consensus = 0  # fixes kept when the consensus was found
+        self._frame: LocalFrame | None = None  # fixed once there is a reference
+        self._fixes_at_consensus = 0  # number of kept fixes then
         self._consensus: Consensus | None = None
-        self._among: npt.NDArray[np.int64] = np.empty(0, np.int64)  # fixes that the consensus is of
+        self._among: npt.NDArray[np.int64] = np.empty(0, np.int64)  # indices of the fixes in the consensus
         self._in_map: frozenset[int] = frozenset()  # fixes in the newest solution
 
     def add(self, fixes: Sequence[PlacedFix]) -> None:
-        """Fixes by rising stamps, no two of them of one spot."""
+        """Add fixes by ascending stamps, no two of one position."""
         self._fixes += fixes
 
     @property
     def keyframes(self) -> npt.NDArray[np.int64]:
-        """(K,) those that fixes are placed at."""
+        """(K,) key frames that fixes refer to."""
         return np.array([fix.keyframe for fix in self._fixes], np.int64)
 
     def renumber(self, number: npt.NDArray[np.int64]) -> None:
-        """The N key frames have new numbers (N,)."""
+        """Replace the indices of N key frames by number (N,)."""
         self._fixes = [replace(fix, keyframe=int(number[fix.keyframe])) for fix in self._fixes]
 
     @property
     def is_due(self) -> bool:
-        """Whether enough came since the consensus was found."""
+        """Whether enough fixes have arrived since the last consensus."""
         new = len(self._fixes) - self._fixes_at_consensus
         return len(self._fixes) >= MIN_FIXES and new >= max(
             MORE_FIXES[0], MORE_FIXES[1] * self._fixes_at_consensus
@@ -79,10 +79,10 @@ class Anchoring:
         return len(self._fixes) >= MIN_FIXES and len(self._fixes) > self._fixes_at_consensus
 
     def find(self, keyframes: KeyframeList, covariance: Floats, is_known: npt.NDArray[np.bool_]) -> bool:
-        """Ask anew which fixes are accepted; whether the map should be solved anew for it.
+        """Compute which fixes are accepted; whether the graph should be solved again for them.
 
         covariance   (N - 1, 3, 3) of the steps between the key frames
-        is_known     (N,) key frames whose place in the map is known
+        is_known     (N,) key frames with a known place in the map
         """
         self._fixes_at_consensus = len(self._fixes)
         among = np.array([k for k, fix in enumerate(self._fixes) if is_known[fix.keyframe]], np.int64)
@@ -104,7 +104,7 @@ class Anchoring:
         yaw_sigma_rad = math.sqrt(of_map[2, 2])
         is_vague = accepted < MIN_ACCEPTED_SHARE * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
         if accepted < MIN_FIXES or (self.reference is None and is_vague):
-            return False  # a reference that there is stays, with the fixes that it has
+            return False  # an existing reference stays, with its fixes
         self.counts["fixes_anchoring"] = accepted
         self._among, self._consensus = among, consensus
         pose_map_enu = SE2(*consensus.pose_odom_enu.tolist())
@@ -125,7 +125,7 @@ class Anchoring:
         return self.reference.pose_enu_map
 
     def edges(self, keyframes: KeyframeList) -> Edges:
-        """Fixes accepted, as edges from pose N, where east and north lie in the map, to key frames."""
+        """Accepted fixes as edges from pose N, the origin of the ENU frame in the map, to key frames."""
         assert self._frame is not None
         assert self._consensus is not None
         used = self._among[self._consensus.is_accepted]
@@ -142,12 +142,12 @@ class Anchoring:
 
     @property
     def pose_map_enu(self) -> Floats:
-        """(3,) where east and north lie in the map, by the newest solution."""
+        """(3,) pose of the ENU frame in the map, by the newest solution."""
         pose = self._pose_enu_map.inverse()
         return np.array([pose.x_m, pose.y_m, pose.theta_rad])
 
     def solved(self, pose_map_enu: Floats) -> None:
-        """A solution with the edges put east and north there."""
+        """Take the pose of the ENU frame from a solution with the edges."""
         assert self.reference is not None
         assert self._consensus is not None
         old = self.reference
@@ -161,7 +161,7 @@ class Anchoring:
         )
 
     def _is_worth_it(self, keyframes: KeyframeList) -> bool:
-        """Whether a fix in the map is not accepted any more, or the newest ones pull together."""
+        """Whether a fix in the map is no longer accepted, or the newest ones have a common residual."""
         assert self._frame is not None
         assert self._consensus is not None
         used = self._among[self._consensus.is_accepted]
@@ -176,7 +176,7 @@ class Anchoring:
         return mean_m > max(SOLVE_AT_M, sigma_m)
 
     def _middle(self, among: npt.NDArray[np.int64]) -> LocalFrame:
-        """A frame about the median of the fixes: a single one may lie on the other side of the earth."""
+        """A frame at the median of the fixes: a single one may be a gross error."""
         fixes = [self._fixes[k] for k in among]
         ecef = np.array([to_ecef(fix.latitude_deg, fix.longitude_deg, fix.height_m) for fix in fixes])
         return LocalFrame(*from_ecef(np.median(ecef, axis=0)))
@@ -211,7 +211,7 @@ class Anchoring:
     ) -> FixPath:
         keyframe, antenna = self._points(keyframes, which)
         odom = keyframes.odom[keyframe]
-        last = np.searchsorted(keyframe, np.arange(1, keyframes.count))  # fix that each step leads to
+        last = np.searchsorted(keyframe, np.arange(1, keyframes.count))  # fix at the end of each step
         inside = (last > 0) & (last < len(which))
         moved = se2.adjoint(se2.between(odom[last[inside]], keyframes.odom[1:][inside]))
         step = np.zeros((len(which), 3, 3))
@@ -221,10 +221,9 @@ class Anchoring:
         return FixPath(odom, step, path_length_m, antenna, enu, covariances, repeats)
 
     def _repeats(self, which: npt.NDArray[np.int64]) -> Floats:
-        """(M,) how many fixes as near in time to the one before make one independent measurement.
+        """(M,) number of fixes, at this rate, that make one independent measurement.
 
-        After a pause the first fix is not worth a measurement by itself, as it would be if nothing were ever
-        reflected: nothing beside it could tell.
+        The first fix after a pause gets a limited weight: no other fix nearby could show it to be reflected.
         """
         stamps_s = np.array([self._fixes[k].stamp_ns for k in which], np.int64) * 1e-9
         since_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[0] - MAX_S), MAX_S)

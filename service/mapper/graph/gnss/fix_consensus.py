@@ -1,8 +1,8 @@
-"""Which fixes agree with the way that the lasers saw, and where east and north lie for them.
+"""Fixes that agree with the path by odometry, and the pose of the ENU frame by them.
 
-The way from fix to fix is that of odometry with its covariance, without loops and without anything that
-fixes did before: that a fix was once accepted is no reason to accept it again. Poses of the key frames and
-the frame of east and north are solved for together, with weights that fall to nothing for what contradicts.
+The path between fixes is that of odometry with its covariance, without loops and earlier fixes, so that a
+fix accepted before has no influence on its next evaluation. The poses of the key frames and of the ENU frame
+are solved together, with weights that go to zero for outliers.
 
 Source: Yang, Antonante, Tzoumas, Carlone, Graduated non-convexity for robust spatial perception, 2020, eq. 12
 to 14 (truncated least squares).
@@ -19,30 +19,30 @@ from service.geometry.poses import Floats
 from service.mapper.graph.model.pose_graph import Edges, Ints, PoseGraph, SolverConfig
 from service.mapper.graph.model.pose_graph_solver import solve
 
-HEADING_SIGMA_RAD = 100.0  # of a fix: it says nothing of the heading
-MIN_EDGE_WEIGHT = 1e-6  # of an edge in the solver; less counts as nothing
-CORRELATED_S = 120.0  # fixes of so long make one measurement: twice the time in which errors change
-JUMP_M = 1.5  # errors do not change by more from fix to fix, besides JUMP_SIGMAS: satellites are seen anew
-JUMP_SIGMAS = 0.5  # of the worse of both fixes, besides JUMP_M
-STRETCH_SIGMAS = 1.5  # the mean of a stretch between two jumps is off by no more than this
-LARGEST_STRETCH = 0.5  # of all fixes: a larger one is what the others are judged by
+HEADING_SIGMA_RAD = 100.0  # of a fix: it does not measure the heading
+MIN_EDGE_WEIGHT = 1e-6  # in the solver; edges below are omitted
+CORRELATED_S = 120.0  # duration of fixes that make one measurement: twice the correlation time
+JUMP_M = 1.5  # plus JUMP_SIGMAS: a larger change of error between fixes is a jump (satellites change)
+JUMP_SIGMAS = 0.5  # of the larger sigma of both fixes
+STRETCH_SIGMAS = 1.5  # limit of the mean error of an interval between two jumps
+LARGEST_STRETCH = 0.5  # of all fixes: a larger interval is never rejected
 ROUNDS = 6
-MORE_CONVEX = 2.0  # factor from one step of the graduation to the next
-MAX_MU = 1e4  # then what is undecided lies within a ten-thousandth of the gate
+MORE_CONVEX = 2.0  # growth of mu per iteration
+MAX_MU = 1e4  # then undecided fixes are within 1e-4 of the gate
 QUICK = SolverConfig(most_iterations=4, least_gain=1e-3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixPath:
-    """Fixes on the way, M of them.
+    """M fixes along the path.
 
     odom         (M, 3)      pose_odom_base of the key frame of each
-    step         (M, 3, 3)   covariance of the way from the one before to each, in its own axes; row 0: unused
-    path_length_m        (M,)        driven up to each
+    step         (M, 3, 3)   covariance of the path from the one before, in the axes of each; row 0: unused
+    path_length_m  (M,)      up to each
     antenna      (M, 2) m    at the moment of the fix, in the frame of the key frame
     enu          (M, 2) m    east and north of the fix
-    covariance   (M, 2, 2)   m^2, east and north, as the receiver says
-    repeats      (M,)        how many such fixes make one independent measurement, >= 1
+    covariance   (M, 2, 2)   m^2, east and north, by the receiver
+    repeats      (M,)        number of such fixes that make one independent measurement, >= 1
     """
 
     odom: Floats
@@ -64,7 +64,7 @@ class Consensus:
 
 
 def find_consensus(path: FixPath) -> Consensus:
-    """M >= 2. Deterministic. Raises GraphError where the solver fails."""
+    """Accepted fixes and pose of the ENU frame; M >= 2. Deterministic. Raises GraphError if unsolvable."""
     is_accepted, poses = _graduate(path, np.ones(len(path.odom), np.bool_))
     is_candidate = np.ones(len(path.odom), np.bool_)
     for _ in range(ROUNDS):
@@ -86,11 +86,11 @@ def fix_edges(
     covariance: Floats,
     kernel_width: float,
 ) -> Edges:
-    """Fixes as edges from the frame of east and north to key frames; they say nothing of the heading.
+    """Fixes as edges from the ENU frame to key frames; they do not measure the heading.
 
-    heading_rad   (M,)        of each key frame against east, as it is held to be
+    heading_rad   (M,)        of each key frame against east, at the current estimate
     antenna       (M, 2) m    in the frame of the key frame
-    enu           (M, 2) m    where the antenna is
+    enu           (M, 2) m    of the antenna
     covariance    (M, 2, 2)   m^2, east and north
     """
     count = len(keyframe)
@@ -113,7 +113,7 @@ def fix_edges(
 
 
 def align(points: Floats, enu: Floats) -> Floats:
-    """(3,) pose_odom_enu that aligns (M, 2) points of odom with their (M, 2) east and north best.
+    """(3,) pose_odom_enu by least squares, from (M, 2) points of odom and their (M, 2) east and north.
 
     Source: Umeyama 1991, in the plane, without scale.
     """
@@ -124,7 +124,7 @@ def align(points: Floats, enu: Floats) -> Floats:
 
 
 def _graduate(path: FixPath, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], Floats]:
-    """Fixes accepted (M,) and poses (M + 1, 3), E the last, by graduated non-convexity."""
+    """Accepted fixes (M,) and poses (M + 1, 3), the ENU frame last, by graduated non-convexity."""
     points = se2.points_from(path.odom, path.antenna)
     start = align(points[is_candidate], path.enu[is_candidate])
     poses = np.vstack((path.odom, start))
@@ -167,7 +167,7 @@ def _graph(path: FixPath, poses: Floats, weight: Floats) -> PoseGraph:
 
 
 def _errors(path: FixPath, poses: Floats) -> Floats:
-    """(M, 2) m east and north: fix minus where the antenna was."""
+    """(M, 2) m east and north: fix minus position of the antenna."""
     off: Floats = path.enu - se2.points_seen(poses[-1], se2.points_from(poses[:-1], path.antenna))
     return off
 
@@ -178,10 +178,9 @@ def _chi2(path: FixPath, poses: Floats) -> Floats:
 
 
 def _wrong_stretches(path: FixPath, off_m: Floats) -> npt.NDArray[np.bool_]:
-    """(M,) fixes in a stretch between two jumps of the error that lies off as a whole.
+    """(M,) fixes in an interval between two jumps of the error whose mean error is too large.
 
-    A reflected signal puts each fix of a minute off by no more than a single one may be. What tells it from
-    noise is that it begins and ends at once.
+    Multipath offsets each fix of a minute by no more than noise may; it differs by its sudden begin and end.
     """
     sigma_m = np.sqrt(np.trace(path.covariance, axis1=1, axis2=2) / 2.0)
     change_m = np.hypot(*np.diff(off_m, axis=0).T)

@@ -1,4 +1,4 @@
-"""GNSS fixes on the way of the base: those that can be used, each with where odometry had the base then."""
+"""Usable GNSS fixes, each with the odometry pose at its moment."""
 
 import math
 from collections import Counter, deque
@@ -8,19 +8,19 @@ from typing import NamedTuple
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
 
-MAX_FIX_SIGMA_M = 10.0  # of the worse direction: a fix that says it is worse anchors nothing
-MAX_GAP_NS = 1_000_000_000  # between two scans that a fix lies between: nobody knows the way in a longer one
-REMEMBERED_NS = 5_000_000_000  # of scans: a fix comes later than the scans of its moment
-MAX_FIXES_WAITING = 256  # fixes for a scan to come
-SPACING_M = 5.0  # between two fixes that are kept: the next one says hardly more, and standing says nothing
-FROZEN_M = 1.0  # way over which no receiver gives one position to the last digit
+MAX_FIX_SIGMA_M = 10.0  # of the worse direction: fixes with more are dropped
+MAX_GAP_NS = 1_000_000_000  # between the two scans around a fix: a longer gap has no reliable path
+REMEMBERED_NS = 5_000_000_000  # of scans: a fix arrives after the scans of its moment
+MAX_FIXES_WAITING = 256  # fixes that wait for a scan
+SPACING_M = 5.0  # between two kept fixes: closer ones are redundant
+FROZEN_M = 1.0  # path length over which a receiver cannot repeat a position exactly
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedFix:
-    """A fix, and where odometry had the base at its moment. Can be pickled.
+    """A fix, and the odometry pose at its moment. Can be pickled.
 
-    keyframe     the newest one at that moment, counted from 0
+    keyframe     index of the newest key frame at that moment
     antenna_xy_m   in the base frame
     covariance   m^2: east, east north, north
     """
@@ -38,15 +38,15 @@ class PlacedFix:
 class _Scan(NamedTuple):
     stamp_ns: int
     pose_odom_base: SE2
-    keyframe: int  # the newest one after it; -1: there is none
+    keyframe: int  # index of the newest key frame after it; -1: none
 
 
 class FixTrack:
-    """Takes fixes and scans in order of arrival, gives fixes placed, one each 5 m.
+    """Takes fixes and scans in order of arrival; returns fixes with poses, one per SPACING_M.
 
-    Fixes of one receiver, the first that is heard: errors of two would have to be told apart. One without a
-    height (NaN, as sensor_msgs/NavSatFix has it) gets that of the newest with one, else 0: h of height
-    displace a fix on the plane by d h / R, where d is its distance from the origin.
+    Only fixes of the first receiver are used. One without a height (NaN, as in sensor_msgs/NavSatFix) gets
+    that of the newest fix with one, else 0: an error h of the height moves a fix in the plane by d h / R,
+    where d is its distance from the origin.
     """
 
     def __init__(self) -> None:
@@ -55,13 +55,13 @@ class FixTrack:
         self._scans: deque[_Scan] = deque()
         self._waiting: deque[tuple[GnssFix, tuple[float, float]]] = deque()
         self._placed: list[PlacedFix] = []
-        self._reported: tuple[float, float, SE2] | None = None  # newest position told, and where that began
-        self._kept: SE2 | None = None  # pose_odom_base of the newest fix that was kept
-        self._height_m = 0.0  # of the newest fix that had one
+        self._reported: tuple[float, float, SE2] | None = None  # newest distinct position, and the pose at it
+        self._kept: SE2 | None = None  # pose_odom_base of the newest kept fix
+        self._height_m = 0.0  # of the newest fix with a height
         self._counts: Counter[str] = Counter()
 
     def add_fix(self, fix: GnssFix, antenna_xy_m: tuple[float, float]) -> str:
-        """The counter it falls under: "fixes_taken", or what is wrong with it."""
+        """Add a fix; returns its counter: "fixes_taken", or the reason it was dropped."""
         if self._receiver is None:
             self._receiver = fix.sensor
         if fix.sensor != self._receiver:
@@ -79,19 +79,19 @@ class FixTrack:
         return "fixes_taken"
 
     def add_scan(self, stamp_ns: int, pose_odom_base: SE2, keyframe: int) -> None:
-        """keyframe: the newest one, this scan among them; -1: there is none."""
+        """keyframe: index of the newest one, including this scan; -1: none."""
         self._scans.append(_Scan(stamp_ns, pose_odom_base, keyframe))
         while stamp_ns - self._scans[0].stamp_ns > REMEMBERED_NS and len(self._scans) > 2:
             self._scans.popleft()
         self._place_waiting()
 
     def take(self) -> list[PlacedFix]:
-        """Those placed since the last call, by rising stamps."""
+        """Fixes with poses since the last call, by ascending stamps."""
         placed, self._placed = self._placed, []
         return placed
 
     def take_counts(self) -> Counter[str]:
-        """What came to nothing after it was taken, since the last call: fixes by reason."""
+        """Counts since the last call of fixes dropped after they were taken, by reason."""
         counts, self._counts = self._counts, Counter()
         return counts
 
@@ -127,7 +127,7 @@ class FixTrack:
             )
 
     def _is_redundant(self, fix: GnssFix, here: SE2) -> str:
-        """The counter of a fix that tells no more than those before; "" if it does."""
+        """Counter of a fix that adds no information to those before; "" if it does."""
         reported = self._reported
         if reported is not None and reported[:2] == (fix.latitude_deg, fix.longitude_deg):
             if _apart_m(reported[2], here) > FROZEN_M:
@@ -140,14 +140,14 @@ class FixTrack:
 
 
 def _fault(fix: GnssFix) -> str:
-    """The counter of what is wrong with a fix taken by itself; "" if nothing is."""
+    """Counter of the fault of a single fix; "" if it has none."""
     if fix.status < 0 or not all(map(math.isfinite, (fix.latitude_deg, fix.longitude_deg))):
         return "fixes_without_position"
     is_on_earth = abs(fix.latitude_deg) <= 90.0 and abs(fix.longitude_deg) <= 180.0
     if not is_on_earth or math.isinf(fix.altitude_m):
         return "fixes_impossible"
     east, cross, north = fix.covariance[0], fix.covariance[1], fix.covariance[4]
-    # Written so that NaN is refused.
+    # In a form that rejects NaN.
     if not (0.0 < east < math.inf and 0.0 < north < math.inf and cross * cross < east * north):
         return "fixes_without_covariance"
     larger = 0.5 * (east + north) + math.hypot(0.5 * (east - north), cross)  # eigenvalue
@@ -155,7 +155,7 @@ def _fault(fix: GnssFix) -> str:
 
 
 def _between(a: _Scan, b: _Scan, stamp_ns: int) -> SE2:
-    """Where the base was between two scans, at a constant twist."""
+    """Pose of the base between two scans, at a constant twist."""
     if a.stamp_ns == b.stamp_ns:
         return a.pose_odom_base
     share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
