@@ -1,4 +1,4 @@
-"""Changes that a person makes to a map while it is being made, in the key frames of the back end."""
+"""Manual changes of a map while it is being made, applied to the key frames of the back end."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -39,21 +39,21 @@ from service.mapper.graph.model.refusals import Refusals
 from service.mapper.loop_evidence import points_of
 from service.mapper.refused_loops import BY_HAND
 
-MAX_UNDONE = 50  # changes; what they took away takes memory
-WALL_MARGIN_M = 0.2  # around a line that is a cell or two wide
+MAX_UNDONE = 50  # changes kept for undo
+WALL_MARGIN_M = 0.2  # margin of the rendered area around a wall
 
 Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AppliedEdit:
-    """A change that was made, and what it took away, to be given back.
+    """An applied change, and what undo restores.
 
-    words     what it did
+    words     description
     is_bent   the graph is to be solved
-    about     (C, 2) m in the map: nothing outside is drawn otherwise; None: all may be
-    points    by key frame
-    matched   key frames whose poses were matches
+    about     (C, 2) m in the map: the area to render again; None: all
+    points    removed ones, by key frame
+    matched   key frames that were set to lost
     """
 
     words: str
@@ -66,7 +66,7 @@ class AppliedEdit:
 
 
 class LiveEdits:
-    """Makes changes one after the other, and takes them back, the newest first. Moves no key frame itself."""
+    """Applies changes, and undoes them, the newest first. Does not optimise the graph."""
 
     def __init__(self, keyframes: KeyframeList, refusals: Refusals) -> None:
         self._keyframes = keyframes
@@ -76,9 +76,9 @@ class LiveEdits:
     def make(
         self, change: LiveChange, is_known: Mask, loops: Sequence[Loop]
     ) -> tuple[AppliedEdit, list[Loop]]:
-        """And the loops that are left. is_known (N,): key frames of which the place in the map is known.
+        """Apply a change; returns it and the remaining loops.
 
-        Raises EditError.
+        is_known (N,): key frames with a known place in the map. Raises EditError.
         """
         if not is_known.any():
             raise EditError("there is nothing in the map yet; it begins with the first scan that is mapped")
@@ -109,7 +109,7 @@ class LiveEdits:
         return applied, [loop for loop in loops if not any(loop is gone for gone in applied.loops)]
 
     def renumber(self, new: Renumbering) -> None:
-        """Only some of the key frames will be kept."""
+        """Update the undo list before only some key frames are kept."""
         is_kept, number = new.is_kept, new.number
         self._applied = [
             replace(
@@ -125,7 +125,9 @@ class LiveEdits:
     def answer(
         self, applied: AppliedEdit, is_known: Mask, before: Floats, contradicted: int = 0
     ) -> EditAnswer:
-        """before: (N, 3) where the key frames were; contradicted: loops that the solution had to drop."""
+        """The reply to a change. before: (N, 3) earlier key-frame poses; contradicted: loops that the gate
+        dropped.
+        """
         keyframes = self._keyframes
         moved_m = float(np.hypot(*(keyframes.map - before)[is_known, :2].T).max())
         words = moved_words(applied.words, moved_m, contradicted) if applied.is_bent else applied.words
@@ -165,8 +167,8 @@ class LiveEdits:
         self._keyframes.by_hand = self._keyframes.by_hand.with_drawing(drawing, known)
 
     def _cut(self, change: Cut, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> AppliedEdit:
-        """Points, loops and pairs of the key frames are gone. Their poses stay, for odometry leads over them:
-        with a bridge as well as it was measured, else as where the vehicle was lost.
+        """Remove points, loops and pairs of key frames. Their poses stay, since odometry passes over them:
+        with its covariance if bridged, else as unmeasured steps.
         """
         keyframes = self._keyframes
         stamps_ns = np.array(keyframes.stamps_ns, np.int64)
@@ -216,7 +218,7 @@ class LiveEdits:
         return AppliedEdit(f"took back the loop from key frame {to} to {of}", before, loops=gone)
 
     def _accept(self, change: SeenLoop, is_known: Mask, before: ByHand, loops: Sequence[Loop]) -> AppliedEdit:
-        """As two pairs of points, which say what it measured."""
+        """Accept a refused loop as two equivalent point pairs."""
         of, to = self._ends(change, is_known)
         refused = self._refusals.arrays(loops)
         found = np.flatnonzero((refused.ends == (of, to)).all(axis=1))
@@ -251,7 +253,7 @@ class LiveEdits:
 
 
 def keyframes_near(keyframes: KeyframeList, corners_map: Floats, among: Mask) -> Mask:
-    """(N,) the key frames, of some, that may see what lies within a polygon (C, 2) m of the map."""
+    """(N,) the key frames, of some, that may see a part of a polygon (C, 2) m of the map."""
     low, high = corners_map.min(axis=0), corners_map.max(axis=0)
     near = np.flatnonzero(among)
     away_m = np.hypot(*(keyframes.map[near, :2] - 0.5 * (low + high)).T)
@@ -266,6 +268,6 @@ def _reach_m(scan: ThinnedScan) -> float:
 
 
 def _around(line: Floats) -> Floats:
-    """(4, 2) m, the rectangle around a line (C, 2), and some more."""
+    """(4, 2) m: the bounding box of a line (C, 2), with a margin."""
     (left, low), (right, high) = line.min(axis=0) - WALL_MARGIN_M, line.max(axis=0) + WALL_MARGIN_M
     return np.array([(left, low), (right, low), (right, high), (left, high)])

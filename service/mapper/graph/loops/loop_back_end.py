@@ -1,4 +1,4 @@
-"""Back end of the default profile: finds loops among key frames, accepts few of them, and bends the way."""
+"""Back end of the default profile: searches loop closures, accepts consistent ones, optimises the graph."""
 
 import math
 from collections.abc import Sequence
@@ -50,23 +50,23 @@ from service.mapper.refused_loops import (
 )
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
-LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a window where nothing has drifted: what a bad match errs by
-DRIFTS = (3.5, 4.0)  # so many times the drift of place and heading lies within it besides
-MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the time of a search
-FINISH_WINDOW = (1.5, 0.2)  # m, rad: what may be left of the drift when all loops hold
-MIN_SHARE_ON_MAP = 0.45  # of the points on the map, in medians of the drive: half of a place may have changed
-MAX_AGAINST = 0.12  # of the points in free space of the place: doors that were closed, things that moved
-AGREE_M, AGREE_RAD = 0.15, 0.03  # two loops say the same, besides the drift between them
-CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: a loop beyond it is disabled
-PROOF_NEAR_M = 2.0  # from a key frame of the stored map: from there on what it saw must be seen again
-MAX_SESSION = 600  # key frames, 180 m of way: of a vehicle that is only localised half are dropped then
+LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a search window without drift: error of a poor match
+DRIFTS = (3.5, 4.0)  # sigmas of drift of position and heading added to half a window
+MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the search time
+FINISH_WINDOW = (1.5, 0.2)  # m, rad: half a window of the final search
+MIN_SHARE_ON_MAP = 0.45  # inlier ratio of a loop, by the drive's median: half of a place may have changed
+MAX_AGAINST = 0.12  # share of the points in free space of the place: doors closed, objects moved
+AGREE_M, AGREE_RAD = 0.15, 0.03  # tolerance between two consistent loops, without drift
+CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: gate of a loop after a solution
+PROOF_NEAR_M = 2.0  # distance from a key frame of the stored map at which a new session is verified
+MAX_SESSION = 600  # key frames, 180 m of path: then a session that only localises drops half of them
 
 
 class LoopBackEnd:
-    """BackEnd. Key frames, loops and poses gather here, behind those of a stored map if there is one.
+    """BackEnd. Keeps key frames, loops and poses, after those of a stored map.
 
-    is_localizing   the stored map stays as it is: its key frames are held, what is new is forgotten
-    anchoring       of what is stored; None: by the fixes that come
+    is_localizing   the poses of the stored map are fixed; new key frames are temporary
+    anchoring       of the stored map; None: by the fixes of the session
     """
 
     def __init__(
@@ -83,18 +83,18 @@ class LoopBackEnd:
         self._renderer = renderer
         self.keyframes = KeyframeList(stored)
         self._fixed_count = self.keyframes.stored if is_localizing else 0
-        self._is_switched = False  # to localisation, in a session that maps: the map is stored without it
+        self._is_switched = False  # a mapping session was switched to localisation: only its map is stored
         self._loops: list[Loop] = [] if stored is None else stored_loops(stored)
-        self._accepted: list[list[Loop]] = []  # as they came to be accepted; for who takes one back
+        self._accepted: list[list[Loop]] = []  # in order of acceptance, for undo
         self._candidates: list[Loop] = []
         self._disabled: list[Loop] = []
-        self._gone = 0, 0  # of these and those, whose key frames are taken out
+        self._gone = 0, 0  # accepted and disabled loops of removed key frames
         self._refusals = Refusals(None if stored is None else stored.refused)
         self._submaps = SubmapCache(config, self.keyframes, self._usable)
         self._drift = PathDrift(self.keyframes, config.keyframe_distance_m)
         self._searched_m = float(self.keyframes.path_length_m[-1]) if stored is not None else 0.0
         self._due = SolutionDue(config, self._searched_m)
-        # Numbers of the pieces whose place in the map is known.
+        # Numbers of the segments with a known place in the map.
         self._joined = {0} if stored is None else set(self.keyframes.segment.tolist())
         self.detached_search = DetachedSearch(config, self.keyframes)
         self._is_merging = self._is_across = False  # as of begin_session_at
@@ -105,7 +105,7 @@ class LoopBackEnd:
         self._pictures = PictureSchedule()
 
     def make_ready(self) -> None:
-        """Make what a session looks for itself in before its first scan comes: a second for 12 000 m2."""
+        """Build the search structures before the first scan: 1 s for 12 000 m2."""
         if self.keyframes.stored:
             self.detached_search.make_ready(np.flatnonzero(self._usable()))
 
@@ -135,7 +135,7 @@ class LoopBackEnd:
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
-        taken_out = self._old_passes.taken_out  # who sends fixes does not know of it
+        taken_out = self._old_passes.taken_out  # indices of fixes do not account for it
         self._anchoring.add([replace(fix, keyframe=fix.keyframe - taken_out) for fix in batch.fixes])
         if batch.request == "set_pose":
             self.detached_search.expect_at(np.array(batch.pose))
@@ -159,7 +159,7 @@ class LoopBackEnd:
             return self._finish()
         if self._fixed_count:
             self._forget_session()
-        elif not self._is_detached():  # else the search waits for it, and nothing new lies in the map
+        elif not self._is_detached():  # a detached segment adds nothing to the map
             self._old_passes.forget(self._loops)
             taken_back = [(loop.of, loop.to) for loop in self._refusals.by_hand(self._loops)]
             needed = self._anchoring.keyframes, self.keyframes.by_hand.pair_ends, taken_back
@@ -182,7 +182,7 @@ class LoopBackEnd:
         return Result(*self._counts, joined, newest, known, rendered, edited=edited)
 
     def _set_mode(self, is_localizing: bool) -> Result:
-        """Hold all that is placed in the map, or let it be moved and extended again."""
+        """Fix the poses of all placed key frames, or release them."""
         known, counts = self._known(), self._counts
         fixed_count = int(known.sum())
         if is_localizing and not self._fixed_count and (not fixed_count or not known[:fixed_count].all()):
@@ -200,7 +200,7 @@ class LoopBackEnd:
         return Result(*counts, edited=EditAnswer(reply), is_localizing=is_localizing, keyframes=count)
 
     def _edit(self, change: LiveChange | None) -> tuple[AppliedEdit | None, EditAnswer | None]:
-        """What a person changes by hand; None: nothing, or it is refused."""
+        """Apply a manual change and answer it; None: there is none, or it was refused."""
         if change is None:
             return None, None
         try:
@@ -216,37 +216,39 @@ class LoopBackEnd:
 
     @property
     def _counts(self) -> tuple[int, int]:
-        """Loops accepted and disabled so far, but for those taken back."""
+        """Number of loops accepted and disabled, including those of removed key frames."""
         return len(self._loops) + self._gone[0], len(self._disabled) + self._gone[1]
 
     @property
     def loops(self) -> Sequence[Loop]:
-        """Those that are accepted."""
+        """The accepted loops."""
         return self._loops
 
     def begin_session_at(self, k: int, is_across: bool = False) -> None:
-        """Key frames from k on are of this session, though stored; is_across: seek loops to those before."""
+        """Treat key frames from k on as this session's, though stored; is_across: search loops to those
+        before k only.
+        """
         self.keyframes.stored, self._is_merging, self._is_across = k, True, is_across
 
     def _is_detached(self) -> bool:
-        """Whether the newest key frame lies in a piece of which nobody knows where it lies."""
+        """Whether the newest key frame is in a detached segment."""
         return bool(self.keyframes.count) and int(self.keyframes.segment[-1]) not in self._joined
 
     def _find_anchors(self) -> bool:
-        """Whether fixes are worth a solution now."""
+        """Whether fixes make a solution worth while."""
         is_known = ~self.keyframes.is_lost & self._known()
         return self._anchoring.find(self.keyframes, self._steps().covariance, is_known)
 
     def _known(self) -> npt.NDArray[np.bool_]:
-        """(N,) key frames whose place in the map is known."""
+        """(N,) key frames with a known place in the map."""
         return np.isin(self.keyframes.segment, list(self._joined))
 
     def _usable(self) -> npt.NDArray[np.bool_]:
-        """(N,) key frames that others can be aligned with: matched, with points, in a place that is known."""
+        """(N,) key frames to align with: matched, with points, and with a known place."""
         return self.keyframes.is_usable & self._known()
 
     def _search_detached(self) -> int | None:
-        """Number of the newest piece, if its place was found now; else None."""
+        """Search the newest segment; returns its number if its place was found, else None."""
         loops = self.detached_search.find(np.flatnonzero(self._usable()))
         if loops is None:
             return None
@@ -264,7 +266,7 @@ class LoopBackEnd:
             keyframes.forget_stationary(MAX_STATIONARY, self._config)
 
     def _search_loops(self, every_m: float) -> bool:
-        """Search if it is time; whether what came to be accepted is worth a solution now."""
+        """Search loops if due; whether an accepted one makes a solution worth while."""
         keyframes = self.keyframes
         if not keyframes.count or keyframes.path_length_m[-1] - self._searched_m < every_m:
             return False
@@ -279,7 +281,7 @@ class LoopBackEnd:
         return self._due.has_news(keyframes, self._loops)
 
     def _verify_placement(self) -> None:
-        """Look again whether the session lies where it was found in the stored map."""
+        """Check the place of the session in the stored map; revoke it if the map contradicts it."""
         keyframes, last = self.keyframes, self.keyframes.count - 1
         if self._placement.state != "unproven":
             return
@@ -297,7 +299,7 @@ class LoopBackEnd:
             self._revoke_placement(int(keyframes.segment[last]))
 
     def _revoke_placement(self, segment: int) -> None:
-        """A piece does not lie where it was found."""
+        """Detach a segment again, whose place was wrong."""
         self._due.require_rendering()
         self._joined.discard(segment)
         of_segment = self.keyframes.segment == segment
@@ -305,7 +307,7 @@ class LoopBackEnd:
         self._candidates, self._accepted = [], []
 
     def _search(self, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
-        """Loops that end in the query whose last key frame is `last`. window: m, rad; None: by path."""
+        """Loops from the query that ends at key frame `last`. window: m, rad; None: by path length."""
         config, keyframes = self._config, self.keyframes
         path_length_m = keyframes.path_length_m
         first = int(np.searchsorted(path_length_m, path_length_m[last] - config.place_m))
@@ -356,7 +358,9 @@ class LoopBackEnd:
         return fit.share >= MIN_SHARE_ON_MAP * float(np.median(self.keyframes.score))
 
     def _accept(self, found: Loop) -> None:
-        """Believe all that say the same as this one: if they are not of one spot, or the way leads there."""
+        """Accept all candidates consistent with this loop, if they span a path, or odometry confirms this
+        one.
+        """
         config, path_length_m = self._config, self.keyframes.path_length_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
 
@@ -378,7 +382,7 @@ class LoopBackEnd:
             self._accepted.append(new)
 
     def graph(self, is_in_hindsight: bool = False) -> PoseGraph:
-        """Key frames; behind them, where fixes anchor the map, the frame of east and north."""
+        """Pose graph: key frames, then the ENU frame if fixes anchor the map."""
         edges = self._steps(is_in_hindsight).followed_by(as_edges(self._loops))
         pairs = landmarks_of_pairs(self.keyframes)
         if self._anchoring.reference is None:
@@ -387,7 +391,7 @@ class LoopBackEnd:
         return PoseGraph(poses, edges.followed_by(self._anchoring.edges(self.keyframes)), *pairs)
 
     def _to_solve(self, is_in_hindsight: bool = False) -> PoseGraph:
-        """The graph, or what of it is not held, behind one pose for all that is."""
+        """The graph, or its part that is not fixed, after one pose for the fixed part."""
         if not self._fixed_count:
             return self.graph(is_in_hindsight)
         return graph_on_fixed(self.keyframes, self._steps(is_in_hindsight), self._loops, self._fixed_count)
@@ -397,7 +401,7 @@ class LoopBackEnd:
         return edges_of(self.keyframes, self._config.keyframe_distance_m)
 
     def _solve(self) -> None:
-        """Poses that agree best; loops that the rest contradicts are disabled."""
+        """Optimise the poses; disables loops beyond the chi-square gate."""
         if self.keyframes.count < 2:
             return
         before = self.keyframes.map.copy()
@@ -412,7 +416,7 @@ class LoopBackEnd:
         self._due.solved(float(self.keyframes.path_length_m[-1]), before, self.keyframes.map)
 
     def _disable_refuted(self) -> bool:
-        """Whether a loop had to go."""
+        """Disable loops beyond the gate; whether there was one."""
         chi2 = edge_chi2(as_edges(self._loops), self.keyframes.map)
         go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
         self._loops = [loop for loop in self._loops if loop not in go]
@@ -443,7 +447,7 @@ class LoopBackEnd:
         )
 
     def _search_again(self) -> None:
-        """Stretches against the passes that lie near them now: revisits that were missed on the way."""
+        """Search loops at the end of a drive, at passes that are close by only after the optimisation."""
         config, path_length_m = self._config, self.keyframes.path_length_m
         done = {
             (round(path_length_m[loop.to] / 3.0), round(path_length_m[loop.of] / 3.0)) for loop in self._loops
@@ -463,7 +467,7 @@ class LoopBackEnd:
                 self._accept(loop)
 
     def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
-        """The shown map, or only a polygon (C, 2) m of it; None where none is drawn."""
+        """The shown map, or its part within a polygon (C, 2) m; None without a renderer."""
         keyframes, renderer, known = self.keyframes, self._renderer, self._known()
         if renderer is None or self._fixed_count:
             return None
@@ -473,7 +477,9 @@ class LoopBackEnd:
         return renderer.render_part(to_render(keyframes, near), corners_map)
 
     def _forget_session(self) -> None:
-        """Of a vehicle that is only localised a stretch of the way is kept; of a lost one the poses, too."""
+        """Bound the memory of a session that only localises: drop old key frames, or their points while
+        detached.
+        """
         keyframes, fixed_count = self.keyframes, self._fixed_count
         if self._is_detached():
             keyframes.forget_all(fixed_count, keyframes.count - MAX_SESSION)
@@ -487,7 +493,7 @@ class LoopBackEnd:
         self._loops.append(anchor_loop(keyframes, fixed_count))
 
     def _renumber(self, new: Renumbering) -> None:
-        """Only some of the key frames are kept."""
+        """Keep only some of the key frames."""
         keyframes, (loops, disabled) = self.keyframes, self._counts
         self._edits.renumber(new)
         keyframes.keep(new.is_kept)

@@ -1,4 +1,4 @@
-"""What goes to the back end of the default profile's graph, and what comes back. All can be pickled."""
+"""Batches to the back end of the default profile's graph, and its results. All can be pickled."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from service.outputs import GraphPicture
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Key frames and fixes since the last batch, and what else is wanted."""
+    """Key frames and fixes since the last batch, and a request."""
 
     frames: Sequence[KeyFrame]
     request: str = ""  # "optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode"
@@ -28,26 +28,26 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """newest: as KeyframeList.newest_by_piece, if anything moved; all: every one, after the last batch.
+    """newest: as KeyframeList.newest_by_segment, if anything moved; all: every one, after the last batch.
 
     g2o         after the last batch: the graph as text
-    keyframes   after the last batch how many the graph has; after set_mode those taken out count, too
-    geo, fixes       where the map lies on the earth, None: that is not known; fixes by what became of them
+    keyframes   after the last batch and set_mode: number of key frames; after set_mode with the removed ones
+    geo, fixes  geographic reference of the map, None if not known; fixes by outcome
     """
 
-    loops: int  # that are accepted now
-    disabled: int  # that are not any more
-    joined: int | None = None  # number of the piece that was found in the rest; None: none
+    loops: int  # number of accepted ones
+    disabled: int  # number of disabled ones
+    joined: int | None = None  # number of the segment that was joined to the map; None: none
     newest: Mapping[int, Correction] = field(default_factory=dict)
-    known: KnownPose | None = None  # the newest whose place in the map is known; None: as before
+    known: KnownPose | None = None  # newest key frame with a known place; None: unchanged
     rendered_map: RenderedMap | None = None
     all: Sequence[Correction] = ()
     g2o: str = ""
     keyframes: int = 0
     geo: GeoReference | None = None
     fixes: Mapping[str, int] = field(default_factory=dict)
-    saved: SavedGraph | KeptGraph | None = None  # where a checkpoint was asked for, and at the end
+    saved: SavedGraph | KeptGraph | None = None  # at a checkpoint and at the end
     place: PlaceNews = field(default_factory=PlaceNews)
-    picture: GraphPicture | None = None  # where one was due
-    edited: EditAnswer | None = None  # of a batch with a change or another mode
-    is_localizing: bool | None = None  # from now on; None: as before
+    picture: GraphPicture | None = None  # if due
+    edited: EditAnswer | None = None  # answer to a change or another mode
+    is_localizing: bool | None = None  # from now on; None: unchanged

@@ -1,4 +1,4 @@
-"""Graph of the default profile: sends key frames to where loops are found, and brings corrections in."""
+"""Graph of the default profile: sends key frames to the loop back end, and applies its corrections."""
 
 import json
 import math
@@ -51,7 +51,7 @@ REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode"
 
 
 class PoseRequest(Section):
-    """What set_pose takes: pose_map_base as a person sees it."""
+    """Payload of set_pose: pose_map_base by the operator."""
 
     x_m: float = Field(allow_inf_nan=False)
     y_m: float = Field(allow_inf_nan=False)
@@ -84,20 +84,20 @@ class LoopClosing(BackgroundGraph[Result]):
         self._keyframes = 0 if stored is None else len(stored)
         self._is_placed = stored is None
         self._is_localizing = is_localizing
-        self._is_always_localizing = is_localizing  # by the config: for as long as this lives
-        self._is_looking = not self._is_placed  # the newest scan lies in a piece that is looked for
-        self._fix_counts: Mapping[str, int] = {}  # as the back end had them last
+        self._is_always_localizing = is_localizing  # set by the config, for the entire session
+        self._is_looking = not self._is_placed  # the newest scan is in a detached segment
+        self._fix_counts: Mapping[str, int] = {}  # of the newest result
         self._fresh: list[KeyFrame] = []  # not yet sent
-        self._sent: deque[list[KeyFrame]] = deque()  # with each piece of work that is out
+        self._sent: deque[list[KeyFrame]] = deque()  # with each job
         self._last: SE2 | None = None  # of the newest key frame
-        self._segment = 0  # that the newest scan lies in
+        self._segment = 0  # of the newest scan
         self._last_ns = 0
-        self._stationary_pose: SE2 | None = None  # of the first key frame from where the vehicle stands
-        self._stationary_count = 0  # key frames after that one from there
-        self._prediction_variance = (0.0, 0.0)  # since then, as of KeyFrame
-        self._gap_s = 0.0 if stored is None else math.inf  # longest time without a scan since then
-        self._is_unmeasured = False  # nobody measured the way since the newest place that is known
-        self._path_length_m = 0.0  # of those not yet sent
+        self._stationary_pose: SE2 | None = None  # of the first key frame at standstill
+        self._stationary_count = 0  # number of key frames after it at standstill
+        self._prediction_variance = (0.0, 0.0)  # since the last key frame, as of KeyFrame
+        self._gap_s = 0.0 if stored is None else math.inf  # longest scan gap since the last key frame
+        self._is_unmeasured = False  # motion since the newest known place was not measured
+        self._path_length_m = 0.0  # since the last batch
         self._last_result: Result | None = None
         self._pose_refused: tuple[float, float, float] | None = None
         self._loops = 0 if stored is None else len(stored.loop_ends)
@@ -178,7 +178,7 @@ class LoopClosing(BackgroundGraph[Result]):
         return {"looked_for_at": [requested.x_m, requested.y_m, requested.theta_rad]}
 
     def _edit(self, payload: Mapping[str, Any]) -> None:
-        """What can be refused at once is; the rest is up to the back end."""
+        """Requests are validated here as far as possible, then by the back end."""
         if self._is_localizing:
             raise GraphRequestError(f"edit_map: {ONLY_LOCALISED}")
         try:
@@ -222,7 +222,7 @@ class LoopClosing(BackgroundGraph[Result]):
         return FinishedGraph(last.all, last.g2o, last.keyframes, update)
 
     def _submit(self, wanted: Batch = _NOTHING_ELSE) -> None:
-        """What is wanted, with the key frames and fixes since the last batch."""
+        """Submit a request, with the key frames and fixes since the last batch."""
         self._jobs.submit(replace(wanted, frames=self._fresh, fixes=self._fixes.take()))
         self._sent.append(self._fresh)
         self._fresh, self._path_length_m = [], 0.0
@@ -248,18 +248,18 @@ class LoopClosing(BackgroundGraph[Result]):
         self._pose_refused = refused
         if result.is_localizing is not None and result.edited is not None:
             self._is_localizing = result.is_localizing
-            # The back end drops key frames while it only localises: they are counted anew.
+            # The back end drops key frames while it only localises: count them again.
             self._keyframes = result.keyframes + sum(map(len, self._sent)) + len(self._fresh)
             self._fixes = FixTrack()
         self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:
             self._is_unmeasured = False
-        if result.newest:  # its first is the newest of all: a scan may lie in a piece that began since
+        if result.newest:  # the first is the newest; the scan may be in a segment begun since
             correction = result.newest.get(self._segment, next(iter(result.newest.values())))
             self._pose_map_odom = correction.pose_map_base @ correction.pose_odom_base.inverse()
         since = [frame for batch in self._sent for frame in batch] + self._fresh
         is_all = result.rendered_map is not None and result.rendered_map.is_part is None
-        drawn = [  # a part leaves them where they are drawn already
+        drawn = [  # a partial map leaves them as they are
             ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
             for frame in (since if is_all else ())
         ]

@@ -1,4 +1,4 @@
-"""Keeps the first pass of a place and the newest ones: time must fill neither memory nor the graph."""
+"""Limits the passes of a place to the first and the newest ones, which bounds memory and graph."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,22 +13,22 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import WITHIN_M, Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 
-SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames so near see the same
-TAKEN_OUT_AT_ONCE = 200  # key frames, 60 m of path: the others get new numbers each time
+SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames this close see the same
+TAKEN_OUT_AT_ONCE = 200  # key frames, 60 m of path: each removal renumbers the others
 
 Mask = npt.NDArray[np.bool_]
 
 
 class Renumbering:
-    """New numbers when only some of N key frames are kept. number (N,), of those with is_kept (N,)."""
+    """New indices if only some of N key frames are kept: number (N,), valid where is_kept (N,)."""
 
     def __init__(self, is_kept: Mask) -> None:
         self.is_kept = is_kept
         self.number = np.cumsum(is_kept) - 1
-        self._moved: dict[int, tuple[Loop, Loop]] = {}  # by id: a loop in two lists stays one
+        self._moved: dict[int, tuple[Loop, Loop]] = {}  # by id: a loop in two lists stays one object
 
     def loops(self, loops: Sequence[Loop]) -> list[Loop]:
-        """Those with both ends kept."""
+        """Loops with both ends kept, renumbered."""
         return [self._loop(loop) for loop in loops if self.is_kept[loop.of] and self.is_kept[loop.to]]
 
     def _loop(self, loop: Loop) -> Loop:
@@ -39,32 +39,32 @@ class Renumbering:
 
 
 class OldPasses:
-    """Remembers up to where it has looked back, and the poses of what was taken out.
+    """Selects old passes to remove, and keeps the poses of removed key frames.
 
-    taken_out   so many key frames
+    taken_out   number of removed key frames
     """
 
     def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
         self._keyframes = keyframes
-        self._looked_back = 0  # key frames whose context were asked for passes too many
-        self._spent: set[int] = set()  # key frames to be taken out
-        # (G,) of those taken out, compact, for an hour of laps makes thousands: ...
+        self._looked_back = 0  # key frames checked for surplus passes
+        self._spent: set[int] = set()  # key frames to remove
+        # (G,) of the removed ones, compact, since an hour of laps makes thousands: ...
         self._gone_ns, self._begins_segment = np.zeros(0, np.int64), np.zeros(0, np.bool_)
         self._odom = np.zeros((0, 3))
-        self._beside = np.zeros(0, np.int64)  # ... the key frame that lay nearest to each, and ...
-        self._from_beside = np.zeros((0, 3))  # ... where each lay as seen from it
+        self._beside = np.zeros(0, np.int64)  # ... the nearest kept key frame of each, and ...
+        self._from_beside = np.zeros((0, 3))  # ... its pose relative to that
 
     @property
     def taken_out(self) -> int:
         return len(self._gone_ns)
 
     def forget(self, loops: Sequence[Loop]) -> None:
-        """Drop the points of old passes where enough newer ones keep theirs.
+        """Drop the points of old passes of places with enough newer passes.
 
-        Only where loops hold the pass in its place: a drifted one would drive out another part of the map.
-        The first pass that they lead to stays, for else each generation of passes hands its error on to the
-        next; passes between that and the newest ones are spent.
+        Only of passes that loops tie to the newer ones: a drifted pass may show another part of the map. The
+        first pass stays, since otherwise each generation of passes would hand its error to the next. Passes
+        between the first and the newest ones are removed.
         """
         config, keyframes = self._config, self._keyframes
         if not loops:
@@ -100,10 +100,10 @@ class OldPasses:
         self._looked_back = max(until, self._looked_back)
 
     def renumbering(self, needed: Sequence[npt.ArrayLike]) -> Renumbering | None:
-        """Without the spent key frames, which are to be taken out now; None while they are few.
+        """Indices after the removal of old key frames; None while they are few.
 
-        Steps of odometry will lead over them, and their loops be gone. Those of a stored map stay, and where
-        pieces begin and end.
+        Odometry steps pass over them, and their loops are dropped. Those of a stored map stay, and the first
+        and last ones of segments.
 
         needed   others that stay
         """
@@ -130,7 +130,7 @@ class OldPasses:
         nearest = [others[np.argmin(np.hypot(*(at[others, :2] - at[k, :2]).T))] for k in gone]
         beside = np.array(nearest, np.int64)
         from_beside = se2.between(at[beside], at[gone])
-        again = np.flatnonzero(~is_kept[self._beside])  # what they lay beside is taken out now
+        again = np.flatnonzero(~is_kept[self._beside])  # their reference is removed now
         row = np.searchsorted(gone, self._beside[again])
         self._from_beside[again] = se2.compose(from_beside[row], self._from_beside[again])
         self._beside[again] = beside[row]
@@ -142,7 +142,7 @@ class OldPasses:
         self._from_beside = np.vstack((self._from_beside, from_beside))
 
     def corrections(self) -> list[Correction]:
-        """Where each key frame of the session lies, by rising stamps, those taken out among them."""
+        """Pose of each key frame of the session, by ascending stamps, including removed ones."""
         keyframes = self._keyframes
         kept = [keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
         poses = se2.compose(keyframes.map[self._beside], self._from_beside)

@@ -1,4 +1,4 @@
-"""Which key frames of earlier passes a loop is looked for at."""
+"""Selects the key frames of earlier passes at which loops are searched."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,8 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop, far_from_loops
 from service.mapper.graph.model.loops_config import LoopsConfig
 
-PASSES = 4  # of a place are asked in one search, the nearest ones
-MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives what no loop ties yet
+PASSES = 4  # the nearest ones, per search
+MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives those without loops
 
 
 def passes_to_search(
@@ -47,7 +47,7 @@ def nearest_of_passes(
 
 
 def stretches_to_search(keyframes: KeyframeList, loops: Sequence[Loop], config: LoopsConfig) -> list[int]:
-    """The last key frame of each stretch of the session that is worth a search at the finish."""
+    """The last key frame of each stretch of the session to search at the finish."""
     path_length_m = keyframes.path_length_m
     at_m = np.arange(
         config.place_m + float(path_length_m[keyframes.stored]), path_length_m[-1], config.search_every_m
@@ -55,5 +55,5 @@ def stretches_to_search(keyframes: KeyframeList, loops: Sequence[Loop], config: 
     if len(at_m) > MAX_STRETCHES:
         tied_m = path_length_m[[loop.to for loop in loops]] + 0.5 * config.place_m  # ends of the queries
         at_m = far_from_loops(at_m, tied_m, config.search_every_m)
-    last: list[int] = np.unique(np.searchsorted(path_length_m, at_m)).tolist()  # key frames may be taken out
+    last: list[int] = np.unique(np.searchsorted(path_length_m, at_m)).tolist()  # some may be removed
     return last

@@ -1,4 +1,4 @@
-"""Draws the graph of the default profile, for people to look at."""
+"""Pictures of the default profile's graph, for display."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -16,13 +16,13 @@ from service.mapper.graph.model.refusals import Refusals
 from service.mapper.loop_evidence import evidence, residuals
 from service.outputs import GraphPicture
 
-MAX_SHOWN = 50  # loops of each kind, with what they rest on
+MAX_SHOWN = 50  # loops of each kind, with their figures
 
 Mask = npt.NDArray[np.bool_]
 
 
 class PictureSchedule:
-    """A picture when one is due, by the stamps of the key frames: a replay has the same ones."""
+    """Makes a picture when one is due by the stamps of the key frames: the same in a replay."""
 
     def __init__(self) -> None:
         self._due_ns = 0
@@ -35,10 +35,10 @@ class PictureSchedule:
         refusals: Refusals,
         at_once: bool,
     ) -> GraphPicture | None:
-        """None while the last one is fresh.
+        """The picture if due, else None.
 
-        joined    numbers of the pieces whose place is known
-        at_once   however fresh the last one is
+        joined    numbers of the segments with a known place
+        at_once   due in any case
         """
         if not keyframes.count:
             return None
@@ -69,7 +69,7 @@ class PictureSchedule:
 def _evidence(
     loops: Mapping[str, npt.NDArray[Any]], rank: Floats, keyframes: KeyframeList, is_joined: Mask
 ) -> list[dict[str, Any]]:
-    """Of the MAX_SHOWN loops with the highest rank (N,) among those of a place that is known."""
+    """Figures of the MAX_SHOWN loops with the highest rank (N,) and a known place."""
     known = np.flatnonzero(is_joined[loops["ends"]].all(axis=1))
     if not len(known):
         return []

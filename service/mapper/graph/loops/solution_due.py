@@ -1,4 +1,4 @@
-"""When a solution of the graph is worth its time, and when the map is worth being drawn anew after it."""
+"""Decides when to optimise the graph, and when to render the map after it."""
 
 import math
 from collections.abc import Sequence
@@ -12,17 +12,17 @@ from service.mapper.graph.model.loops import WITHIN_M, Loop, as_edges, disagreem
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.pose_graph import edge_chi2
 
-NEWEST_LOOPS = 20  # loops that are asked
+NEWEST_LOOPS = 20  # number of loops evaluated
 NEWS_CHI2 = 4.0  # of a loop: two sigmas
-# Of way with loops that agree with the map: each moves it by less than is worth a solution, but an error
-# that grows lap by lap is found by all of them together.
+# Path length after which loops that agree with the map lead to a solution: each alone is below the threshold,
+# but a drift that grows lap by lap is visible in all of them together.
 SOLVE_EVERY_M = 100.0
 RENDER_AT_M = 0.02  # less than half a cell of the shown map
-LEVER_M = 10.0  # from a key frame to the walls that it saw
+LEVER_M = 10.0  # typical distance from a key frame to its walls
 
 
 class SolutionDue:
-    """Remembers the newest solution, and how far the map has moved since it was drawn."""
+    """Keeps the path length of the newest solution, and the motion of the map since it was rendered."""
 
     def __init__(self, config: LoopsConfig, path_length_m: float) -> None:
         """path_length_m: at the end of the stored map"""
@@ -31,7 +31,7 @@ class SolutionDue:
         self._unrendered_m = 0.0
 
     def has_news(self, keyframes: KeyframeList, loops: Sequence[Loop]) -> bool:
-        """Whether one of the newest of these loops would move the map by more than it is itself unsure of, or
+        """Whether one of the newest loops deviates from the map by more than its uncertainty, or
         SOLVE_EVERY_M were driven since the newest solution.
         """
         loops, path_length_m = loops[-NEWEST_LOOPS:], keyframes.path_length_m
@@ -48,7 +48,7 @@ class SolutionDue:
         return False
 
     def solved(self, path_length_m: float, before: Floats, after: Floats) -> None:
-        """The key frames lay at (N, 3) before and lie at (N, 3) now."""
+        """Record a solution that moved the key frames from `before`, (N, 3), to `after`."""
         self._solved_m = path_length_m
         away_m = np.hypot(*(after - before)[:, :2].T) + LEVER_M * np.abs(
             wrap_angle(after[:, 2] - before[:, 2])
@@ -56,11 +56,11 @@ class SolutionDue:
         self._unrendered_m += float(away_m.max(initial=0.0))
 
     def require_rendering(self) -> None:
-        """There is more or less in the map than before."""
+        """Content was added to or removed from the map."""
         self._unrendered_m = math.inf
 
     def take_rendering(self) -> bool:
-        """Whether the map has changed visibly since it was drawn; it is drawn now if it has."""
+        """Whether the map has changed visibly since it was rendered; resets the count if so."""
         is_due = self._unrendered_m >= RENDER_AT_M
         if is_due:
             self._unrendered_m = 0.0

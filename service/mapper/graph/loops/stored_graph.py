@@ -1,4 +1,4 @@
-"""A stored map under a new session: what is saved of a graph, and the session's poses on what is held."""
+"""Stored graphs: conversion of the back end's state, and a session on a fixed stored map."""
 
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any
@@ -18,9 +18,9 @@ from service.mapper.graph.model.refusals import Refusals
 from service.mapper.graph.relocalise.detached_search import MIN_APART_M
 from service.mapper.saved_graph import SavedGraph
 
-MAX_CONTRADICTIONS = 2  # looks in a row
-PAIR_COVARIANCE = np.diag([0.02**2, 0.02**2])  # m^2, of each of two points that a person says are one
-ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first key frame left, as loops held it
+MAX_CONTRADICTIONS = 2  # consecutive failed verifications
+PAIR_COVARIANCE = np.diag([0.02**2, 0.02**2])  # m^2, of each point of a manual pair
+ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first remaining key frame by removed loops
 
 
 def stored_loops(stored: SavedGraph) -> list[Loop]:
@@ -39,7 +39,7 @@ def stored_loops(stored: SavedGraph) -> list[Loop]:
 
 
 def loop_arrays(loops: Sequence[Loop]) -> dict[str, npt.NDArray[Any]]:
-    """Loops as the fields of a SavedGraph that hold them; stored_loops gives them back."""
+    """Loops as the fields of a SavedGraph; inverse of stored_loops."""
     edges = as_edges(loops)
     return {
         "loop_ends": np.column_stack((edges.of, edges.to)).astype(np.int64),
@@ -58,9 +58,9 @@ def saved_graph(
     refusals: Refusals,
     fixed_count: int | None = None,
 ) -> SavedGraph:
-    """The key frames whose place in the map is known, and the loops between them.
+    """The key frames with a known place in the map, and the loops between them.
 
-    held   only of the first so many; None: of all
+    fixed_count   only of the first so many; None: of all
     """
     is_known = np.isin(keyframes.segment, list(joined))
     if fixed_count is not None:
@@ -96,7 +96,7 @@ def saved_graph(
 
 
 def to_render(keyframes: KeyframeList, among: npt.NDArray[np.bool_]) -> Iterator[ToRender]:
-    """The scans of some key frames (N,), without those that were not matched, and what a person drew."""
+    """Scans of some key frames (N,), if they were matched, and manual edits."""
     known = np.flatnonzero(among & ~keyframes.is_lost)
     scans = (
         (
@@ -113,7 +113,7 @@ def to_render(keyframes: KeyframeList, among: npt.NDArray[np.bool_]) -> Iterator
 
 
 def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
-    """(P, 2) m in the map, where a person says that two points are one; and the points as they were seen."""
+    """(P, 2) m: landmarks in the map for manual point pairs; and the points as seen by the key frames."""
     ends, xy = keyframes.by_hand.pair_ends, keyframes.by_hand.pair_xy
     count = len(ends)
     if not count:
@@ -131,9 +131,9 @@ def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
 def graph_on_fixed(
     keyframes: KeyframeList, odometry: Edges, loops: Sequence[Loop], fixed_count: int
 ) -> PoseGraph:
-    """The key frames from `held` on, where those before stay as they are, behind one pose for all of these.
+    """Graph of the key frames from fixed_count on, after one pose for the fixed ones before.
 
-    A loop to a held key frame measures against that one's place.
+    A loop to a fixed key frame becomes an edge from that pose.
     """
     own = (odometry.of >= fixed_count) & (odometry.to >= fixed_count)
     seen = as_edges([loop for loop in loops if loop.to >= fixed_count])
@@ -160,20 +160,20 @@ def graph_on_fixed(
 
 
 def anchor_loop(keyframes: KeyframeList, k: int) -> Loop:
-    """What key frame k knew by those that are gone: where it is in the map."""
+    """A loop that keeps key frame k at its pose in the map, in place of removed ones."""
     return Loop(0, k, se2.between(keyframes.map[0], keyframes.map[k]), ANCHOR_COVARIANCE, 1.0)
 
 
 class Placement:
-    """How sure it is where a session lies in the stored map that it began in.
+    """Confidence of a session's place in the stored map.
 
-    A place is found by what is seen from one spot, and rooms look alike: it is proven by what is seen from
-    MIN_APART_M on, and taken back where that contradicts it.
+    A place is found from one viewpoint, and rooms may look alike. It is confirmed by scans from MIN_APART_M
+    on, and revoked if they contradict it.
     """
 
     def __init__(self, is_in_stored: bool) -> None:
         self.state: Placed = "unknown" if is_in_stored else "proven"
-        self._found_m = 0.0  # way at which it was found
+        self._found_m = 0.0  # path length at which it was found
         self._contradictions = 0
 
     def found(self, path_length_m: float) -> None:
@@ -181,9 +181,7 @@ class Placement:
             self.state, self._found_m, self._contradictions = "unproven", path_length_m, 0
 
     def seen(self, path_length_m: float, agrees: bool) -> bool:
-        """What is seen after so much way on known ground lies where the map says, or not; whether the place
-        must be taken back.
-        """
+        """Take a verification at a path length on known ground; whether the place must be revoked."""
         if self.state != "unproven":
             return False
         if agrees and path_length_m - self._found_m >= MIN_APART_M:

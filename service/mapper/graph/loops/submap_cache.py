@@ -1,4 +1,4 @@
-"""The sub-maps that loops were looked for at last: places beside each other are asked one after the other."""
+"""Cache of the sub-maps used in loop searches: consecutive queries search neighbouring places."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -14,9 +14,9 @@ SUBMAPS_KEPT = 16
 
 
 class SubmapCache:
-    """By key frame, the one asked last behind the others.
+    """Sub-maps by key frame, least recently used first.
 
-    usable   gives the (N,) key frames that others can be aligned with
+    usable   returns (N,) key frames to align with
     """
 
     def __init__(
@@ -26,7 +26,7 @@ class SubmapCache:
         self._submaps: OrderedDict[int, CandidateSubmap] = OrderedDict()
 
     def about(self, k: int) -> CandidateSubmap:
-        """One about key frame k; a place that is kept already and lies near will do."""
+        """A sub-map around key frame k, or a cached one close by."""
         path_length_m, config = self._keyframes.path_length_m, self._config
         for reference in self._submaps:
             if abs(path_length_m[reference] - path_length_m[k]) <= config.search_every_m:
@@ -45,6 +45,6 @@ class SubmapCache:
         self._submaps.clear()
 
     def keep_before(self, first: int) -> None:
-        """Key frames from that one on have other numbers now."""
+        """Drop sub-maps with key frames from `first` on, whose indices change."""
         kept = ((k, one) for k, one in self._submaps.items() if one.members[-1] < first)
         self._submaps = OrderedDict(kept)
