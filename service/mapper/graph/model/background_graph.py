@@ -1,4 +1,4 @@
-"""What the graphs that work beside the mapping have in common."""
+"""Base of the graphs with a back end."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ ResultT = TypeVar("ResultT")
 
 
 class BackgroundGraph(ABC, Generic[ResultT]):
-    """The half of Graph that deals with the back end: batches out, results in, oldest first."""
+    """The part of Graph that talks to the back end: submits batches, applies results, oldest first."""
 
     def __init__(self, back_end: BackEnd, new_worker: NewWorker) -> None:
         self._jobs = BackgroundJobs(new_worker(back_end))
@@ -48,7 +48,7 @@ class BackgroundGraph(ABC, Generic[ResultT]):
         self._jobs.close()
 
     def _apply_all(self, counts: dict[str, int]) -> GraphUpdate:
-        """Apply everything that is out, waiting for it, and count what it changed; the last update."""
+        """Apply all results, waiting for them, and sum their counts; returns the last update."""
         last = GraphUpdate({})
         while (update := self.apply_result()) is not None:
             add_counts(counts, update.counts)
@@ -57,10 +57,10 @@ class BackgroundGraph(ABC, Generic[ResultT]):
 
     @abstractmethod
     def _bring_in(self, result: ResultT) -> GraphUpdate:
-        """What a result of the back end changes."""
+        """Changes by a result of the back end."""
 
     def _give_up(self) -> None:
-        """No result will come any more."""
+        """Clean up: no result will come any more."""
 
 
 def add_counts(counts: dict[str, int], more: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""A stretch of the way as something to be found again: surfels, free space, and a field to search in."""
+"""A sub-map for loop search: surfels, free space, and a likelihood field."""
 
 import math
 from collections.abc import Iterable
@@ -27,26 +27,26 @@ from service.mapper.maps.occupancy import EVIDENCE, FREE_EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 
-LOOP_FIELD_SIGMA_M = 0.12  # spread of a point in the field of a candidate: a cell and what drift is left
+LOOP_FIELD_SIGMA_M = 0.12  # of the likelihood field: a cell and the remaining drift
 LOOP_SEARCH_LEVELS = 7
-LOOP_REACH_M = 15.0  # points beyond are not asked: they are few, and a small turn moves them far
+LOOP_REACH_M = 15.0  # farther points are ignored: they are few, and sensitive to rotation
 LOOP_SEARCH_POINTS = 200
-# Of a point on ground that the sub-map has not seen, which says nothing: somewhat less than that of one on a
-# wall, so that ground that is known wins.
+# Likelihood of a point on ground that the sub-map has not observed: below that of a point on a wall, so that
+# known ground is preferred.
 LOOP_UNKNOWN_LIKELIHOOD = 0.7
-MIN_LOOP_SCORE = 0.5  # mean likelihood of the points that a search must reach: half of them lie on walls
-# [22] Squared sigmas of chance in what walls say of a loop: of the loops along 30 m of a corridor, one each
-# 2 m, the largest counts.
+MIN_LOOP_SCORE = 0.5  # least mean likelihood of a search result: half of the points lie on walls
+# [22] Gate for noise in the information of a loop: the largest of the loops along 30 m of a corridor, one
+# each 2 m.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
-REACH_SIGMAS = 3.5  # of the drift between two passes, that half a window is: DRIFTS of the back end
-MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; of its sigma, that no move is worth
-TRACED_EVERY = 3  # key frames: neighbours see the same free space, and through the same things
+REACH_SIGMAS = 3.5  # of the drift between two passes: half a window, as DRIFTS of the back end
+MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; in sigmas, below which it stops
+TRACED_EVERY = 3  # key frames: neighbours observe the same free space
 
 
 def cloud_of(
     keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
 ) -> PointCloud:
-    """Key frames as odometry places them, in the frame of `reference`; or as `poses`, (N, 3) of all, does."""
+    """Points of key frames in the frame of `reference`, placed by odometry or by `poses`, (N, 3) of all."""
     poses = keyframes.odom if poses is None else poses
     return joined(
         [seen_by(keyframes, k).transformed(se2.between(poses[reference], poses[k])) for k in members]
@@ -54,7 +54,7 @@ def cloud_of(
 
 
 def seen_by(keyframes: KeyframeList, k: int, reach_m: float = LOOP_REACH_M) -> PointCloud:
-    """The points of a key frame that are asked, in its own frame."""
+    """The points of a key frame within reach_m, in its own frame."""
     kept = keyframes.thinned[k]
     near = (kept.xy_base * kept.xy_base).sum(axis=1) < reach_m * reach_m
     xy, normals = kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64)
@@ -62,10 +62,9 @@ def seen_by(keyframes: KeyframeList, k: int, reach_m: float = LOOP_REACH_M) -> P
 
 
 class CandidateSubmap:
-    """Key frames around one, `reference`, in whose frame all lies, put together by odometry.
+    """Key frames around `reference`, in its frame, placed by odometry.
 
-    poses   (N, 3) of all key frames, where these put them together instead: those of the graph do where the
-            members are of several passes
+    poses   (N, 3) of all key frames, to place them by instead: of the graph, for members of several passes
     """
 
     def __init__(
@@ -105,7 +104,7 @@ class CandidateSubmap:
         least: float,
         step_rad: float = CELL_M / 10.0,
     ) -> Floats | None:
-        """Where the cloud lies best within a window about a pose; None where nowhere well enough."""
+        """Best pose of the cloud in a window around a pose; None if its score is below `least`."""
         if not len(cloud.xy) or not len(self._xy):
             return None
         window = window_around(pose, (reach_m, reach_rad), self.pyramid(), step_rad)
@@ -113,19 +112,20 @@ class CandidateSubmap:
         return found.pose if found.score >= least else None
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
-        """The cloud aligned with the surfels, from a pose near enough."""
+        """The cloud aligned with the surfels, from a nearby pose."""
         return self._surfels.align_with_shared_errors(cloud, pose, CHANCE_CHI2)
 
     def align_about(
         self, cloud: PointCloud, pose: Floats, expected: Floats, reach_m: float, reach_rad: float
     ) -> Fit:
-        """The same, and where the walls leave a direction open it lies there as expected.
+        """Like `align`; along directions that walls leave open the expected pose applies.
 
-        expected             pose (3,) that the search was about
-        reach_m, reach_rad   half of its window: REACH_SIGMAS of the expected pose
-        What a search chose in an open direction is chance. Along a corridor it was up to 1.5 m, and what the
-        walls say across it holds near by alone. The expected pose says where to align again, and is not in
-        the fit.
+        expected             pose (3,) at the centre of the search window
+        reach_m, reach_rad   half of the window: REACH_SIGMAS of the expected pose
+
+        The search picks any value along an open direction, up to 1.5 m off in a corridor, where the
+        linearisation does not hold. The expected pose only moves the starting point of the alignment; it is
+        not in the fit.
         """
         fit = self.align(cloud, pose)
         sigmas = np.array([reach_m, reach_m, reach_rad]) / REACH_SIGMAS
@@ -140,7 +140,7 @@ class CandidateSubmap:
         return fit
 
     def against(self, cloud: PointCloud, pose: Floats) -> float:
-        """Share of the points that would lie in free space of the place, 0..1."""
+        """Share of the points in free space of the sub-map, 0..1."""
         return float(share_in_free_space(cloud.xy, pose, self._free(), FREE_EVIDENCE))
 
     def pyramid(self) -> MaxPyramid:

@@ -1,4 +1,4 @@
-"""A pose graph as a picture of bounded size, drawn seldom: what leaves the mapper for people to look at."""
+"""A pose graph as a picture of bounded size, for display."""
 
 from collections.abc import Sequence
 
@@ -9,11 +9,11 @@ from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import GraphPicture
 
-MAX_KEYFRAMES = 1000  # in a picture; then every second, third ... is left out
+MAX_KEYFRAMES = 1000  # in a picture; of more every second, third ... is shown
 MAX_LOOPS = 500  # of each kind
 MAX_BORDERS = 200
-DRAWN_GAP_M = 5.0  # path without a key frame: some were taken out, or another session begins
-PERIOD_NS = 2_000_000_000  # of the drive, from one picture to the next
+DRAWN_GAP_M = 5.0  # path without a key frame: removed ones, or another session
+PERIOD_NS = 2_000_000_000  # of the drive, between two pictures
 
 Ints = npt.NDArray[np.int64]
 
@@ -26,12 +26,12 @@ def draw(
     refused: Ints,
     borders: Sequence[Floats] = (),
 ) -> GraphPicture:
-    """Draw N key frames and what is known between them.
+    """Picture of N key frames and the loops between them.
 
-    xy_map     (N, 2) m, along the way
-    stretch    (N,) number of the stretch that each belongs to; negative: nobody knows where it lies
-    accepted   (L, 2) key frames at the ends of loops that hold
-    refused    (R, 2) of loops that do not
+    xy_map     (N, 2) m, along the path
+    stretch    (N,) number of the polyline that each belongs to; negative: of unknown place
+    accepted   (L, 2) key frames of accepted loops
+    refused    (R, 2) of refused loops
     borders    outlines of sub-maps, (K, 2) m each, map frame
     """
     xy = xy_map.astype(np.float32)
@@ -52,7 +52,7 @@ def draw(
 
 
 def stretches(path_length_m: Floats, segment: Ints, is_known: npt.NDArray[np.bool_]) -> Ints:
-    """(N,) numbers of stretches: a new one begins with another piece, another session, and after a gap."""
+    """(N,) polyline numbers: a new one begins with another segment, another session, and after a gap."""
     if not len(path_length_m):
         return np.empty(0, np.int64)
     begins = (
@@ -65,7 +65,7 @@ def stretches(path_length_m: Floats, segment: Ints, is_known: npt.NDArray[np.boo
 
 
 def draw_saved(graph: SavedGraph) -> GraphPicture:
-    """What was stored: its key frames, the loops that hold and those that were refused."""
+    """Picture of a stored graph with its accepted and refused loops."""
     stretch = stretches(graph.path_length_m, graph.segment, ~graph.is_lost)
     stamp_ns = int(graph.stamp_ns[-1]) if len(graph) else 0
     return draw(stamp_ns, graph.map[:, :2], stretch, graph.loop_ends, graph.refused.ends)

@@ -1,10 +1,10 @@
-"""What hangs together in a graph."""
+"""Connected components."""
 
 from collections.abc import Iterable
 
 
 def groups_of(count: int, pairs: Iterable[tuple[int, int]]) -> list[int]:
-    """Of each index below `count` the lowest one of its group: those that pairs join, over others too."""
+    """Lowest index of the connected component of each index below `count`, by pairs of indices."""
     parent = list(range(count))
 
     def root(k: int) -> int:

@@ -1,4 +1,4 @@
-"""A pose graph as GTSAM's factors, and its solution: the only module that imports GTSAM."""
+"""Solves a pose graph by GTSAM; the only module that imports GTSAM."""
 
 from collections.abc import Sequence
 
@@ -8,18 +8,18 @@ import numpy as np
 from service.geometry.poses import Floats
 from service.mapper.graph.model.pose_graph import PoseGraph, SolverConfig, bearing_range
 
-FIXED_SIGMA = 1e-5  # m and rad, of a pose that is held: covers rounding
-ASIDE_M = 4.0  # where the helper of a pose stands that sees a point too near for a bearing
-MIN_FACTOR_RANGE_M = 1.0  # a point nearer than this is seen by the helper
+FIXED_SIGMA = 1e-5  # m and rad, of a fixed pose: above rounding
+ASIDE_M = 4.0  # from a pose to its auxiliary pose, for points too near for a bearing
+MIN_FACTOR_RANGE_M = 1.0  # a nearer point is measured from the auxiliary pose
 
 
 def solve_with_fixed(
     graph: PoseGraph, fixed_poses: list[int], config: SolverConfig, covariances_of: Sequence[int]
 ) -> tuple[Floats, Floats, dict[int, Floats]]:
-    """Poses (N, 3) m and rad, landmarks (L, 2) m, and covariances (3, 3) by pose asked for.
+    """Poses (N, 3) m and rad, landmarks (L, 2) m, and covariances (3, 3) by index of the pose.
 
-    held   the poses that stay where the guess has them
-    Raises what GTSAM raises: RuntimeError.
+    fixed_poses   stay at the first guess
+    Raises RuntimeError of GTSAM.
     """
     factors, values = _factors(graph, fixed_poses)
     values = _optimise(factors, values, config)
@@ -30,19 +30,19 @@ def solve_with_fixed(
 
 
 def marginal_of(graph: PoseGraph, k: int) -> Floats:
-    """(3, 3) covariance of pose k against the fixed one, in its own axes, at the poses as they are.
+    """(3, 3) marginal covariance of pose k against the fixed one, in its own axes, at the given poses.
 
-    Raises what GTSAM raises: RuntimeError.
+    Raises RuntimeError of GTSAM.
     """
     settings = gtsam.ISAM2Params()
-    settings.setFactorization("QR")  # gtsam.Marginals has no other than Cholesky
+    settings.setFactorization("QR")  # gtsam.Marginals supports Cholesky only
     bayes_tree = gtsam.ISAM2(settings)
     bayes_tree.update(*_factors(graph, [graph.fixed]))
     return np.asarray(bayes_tree.marginalCovariance(k))
 
 
 def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Keys: poses 0..N-1, landmarks N..N+L-1, helpers of poses from N+L on."""
+    """Keys: poses 0..N-1, landmarks N..N+L-1, auxiliary poses from N+L on."""
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     pose_count, landmark_count = len(graph.poses), len(graph.landmarks)
     for k, pose in enumerate(graph.poses.tolist()):
@@ -75,7 +75,7 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
         strict=True,
     ):
         seer = of
-        if np.hypot(*xy) < MIN_FACTOR_RANGE_M:  # bearing and range say nothing at the pose itself
+        if np.hypot(*xy) < MIN_FACTOR_RANGE_M:  # bearing and range are undefined at the pose
             xy = np.add(xy, (ASIDE_M, 0.0))
             seer = helpers.get(of, -1)
             if seer < 0:
@@ -96,7 +96,7 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
 
 
 class _Noise:
-    """Noise models, with one kernel object a width."""
+    """Noise models, with one kernel object per width."""
 
     def __init__(self) -> None:
         self._kernels: dict[float, gtsam.noiseModel.mEstimator.Cauchy] = {}
@@ -114,7 +114,7 @@ class _Noise:
 def _optimise(
     factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, config: SolverConfig
 ) -> gtsam.Values:
-    """Step by step, not in one call: GTSAM holds the interpreter, and other threads run between steps."""
+    """Iterate step by step: GTSAM keeps the GIL, so other threads run between the steps."""
     optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, gtsam.LevenbergMarquardtParams())
     for _ in range(config.most_iterations):
         before = optimiser.error()

@@ -1,4 +1,4 @@
-"""How well the newest key frame is known in the map, by the graph and by the motion model in hindsight."""
+"""Covariance of the newest key frame in the map, by the graph and the motion model in hindsight."""
 
 from collections.abc import Collection
 
@@ -16,14 +16,14 @@ from service.mapper.graph.model.pose_graph import Edges, PoseGraph
 from service.mapper.graph.model.pose_graph_solver import covariance_of
 from service.mapper.known_pose import KnownPose
 
-MIN_VARIANCE_SHARE = 1e-12  # of the largest variance of a step: above what rounding leaves
+MIN_VARIANCE_SHARE = 1e-12  # of the largest variance of a step: above rounding
 
 
 def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
-    """From each key frame to the next, known as well as the motion model says by all that came later: those
-    of a way without loops add up to what it says of the newest pose.
+    """Steps between key frames, with the covariances of the motion model smoothed over the entire drive:
+    along a path without loops they sum to that of the newest pose.
 
-    A key frame is known at least as well as the ones after it, but for what was added on the way there; [34].
+    A key frame is known at least as well as a later one, minus what the step between them has added; [34].
     """
     edges, is_unknown = matched_steps(keyframes, step_m)
     known = keyframes.motion_covariance.copy()
@@ -43,11 +43,10 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
 def known_pose(
     keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, fixed_count: int
 ) -> KnownPose | None:
-    """The newest key frame whose piece has a known place in the map; None: there is none, or the motion model
-    says nothing of it.
+    """The newest key frame with a known place in the map; None: there is none, or its covariance is unknown.
 
-    joined   numbers of those pieces
-    graph    with edges in hindsight; of it the first `held` key frames are one pose
+    joined        numbers of the segments with a known place
+    graph         with edges in hindsight; its first pose stands for the first fixed_count key frames
     """
     placed = np.flatnonzero(np.isin(keyframes.segment, list(joined)))
     if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():

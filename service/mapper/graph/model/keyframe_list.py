@@ -1,4 +1,4 @@
-"""Key frames: what the back end keeps of a drive."""
+"""Key frames, as the back end keeps them."""
 
 import math
 from collections.abc import Iterable
@@ -22,22 +22,22 @@ NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyFrame:
-    """A scan at a step of the way, as it goes to the back end."""
+    """A scan selected as a key frame, as sent to the back end."""
 
     stamp_ns: int
     pose_odom_base: SE2
     covariance: Floats  # (3, 3) of the pose against the local map, base axes
-    segment: int  # connected piece of the map that it belongs to
-    score: float  # share of its points on the local map
+    segment: int  # number of its map segment
+    score: float  # inlier ratio on the local map
     is_lost: bool  # the pose is a prediction
     xy_base: npt.NDArray[np.float32]  # (N, 2) m, in beam order
     sensor_xy_m: tuple[float, float]  # base frame
     angle_step_rad: float
     range_sigma_m: float = 0.01
-    gap_s: float = math.inf  # longest time without a scan since the key frame before
+    gap_s: float = math.inf  # longest scan gap since the key frame before
     motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
-    is_unmeasured: bool = False  # nobody measured the way from the newest key frame of a known place to here
-    # m^2, rad^2: by how much it may be off the key frame before where its match is wrong, by the predictions
+    is_unmeasured: bool = False  # motion since the newest known place was not measured
+    # m^2, rad^2: sum over the predictions since the key frame before; bounds the error of a wrong match
     prediction_variance: tuple[float, float] = (math.inf, math.inf)
 
 
@@ -46,16 +46,16 @@ class ThinnedScan:
     """Points of a key frame, thinned."""
 
     xy_base: npt.NDArray[np.float32]  # (N, 2) m
-    normals: npt.NDArray[np.float32]  # (N, 3) as estimate_normals gives them
+    normals: npt.NDArray[np.float32]  # (N, 3) by estimate_normals
     sensor_xy_m: tuple[float, float]
 
 
-# Of KeyframeList, one row a key frame
+# of KeyframeList, one row per key frame
 ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_prediction_variance")
 
 
 def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
-    """Of each cell one point."""
+    """One point per cell."""
     xy, normals = walls_of(
         frame.xy_base.astype(np.float64), frame.sensor_xy_m, frame.angle_step_rad, frame.range_sigma_m
     )
@@ -65,9 +65,9 @@ def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
 
 
 class KeyframeList:
-    """All key frames so far, one behind the other. Arrays grow by doubling; rows are key frames.
+    """All key frames in the order driven. Arrays grow by doubling; rows are key frames.
 
-    Those of a stored map stand first, the pieces they belong to numbered from -1 down.
+    Those of a stored map come first; their segments have the numbers -1, -2 ...
     """
 
     def __init__(self, stored: SavedGraph | None = None) -> None:
@@ -77,7 +77,7 @@ class KeyframeList:
         self._covariance = np.zeros((64, 3, 3))
         self._motion_covariance = np.zeros((64, 3, 3))
         self._prediction_variance = np.zeros((64, 2))
-        self.unmeasured: set[int] = set()  # numbers of the pieces to which nobody measured the way
+        self.unmeasured: set[int] = set()  # segments to which the motion was not measured
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
         self.by_hand = ByHand() if stored is None else stored.by_hand
@@ -121,17 +121,17 @@ class KeyframeList:
 
     @property
     def map(self) -> Floats:
-        """(N, 3) pose_map_base; to be written to by who solves."""
+        """(N, 3) pose_map_base; written by the optimiser."""
         return self._poses[: self.count, 3:]
 
     @property
     def path_length_m(self) -> Floats:
-        """(N,) travelled up to each."""
+        """(N,) path length up to each, m."""
         return self._numbers[: self.count, 0]
 
     @property
     def score(self) -> Floats:
-        """(N,) share of each one's points on the local map."""
+        """(N,) inlier ratio of each on the local map."""
         return self._numbers[: self.count, 1]
 
     @property
@@ -142,48 +142,48 @@ class KeyframeList:
 
     @property
     def has_points(self) -> npt.NDArray[np.bool_]:
-        """(N,) whether its points are still kept."""
+        """(N,) whether its points are kept."""
         has: npt.NDArray[np.bool_] = self._numbers[: self.count, 3] != 0.0
         return has
 
     @property
     def segment(self) -> npt.NDArray[np.int64]:
-        """(N,) number of the connected piece of the map that each belongs to."""
+        """(N,) number of its map segment."""
         return self._numbers[: self.count, 4].astype(np.int64)
 
     @property
     def gap_s(self) -> Floats:
-        """(N,) longest time without a scan since the key frame before each."""
+        """(N,) longest scan gap since the key frame before, s."""
         return self._numbers[: self.count, 5]
 
     @property
     def range_sigma_m(self) -> Floats:
-        """(N,) noise of the ranges of each."""
+        """(N,) noise of its ranges, m."""
         return self._numbers[: self.count, 6]
 
     @property
     def is_usable(self) -> npt.NDArray[np.bool_]:
-        """(N,) whether others can be aligned with it: its pose is a match, and its points are there."""
+        """(N,) whether it can be aligned with: matched, with points."""
         return self.has_points & ~self.is_lost
 
     @property
     def covariance(self) -> Floats:
-        """(N, 3, 3) of each one's match."""
+        """(N, 3, 3) covariance of its match."""
         return self._covariance[: self.count]
 
     @property
     def motion_covariance(self) -> Floats:
-        """(N, 3, 3) of each one's pose against the first scan of its session; NaN where that is not known."""
+        """(N, 3, 3) covariance of its pose against the first scan of its session; NaN if not known."""
         return self._motion_covariance[: self.count]
 
     @property
     def prediction_variance(self) -> Floats:
-        """(N, 2) m^2, rad^2 of each one, as in KeyFrame."""
+        """(N, 2) m^2, rad^2, as of KeyFrame."""
         return self._prediction_variance[: self.count]
 
     def place_of(self, frame: KeyFrame) -> Floats:
-        """(3,) where a further one lies, by the odometry since the newest one of its piece; of a piece that
-        begins, since the newest one.
+        """(3,) pose of a new key frame in the map, by odometry since the newest one of its segment; if it
+        begins a segment, since the newest one.
         """
         pose = frame.pose_odom_base
         odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
@@ -229,7 +229,7 @@ class KeyframeList:
         self.count += 1
 
     def correction(self, k: int) -> Correction:
-        """Where key frame k lies."""
+        """Correction by key frame k."""
         before = max(k % self.count - 1, 0)
         return Correction(
             self.stamps_ns[k],
@@ -239,7 +239,9 @@ class KeyframeList:
         )
 
     def newest_by_segment(self) -> dict[int, Correction]:
-        """Of the newest one, and of the newest one of another piece: a vehicle may be back in that since."""
+        """Corrections by the newest key frame, and by the newest one of another segment, to which the vehicle
+        may have returned.
+        """
         segment = int(self.segment[-1])
         newest = {segment: self.correction(self.count - 1)}
         others = np.flatnonzero(self.segment[self.stored :] != segment)
@@ -249,7 +251,7 @@ class KeyframeList:
         return newest
 
     def keep(self, is_kept: npt.NDArray[np.bool_]) -> None:
-        """Take out all others; is_kept (N,), with True for those of a stored map."""
+        """Remove all others; is_kept (N,), True for those of a stored map."""
         self.by_hand = self.by_hand.without_keyframes(is_kept, self.map)
         for name in ARRAYS:
             setattr(self, name, getattr(self, name)[: self.count][is_kept])
@@ -258,27 +260,27 @@ class KeyframeList:
         self.count = int(is_kept.sum())
 
     def forget(self, k: int) -> None:
-        """Keep of a key frame no more than where it is."""
+        """Remove the points of a key frame."""
         self.put_points(k, ThinnedScan(NO_POINTS, NO_NORMALS, self.thinned[k].sensor_xy_m))
 
     def put_points(self, k: int, thinned: ThinnedScan) -> None:
-        """Other points of a key frame."""
+        """Replace the points of a key frame."""
         self.thinned[k] = thinned
         self._numbers[k, 3] = len(thinned.xy_base) > 0
 
     def set_lost(self, keyframes: Iterable[int], is_lost: bool) -> None:
-        """Whether the poses of some key frames are predictions."""
+        """Mark the poses of some key frames as predictions, or as matches."""
         self._numbers[list(keyframes), 2] = is_lost
 
     def forget_all(self, first: int, last: int) -> None:
-        """Forget the key frames first..last - 1."""
+        """Remove the points of the key frames first..last - 1."""
         for k in first + np.flatnonzero(self.has_points[first : max(first, last)]):
             self.forget(int(k))
 
     def forget_stationary(self, most: int, config: LoopsConfig) -> None:
-        """Forget the one before the newest `most`, if the one kept before it is of the same spot and piece.
+        """Remove the points of the key frame before the newest `most`, if the vehicle stood still.
 
-        While a piece is looked for, key frames are made where the vehicle stands, too.
+        In a detached segment key frames are taken at standstill, too.
         """
         old = self.count - 1 - most
         before = np.flatnonzero(self._numbers[self.stored : max(old, self.stored), 3])

@@ -1,4 +1,4 @@
-"""Loops: measured relations between two passes of one place, and which of them are accepted."""
+"""Loops: relative poses between two passes of a place, and whether two of them agree."""
 
 import math
 from collections.abc import Sequence
@@ -11,24 +11,24 @@ from service.geometry.poses import Floats
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import Edges
 
-FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: what walls and sweeps leave open at best
-# 1/m^2, 1/rad^2: where walls say nothing, and many loops do not, either
+FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: systematic error of walls and sweeps
+# 1/m^2, 1/rad^2: along directions without walls; many loops do not add up there
 OPEN_INFORMATION = np.diag([1e-4, 1e-4, 1e-2])
-LOOP_KERNEL_SIGMAS = 2.0  # sigmas
-WITHIN_M = 30.0  # way within which loops that say the same lie
+LOOP_KERNEL_SIGMAS = 2.0  # Cauchy kernel
+WITHIN_M = 30.0  # path length within which loops must agree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loop:
-    """Key frame `to` seen from key frame `of`, of an earlier pass."""
+    """Relative pose of key frame `to` in key frame `of`, of an earlier pass."""
 
     of: int
     to: int
     measured: Floats  # (3,)
     covariance: Floats  # (3, 3) in the axes of `to`
-    share: float  # of the points that lie on the surfels of the earlier pass
-    points: int = 0  # so many were asked; 0: not known
-    against: float = math.nan  # share of them in free space of the earlier pass; NaN: not asked
+    share: float  # inlier ratio on the surfels of the earlier pass
+    points: int = 0  # number evaluated; 0: not known
+    against: float = math.nan  # share of them in free space of the earlier pass; NaN: not known
 
 
 def loop_of(
@@ -40,7 +40,7 @@ def loop_of(
     points: int = 0,
     against: float = math.nan,
 ) -> Loop:
-    """information: (3, 3) in the axes of `of`. A direction that the walls do not fix stays open."""
+    """A loop by a fit. information: (3, 3) in the axes of `of`, singular along directions without walls."""
     covariance = np.linalg.inv(information + OPEN_INFORMATION)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -48,7 +48,7 @@ def loop_of(
 
 
 def far_from_loops(at_m: Floats, tied_m: Floats, within_m: float) -> Floats:
-    """Those of the places along the way (M,) m that lie farther than that from all that are tied, (L,) m."""
+    """Positions along the path, (M,) m, farther than within_m from all positions of loops, (L,) m."""
     tied_m = np.concatenate(([-math.inf], np.sort(tied_m), [math.inf]))
     k = np.searchsorted(tied_m, at_m)
     return at_m[np.minimum(at_m - tied_m[k - 1], tied_m[k] - at_m) > within_m]
@@ -67,7 +67,7 @@ def as_edges(loops: Sequence[Loop]) -> Edges:
 
 
 def disagreement(keyframes: KeyframeList, loop: Loop) -> tuple[float, float]:
-    """m and rad between a loop and where the key frames lie in the map now."""
+    """Residual of a loop in the map, m and rad."""
     here = se2.between(keyframes.map[loop.of], keyframes.map[loop.to])
     error = se2.between(loop.measured, here)
     return float(np.hypot(error[0], error[1])), float(abs(error[2]))
@@ -76,9 +76,9 @@ def disagreement(keyframes: KeyframeList, loop: Loop) -> tuple[float, float]:
 def agree(
     keyframes: KeyframeList, a: Loop, b: Loop, base: tuple[float, float], growth: tuple[float, float]
 ) -> bool:
-    """Whether two loops say the same, as far as odometry between them can tell.
+    """Whether two loops agree, given odometry between them.
 
-    base, growth   m, rad that they may differ by, at once and for each metre of way between them
+    base, growth   m, rad of tolerance, and per m of path between them
     """
     there = se2.compose(a.measured, se2.between(keyframes.odom[a.to], keyframes.odom[b.to]))
     back = se2.compose(se2.between(keyframes.odom[a.of], keyframes.odom[b.of]), b.measured)

@@ -1,4 +1,4 @@
-"""For methods without a graph: map and odom are one frame."""
+"""Graph of the methods without one: map and odom are one frame."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Steps of odometry between key frames, as edges of the graph, and their covariance."""
+"""Odometry steps between key frames as edges of the graph."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,27 +9,27 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import Edges
 from service.mapper.known_pose import covariance_added
 
-STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: of a step between key frames, at best
-# m^2, rad^2: of a step that was not matched, where no motion model says how well it is known
+STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: least covariance of a step
+# m^2, rad^2: of an unmatched step without a motion model
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
-MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: ... added at most where an end hardly lies on the map
-UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # ... into a piece that nobody knows the place of
-# ... into a piece, where no scan was missing, so that nobody carried the vehicle; added to the motion model's
+MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: limit of the variance added where the match is poor
+UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: into a segment of unknown place
+# m^2, rad^2: added to the motion model's into a segment without a scan gap: the vehicle was not carried
 NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
-MAX_SCAN_GAP_S = 2.0  # without scans: a vehicle whose wheels hung may be anywhere
-MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step that nothing was added in
-GAP_SHARE = 0.1  # of a way without scans: what odometry may have erred by
-POOR_MATCH_SHARE = 0.6  # of the drive's median share on the map: with less the match may be wrong
+MAX_SCAN_GAP_S = 2.0  # a longer scan gap: the vehicle may have been carried
+MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step without added noise
+GAP_SHARE = 0.1  # of a path without scans: error of odometry
+POOR_MATCH_SHARE = 0.6  # of the drive's median inlier ratio: below, the match may be wrong
 
 
 def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
-    """(N - 1,) steps between key frames of which one was not matched."""
+    """(N - 1,) steps with an unmatched key frame at one end."""
     lost = keyframes.is_lost
     return lost[1:] | lost[:-1]
 
 
 def poor_match_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
-    """(N - 1,) steps to or from a key frame of which far less than usual lies on the map."""
+    """(N - 1,) steps with a key frame of low inlier ratio at one end."""
     doubtful = _are_poor_matches(keyframes)
     return doubtful[1:] | doubtful[:-1]
 
@@ -41,7 +41,7 @@ def _are_poor_matches(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
 
 
 def _prediction_covariance(keyframes: KeyframeList) -> Floats:
-    """(N - 1, 3, 3) what is added to steps: a match in doubt is known as well as the predictions alone."""
+    """(N - 1, 3, 3) added to steps with a poor match, as if only predicted."""
     each = _are_poor_matches(keyframes)[:, None] * np.minimum(
         keyframes.prediction_variance, MAX_PREDICTION_VARIANCE
     )
@@ -50,11 +50,11 @@ def _prediction_covariance(keyframes: KeyframeList) -> Floats:
 
 
 def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = False) -> Edges:
-    """From each key frame to the next.
+    """Edges from each key frame to the next.
 
-    step_m         the way after which a key frame is due
-    is_by_motion   a step is known as well as the motion model says, where it says so and the match is not
-                   in doubt; one to or from a key frame that was not matched always is
+    step_m         path length after which a key frame is due
+    is_by_motion   use the covariance of the motion model for all steps, where it is known and the match is
+                   good; for unmatched steps it is always used
     """
     edges, is_into_segment = matched_steps(keyframes, step_m)
     covariance, is_lost = edges.covariance, lost_steps(keyframes)
@@ -64,7 +64,7 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
         then[is_by_model], now[is_by_model], edges.measured[is_by_model]
     )
     covariance[is_by_model] += MIN_EDGE_COVARIANCE if is_by_motion else STEP_FLOOR
-    # What was not matched cannot be a wrong match.
+    # An unmatched step has no wrong match.
     covariance += np.where((is_by_model & is_lost)[:, None, None], 0.0, _prediction_covariance(keyframes))
     covariance[is_into_segment] += NEW_SEGMENT_COVARIANCE
     is_unmeasured = (keyframes.gap_s[1:] > MAX_SCAN_GAP_S) | np.isin(
@@ -75,7 +75,7 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
 
 
 def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.NDArray[np.bool_]]:
-    """Each step known as well as its match, and (N - 1,) those that lead into another piece."""
+    """Steps with the covariance of their match, and (N - 1,) those that lead into another segment."""
     of, is_unknown = _before(keyframes)
     to = np.arange(1, keyframes.count, dtype=np.int64)
     covariance = keyframes.covariance[1:] + STEP_FLOOR
@@ -87,9 +87,10 @@ def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.ND
 
 
 def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """(N - 1,) the key frame before each but the first, and whether it begins another piece.
+    """(N - 1,) the key frame before each but the first, and whether the step begins a segment.
 
-    Into another piece the scans do not know the way; back in one, the newest key frame of it goes before.
+    A step into a new segment is unknown to the scans; back in an earlier one, it starts at its newest key
+    frame.
     """
     of = np.arange(keyframes.count - 1, dtype=np.int64)
     is_unknown = np.zeros(keyframes.count - 1, np.bool_)

@@ -1,4 +1,4 @@
-"""How far the way between two key frames can have drifted: it tells a loop from a place that looks alike."""
+"""Drift of the path between two key frames, which separates loops from places that look alike."""
 
 from collections.abc import Sequence
 
@@ -19,41 +19,39 @@ from service.mapper.graph.model.odometry_edges import (
 )
 from service.mapper.known_pose import carried
 
-# Of three degrees of freedom, of a loop against the way between its ends: at most 20 in 1054 loops of seven
-# recordings, 390 and more of those between shelves that look alike.
+# Gate of three degrees of freedom, loop against path: at most 20 in 1054 loops of seven recordings, 390 and
+# more for loops between shelves that look alike.
 MAX_DRIFT_CHI2 = 60.0
-# Of the way: what the covariance of the motion model leaves out, as a scan that is matched a metre off along
-# a corridor and gives 1.6 m after 71 m of way. Aisles of shelves that look alike lie 9 % of the way apart.
+# Of the path: error that the motion model's covariance omits, as a match 1 m off along a corridor, which
+# makes 1.6 m after 71 m of path. Aisles of shelves that look alike are 9 % of the path apart.
 UNMODELLED_SHARE = 0.003
-# A loop that lies where the way leads is believed alone where the way is known this well: were it wrong, it
-# would bend the map by no more than the way may have drifted by, and things that look alike lie farther apart
-# than 3.5 sigma.
+# A single loop is accepted if it agrees with odometry of this uncertainty: a wrong one would move the map by
+# no more than the drift, and places that look alike are more than 3.5 sigma apart.
 NEAR_SIGMA_M = 0.3
-LOST_M, POOR_MATCH_M = 60.0, 30.0  # way that such a step counts for, where loops are looked for
-LOOP_M = 1.0  # what going over a loop counts in the length of a path
+LOST_M, POOR_MATCH_M = 60.0, 30.0  # path length added for such a step in loop search
+LOOP_M = 1.0  # path length added for passing a loop
 
 
 class PathDrift:
-    """The way by the motion model alone: other loops do not count.
+    """Path by the motion model alone, without other loops.
 
-    Where nothing was seen the way is known as odometry knows it. A vehicle that was carried there, and put
-    down on new ground, gets no loop; but to allow for it would allow rows that look alike, for at their ends
-    little is seen.
+    Without matches the path is known as odometry measures it. A vehicle carried to new ground gets no loop;
+    allowing for that would accept rows of vines or shelves that look alike, at whose ends little is visible.
     """
 
     def __init__(self, keyframes: KeyframeList, step_m: float) -> None:
-        """step_m: the way after which a key frame is due."""
+        """step_m: path length after which a key frame is due."""
         self._keyframes = keyframes
         self._step_m = step_m
-        self._before = np.zeros(0, np.int64)  # (N - 1,) the key frame that each step begins at
-        self._covariance = np.zeros((0, 3, 3))  # of the steps, as last asked
+        self._before = np.zeros(0, np.int64)  # (N - 1,) first key frame of each step
+        self._covariance = np.zeros((0, 3, 3))  # of the steps, at the last update
 
     def allows(self, loop: Loop) -> bool:
-        """Whether the way can have drifted to where the loop is."""
+        """Whether the loop is within the drift of the path."""
         return loop.of > loop.to or self.chi2(loop) <= MAX_DRIFT_CHI2
 
     def confirms(self, loop: Loop) -> bool:
-        """Whether it is where the way leads, and the way is known so well that it can hardly be elsewhere."""
+        """Whether the loop agrees with odometry, and odometry is precise enough to accept it alone."""
         if loop.of > loop.to:
             return False
         path_covariance = self.covariance(loop)
@@ -63,13 +61,13 @@ class PathDrift:
         )
 
     def chi2(self, loop: Loop) -> float:
-        """How far a loop is from where the way from `of` to a later `to` leads, in squared sigmas."""
+        """Squared Mahalanobis distance of a loop to the path from `of` to a later `to`."""
         odom = self._keyframes.odom
         off = se2.between(se2.between(odom[loop.of], odom[loop.to]), loop.measured)
         return float(off @ np.linalg.solve(self.covariance(loop) + loop.covariance, off))
 
     def covariance(self, loop: Loop) -> Floats:
-        """(3, 3) of the way from `of` to a later `to`, in the axes of `to`."""
+        """(3, 3) of the path from `of` to a later `to`, in the axes of `to`."""
         odom = self._keyframes.odom
         if len(self._covariance) != len(odom) - 1:
             self._update_steps()
@@ -82,9 +80,9 @@ class PathDrift:
         return np.asarray(path_covariance + unmodelled_m**2 * np.diag([1.0, 1.0, 0.0]))
 
     def _path_steps(self, of: int, to: int) -> tuple[npt.NDArray[np.int64], int]:
-        """Key frames that the steps from `of` to `to` end at, and the one that the first of them begins at.
+        """Key frames at the ends of the steps from `of` to `to`, and the first one of the first step.
 
-        Pieces beside the way are none of it; where `of` lies in one of them, the way begins before it.
+        Segments beside the path are skipped; if `of` lies in one of them, the path begins before it.
         """
         ends = []
         while to > of:

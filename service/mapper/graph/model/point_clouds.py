@@ -1,4 +1,4 @@
-"""Points with the directions of the walls they lie on, and surfels to align such clouds with."""
+"""Point clouds with wall normals, and surfels to align them with."""
 
 import math
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from service.kernels.surfels import SurfelGrid, insert_surfels
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 
 CELL_M = 0.10  # of the surfels of key frames
-CLOUD_COUNT_LIMIT = 50.0  # points that a surfel of key frames stands for at most
+CLOUD_COUNT_LIMIT = 50.0  # limit of the points counted in a surfel of key frames
 CLOUD_POOL_TILES = 4096
-UNIT_SIGMA_M = 0.012  # of the points that surfels count in
-SIGMA_STEP_M = 0.001  # noise is told apart by this
-BLOCK_CELLS = 10.0  # a side of the square whose cells stand together: normals beside each other share noise
+UNIT_SIGMA_M = 0.012  # noise of a point of weight 1 in surfels
+SIGMA_STEP_M = 0.001  # resolution of sigma_m
+BLOCK_CELLS = 10.0  # edge of the blocks by which points are sorted: neighbouring normals share noise
 SETTINGS = MatchSettings(
     range_sigma_m=UNIT_SIGMA_M,
     surfel_sigma_m=UNIT_SIGMA_M,
@@ -45,7 +45,7 @@ SETTINGS = MatchSettings(
     settled_rad=0.0001,
     degrees_of_freedom=STUDENT,
 )
-NO_FIELD: npt.NDArray[np.float32] = np.zeros((CLOUD_POOL_TILES, 1, 1), np.float32)  # nothing reads it here
+NO_FIELD: npt.NDArray[np.float32] = np.zeros((CLOUD_POOL_TILES, 1, 1), np.float32)  # not read here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +53,11 @@ class PointCloud:
     """Points of one or more scans in one frame."""
 
     xy: Floats  # (N, 2) m
-    normals: Floats  # (N, 3) as estimate_normals gives them
-    sigma_m: Floats  # (N,) noise of each one's range, in whole SIGMA_STEP_M
+    normals: Floats  # (N, 3) by estimate_normals
+    sigma_m: Floats  # (N,) range noise, in multiples of SIGMA_STEP_M
 
     def transformed(self, pose: Floats) -> "PointCloud":
-        """The cloud in the frame that its own has the pose (3,) in."""
+        """The cloud in the frame in which its own frame has the pose (3,)."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
         normals = self.normals.copy()
         normals[:, 0] = c * self.normals[:, 0] - s * self.normals[:, 1]
@@ -65,9 +65,9 @@ class PointCloud:
         return PointCloud(se2.points_from(pose, self.xy), normals, self.sigma_m)
 
     def by_cell(self, pose: Floats) -> "PointCloud":
-        """The points that fall into one cell of surfels one behind the other, with the cloud at a pose (3,).
+        """The points sorted by cell of the surfels, with the cloud at a pose (3,).
 
-        Whatever key frames they are of, they share the errors of that wall: [13] and [22] count them so.
+        Points in a cell, of whatever key frame, share the errors of its wall: [13] and [22] count them so.
         """
         row, column = np.floor(se2.points_from(pose, self.xy) / CELL_M).T
         block_row, block_column = np.floor(row / BLOCK_CELLS), np.floor(column / BLOCK_CELLS)
@@ -76,13 +76,13 @@ class PointCloud:
 
 
 def cloud_with_noise(xy: Floats, normals: Floats, range_sigma_m: float = UNIT_SIGMA_M) -> PointCloud:
-    """A cloud whose points all have the noise of one range."""
+    """A cloud with one range noise."""
     sigma_m = max(round(range_sigma_m / SIGMA_STEP_M), 1) * SIGMA_STEP_M
     return PointCloud(xy, normals, np.full(len(xy), sigma_m))
 
 
 def joined(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Clouds of one frame as one."""
+    """Clouds of one frame, concatenated."""
     return PointCloud(
         np.concatenate([cloud.xy for cloud in clouds]),
         np.concatenate([cloud.normals for cloud in clouds]),
@@ -92,15 +92,15 @@ def joined(clouds: Sequence[PointCloud]) -> PointCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """How a cloud lies on surfels."""
+    """Alignment of a cloud with surfels."""
 
-    pose: Floats  # (3,) of the cloud's frame in theirs
+    pose: Floats  # (3,) of the cloud in the frame of the surfels
     information: Floats  # (3, 3) in the axes of the surfels
-    share: float  # of the points asked that lie on them
+    share: float  # inlier ratio of the evaluated points
 
 
 class SurfelSet:
-    """A cloud as surfels."""
+    """Surfels of a cloud."""
 
     def __init__(self, cloud: PointCloud | None = None) -> None:
         cells = (surfels.TILE_CELLS,) * 2 + (2, 5)
@@ -109,7 +109,7 @@ class SurfelSet:
             self.insert(cloud)
 
     def insert(self, cloud: PointCloud) -> None:
-        """More points of the same frame."""
+        """Insert more points of the same frame."""
         if len(cloud.xy):
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
             for sigma_m in np.unique(cloud.sigma_m).tolist():
@@ -127,11 +127,11 @@ class SurfelSet:
                 )
 
     def align(self, cloud: PointCloud, pose: Floats, chance_chi2: float = 0.0) -> Fit:
-        """Another cloud aligned with it, from a pose near enough. chance_chi2: see scan_information."""
+        """Another cloud aligned with the surfels, from a nearby pose. chance_chi2: see scan_information."""
         return self._fit(cloud, pose, SETTINGS._replace(chance_chi2=chance_chi2))
 
     def align_with_shared_errors(self, cloud: PointCloud, pose: Floats, chance_chi2: float) -> Fit:
-        """The same of a cloud of several key frames: points in one cell share the errors of its wall."""
+        """As align, for a cloud of several key frames: points in one cell share the errors of its wall."""
         fit = self.align(cloud, pose, chance_chi2)
         as_it_lies = SETTINGS._replace(chance_chi2=chance_chi2, iterations=0)
         return replace(fit, information=self._fit(cloud.by_cell(fit.pose), fit.pose, as_it_lies).information)
@@ -149,6 +149,6 @@ class SurfelSet:
 
 
 def cover(tiles: TileMap, tile_bits: int, xy: Floats) -> None:
-    """Let a map of cells of CELL_M hold some points."""
+    """Allocate tiles of CELL_M cells for some points."""
     low, high = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
     tiles.cover(tiles_of((low[0], low[1]), (high[0], high[1]), CELL_M, tile_bits, margin_cells=1))

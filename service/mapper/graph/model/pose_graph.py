@@ -1,7 +1,7 @@
-"""Poses and points that agree best with what was measured between them: the one door to GTSAM's solver.
+"""Pose graphs: poses and landmarks with measurements between them, and their g2o text.
 
-Plain arrays in, plain arrays out, nothing kept between two calls. The same arrays give the same result, bit
-for bit, in every process: GTSAM's wheels have no threads, and factors and unknowns are ordered by the arrays.
+Arrays in, arrays out, without state between calls. The same arrays give the same result, bit for bit, in
+every process: GTSAM's wheels have no threads, and factors and unknowns are ordered by the arrays.
 
 Source: Zhang et al. 2016, eq. 3-5 (odometry and landmark terms); Dellaert and Kaess, Factor graphs for robot
 perception, 2017.
@@ -22,7 +22,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class GraphError(CorridorError):
-    """A graph that cannot be solved; the message says which part and why."""
+    """A graph cannot be solved; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +32,7 @@ class Edges:
     of, to         (E,) int64
     measured       (E, 3) float64   m, m, rad
     covariance     (E, 3, 3)        m^2, m rad, rad^2; in the axes of `to`
-    kernel_width   (E,) float64     Cauchy kernel in sigmas: an edge that errs by more counts less and less;
-                                    0: plain least squares
+    kernel_width   (E,) float64     Cauchy kernel in sigmas; 0: least squares
     """
 
     of: Ints
@@ -43,7 +42,7 @@ class Edges:
     kernel_width: Floats
 
     def followed_by(self, more: "Edges") -> "Edges":
-        """These edges, and behind them others."""
+        """These edges, then others."""
         return Edges(
             *(np.concatenate((getattr(self, name), getattr(more, name))) for name in Edges.__slots__)
         )
@@ -81,13 +80,13 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
-    """What is to be solved, and where to begin.
+    """Unknowns with a first guess, and the measurements between them.
 
     poses       (N, 3) float64   first guess, map frame; N > 0
     edges       between poses
     landmarks   (L, 2) float64   first guess, m, map frame
     sightings   of landmarks from poses
-    fixed       the pose that stays where it is
+    fixed       index of the fixed pose
     """
 
     poses: Floats
@@ -99,14 +98,14 @@ class PoseGraph:
 
 @dataclass(frozen=True, slots=True)
 class SolverConfig:
-    """When Levenberg-Marquardt ends."""
+    """Termination of Levenberg-Marquardt."""
 
     most_iterations: int = 50
-    least_gain: float = 1e-6  # ends when a step lowers the cost by less than this part of it
+    least_gain: float = 1e-6  # ends at a relative decrease of the cost below it
 
 
 def edge_chi2(edges: Edges, poses: Floats) -> Floats:
-    """(E,) squared error of each edge in sigmas, at some poses (N, 3)."""
+    """(E,) squared Mahalanobis residual of each edge at poses (N, 3)."""
     relative = se2.between(poses[edges.of], poses[edges.to])
     error = se2.log(se2.between(edges.measured, relative))
     solved = np.linalg.solve(edges.covariance, error[..., None])[..., 0]
@@ -114,11 +113,11 @@ def edge_chi2(edges: Edges, poses: Floats) -> Floats:
 
 
 def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | None = None) -> str:
-    """The graph as g2o text, at a solution or at its first guess: VERTEX_SE2, EDGE_SE2 and their XY kin.
+    """The graph as g2o text, at a solution or the first guess: VERTEX_SE2, EDGE_SE2, VERTEX_XY, EDGE_SE2_XY.
 
-    Landmarks are numbered after the poses. Each sighting is written twice: as EDGE_SE2_XY, which g2o reads,
-    and as BR (bearing and range), which GTSAM reads; each passes over the other's. FIX stands last: GTSAM 4.3
-    reads no edge below it. Robust kernels have no place in the format.
+    Landmarks are numbered after the poses. Each sighting is written twice: as EDGE_SE2_XY for g2o and as BR
+    (bearing and range) for GTSAM; each skips the other. FIX comes last: GTSAM 4.3 reads no edge after it. The
+    format has no robust kernels.
     """
     poses = graph.poses if poses is None else poses
     landmarks = graph.landmarks if landmarks is None else landmarks
@@ -145,7 +144,7 @@ def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | No
 def bearing_range(xy: Floats, covariance: Floats) -> tuple[float, float, Floats]:
     """Bearing rad and range m of a point (2,) m, and their covariance (2, 2) by that of the point.
 
-    A point nearer than MIN_BEARING_RANGE_M has no bearing: it is taken for one straight ahead, so far away.
+    A point nearer than MIN_BEARING_RANGE_M is moved straight ahead to that range.
     """
     range_m = float(np.hypot(*xy))
     if range_m < MIN_BEARING_RANGE_M:

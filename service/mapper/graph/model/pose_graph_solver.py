@@ -1,4 +1,4 @@
-"""Solves a pose graph: checks it, holds what nothing ties down, and says in words why it cannot."""
+"""Solves a pose graph: validates it, fixes disconnected groups, and reports errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,14 +10,14 @@ from service.geometry.poses import Floats
 from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.pose_graph import Edges, GraphError, PoseGraph, SolverConfig
 
-OPEN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: of a step that nothing measures
+OPEN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: of an unmeasured step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """poses (N, 3), landmarks (L, 2): m and rad, map frame.
 
-    covariances   by pose asked for: (3, 3), in the axes of that pose, against the fixed pose
+    covariances   by requested pose: (3, 3), in the axes of that pose, against the fixed pose
     """
 
     poses: Floats
@@ -28,15 +28,15 @@ class Solution:
 def solve(
     graph: PoseGraph, config: SolverConfig | None = None, covariances_of: Sequence[int] = ()
 ) -> Solution:
-    """Levenberg-Marquardt from the first guess. Raises GraphError, never what GTSAM raises.
+    """Solution by Levenberg-Marquardt from the first guess. Raises GraphError, never an exception of GTSAM.
 
-    A direction that nothing measures stays where the guess had it, and so does a group of poses that no edge
-    joins with the fixed one; only a covariance asked of it is refused.
+    Unmeasured directions keep the first guess, and so does the first pose of a group that no edge joins to
+    the fixed pose; a covariance requested for it is refused.
     """
     config = config or SolverConfig()
     _check(graph)
     fixed_poses = _fixed_poses(graph)
-    # Imported here, for only a process that solves is to pay for it: 40 MB, and 0.35 s.
+    # Imported here to spare other processes 40 MB and 0.35 s.
     from service.mapper.graph.model.gtsam_solver import solve_with_fixed
 
     try:
@@ -49,12 +49,11 @@ def solve(
 
 
 def covariance_of(graph: PoseGraph, k: int) -> Floats:
-    """(3, 3) of pose k against the fixed one, in its own axes, at the poses as they are; by all that was
-    measured. Raises GraphError.
+    """(3, 3) marginal covariance of pose k against the fixed one, in its own axes. Raises GraphError.
 
-    Unlike that of `solve` it is found where one step is known to 0.1 mm and another one not at all: by QR
-    (Dellaert and Kaess, section 4.3), and with an edge that measures next to nothing where the chain of
-    poses has none.
+    Unlike in `solve`, its factorization is QR (Dellaert and Kaess, section 4.3), which stays accurate where
+    one step is known to 0.1 mm and another not at all. Missing steps of the chain get an edge of
+    OPEN_COVARIANCE.
     """
     _check(graph)
     poses, edges = graph.poses, graph.edges
@@ -71,7 +70,7 @@ def covariance_of(graph: PoseGraph, k: int) -> Floats:
 
 
 def _fixed_poses(graph: PoseGraph) -> list[int]:
-    """The fixed pose, and the first pose of every group that hangs together with it by nothing."""
+    """The fixed pose, and the first pose of every group disconnected from it."""
     count = len(graph.poses)
     pairs = zip(
         np.concatenate((graph.edges.of, graph.sightings.of)).tolist(),

@@ -1,4 +1,4 @@
-"""Loops that were not accepted, kept for a person who asks why a map looks as it does."""
+"""Refused loops, kept to explain the map to its operator."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -8,11 +8,11 @@ import numpy as np
 from service.mapper.graph.model.loops import Loop
 from service.mapper.refused_loops import BY_HAND, RefusedLoops
 
-MAX_REFUSED = 1000  # the newest; time must not fill memory
+MAX_REFUSED = 1000  # the newest ones
 
 
 class Refusals:
-    """Loops by their key frames, with the reason that was found last."""
+    """Refused loops by their key frames, with the latest reason."""
 
     def __init__(self, stored: RefusedLoops | None = None) -> None:
         self._by_ends: OrderedDict[tuple[int, int], tuple[Loop, int]] = OrderedDict()
@@ -22,7 +22,7 @@ class Refusals:
                 of,
                 to,
                 stored.measured[k],
-                np.zeros((3, 3)),  # nothing asks for it
+                np.zeros((3, 3)),  # not used
                 float(stored.score[k]),
                 int(stored.points[k]),
                 float(stored.against[k]),
@@ -38,17 +38,17 @@ class Refusals:
                 self._by_ends.popitem(last=False)
 
     def renumber(self, kept: Callable[[Sequence[Loop]], list[Loop]]) -> None:
-        """kept: gives those of some loops that have both ends still, with the new numbers of these."""
+        """kept: returns those of some loops whose ends both remain, renumbered."""
         rows = [(new, reason) for loop, reason in self._by_ends.values() for new in kept([loop])]
         self._by_ends = OrderedDict(((loop.of, loop.to), (loop, reason)) for loop, reason in rows)
 
     def by_hand(self, accepted: Collection[Loop]) -> list[Loop]:
-        """Those that a person took back, and did not bring back."""
+        """Loops that the operator removed and did not accept again."""
         ends = {(loop.of, loop.to) for loop in accepted}
         return [loop for at, (loop, why) in self._by_ends.items() if why == BY_HAND and at not in ends]
 
     def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
-        """Those that were not accepted after all."""
+        """Loops that are not accepted."""
         accepted_ends = {(loop.of, loop.to) for loop in accepted}
         left = [one for ends, one in self._by_ends.items() if ends not in accepted_ends]
         return RefusedLoops(

@@ -1,4 +1,4 @@
-"""What key frames of one stretch have seen, as evidence of where it lies."""
+"""Points of several key frames, as a query for place recognition."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,20 +13,19 @@ from service.mapper.graph.model.candidate_submap import seen_by
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import PointCloud, joined
 
-# Walls far off tell places apart that are alike nearby. There a heading that is off by 0.04 deg moves a
+# Distant walls distinguish places that are alike nearby. At this range a heading error of 0.04 deg moves a
 # point by the noise of a wall.
 EVIDENCE_RANGE_M = 30.0
-SEEN_CELL_M = 0.2  # edge of a cell in which key frames see the same
+SEEN_CELL_M = 0.2  # points of several key frames in a cell of this size share their weight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenCloud:
     """Points, and the beams that end in them.
 
-    sensors   (N, 2) m   where the beam of each point begins, in the frame of the cloud
-    shares    (N,)       what each point counts: of a wall that several key frames have seen each says the
-                         same, so together they count as one of them
-    walls     (N,)       the wall or thing that each point lies on, by number
+    sensors   (N, 2) m   origin of each beam, in the frame of the cloud
+    shares    (N,)       weight of each point: one over the number of key frames that saw its cell
+    walls     (N,)       number of the wall or object that each point lies on
     """
 
     cloud: PointCloud
@@ -36,7 +35,7 @@ class SeenCloud:
 
 
 def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) -> SeenCloud:
-    """Key frames as odometry places them, in the frame of `reference`."""
+    """Query of key frames, placed by odometry, in the frame of `reference`."""
     odom = keyframes.odom
     clouds, sensors, number = [], [], []
     for n, k in enumerate(members):
@@ -52,7 +51,7 @@ def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) 
 
 
 def _shares(xy: Floats, keyframe: np.ndarray) -> Floats:
-    """(N,) one over how many key frames have seen something in the cell of each point."""
+    """(N,) one over the number of key frames with a point in the cell of each point."""
     _, cell = np.unique(np.floor(xy / SEEN_CELL_M).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     several = int(keyframe.max(initial=0)) + 1
