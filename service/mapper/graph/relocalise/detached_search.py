@@ -1,4 +1,4 @@
-"""Where a detached piece of the map lies in the rest, when nobody knows it."""
+"""Searches the place of a detached segment in the map."""
 
 import math
 from dataclasses import dataclass
@@ -39,93 +39,93 @@ from service.mapper.graph.relocalise.place_search import (
 )
 from service.mapper.known_pose import KnownPose, covariance_added
 
-AROUND_M, MAX_KEYFRAMES_AROUND = 6.0, 40  # key frames that what is seen where a person says is held against
-MAX_QUERY = 12  # key frames of a piece that are looked for together
-MAX_STATIONARY = 3  # of them, besides the first, of one spot, which see the same
-# Nats by which the best place must beat every other one, as service.kernels.beam_likelihood weighs beams; and
-# a share of what it leaves unexplained, since then the true place may fit worse than one that looks alike.
+AROUND_M, MAX_KEYFRAMES_AROUND = 6.0, 40  # key frames around a pose set by the operator
+MAX_QUERY = 12  # key frames of a query
+MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
+# Margin by which the evidence of the best place must exceed every other (nats, by
+# service.kernels.beam_likelihood); plus a share of its unexplained evidence, since then the true place may
+# fit worse than one that looks alike.
 MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
-MAX_OFF_M, MAX_OFF_SHARE = 4.0, 0.2  # how far off dead reckoning may be else, and for each metre of a piece
-NEARBY_M = 10.0  # steps in which the part of the map that a piece may lie in follows the vehicle
-MIN_APART_M = 4.0  # between two finds of a piece: standing, a room looks like any other of its kind
-# Probability that any of the places searched fits by chance as well as the one that is found does, where the
-# vehicle is on ground that the map does not hold.
+MAX_OFF_M, MAX_OFF_SHARE = 4.0, 0.2  # drift of dead reckoning without a scan gap, and per m of a segment
+NEARBY_M = 10.0  # grid of the search area's centre
+MIN_APART_M = 4.0  # between two results that confirm each other: from one viewpoint rooms may look alike
+# Probability that any of the searched places fits as well by chance, if the vehicle is on unmapped ground.
 MAX_CHANCE = 1e-4
-# Where no key frame has stood, and where a piece comes from new ground, much is seen that the map does not
-# know. So much must lie on the map, and of what is seen on known ground so much on walls.
+# Least share of the beams on the map, and on walls of those on known ground. From new viewpoints, and near
+# new ground, much of the query is unmapped.
 MIN_ON_MAP, MIN_AGREEING = 0.3, 0.90
-EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad about a pose that is said; batches of key frames
+EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad around a pose set by the operator; attempts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidatePose:
-    """Where key frames may lie in the known map."""
+    """A candidate place of a query in the known map."""
 
     pose: Floats  # (3,) of the reference key frame in the map
     weight: Weight
-    loop: Loop | None  # that says so; None where too little fits
-    prior: float = 0.0  # nats: what the way there says, less that of a vehicle that may be anywhere
+    loop: Loop | None  # to the nearest key frame; None if too little fits
+    prior: float = 0.0  # nats: log-ratio of the odometry prior to a uniform one
 
     @property
     def evidence(self) -> float:
-        """Nats: of what is seen and of the way there."""
+        """Nats of the beams and the odometry prior."""
         return self.weight.evidence + self.prior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """Where a piece may lie: its odom in the map, and the loop that says so."""
+    """Place of a segment by one search: its odom in the map, and the loop."""
 
     pose_map_odom: Floats  # (3,)
     loop: Loop
     path_length_m: float
     segment: int
-    is_disputed: bool  # the vehicle may as well be where dead reckoning leads
-    is_sure: bool = True  # ground that the map does not hold is excluded
+    is_disputed: bool  # dead reckoning leads elsewhere, and the query does not contradict that
+    is_sure: bool = True  # unmapped ground is excluded
 
 
 class DetachedSearch:
-    """Looks for the newest piece among the key frames; remembers the last find."""
+    """Searches the newest segment; keeps the result until a second one confirms it."""
 
     def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
         self._keyframes = keyframes
         self._hypothesis: Hypothesis | None = None
-        self._expected: Floats | None = None  # (3,) where a person says that the newest key frame is
-        self._expected_odom: Floats | None = None  # the same: odom of the newest piece in the map
+        self._expected: Floats | None = None  # (3,) pose of the newest key frame set by the operator
+        self._expected_odom: Floats | None = None  # the same as pose of odom in the map
         self._tries = 0
-        self.pose_refused: tuple[float, float, float] | None = None  # was said, and the piece is not there
+        self.pose_refused: tuple[float, float, float] | None = None  # by the operator, contradicted
         self._refused_segment = 0
         self._known_map: KnownMap | None = None
-        self._is_session_placed = True  # False: of this session nothing is placed in the stored map
-        self.possible: list[PossiblePlace] = []  # of the newest piece, as in PlaceNews
+        self._is_session_placed = True  # False: the session has no place in the stored map
+        self.possible: list[PossiblePlace] = []  # of the newest segment, as in PlaceNews
         self._query: SeenCloud | None = None  # of the newest search
-        self._places: list[CandidatePose] = []  # that it found
+        self._places: list[CandidatePose] = []  # its results
 
     def expect_at(self, pose_map_base: Floats) -> None:
-        """A person says where the vehicle is now, (3,) m, m, rad: looked at before all other places."""
+        """Search first around the pose set by the operator, (3,) m, m, rad."""
         self._expected, self._expected_odom, self._tries = pose_map_base, None, EXPECTED_TRIES
         self.pose_refused = None
 
     def make_ready(self, known: npt.NDArray[np.int64]) -> None:
-        """Make what places are looked for in; else the first search does. known (K,) as of find."""
+        """Build the search structures before the first search. known (K,) as of find."""
         if len(known):
             self._map_of(known)
 
     def forget_map(self) -> None:
-        """Other points are known from now on."""
+        """Discard the search structures: the points of the map have changed."""
         self._known_map = None
 
     def forget_numbers(self) -> None:
-        """Key frames have other numbers from now on. Not while a piece is looked for."""
+        """Discard indices: key frames were renumbered. Not while a segment is searched."""
         self._known_map = self._hypothesis = None
 
     @property
     def unconfirmed_place(self) -> UnconfirmedPlace | None:
-        """Where a piece lies if the newest find is right; None: there is none, or the piece is placed.
+        """Place of the segment by the newest result; None if there is none or the segment is placed.
 
-        Nor is it told where dead reckoning leads elsewhere and what is seen does not contradict that, or
-        where other places are possible, too: new ground may look like any place of the map.
+        Also None if dead reckoning leads elsewhere and the query does not contradict that, or if other places
+        are candidates, too, since new ground may look like any place of the map.
         """
         keyframes, one = self._keyframes, self._hypothesis
         if one is None or one.is_disputed or not one.is_sure or self.possible:
@@ -139,13 +139,13 @@ class DetachedSearch:
         return UnconfirmedPlace(one.segment, SE2(*one.pose_map_odom.tolist()), known)
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
-        """Move the newest piece to where it lies, and give the loops that say so; None: nothing is sure.
+        """Place the newest segment in the map, and return the loops that prove it; None if not certain.
 
-        known   (K,) numbers of the key frames whose place in the map is known
+        known   (K,) indices of the key frames with a known place
 
-        All of the known map that the vehicle may have come to is searched, at every heading. One find is a
-        hypothesis, since rooms look alike: it must fit clearly better than any other place and than new
-        ground, and the next key frames must say the same, or dead reckoning.
+        Searches the part of the known map within reach of dead reckoning, at every heading. Rooms may look
+        alike, so one result is a hypothesis: its evidence must exceed that of any other place and of new
+        ground by a margin, and the next key frames or dead reckoning must confirm it.
         """
         config, keyframes = self._config, self._keyframes
         self.possible = []
@@ -164,7 +164,7 @@ class DetachedSearch:
         ):
             from_m = (
                 self._hypothesis.path_length_m + 0.5 * MIN_APART_M
-            )  # none of what the first find has seen
+            )  # without key frames of the first result
         own = own[keyframes.path_length_m[own] >= from_m][-MAX_QUERY:]
         if not len(own) or not len(known):
             return None
@@ -193,7 +193,7 @@ class DetachedSearch:
         is_sure = is_second or not self._is_session_placed or (agrees and old is not None and old.is_sure)
         is_sure = is_sure or self._excludes_new_ground(at, prior)
         new = Hypothesis(se2.compose(at, inverse), loop, path_length_m, segment, is_disputed, is_sure)
-        # Of a session one find says where, for the vehicle may stand; it is proven later.
+        # A session gets its place by one result, since the vehicle may stand still; it is verified later.
         if is_second or not self._is_session_placed:
             self._place(segment, new.pose_map_odom)
             return (loop,)
@@ -209,23 +209,23 @@ class DetachedSearch:
         return old.loop, new.loop
 
     def _allows_dead_reckoning(self, prior: OdometryPrior | None) -> bool:
-        """Whether what was asked for last does not contradict where dead reckoning leads."""
+        """Whether the last query does not contradict the pose of dead reckoning."""
         if prior is None or prior.is_vague or self._query is None or self._known_map is None:
             return False
         return self._known_map.align(self._query, prior.pose).weight.evidence > -MIN_MARGIN_NATS
 
     def _is_possible(self, reference: int) -> bool:
-        """Whether the newest find is one of the places that are possible now."""
+        """Whether the newest result is among the candidate places."""
         if self._hypothesis is None:
             return False
         at = se2.compose(self._hypothesis.pose_map_odom, self._keyframes.odom[reference])
         return any(math.dist(at[:2], (place.x_m, place.y_m)) < SAME_PLACE_M for place in self.possible)
 
     def _excludes_new_ground(self, at: Floats, prior: OdometryPrior | None) -> bool:
-        """Whether what was asked for last can hardly be seen anywhere but at a pose (3,) of the map.
+        """Whether the last query excludes unmapped ground in favour of a pose (3,) of the map.
 
-        Walls on new ground stand as in the rest of the building. The more places were searched, the more of
-        them fit by chance; so as many times likelier must this one be than ground that nobody knows.
+        Walls on new ground are like those of the rest of the building, and the number of places that fit by
+        chance grows with the number of places searched; the required log-ratio accounts for it.
         """
         assert self._query is not None
         assert self._known_map is not None
@@ -237,7 +237,7 @@ class DetachedSearch:
         return nats >= least
 
     def _around(self, known: npt.NDArray[np.int64], pose: Floats) -> CandidateSubmap:
-        """What key frames of all passes have seen around a pose (3,) of the map."""
+        """Sub-map of key frames of all passes around a pose (3,) of the map."""
         keyframes = self._keyframes
         away_m = np.hypot(*(keyframes.map[known, :2] - pose[:2]).T)
         nearest = known[np.argsort(away_m, kind="stable")[:MAX_KEYFRAMES_AROUND]]
@@ -245,7 +245,7 @@ class DetachedSearch:
         return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
 
     def _map_of(self, known: npt.NDArray[np.int64]) -> KnownMap:
-        """That of the search before, while the known map is the same: a piece is looked for many times."""
+        """The search structures, cached while the known map stays the same."""
         if self._known_map is None or not np.array_equal(self._known_map.known, known):
             self._known_map = KnownMap(self._keyframes, known)
         return self._known_map
@@ -267,10 +267,10 @@ class DetachedSearch:
         reach_m: float = math.inf,
         only_winners: bool = False,
     ) -> list[CandidatePose]:
-        """Where in the known map the key frames `own` may lie, the likeliest by what is seen first; no
-        farther than reach_m from where dead reckoning puts the reference.
+        """Candidate places of the key frames `own` in the known map, the most likely by the beams first;
+        within reach_m of dead reckoning.
 
-        only_winners   refine none where none can be likelier than new ground
+        only_winners   refine none if none can exceed new ground
         """
         seen = seen_cloud(self._keyframes, own, reference)
         self._query = seen
@@ -293,8 +293,8 @@ class DetachedSearch:
     def _prior_of(
         self, reference: int, known: npt.NDArray[np.int64], last: int, reach_m: float
     ) -> OdometryPrior | None:
-        """Of a key frame, by the way from `last`, the newest one of a known place; None: where no motion
-        model says it, or no key frame of the map is near.
+        """Prior of a key frame by odometry from `last`, the newest one with a known place; None without a
+        motion model or a map.
         """
         keyframes = self._keyframes
         step = se2.between(keyframes.odom[last], keyframes.odom[reference])
@@ -311,9 +311,9 @@ class DetachedSearch:
         return OdometryPrior(pose, covariance_added(then, now, step), region, probability)
 
     def evidence_margin(self, pose_map: Floats) -> float:
-        """Nats by which the pose (3,) in the map is likelier than every other place that the newest search
-        found; inf where it found none, nan before the first. Where the pose is the truth and this is below 0,
-        what was seen cannot tell it.
+        """Nats by which the evidence of a pose (3,) in the map exceeds every other place of the newest
+        search; inf if it found none, nan before the first. At the true pose a value below 0 means an
+        ambiguous query.
         """
         if self._query is None or self._known_map is None:
             return math.nan
@@ -325,9 +325,10 @@ class DetachedSearch:
     def best_of(
         self, found: list[CandidatePose], prior: OdometryPrior | None = None
     ) -> tuple[Floats, Loop] | None:
-        """The place that is clearly likelier than every other, by the beams or by walls and things as such;
-        None where there is none. Once a place is known in this session, clearly likelier also than ground
-        that the map does not hold: there nothing that is seen speaks for or against.
+        """The place whose evidence exceeds every other by the margin, by beams or by structure; None if there
+        is none.
+
+        In a session with a known place it must also exceed unmapped ground, whose evidence is 0.
         """
         self.possible = []
         if not found:
@@ -340,7 +341,7 @@ class DetachedSearch:
             return None
         for other in found:
             log_ratio = best.evidence - other.evidence
-            # Beside the best place the same is unexplained, so it says nothing there.
+            # Beside the best place the same is unexplained.
             least = MIN_MARGIN_NATS if is_same_place(best.pose, other.pose) else margin
             if log_ratio >= least and other.loop is not None:
                 log_ratio, least = self._log_ratio_where_known(best, other), MIN_MARGIN_NATS
@@ -355,8 +356,8 @@ class DetachedSearch:
         return best.pose, best.loop
 
     def _log_ratio_by_structure(self, best: CandidatePose, other: CandidatePose) -> float:
-        """Nats by which walls and things say that a place is likelier than another one, each of them once;
-        0 where both are of one room, or nothing was searched for.
+        """Log-ratio of two places by walls and objects, each counted once, nats; 0 for the same room or
+        without a search.
         """
         if self._query is None or self._known_map is None or is_same_place(best.pose, other.pose):
             return 0.0
@@ -364,8 +365,8 @@ class DetachedSearch:
         return of_best + best.prior - of_other - other.prior
 
     def _log_ratio_where_known(self, best: CandidatePose, other: CandidatePose) -> float:
-        """Nats by which a place is likelier than another one at which enough fits; inf where both are of one
-        room, or nothing was searched for.
+        """Log-ratio of two places by beams on ground known at the other one, nats; inf for the same room or
+        without a search.
         """
         if self._query is None or self._known_map is None or is_same_place(best.pose, other.pose):
             return math.inf
@@ -373,7 +374,9 @@ class DetachedSearch:
         return log_ratio + best.prior - other.prior
 
     def _find_expected(self, segment: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
-        """Place the newest piece where a person has said, if it fits there; gives up after some tries."""
+        """Place the newest segment near the pose set by the operator, if it fits; gives up after
+        EXPECTED_TRIES.
+        """
         keyframes = self._keyframes
         own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)[-MAX_QUERY:]
         if self._expected is None or not len(own) or not len(known):
@@ -406,7 +409,7 @@ class DetachedSearch:
     def _loop_at(
         self, submap: CandidateSubmap, cloud: PointCloud, pose: Floats, reference: int
     ) -> tuple[Fit, Loop | None]:
-        """How the points lie on a sub-map from a pose near enough; and the loop, if they fit."""
+        """The points aligned with a sub-map from a nearby pose, and the loop if they fit."""
         fit = submap.align(cloud, pose)
         against = submap.against(cloud, fit.pose)
         if not _fits(fit.share, against):
@@ -423,9 +426,10 @@ class DetachedSearch:
         cloud: PointCloud,
         prior: OdometryPrior | None,
     ) -> CandidatePose:
-        """Where a key frame fits the known map, and if it fits well enough the loop that says so: with the
-        key frame of that map next to it. Where dead reckoning leads there, it lies where both say: along
-        walls that leave a direction open, dead reckoning says where.
+        """A candidate place, with a loop to the nearest key frame of the map if it fits well enough.
+
+        Where dead reckoning confirms the place, its pose is fused with it, which fixes directions that walls
+        leave open.
         """
         fit, weight = aligned.fit, aligned.weight
         is_at_dead_reckoning = prior is not None and prior.explains(fit.pose)
@@ -444,10 +448,10 @@ class DetachedSearch:
         return CandidatePose(fit.pose, weight, loop, nats)
 
     def _reach_m(self, segment: int, reference: int) -> float:
-        """How far from where dead reckoning puts it a key frame of a piece may lie in the map; inf: anywhere.
+        """Largest distance of a key frame from dead reckoning, m; inf: anywhere.
 
-        Where scans went missing before the piece the vehicle may have been carried anywhere, and where
-        nothing of the session is placed dead reckoning says nothing.
+        After a scan gap before the segment the vehicle may have been carried anywhere; a session without a
+        place has no dead reckoning.
         """
         keyframes = self._keyframes
         first = int(np.flatnonzero(keyframes.segment == segment)[0])
@@ -459,8 +463,8 @@ class DetachedSearch:
         )
 
     def _within(self, known: npt.NDArray[np.int64], reference: int, reach_m: float) -> npt.NDArray[np.int64]:
-        """Those of known (K,) from where something can be seen that is seen from within reach_m of where dead
-        reckoning puts a key frame: the same ones as the vehicle drives on, for some metres.
+        """Those of known (K,) that may see what is visible within reach_m of dead reckoning. Their set stays
+        the same for some metres of driving.
         """
         if not math.isfinite(reach_m):
             return known
@@ -472,7 +476,7 @@ class DetachedSearch:
 
 
 def _fits(on_map: float, against: float) -> bool:
-    """Shares of what is seen: whether enough of it lies on the map, and little contradicts it."""
+    """Whether enough of the beams lie on the map, and few contradict it. Shares, 0..1."""
     return on_map >= MIN_ON_MAP and on_map >= MIN_AGREEING * (on_map + against)
 
 
@@ -485,7 +489,7 @@ def _margin(unexplained: float, is_at_dead_reckoning: bool) -> float:
 
 
 def _could_win(one: Aligned, prior: OdometryPrior | None) -> bool:
-    """Whether a candidate may be likelier than new ground, once refined: by REFINE_MARGIN_NATS at most."""
+    """Whether a candidate may exceed new ground once refined, which adds REFINE_MARGIN_NATS at most."""
     unexplained = max(one.weight.unexplained - REFINE_MARGIN_NATS, 0.0)
     least = _margin(unexplained, prior is not None and is_same_place(prior.pose, one.fit.pose))
     return one.weight.evidence + REFINE_MARGIN_NATS >= least

@@ -1,4 +1,4 @@
-"""All of the known map as something to be found in: where a piece may lie, and what speaks for each place."""
+"""The known map as a whole for place recognition: candidate poses and their evidence."""
 
 import math
 from dataclasses import dataclass
@@ -55,39 +55,38 @@ from service.mapper.maps.occupancy import EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 
-COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, of which one place each is a candidate
+COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, each with one candidate
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at LOOP_REACH_M, a cell
 MAP_SEARCH_POINTS = 80
-# Of a point where something may stand that the map has not seen, as on the back of a wall: it says nothing.
-# Free ground contradicts, and scores 0.
+# Likelihood of a point on unobserved ground, as at the back of a wall: neutral. A point in free space has 0.
 MAP_UNKNOWN_LIKELIHOOD = 0.5
-MIN_PLACE_SCORE = 0.45  # mean likelihood of the points
-MAX_SCORE_DEFICIT = 0.2  # a place whose score is so far behind the best is no candidate
+MIN_PLACE_SCORE = 0.45  # least mean likelihood of the points
+MAX_SCORE_DEFICIT = 0.2  # to the best score, for a candidate
 MAX_CANDIDATES = 240
-REFINE_WINDOW = (0.3, 0.03, 0.006)  # m and rad about a candidate, in steps of so many rad
+REFINE_WINDOW = (0.3, 0.03, 0.006)  # m, rad around a candidate; step in rad
 REFINING_POINTS = 150
 CLIMB_STEPS, MIN_CLIMB_STEP = (
     np.array([0.06, 0.06, 0.012]),
     1.0 / 16.0,
-)  # m, m, rad of a climb, and its last ones
-ALONG_M, ALONG_STEP_M = 1.6, 0.1  # how far to both sides of a place along the walls others are looked for
-ALONG_SHARE = 0.9  # of the points that lie on walls at a place must do so beside it
-ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on what the map has there
-# Nats that one wall or thing says at most. Buildings consist of straight walls, on new ground, too: the beams
-# that end on one of them say one thing, where it stands. Walls that face the same way are so far apart.
+)  # m, m, rad of the first steps of a climb, and factor of the last
+ALONG_M, ALONG_STEP_M = 1.6, 0.1  # range along walls to each side of a place, and its steps
+ALONG_SHARE = 0.9  # of the inlier ratio at the place, for a place beside it
+ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on a mapped object
+# Limit of the evidence of one wall or object, nats. Buildings have straight walls on new ground, too, so all
+# beams on a wall give one measurement: its offset. Parallel walls are this far apart.
 WALLS_APART_M = 2.0
 MAX_NATS_PER_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
-SEEN_THROUGH_EVIDENCE = -10  # evidence of a cell: a beam passed, and none ended in it
+SEEN_THROUGH_EVIDENCE = -10  # log-odds of a cell through which a beam passed without a hit
 
 
 @dataclass(frozen=True, slots=True)
 class Weight:
-    """What speaks for a cloud at a pose."""
+    """Evidence of a cloud at a pose."""
 
-    evidence: float  # nats: log-likelihood of its beams, less that on ground that nobody knows
-    unexplained: float  # nats that are missing to a map that knows all that is seen; 0 or more
+    evidence: float  # nats: log-likelihood ratio of its beams to unknown ground
+    unexplained: float  # nats missing to a map that explains all beams; 0 or more
     against: float  # share of the beams that contradict the map, 0..1
-    on_map: float  # share that ends on what the map has there, 0..1
+    on_map: float  # share of the beams that end on mapped objects, 0..1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +98,7 @@ class Aligned:
 
 
 class KnownMap:
-    """The points of the key frames `known` (K,), where the graph has them now."""
+    """Map of the key frames `known` (K,), at their current poses."""
 
     def __init__(self, keyframes: KeyframeList, known: npt.NDArray[np.int64]) -> None:
         self.known = known
@@ -115,15 +114,13 @@ class KnownMap:
 
     @property
     def area_m2(self) -> float:
-        """Of the ground that it knows."""
+        """Area of known ground."""
         slots = self._ground.tiles.slots
         known = self._ground.evidence[slots[slots != NO_TILE]] != 0
         return float(known.sum()) * CELL_M * CELL_M
 
     def candidates(self, cloud: PointCloud) -> list[Floats]:
-        """Where the cloud may lie: poses (3,) of its frame in the map, the likeliest first; at most
-        MAX_CANDIDATES.
-        """
+        """Candidate poses (3,) of the cloud in the map, the most likely first; at most MAX_CANDIDATES."""
         near = np.flatnonzero((cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2)
         near = near[:: max(1, len(near) // MAP_SEARCH_POINTS)]
         xy, normals = cloud.xy[near], cloud.normals[near]
@@ -132,7 +129,7 @@ class KnownMap:
         return list(places[order, :3])
 
     def align(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
-        """The cloud aligned with all walls there are, from a candidate. least: as of weigh."""
+        """The cloud aligned with all walls, from a candidate pose. least: as of weigh."""
         window = window_around(near, REFINE_WINDOW[:2], self._field, REFINE_WINDOW[2])
         near = (seen.cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2
         thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
@@ -140,7 +137,7 @@ class KnownMap:
         return self._aligned(seen, found.pose, least)
 
     def refine(self, seen: SeenCloud, aligned: Aligned) -> Aligned:
-        """The likeliest pose near that of the alignment: walls alone lead astray where there are few."""
+        """The pose of highest evidence near an alignment, which few walls alone do not determine."""
         pose = aligned.fit.pose.copy()
         evidence, count = climb(
             seen.cloud.xy,
@@ -160,7 +157,7 @@ class KnownMap:
         return Aligned(Fit(pose, again.fit.information, again.fit.share), self.weigh(seen, pose))
 
     def along(self, seen: SeenCloud, aligned: Aligned) -> list[Aligned]:
-        """Where else the cloud fits beside a place, in the direction in which it is known worst."""
+        """Alignments beside a place, along its least certain direction."""
         of_pose = aligned.fit.information
         turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
         known = of_pose[:2, :2] - turning
@@ -173,7 +170,7 @@ class KnownMap:
         return [Aligned(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
 
     def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:
-        """What speaks for a cloud at a pose (3,); of evidence below `least` no more than a bound."""
+        """Evidence of a cloud at a pose (3,); below `least` only an upper bound."""
         shares = seen.shares
         evidence, at_end, along_beam = self._beam_evidence(seen, pose, least)
         merged = max(float(shares.sum()), 1e-9)
@@ -182,16 +179,16 @@ class KnownMap:
         return Weight(evidence, max(0.0, FULL_RATIO * merged - evidence), against, on_map)
 
     def structure(self, seen: SeenCloud, pose: Floats) -> float:
-        """Nats that speak for a cloud at a pose (3,) against a building of which the map knows nothing: of
-        each wall or thing once, MAX_NATS_PER_WALL at most for or against.
+        """Log-likelihood ratio of a pose (3,) to an unmapped building, nats: each wall or object counts once,
+        within +-MAX_NATS_PER_WALL.
         """
         _, at_end, along_beam = self._beam_evidence(seen, pose)
         of_walls = np.bincount(seen.walls, seen.shares * at_end + along_beam)
         return float(np.clip(of_walls, -MAX_NATS_PER_WALL, MAX_NATS_PER_WALL).sum())
 
     def log_ratio_where_known(self, seen: SeenCloud, pose: Floats, rival: Floats) -> float:
-        """Nats by which a pose (3,) is likelier than a rival, by the beams that end there on what the map
-        knows: what it does not know may look as at the pose, where rooms of a building are alike.
+        """Log-ratio of a pose (3,) to a rival pose, nats, by beams on ground known at the rival: unknown
+        ground there may look the same where rooms are alike.
         """
         _, at_end, along_beam = self._beam_evidence(seen, pose)
         _, at_end_of_rival, along_beam_of_rival = self._beam_evidence(seen, rival)
@@ -202,7 +199,7 @@ class KnownMap:
     def _beam_evidence(
         self, seen: SeenCloud, pose: Floats, least: float = -math.inf
     ) -> tuple[float, Floats, Floats]:
-        """The evidence of a cloud at a pose, and what end (N,) and way (N,) of each beam say, nats."""
+        """Evidence of a cloud at a pose, and its terms at the end (N,) and along (N,) each beam, nats."""
         cloud = seen.cloud
         at_end, along_beam = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
         self._weighed += 1
@@ -226,7 +223,7 @@ class KnownMap:
 
 
 def _one_of_each_cell(cloud: PointCloud) -> PointCloud:
-    """One point for each cell and direction in which walls face there: it says as much as all."""
+    """One point per cell and direction of the normal, which carries the same information as all."""
     cells = np.floor(cloud.xy / CELL_M).astype(np.int64)
     low, high = cells.min(axis=0), cells.max(axis=0) + 1
     angle = np.arctan2(cloud.normals[:, 1], cloud.normals[:, 0])
@@ -253,7 +250,7 @@ def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:
 
 
 def _is_free(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bool_]:
-    """(H, W) cells of level 0 in which nothing stands, as far as the ground knows all of them."""
+    """(H, W) cells of level 0 that are entirely observed as free."""
     rows, columns = pyramid.levels.shape[2:]
     times = round(COARSE_CELL_M / CELL_M)
     free = np.zeros((times * rows, times * columns), np.bool_)
@@ -271,7 +268,7 @@ def _is_free(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bo
 
 
 def _field(cloud: PointCloud) -> MaxPyramid:
-    """Of one level: small windows are asked as a whole."""
+    """A field of one level: small windows are searched exhaustively."""
     low = np.floor(cloud.xy.min(axis=0) / CELL_M).astype(np.int64) - 2
     high = np.floor(cloud.xy.max(axis=0) / CELL_M).astype(np.int64) + 3
     levels = np.zeros((1, high[1] - low[1], high[0] - low[0]), np.float32)
@@ -329,6 +326,6 @@ def _known_ground_of(
 
 
 def _sensor_of(keyframes: KeyframeList, k: int) -> Floats:
-    """(2,) m: where the beams of a key frame begin, in the map."""
+    """(2,) m: sensor position of a key frame in the map."""
     at: Floats = se2.points_from(keyframes.map[k], np.array([keyframes.thinned[k].sensor_xy_m]))[0]
     return at

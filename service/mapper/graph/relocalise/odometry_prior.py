@@ -1,4 +1,4 @@
-"""How likely places are for a vehicle that was lost: where dead reckoning says, or anywhere."""
+"""Prior of the place of a lost vehicle: near dead reckoning, or uniform over the map."""
 
 import math
 from dataclasses import dataclass
@@ -11,33 +11,31 @@ from service.geometry.se2 import wrap_angle
 from service.mapper.graph.model.point_clouds import Fit
 from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
 
-ODOMETRY_PROBABILITY_UNMEASURED = (
-    0.5  # probability that dead reckoning is right after a pause; the other hypothesis is equally likely
-)
-ODOMETRY_PROBABILITY_MEASURED = 0.9  # the same, where odometry measured the way while scans were missing
-ODOMETRY_PROBABILITY_CONTINUOUS = 0.9999  # the same, where no scan was missing: the vehicle was not carried
-# Of the place that a search finds, m, m, rad: what key frames of the map are off besides.
+ODOMETRY_PROBABILITY_UNMEASURED = 0.5  # that dead reckoning is right, after motion that no sensor measured
+ODOMETRY_PROBABILITY_MEASURED = 0.9  # the same, where odometry measured the motion during a scan gap
+ODOMETRY_PROBABILITY_CONTINUOUS = 0.9999  # the same, without a scan gap: the vehicle was not carried
+# m, m, rad: error of a search result by distortion of the map.
 SEARCH_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
 
 
 def places_in(region: float) -> float:
-    """How many places that a search tells apart lie in a region, m^2 rad."""
+    """Number of places in a region, m^2 rad, that a search distinguishes."""
     return region / _spread(SEARCH_COVARIANCE)
 
 
 def _spread(covariance: Floats) -> float:
-    """m^2 rad that a normal distribution (3, 3) takes up: one over its greatest density."""
+    """m^2 rad: inverse of the peak density of a normal distribution with covariance (3, 3)."""
     return float((2.0 * math.pi) ** 1.5 * math.sqrt(np.linalg.det(covariance)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryPrior:
-    """A mixture of two hypotheses: a normal distribution about dead reckoning, and all of the map alike.
+    """A mixture: a normal distribution at dead reckoning, and a uniform one over the map.
 
-    pose         (3,) where dead reckoning puts a key frame, in the map
+    pose         (3,) of a key frame in the map, by dead reckoning
     covariance   (3, 3) of it, base axes
-    region       m^2 rad: ground of the map times a full turn
-    drove        probability of the first hypothesis
+    region       m^2 rad: area of the map times 2 pi
+    probability  of the first component
     """
 
     pose: Floats
@@ -46,23 +44,21 @@ class OdometryPrior:
     probability: float = ODOMETRY_PROBABILITY_UNMEASURED
 
     def nats(self, pose: Floats) -> float:
-        """Log-density at a pose (3,) of the map, less that of a vehicle that may be anywhere in it."""
+        """Log-density at a pose (3,) of the map, minus that of the uniform distribution."""
         at = math.exp(-0.5 * self._chi2(pose)) / _spread(self._of_find())
         return math.log(1.0 - self.probability + self.probability * self.region * at)
 
     @property
     def is_vague(self) -> bool:
-        """Whether dead reckoning knows too little to lead anywhere."""
+        """Whether dead reckoning is too uncertain to use."""
         return is_loose(sigmas_of(self.covariance))
 
     def explains(self, pose: Floats) -> bool:
-        """Whether a pose (3,) is where dead reckoning leads, but for chance; one that knows little says
-        nothing.
-        """
+        """Whether a pose (3,) is within the gate of dead reckoning; False if that is too uncertain."""
         return not self.is_vague and self._chi2(pose) <= JUMP_CHI2
 
     def joined(self, fit: Fit) -> Fit:
-        """What a fit on the map and dead reckoning say together."""
+        """A fit on the map, fused with dead reckoning."""
         c, s = math.cos(self.pose[2]), math.sin(self.pose[2])
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         prior_information = np.linalg.inv(turn @ self._of_find() @ turn.T)

@@ -1,4 +1,4 @@
-"""Where in a known map a cloud may lie: candidates, each climbed to the likeliest pose near it."""
+"""Searches a cloud in a known map: candidates, each refined to the pose of highest evidence nearby."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,13 +11,13 @@ from service.geometry.poses import Floats
 from service.mapper.graph.model.seen_cloud import SeenCloud
 from service.mapper.graph.relocalise.known_map import Aligned, KnownMap
 
-SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses that mean one room
-SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses of one place may differ by so much where it is known well
-MAX_REFINED = 12  # of the places that candidates lead to
-REFINE_MARGIN_NATS = 100.0  # so far behind the likeliest a place is not refined
-PRUNE_MARGIN_NATS = 250.0  # nor asked how far: it counts for as much as may speak for it
-MAX_SLID, MAX_BESIDE = 8, 4  # places beside which others are looked for in a round, and how many of those
-MAX_ROUNDS = 3  # until none of these is ahead
+SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses in one room
+SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses that count as equal
+MAX_REFINED = 12  # places per search
+REFINE_MARGIN_NATS = 100.0  # a place this far below the best is not refined
+PRUNE_MARGIN_NATS = 250.0  # nor is its evidence computed to the end: the upper bound stands for it
+MAX_SLID, MAX_BESIDE = 8, 4  # places per round to search beside along walls, and neighbours of each
+MAX_ROUNDS = 3  # or until the best place stays the best
 
 
 def find_places(
@@ -27,12 +27,12 @@ def find_places(
     could_win: Callable[[Aligned], bool] = lambda _: True,
     is_possible: Callable[[Floats], bool] = lambda _: True,
 ) -> list[Aligned]:
-    """The likeliest first. Along walls that say nothing of a direction, places beside a candidate are told
-    from it, too.
+    """Places of the cloud, the most likely first. Along walls that leave a direction open, neighbours of a
+    candidate are evaluated, too.
 
-    guesses     poses (3,) that are candidates besides those of the search
-    could_win   whether a candidate is worth to be refined; where none is they are given as they are
-    is_possible whether the cloud may be at a pose (3,) at all
+    guesses     poses (3,) of further candidates
+    could_win   whether a candidate is worth refining; if none is, all are returned unrefined
+    is_possible whether the cloud may be at a pose (3,)
     """
     aligned = _distinct(_aligned(known_map, seen, is_possible))
     guessed = [known_map.align(seen, guess) for guess in guesses]
@@ -52,7 +52,7 @@ def find_places(
 
 
 def _aligned(known_map: KnownMap, seen: SeenCloud, is_possible: Callable[[Floats], bool]) -> list[Aligned]:
-    """All candidates; of those PRUNE_MARGIN_NATS behind one before, the most that can speak for them."""
+    """All candidates; the evidence of those PRUNE_MARGIN_NATS below an earlier one is an upper bound."""
     aligned: list[Aligned] = []
     best = -math.inf
     for guess in filter(is_possible, known_map.candidates(seen.cloud)):
@@ -64,7 +64,7 @@ def _aligned(known_map: KnownMap, seen: SeenCloud, is_possible: Callable[[Floats
 def _refined(
     known_map: KnownMap, seen: SeenCloud, aligned: list[Aligned], places: list[Aligned]
 ) -> list[Aligned]:
-    """Places with these, refined, among them, the likeliest first."""
+    """`places` with `aligned`, refined, added, the most likely first."""
     for one in aligned:
         least = places[0].weight.evidence - REFINE_MARGIN_NATS if places else -math.inf
         if one.weight.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
@@ -73,7 +73,7 @@ def _refined(
 
 
 def is_same_place(pose: Floats, other: Floats) -> bool:
-    """Whether poses (3,) are so near that one room is meant by both."""
+    """Whether poses (3,) are close enough to be in one room."""
     return bool(_are_near(pose, other, SAME_PLACE_M, SAME_PLACE_RAD))
 
 
@@ -82,14 +82,14 @@ def is_same_pose(pose: Floats, other: Floats) -> bool:
 
 
 def _are_near(pose: Floats, others: Floats, near_m: float, near_rad: float) -> npt.NDArray[np.bool_]:
-    """(...,) of others (..., 3)."""
+    """(...,) whether others (..., 3) are near a pose."""
     away = se2.between(pose, others)
     near: npt.NDArray[np.bool_] = np.hypot(away[..., 0], away[..., 1]) <= near_m
     return near & (np.abs(away[..., 2]) <= near_rad)
 
 
 def _distinct(aligned: list[Aligned]) -> list[Aligned]:
-    """The likeliest of each pose, the likeliest first."""
+    """The most likely of each group of equal poses, the most likely first."""
     ordered, kept = _by_evidence(aligned), []
     poses = np.array([one.fit.pose for one in ordered]).reshape(-1, 3)
     is_taken = np.zeros(len(ordered), np.bool_)
