@@ -1,9 +1,8 @@
-"""Work that a graph has done beside the mapping: what is handed out, and when it comes back in.
+"""Back-end work of a graph, run beside the mapping: jobs, workers, results.
 
-The mapper has no threads and reads no clock. Who builds it says where the work is done: at once and in place
-(replay, tests), or in a process of its own (live). A back end gets its batches one at a time and in order, so
-what it answers depends on the batches alone; and the mapper applies a result between two frames, at a place
-that the recording holds.
+The mapper has no threads and reads no clock. Its builder chooses the worker: inline (replay, tests) or a
+process of its own (live). A back end receives its batches one at a time and in order, so its results depend
+on the batches alone. The mapper applies a result between two frames, at a position that the recording stores.
 """
 
 from collections import deque
@@ -12,41 +11,41 @@ from typing import Any, Protocol
 
 
 class WorkLostError(Exception):
-    """A piece of work will never be done; says why. Nothing that the back end knew can be had any more."""
+    """A job will never be finished; the message gives the reason. The state of the back end is lost."""
 
 
 class BackEndDiedError(Exception):
-    """The process of the back end is gone, and a copy of this one has a copy of it: that one goes on."""
+    """The process of the back end died; a copy of this process holds a copy of the back end and continues."""
 
 
 class BackEnd(Protocol):
-    """Plain state that can be pickled, as can batches and results. Draws no random numbers without a seed."""
+    """Plain state that can be pickled, as can batches and results. Uses no unseeded random numbers."""
 
     def work(self, batch: Any) -> Any: ...
 
 
 class Job(Protocol):
-    """One batch that was handed to a worker."""
+    """One batch that was submitted to a worker."""
 
     @property
     def ready(self) -> bool:
-        """Whether result() answers at once, be it with an error."""
+        """Whether result() returns at once, with a result or an error."""
         ...
 
     def result(self) -> Any:
-        """What the back end made of the batch; waits for it. Raises WorkLostError."""
+        """Result of the batch; waits for it. Raises WorkLostError."""
         ...
 
 
 class Worker(Protocol):
-    """Gives one back end its batches, in order."""
+    """Passes batches to one back end, in order."""
 
     def submit(self, batch: Any) -> Job:
-        """Never waits and raises nothing."""
+        """Submit a batch. Never waits and never raises."""
         ...
 
     def close(self) -> None:
-        """Nobody wants anything more of this back end."""
+        """Release the back end; no further batches follow."""
         ...
 
 
@@ -54,7 +53,7 @@ NewWorker = Callable[[BackEnd], Worker]
 
 
 class Done:
-    """A Job that is done."""
+    """A finished Job."""
 
     ready = True
 
@@ -66,7 +65,7 @@ class Done:
 
 
 class InlineWorker:
-    """Does the work when it is handed in."""
+    """Runs each batch in submit()."""
 
     def __init__(self, back_end: BackEnd) -> None:
         self._back_end = back_end
@@ -78,7 +77,7 @@ class InlineWorker:
 
 
 class DiscardingWorker:
-    """For a mapper that warms up: what is handed in is never done, and never waited for."""
+    """For a mapper that warms up: batches are discarded and no result becomes ready."""
 
     ready = False
 
@@ -94,9 +93,9 @@ class DiscardingWorker:
 
 
 class BackgroundJobs:
-    """Jobs that a graph has out with its back end, oldest first; gives Graph.waiting and Graph.ready.
+    """Jobs of a graph that are not applied yet, oldest first; implements Graph.waiting and Graph.ready.
 
-    fault   why there will be no more results, "" while all is well; from then on submit does nothing
+    fault   why no more results will come, "" if none; from then on submit does nothing
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -106,12 +105,12 @@ class BackgroundJobs:
 
     @property
     def waiting(self) -> int:
-        """Jobs whose results are not taken yet."""
+        """Number of jobs whose results are not taken yet."""
         return len(self._out)
 
     @property
     def ready(self) -> bool:
-        """Whether the result of the oldest can be taken without waiting."""
+        """Whether the result of the oldest job can be taken without waiting."""
         return bool(self._out) and self._out[0].ready
 
     def submit(self, batch: Any) -> None:
@@ -119,7 +118,7 @@ class BackgroundJobs:
             self._out.append(self._worker.submit(batch))
 
     def take(self) -> Any:
-        """Result of the oldest job; waits for it. Raises WorkLostError, then all are given up."""
+        """Result of the oldest job; waits for it. Raises WorkLostError and drops all jobs."""
         try:
             return self._out.popleft().result()
         except WorkLostError as error:

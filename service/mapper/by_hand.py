@@ -1,4 +1,4 @@
-"""What a person drew into a map, and which points of it a person says are one place."""
+"""Manual edits of a map: walls, erased areas, and pairs of points that are one place."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -13,17 +13,15 @@ from service.geometry.poses import Floats
 Ints = npt.NDArray[np.int64]
 
 DRAWN_WALL, ERASED, ERASED_TO_FREE, ERASED_AS_SEEN = 0, 1, 2, 3
-BECOMES = {"as_seen": ERASED_AS_SEEN, "unknown": ERASED, "free": ERASED_TO_FREE}  # what is erased
-PREFIX = "by_hand_"  # of the names in a file
+BECOMES = {"as_seen": ERASED_AS_SEEN, "unknown": ERASED, "free": ERASED_TO_FREE}  # of an erased area
+PREFIX = "by_hand_"  # of the array names in a file
 
 
 class Drawing(NamedTuple):
-    """One wall, or one area that was erased."""
+    """One wall or one erased area."""
 
-    kind: (
-        int  # DRAWN_WALL, ERASED (unknown), ERASED_TO_FREE, ERASED_AS_SEEN (by beams that pass; else unknown)
-    )
-    until: int  # of an area: it takes away what the key frames before this one drew
+    kind: int  # or ERASED (unknown), ERASED_TO_FREE, ERASED_AS_SEEN (free where beams pass, else unknown)
+    until: int  # of an area: it erases the points of key frames with a lower index
     corners_map: Floats  # (C, 2) m
 
 
@@ -33,22 +31,22 @@ def _no_ints() -> Ints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ByHand:
-    """D drawings with C corners in all, and P pairs of points that are one place.
+    """D walls and areas with C corners in total, and P point pairs that are one place each.
 
-    Each point is held in the frame of the key frame that was nearest to it, or that saw it: when the graph
-    bends the map, what was drawn goes with what is around it.
+    Each corner is stored in the frame of the nearest key frame, each point of a pair in that of the key
+    frame that saw it. When the graph moves its key frames, the edits move with them.
     """
 
     kind: Ints = field(default_factory=_no_ints)  # (D,)
     until: Ints = field(default_factory=_no_ints)  # (D,)
-    corner_of: Ints = field(default_factory=_no_ints)  # (C,) number of the drawing, rising
+    corner_of: Ints = field(default_factory=_no_ints)  # (C,) index of the wall or area, ascending
     corner_keyframe: Ints = field(default_factory=_no_ints)  # (C,)
     corner_xy: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (C, 2) m
     pair_ends: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (P, 2) key frames
-    pair_xy: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))  # (P, 2, 2) m, in each one's frame
+    pair_xy: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))  # (P, 2, 2) m, in their frames
 
     def problem(self, keyframes: int) -> str:
-        """What does not fit a graph of so many key frames; "" where all does."""
+        """Why the arrays do not fit a graph of so many key frames; "" if they fit."""
         drawings, corners, pairs = len(self.kind), len(self.corner_of), len(self.pair_ends)
         shapes = {
             "until": (drawings,),
@@ -74,12 +72,12 @@ class ByHand:
         return ""
 
     def pairs(self, ends: Ints) -> npt.NDArray[np.bool_]:
-        """(N,) whether a person has joined these key frames, (N, 2), by points."""
+        """(N,) whether a point pair joins the key frames `ends`, (N, 2)."""
         joined = {(of, to) for of, to in self.pair_ends.tolist()}
         return np.array([(of, to) in joined for of, to in ends.tolist()], np.bool_)
 
     def drawings(self, map_poses: Floats) -> list[Drawing]:
-        """Where they lie with the key frames at (N, 3)."""
+        """Walls and areas in the map, with the key frames at map_poses, (N, 3)."""
         xy = se2.points_from(map_poses[self.corner_keyframe], self.corner_xy)
         return [
             Drawing(kind, until, xy[self.corner_of == k])
@@ -87,7 +85,7 @@ class ByHand:
         ]
 
     def with_drawing(self, drawing: Drawing, map_poses: Floats) -> "ByHand":
-        """With one more. map_poses: (N, 3) of the key frames; one at NaN holds no corner."""
+        """A copy with one more wall or area. map_poses: (N, 3) of the key frames; one at NaN is not used."""
         corners = drawing.corners_map
         keyframe = np.array([_nearest(map_poses, xy) for xy in corners], np.int64)
         return replace(
@@ -100,7 +98,9 @@ class ByHand:
         )
 
     def with_point_pair(self, ends: tuple[int, int], xy: Floats) -> "ByHand":
-        """With the point xy[0] (2,), seen from key frame ends[0], and xy[1], seen from ends[1], one place."""
+        """A copy with one more pair: point xy[0] seen from key frame ends[0] and xy[1] from ends[1], (2,) m
+        each.
+        """
         return replace(
             self,
             pair_ends=np.vstack((self.pair_ends, np.array(ends, np.int64))),
@@ -112,8 +112,8 @@ class ByHand:
         return replace(self, pair_ends=self.pair_ends[kept], pair_xy=self.pair_xy[kept])
 
     def without_keyframes(self, is_kept: npt.NDArray[np.bool_], map_poses: Floats) -> "ByHand":
-        """When only some of the key frames are left: drawings are held by the nearest of them, and pairs that
-        lost an end are gone.
+        """A copy for the kept key frames: corners move to the nearest of them, pairs that lost an end are
+        dropped.
         """
         number = np.cumsum(is_kept) - 1
         left = map_poses[is_kept]
@@ -128,7 +128,7 @@ class ByHand:
         return remade
 
     def followed_by(self, other: "ByHand", keyframes: int) -> "ByHand":
-        """This of the first `keyframes` key frames, and that of those behind them."""
+        """These edits of the first `keyframes` key frames, and `other` of those after them."""
         moved = replace(
             other,
             until=other.until + keyframes,
@@ -145,7 +145,7 @@ class ByHand:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "ByHand":
-        """What `arrays` gave; a file of format 2 holds nothing made by hand. Raises KeyError."""
+        """Inverse of `arrays`; a file of format 2 has no manual edits. Raises KeyError."""
         if not any(name.startswith(PREFIX) for name in arrays):
             return ByHand()
         return ByHand(**{f.name: arrays[PREFIX + f.name] for f in fields(ByHand)})
@@ -156,7 +156,7 @@ def _nearest(map_poses: Floats, xy: Floats) -> int:
 
 
 def pairs_of(by_hand: ByHand, map_poses: Floats) -> list[dict[str, Any]]:
-    """What a person says is one place, and how far apart it lies still with the key frames at (N, 3)."""
+    """Point pairs and their remaining distance with the key frames at map_poses, (N, 3), for JSON."""
     ends = by_hand.pair_ends
     xy = se2.points_from(map_poses[ends], by_hand.pair_xy)
     apart_m = np.hypot(*(xy[:, 0] - xy[:, 1]).T)

@@ -1,4 +1,4 @@
-"""The seams of the mapper: what each component takes and gives. No algorithm lives here."""
+"""Interfaces of the mapper's components and the values between them. No algorithm is here."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,16 +23,16 @@ from service.outputs import NO_REASON, GraphPicture, Reason, State, TileUpdate
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """End points of one scan, those without a return left out, in beam order."""
+    """End points of the returns of one scan, in beam order."""
 
-    xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: the sweep's motion is taken out
-    xy_raw: npt.NDArray[np.float64]  # (N, 2) m, base frame at each beam's own moment, by a constant twist
-    beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; below 0 before it
-    beam: npt.NDArray[np.int32]  # (N,) which beam of the scan
+    xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: deskewed
+    xy_raw: npt.NDArray[np.float64]  # (N, 2) m, base frame at each beam's own moment, constant twist
+    beam_time_s: npt.NDArray[np.float64]  # (N,) since that moment; negative before it
+    beam: npt.NDArray[np.int32]  # (N,) beam index in the scan
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
-    range_sigma_m: float = 0.01  # noise of a range, as the sensor has shown it so far
-    usual_gap: int = 0  # beams from one return to the next, above 1 where not all are measured; 0: by `beam`
+    range_sigma_m: float = 0.01  # noise of a range, estimated from the sensor's scans
+    usual_gap: int = 0  # beams between returns, above 1 where not all are measured; 0: from `beam`
 
     def __post_init__(self) -> None:
         if not self.usual_gap:
@@ -40,26 +40,24 @@ class Points:
 
     @property
     def spacing_rad(self) -> float:
-        """From one return to the next."""
+        """Angle from one return to the next."""
         return abs(self.scan.angle_step_rad) * self.usual_gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """What came of a scan; the same for every matcher. The state is the word of judgement.py.
+    """Result of matching a scan, the same for every matcher. judgement.py sets the state.
 
-    motion         where the base is held to be: matched, or as predicted
+    motion         of the base: matched, or the prediction
     points         deskewed with the matched twist
     inlier_ratio   share of the returns that lie on walls of the map
-    state, reason  "lost": where the scan lies nobody knows
-    submap         which one was matched to, where a method has several
-    measured       pose, covariance and information by the scan; None: it was not matched, the motion is as
-                   predicted
-    is_contradicted  of a lost one: whether the map speaks against it; False: it may only see what the map
-                   does not know
-    is_moving      (N,) points that are not to be shown or kept: part of the scene moves; None: none
-    advantage      of one that is only compared: agreement with known ground less that if the laser looked the
-                   other way; None: not asked
+    state, reason  "lost": the pose of the scan in the map is unknown
+    submap         index of the matched sub-map, where a method has several
+    measured       pose, covariance and information by the scan; None: unmatched, the motion is the prediction
+    is_contradicted  of a lost scan: the map contradicts it; False: it may see unmapped ground only
+    is_moving      (N,) points of moving objects, which are neither shown nor kept; None: none
+    advantage      of a compared scan: agreement with known ground minus that of the laser turned round;
+                   None: not computed
     """
 
     motion: Motion
@@ -76,16 +74,16 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class MapChange:
-    """What an insert did."""
+    """Effect of an insert into the local map."""
 
     is_keyframe: bool = False
-    error_left: float = 1.0  # share of the pose's error against the map that is left after the insert
-    segment: int = 0  # connected piece of the map that the scan belongs to
+    error_left: float = 1.0  # share of the pose's error against the map that remains after the insert
+    segment: int = 0  # number of the map segment that the scan belongs to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedScan:
-    """A scan in the local map, as a graph gets it: every one that was mapped, key frame or not."""
+    """A mapped scan with its match in the local map, as the graph receives it, key frame or not."""
 
     stamp_ns: int
     points: Points  # deskewed with the matched twist
@@ -94,38 +92,38 @@ class MappedScan:
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
     prior: npt.NDArray[np.float64]  # (3, 3) the same of the prediction
     elapsed_s: float = 0.0  # since the scan before
-    is_motion_unmeasured: bool = False  # that since then, as in judgement.py
+    is_motion_unmeasured: bool = False  # no sensor measured the motion since the scan before
 
 
-# Of a session in a stored map: nobody knows where it lies in it; one look says where; another one, too.
+# Localisation of a session in a stored map: unknown, found from one viewpoint, confirmed from a second one.
 Placed = Literal["unknown", "unproven", "proven"]
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """Where a scan lies by the graph. Scans between two of them are bent along, see corrections.py."""
+    """Pose of a scan by the graph. Scans between two corrections are interpolated, see corrections.py."""
 
     stamp_ns: int
-    pose_odom_base: SE2  # as the mapper gave it
+    pose_odom_base: SE2  # of the mapper
     pose_map_base: SE2
-    begins_segment: bool = False  # the vehicle was lost before it: nothing leads to it from the one before
+    begins_segment: bool = False  # the vehicle was lost before it: no odometry leads to it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedMap:
-    """The shown map drawn anew, to replace the old. Can be pickled."""
+    """The shown map, rendered again, to replace the current one. Can be pickled."""
 
     tile_row: npt.NDArray[np.int64]  # (T,)
     tile_column: npt.NDArray[np.int64]  # (T,)
-    evidence: npt.NDArray[np.int8]  # (T, W, W) of the free-space map that drew it
+    evidence: npt.NDArray[np.int8]  # (T, W, W) log-odds steps of the free-space map
     wall_cells: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    # (K, 2) row and column of the cells in which a person has drawn a wall: no beam clears them
+    # (K, 2) row and column of the cells of walls drawn by the operator: no beam clears them
     is_part: npt.NDArray[np.bool_] | None = None  # (T, W, W) cells that are replaced; None: all of the map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanToRender:
-    """A scan to be drawn into the shown map again."""
+    """A scan to be rendered into the shown map again."""
 
     xy_base: npt.NDArray[np.float32]  # (N, 2) m
     sensor_xy_m: tuple[float, float]  # in the base frame
@@ -134,18 +132,18 @@ class ScanToRender:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AreaToErase:
-    """An area, m in the map, in which a person has taken away what was drawn up to here."""
+    """An area in the map that the operator erased: it clears what was rendered before it."""
 
     corners_map: npt.NDArray[np.float64]  # (C, 2)
-    is_free: bool  # it is known to be free then; else it is unknown
+    is_free: bool  # free afterwards; else unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallToRender:
-    """A wall that a person has drawn, which stands whatever beams say."""
+    """A wall drawn by the operator; beams do not clear it."""
 
-    corners_map: npt.NDArray[np.float64]  # (C, 2) m in the map, a line through these
-    erased_map: Sequence[npt.NDArray[np.float64]] = ()  # (C, 2) each: areas in which it is erased again
+    corners_map: npt.NDArray[np.float64]  # (C, 2) m in the map, a polyline
+    erased_map: Sequence[npt.NDArray[np.float64]] = ()  # (C, 2) m each: areas erased later
 
 
 ToRender = ScanToRender | AreaToErase | WallToRender
@@ -153,11 +151,11 @@ ToRender = ScanToRender | AreaToErase | WallToRender
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnconfirmedPlace:
-    """Where a piece of the map lies in the rest by one find, which nothing has confirmed yet.
+    """Place of a detached segment in the map by one search result, not confirmed yet.
 
-    piece           its number
+    segment         its number
     pose_map_odom   for scans that are matched to it
-    known           how well a key frame of it is known in the map, if the find is right
+    known           pose covariance in the map of a key frame of it, if the place is right
     """
 
     segment: int
@@ -167,10 +165,10 @@ class UnconfirmedPlace:
 
 @dataclass(frozen=True, slots=True)
 class PossiblePlace:
-    """A place of the map, one of several where the vehicle may be.
+    """A candidate place of the vehicle in the map.
 
-    nats    what speaks for it, against ground that the map does not hold
-    least   nats that would exclude that ground; None: another place of the map is about as likely
+    nats    log-likelihood ratio of the place to unmapped ground
+    least   nats required to exclude unmapped ground; None: another place of the map is about as likely
     """
 
     x_m: float
@@ -181,13 +179,13 @@ class PossiblePlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceNews:
-    """What a graph knows of the vehicle's place in the map.
+    """Localisation of the vehicle in the map, by the graph.
 
-    placed         how sure the place of the session in its stored map is
-    possible       where a piece that is looked for may be: two places about equally likely, or one that
-                   unmapped ground may look like
-    pose_refused   m, m, rad: where a person said the vehicle is, and what is seen does not fit; None: nothing
-    found_once     where a piece was found; None: nowhere, or it is joined
+    placed              of the session in its stored map
+    possible            candidate places of a detached segment: two about equally likely, or one that unmapped
+                        ground may resemble
+    pose_refused        m, m, rad: pose set by the operator that the scans contradict; None: none
+    unconfirmed_place   of a segment; None: none found, or the segment is joined
     """
 
     placed: Placed = "proven"
@@ -198,10 +196,10 @@ class PlaceNews:
 
 @dataclass(frozen=True, slots=True)
 class EditAnswer:
-    """What became of a change of the map by hand, or of the mode.
+    """Outcome of a manual change of the map, or of the mode.
 
-    told    a JSON object: `done`, in words, and figures
-    error   why it is not made, in words; "" where it is
+    reply   a JSON object: `done`, a sentence, and figures
+    error   why it was refused, "" if it was made
     """
 
     reply: Mapping[str, Any] = field(default_factory=dict)
@@ -210,20 +208,19 @@ class EditAnswer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphUpdate:
-    """What a piece of finished work changed, besides pose_map_odom.
+    """Changes by a finished job of the graph, besides pose_map_odom.
 
-    counts   counter -> how much it rose (or fell): loop_closures ...
-    rendered_map    the shown map from now on; None: it stays
-    since    what to draw into it besides: scans that the rendered map does not hold
-    joined   number of a piece of the map that was found in the rest; None: none
-    place    where in the map the vehicle is, as far as the graph knows; None: no news
-    saved    what a later session needs to go on, where a checkpoint was asked for
-    geo      where the map lies on the earth; None: that is not known, or not news
-    picture  the graph, for people to look at; None: that of before stands
-    known    how well a key frame is known in the map; None: no news, and at first the motion model alone
-             says how well
-    edited   the answer to a request that `Graph.request` took without one; None: this was no such work
-    is_localizing   the map stays as it is from now on, or not any more; None: as before
+    counts   counter -> increment (may be negative): loop_closures ...
+    rendered_map    replaces the shown map; None: unchanged
+    since    scans to render on top, which rendered_map does not contain
+    joined   number of the segment that was joined to the map; None: none
+    place    localisation of the vehicle in the map; None: unchanged
+    saved    graph for a later session, if a checkpoint was requested
+    geo      geographic reference of the map; None: unknown or unchanged
+    picture  the graph, for display; None: unchanged
+    known    covariance of a key frame in the map; None: unchanged, initially that of the motion model
+    edited   the answer to a request that `Graph.request` left open; None: the job was no such request
+    is_localizing   the map stays as it is from now on, or is updated again; None: unchanged
     """
 
     counts: Mapping[str, int]
@@ -241,12 +238,12 @@ class GraphUpdate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinishedGraph:
-    """The last word of a graph.
+    """Final result of a graph.
 
-    corrections   by rising stamps; empty: map and odom are one frame for the whole session
-    g2o           the graph as g2o text; "": there is none
-    keyframes     poses of the drive in it; they stand first, and other poses behind them
-    update        as that of apply_result
+    corrections   by ascending stamps; empty: map and odom are one frame for the entire session
+    g2o           the graph as g2o text; "" if there is none
+    keyframes     number of key-frame poses in it; they come first, other poses follow
+    update        as of apply_result
     """
 
     corrections: Sequence[Correction] = ()
@@ -256,41 +253,41 @@ class FinishedGraph:
 
 
 class Deskew(Protocol):
-    """Scan -> points, all at one moment."""
+    """Converts a scan to points at one moment."""
 
     def moment_of(self, scan: LaserScan) -> int:
-        """At which the pose of the base says most of where its points are, ns."""
+        """Moment of the base pose that the points depend on most, ns."""
 
     def __call__(self, scan: LaserScan, motion: Motion, at_ns: int) -> Points:
-        """at_ns   moment of the motion, to which the points are brought"""
+        """at_ns   moment of `motion`; the points are given at it"""
 
 
 class LocalMap(Protocol):
-    """What a scan is matched to."""
+    """The map that scans are matched to."""
 
     def insert(self, points: Points, match: Match) -> MapChange: ...
 
     def join(self, segment: int) -> None:
-        """The graph has found where a piece of the map lies in the rest."""
+        """Use a detached segment as the map: the graph has found its pose in the map."""
 
 
 @runtime_checkable
 class Detachable(Protocol):
-    """A local map that can begin anew where nobody knows the way, in a piece that is joined later."""
+    """A local map that can begin a detached segment, which is joined later."""
 
     def detach(self, pause_s: float) -> None:
-        """Nobody measured the way for so long: what is seen from here on is a piece, until it is joined."""
+        """Begin a detached segment: the motion was not measured for pause_s."""
 
     def attach(self) -> None:
-        """Nobody looks for the place of a piece any more: scans are matched to the rest again."""
+        """Drop detached segments and match to the map again: no graph searches for them any more."""
 
 
 class Standing(NamedTuple):
-    """Cells in which something stands, and for how long it has.
+    """Occupied cells and how long they have been observed.
 
     xy_odom   (N, 2) float64   centres, m
-    share     (N,)   float64   of the time from which on a thing counts in full; above 0, at most 1
-    cell_m    float
+    share     (N,)   float64   of the duration from which on an object counts in full; above 0, at most 1
+    cell_m    float            edge of a cell
     """
 
     xy_odom: npt.NDArray[np.float64]
@@ -300,67 +297,67 @@ class Standing(NamedTuple):
 
 @runtime_checkable
 class KnowsStanding(Protocol):
-    """A local map that counts how long things stand."""
+    """A local map that counts how long cells stay occupied."""
 
     def standing(self) -> Standing | None:
-        """Of what scans are matched to now; None where nothing is counted."""
+        """Occupied cells of the current matching map; None where they are not counted."""
 
 
 class Overlap(NamedTuple):
-    """How many returns of a scan lie on walls of a map, and how many where it knows that nothing stands."""
+    """Number of returns of a scan on walls of a map, and in its free space."""
 
     on_map: int
     in_free: int
 
     @property
     def agreement(self) -> float:
-        """Share on walls of what ends on known ground; 1 where nothing is known, for nothing contradicts."""
+        """Share on walls of the returns on known ground; 1 if there are none."""
         known = self.on_map + self.in_free
         return self.on_map / known if known else 1.0
 
 
 class KnownMap(LocalMap, Protocol):
-    """A local map that can be asked whether a scan fits."""
+    """A local map that reports how well a scan fits."""
 
     @property
     def is_empty(self) -> bool: ...
 
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
-        """What the points of a scan, (N, 2) m in the base frame, meet at a pose in odom."""
+        """Overlap of the points of a scan, (N, 2) m in the base frame, with the map at a pose in odom."""
 
     def start_over(self) -> None:
-        """Be empty, and begin with the next scan."""
+        """Clear the map; the next scan begins it."""
 
 
 class MapRenderer(Protocol):
-    """Draws the shown map from scratch, elsewhere: can be pickled."""
+    """Renders the shown map from scratch, in another process: can be pickled."""
 
     def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
-        """One after the other; walls stand over all."""
+        """Render the items in order; walls of the operator last."""
 
     def render_part(self, drawn: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
-        """As render, of what may reach a polygon (C, 2) m: it replaces the cells within, and no others."""
+        """As render, for items that may reach a polygon (C, 2) m: only the cells within it are replaced."""
 
 
 class FreeSpaceMap(Protocol):
-    """What is shown and driven on: occupancy in tiles, in the map frame."""
+    """The map for display and navigation: occupancy tiles in the map frame."""
 
     @property
     def renderer(self) -> MapRenderer:
-        """Draws as this map does."""
+        """A renderer with the settings of this map."""
 
     def insert(self, points: Points, pose_map_base: SE2) -> None: ...
 
     def replace_by(self, rendered_map: RenderedMap, since: Sequence[ScanToRender]) -> None:
-        """Show it in place of all, or of its part, and render `since` into it soon. Versions rise."""
+        """Replace the map, or its part, and render `since` into it soon. Versions increase."""
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
-        """Tiles that changed since the last call, each with a new version; at most so many, the rest with the
-        next call.
+        """Tiles changed since the last call, at most `most`, each with a new version; the rest with the next
+        call.
         """
 
     def tiles(self) -> list[TileUpdate]:
-        """All tiles as they are now, for who only looks on: changed_tiles gives what it would have given."""
+        """All tiles as they are now; does not affect changed_tiles."""
 
 
 ReadableMap = TypeVar("ReadableMap", bound=LocalMap)
@@ -368,64 +365,65 @@ ReadableMap_contra = TypeVar("ReadableMap_contra", bound=LocalMap, contravariant
 
 
 class Matcher(Protocol[ReadableMap_contra]):
-    """A matcher names the map type it can read, so a wrong pairing fails in mypy, not on the road."""
+    """Names the map type it reads, so that a wrong pairing fails in mypy."""
 
     def match(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match: ...
 
     def compare(self, points: Points, predicted: Prediction, local_map: ReadableMap_contra) -> Match:
-        """The match of a scan without a say in pose and map; the default profile remembers nothing of it."""
+        """Match a scan without effect on pose and map; the default profile keeps no state of it."""
 
 
 class GraphRequestError(Exception):
-    """Why a graph will not do what it is asked, in words for who asked."""
+    """A graph refuses a request; the message is for the client."""
 
 
 class Graph(Protocol):
-    """Says where odom lies in the map. Whatever takes longer than a fraction of a scan is done elsewhere.
+    """Estimates pose_map_odom. Work longer than a fraction of a scan runs in a back end.
 
-    Work goes out in `add` and `request`, and comes back in `apply_result`, which alone changes pose_map_odom.
+    `add` and `request` submit jobs; `apply_result` takes their results and alone changes pose_map_odom.
     """
 
     @property
     def waiting(self) -> int:
-        """Pieces of work that are out."""
+        """Number of submitted jobs."""
 
     @property
     def ready(self) -> bool:
-        """Whether apply_result would not wait. Only what runs live may ask: the answer depends on a clock."""
+        """Whether apply_result would return without waiting. Depends on a clock: for live operation only."""
 
     @property
     def fault(self) -> str:
-        """Why no work is done any more, "" while all is well. Mapping goes on without it."""
+        """Why the back end stopped, "" if it runs. Mapping continues without it."""
 
     @property
     def finds_segments(self) -> bool:
-        """Whether it looks for where a piece of the map lies in the rest."""
+        """Whether it searches for the place of detached segments."""
 
     def add(self, scan: MappedScan) -> SE2:
-        """Take a scan that was mapped, give the newest pose_map_odom. Does not wait."""
+        """Add a mapped scan and return the newest pose_map_odom. Does not wait."""
 
     def add_fix(self, fix: GnssFix) -> str:
-        """Take a fix of a GNSS receiver; the name of the counter that it falls under. Does not wait."""
+        """Add a fix of a GNSS receiver; returns the counter it falls under. Does not wait."""
 
     def apply_result(self) -> GraphUpdate | None:
-        """Bring in the oldest piece of work, waiting for it; None where none is out."""
+        """Apply the result of the oldest job, waiting for it; None if there is none."""
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any] | None:
-        """Do what a person asks for, such as "optimize"; what follows comes by apply_result.
+        """Execute a request such as "optimize"; its results come by apply_result.
 
-        Both are JSON objects; None: the answer comes with a result, as `edited`. Raises GraphRequestError.
+        Payload and answer are JSON objects; None: the answer comes with a result, as `edited`. Raises
+        GraphRequestError.
         """
 
     def finish(self) -> FinishedGraph:
-        """Take in all that is out, do what is worth doing once at the end, and wait for it. Once, at last."""
+        """Apply all results, run the final optimisation and wait for it. Called once, last."""
 
     def close(self) -> None:
-        """Nobody wants anything more."""
+        """Release the back end."""
 
 
 class Stopwatch(Protocol):
-    """Times the components of a scan for the reader of a summary; has no say in any result."""
+    """Measures the duration of the components for a summary; affects no result."""
 
     def start(self) -> None: ...
     def lap(self, component: str) -> None: ...
@@ -433,7 +431,7 @@ class Stopwatch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Components(Generic[ReadableMap]):
-    """What fills the slots of one mapper."""
+    """The components of one mapper."""
 
     motion_model: MotionModel
     deskew: Deskew
@@ -449,26 +447,26 @@ SLOTS: tuple[Slot, ...] = get_args(Slot)  # the fields of Components
 
 @dataclass(frozen=True, slots=True)
 class BuildContext:
-    """What a component is told besides its own settings."""
+    """Inputs of a component besides its settings."""
 
     cell_m: float  # of the shown map
     mountings: Mapping[str, SE2]  # pose_base_sensor of each laser, by its name
-    outline_m: Sequence[tuple[float, float]] = ()  # of the vehicle, base frame; what lies within is itself
-    renderer: MapRenderer | None = None  # of the shown map; the graph is told, and only it
-    new_worker: NewWorker = InlineWorker  # where back ends work
-    new_patch_store: NewPatchStore = MemoryPatches  # where patches of a map wait that are far away
-    stored: SavedGraph | None = None  # of the map that the session begins in
-    is_localizing: bool = False  # that map stays as it is
-    keep_graph: KeepGraph | None = None  # puts the graph away where a checkpoint is asked for; can be pickled
+    outline_m: Sequence[tuple[float, float]] = ()  # of the vehicle, base frame; returns within are dropped
+    renderer: MapRenderer | None = None  # of the shown map; for the graph only
+    new_worker: NewWorker = InlineWorker  # that runs back ends
+    new_patch_store: NewPatchStore = MemoryPatches  # stores distant patches of a map
+    stored: SavedGraph | None = None  # of the map that the session starts in
+    is_localizing: bool = False  # the stored map is not changed
+    keep_graph: KeepGraph | None = None  # stores the graph at a checkpoint; can be pickled
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentKind:
-    """Something that can fill a slot: its name in a config, its settings, and how it is made.
+    """A component that can fill a slot: its name in a config, its settings, and its constructor.
 
-    makes     the class that build gives, where another component reads it (local maps); else None
-    reads     the class of the local map that this component reads, None where it reads none
-    begins_in_stored   of a graph: it can go on from BuildContext.stored, and gives what to store
+    makes     the class that build returns, if another component reads it (local maps); else None
+    reads     the class of the local map that this component reads; None if it reads none
+    begins_in_stored   of a graph: it can continue BuildContext.stored, and returns a graph to store
     """
 
     name: str
@@ -480,12 +478,12 @@ class ComponentKind:
 
 
 class NoSettings(Section):
-    """Of a component that has nothing to set."""
+    """Of a component without settings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A page that says which components fill the slots, and with which settings where those are its own.
+    """A method: the component of each slot, and the method's own defaults.
 
     settings   by slot: keys whose values differ from the defaults of the component
     others     by slot: further components that a config may choose

@@ -1,4 +1,4 @@
-"""Poses of all scans from those of the few that a graph corrected."""
+"""Poses of all scans, interpolated between the scans that a graph corrected."""
 
 from collections.abc import Sequence
 
@@ -13,16 +13,16 @@ from service.outputs import MapperOutput
 
 
 def corrected(outputs: Sequence[MapperOutput], corrections: Sequence[Correction]) -> list[SE2]:
-    """pose_map_base of each output, as `bent` has it; where there are no corrections, as it was published.
+    """pose_map_base of each output, interpolated by `bent`; without corrections as published.
 
-    Before a correction that begins a piece of the map the one before it alone counts: a vehicle that was
-    carried there did not drive from the one to the other.
+    No interpolation into a new segment: up to its first correction the last correction before it applies,
+    since the vehicle may have been carried between them.
     """
     if not corrections:
         return [output.pose_map_base for output in outputs]
     stamp_ns = np.array([output.stamp_ns for output in outputs], np.int64)
     at_ns = np.array([correction.stamp_ns for correction in corrections], np.int64)
-    of_output = np.searchsorted(stamp_ns, at_ns, side="right") - 1  # its sweep begins before its stamp
+    of_output = np.searchsorted(stamp_ns, at_ns, side="right") - 1  # a sweep begins before its stamp
     for k in range(1, len(corrections)):
         if corrections[k].begins_segment and of_output[k] > of_output[k - 1]:
             stamp_ns[of_output[k - 1] + 1 : of_output[k]] = at_ns[k - 1]
@@ -44,13 +44,13 @@ def bent(
     before: Floats,
     after: Floats,
 ) -> Floats:
-    """(N, 3) poses of a path that is bent so that it meets what was corrected: `after` in place of `before`.
+    """(N, 3) poses of a path, corrected so that `before` becomes `after`.
 
-    Between two corrected poses each is moved by both corrections, weighed by its stamp, so its motion against
-    its neighbours stays what it was. Before the first and after the last, that one alone counts.
+    Between two corrected poses both corrections are interpolated by stamp, which preserves relative motion.
+    Before the first and after the last, only that correction applies.
 
     stamp_ns, poses         (N,) ns and (N, 3) m, m, rad
-    at_ns, before, after    (K,) rising, (K, 3) and (K, 3); K > 0
+    at_ns, before, after    (K,) ascending, (K, 3) and (K, 3); K > 0
     """
     left = np.searchsorted(at_ns, stamp_ns, side="right") - 1
     first, second = np.maximum(left, 0), np.minimum(left + 1, len(at_ns) - 1)

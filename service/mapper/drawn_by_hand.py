@@ -1,4 +1,4 @@
-"""What a person drew into a map, in the order in which it is rendered among the scans."""
+"""Manual edits in the order in which they are rendered among the scans."""
 
 from collections.abc import Iterable, Iterator
 
@@ -8,7 +8,7 @@ from service.mapper.components import AreaToErase, ScanToRender, ToRender, WallT
 
 
 def walls_of(by_hand: ByHand, map_poses: Floats) -> list[WallToRender]:
-    """The walls, with the key frames at (N, 3), without what was erased of each later."""
+    """Walls with the key frames at map_poses, (N, 3), each with the areas erased after it."""
     drawings = by_hand.drawings(map_poses)
     return [
         WallToRender(
@@ -22,9 +22,11 @@ def walls_of(by_hand: ByHand, map_poses: Floats) -> list[WallToRender]:
 def among_scans(
     scans: Iterable[tuple[int, ScanToRender]], by_hand: ByHand, map_poses: Floats
 ) -> Iterator[ToRender]:
-    """Scans with the numbers of their key frames, rising; each area behind those that it was erased from, and
-    the walls at last. An area that is as scans see it is not among them: its points are gone from the scans.
-    map_poses: (N, 3) of the key frames.
+    """Scans, erased areas and walls in rendering order.
+
+    scans       with the indices of their key frames, ascending; an area follows the scans it was erased from
+    map_poses   (N, 3) of the key frames
+    Walls come last. Areas of kind ERASED_AS_SEEN are omitted: their points are removed from the scans.
     """
     areas = [d for d in by_hand.drawings(map_poses) if d.kind in (ERASED, ERASED_TO_FREE)]
     areas.sort(key=lambda drawing: drawing.until)

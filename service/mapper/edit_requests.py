@@ -1,4 +1,4 @@
-"""What a person may change in a map by hand, as JSON; all of it bounded."""
+"""Requests that change a map manually, as JSON models with bounds."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -13,15 +13,15 @@ from service.geometry.poses import Floats
 
 MAX_CORNERS = 500  # of an area or a wall
 MAX_PAIRS = 100  # in one change
-LONGEST_NAME = 100  # letters
-LARGEST_M2 = 10_000.0  # of the rectangle around an area, or a piece of a wall: 4 million cells of 5 cm
+LONGEST_NAME = 100  # characters
+LARGEST_M2 = 10_000.0  # of the bounding box of an area or of a line of a wall: 4 million cells of 5 cm
 MIN_M2 = 1e-4  # of an area
 FURTHEST_M = 100_000.0  # from the origin
 ONLY_LOCALISED = "the map stays as it is while the vehicle is only localised"
 
 
 class EditError(ValueError):
-    """Why a change is not made, in words."""
+    """A change is refused; the message gives the reason."""
 
 
 def at_most(most: int, what: str) -> AfterValidator:
@@ -49,7 +49,7 @@ Becomes = Literal["as_seen", "unknown", "free"]  # as_seen: free where beams pas
 
 
 class Erase(RequestModel):
-    """becomes: what the area is then"""
+    """becomes: state of the area afterwards"""
 
     what: Literal["erase"]
     corners: Corners
@@ -80,7 +80,7 @@ class Optimize(RequestModel):
 class SeenPair(RequestModel):
     """Two points that are one place, in the base frames of the key frames that saw them.
 
-    stamps_ns   of these, in digits: JavaScript knows no whole numbers of this size
+    stamps_ns   of these key frames, as digits: JavaScript integers end at 2^53
     """
 
     stamps_ns: tuple[Stamp, Stamp]
@@ -93,7 +93,7 @@ class AddPairs(RequestModel, Generic[PairT]):
 
 
 class SeenLoop(RequestModel):
-    """stamps_ns   of the key frames at its ends, the earlier pass first, in digits"""
+    """stamps_ns   of the key frames of a loop, the earlier pass first, as digits"""
 
     stamps_ns: tuple[Stamp, Stamp]
 
@@ -115,7 +115,7 @@ LiveChange = Erase | Wall | Cut | AddPairs[SeenPair] | RemovePair | LoopChange |
 
 
 class EditMap(RequestModel):
-    """One change of the map that is being made. who: for the recording"""
+    """One change of the map that is being made. who: name for the recording"""
 
     who: Who = ""
     change: Annotated[LiveChange, Field(discriminator="what")]
@@ -125,7 +125,7 @@ EDIT_MAP: TypeAdapter[EditMap] = TypeAdapter(EditMap)
 
 
 def refuse_outline(corners: Floats) -> None:
-    """Raises EditError where (C, 2) m are no outline of an area that is taken at once."""
+    """Raises EditError if (C, 2) m are no outline of an area, or too large a one."""
     if len(corners) < 3:
         raise EditError(f"an area has 3 corners or more, not {len(corners)}")
     _refuse_if_large(corners, "the area", "erase it in parts")
@@ -134,7 +134,7 @@ def refuse_outline(corners: Floats) -> None:
 
 
 def refuse_line(corners: Floats) -> None:
-    """Raises EditError where (C, 2) m are no wall that is taken at once."""
+    """Raises EditError if (C, 2) m are no wall, or too large a one."""
     if len(corners) < 2:
         raise EditError(f"a wall goes through 2 points or more, not {len(corners)}")
     for segment in pairwise(corners):
@@ -142,7 +142,7 @@ def refuse_line(corners: Floats) -> None:
 
 
 def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
-    """What cells are looked for in: the rectangle around (C, 2) m."""
+    """Raises EditError if the bounding box of (C, 2) m has too many cells to search."""
     if (most_m := float(np.abs(points).max())) > FURTHEST_M:
         raise EditError(
             f"{what} reaches {most_m:.6g} m from the origin; at most {FURTHEST_M:.0f} m are taken"
@@ -155,7 +155,7 @@ def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
 
 
 def at_words(xy: Floats) -> str:
-    """A point (2,) m of the map."""
+    """Text for a point (2,) m of the map."""
     return f"({xy[0]:.2f}, {xy[1]:.2f}) m"
 
 
@@ -169,6 +169,6 @@ def wall_words(corners: Floats) -> str:
 
 
 def moved_words(words: str, most_m: float, contradicted: int) -> str:
-    """Of a change after which the graph was solved. contradicted: loops"""
+    """Text for a change after which the graph was solved. contradicted: number of dropped loops"""
     aside = f"; gone as the rest contradicts: {counted(contradicted, 'loop')}" if contradicted else ""
     return f"{words}; key frames moved by up to {most_m:.3f} m{aside}"

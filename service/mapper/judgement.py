@@ -1,4 +1,4 @@
-"""Decides whether a match is accepted: one rule for the matchers of all profiles."""
+"""Accepts or rejects a match: one rule for the matchers of all profiles."""
 
 import math
 from dataclasses import dataclass
@@ -13,26 +13,26 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.outputs import NO_REASON, Reason, ReasonId, State
 
-MIN_RETURNS = 5  # with fewer a scan is not matched: three unknowns, and two to contradict
-MIN_CONFIRMING = 20  # `ok`: so many returns of the scan
-MAX_SIGMA_M, MAX_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: the pose against the map is known so well
-# `ok`: the pose in the map is known so well, with all drift since known ground was seen last
+MIN_RETURNS = 5  # fewer are not matched: three unknowns, and two to check them
+MIN_CONFIRMING = 20  # returns of a scan for `ok`
+MAX_SIGMA_M, MAX_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: sigma of the pose against the map
+# `ok`: sigma of the pose in the map, with the drift since known ground was last seen
 MAX_DRIFT_M, MAX_DRIFT_RAD = 0.5, math.radians(10.0)
-LOST_SIGMA_M, LOST_SIGMA_RAD = 0.75, 0.35  # worse: lost, for a match within so much may be any of several
-TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction so good carries the pose onto new ground
-# Share of the returns, of those on ground that the map knows, that lie on its walls: over 8 recorded and 10
-# simulated drives it is 0.90 to 1.00 where the pose is right; people close by lower it.
+LOST_SIGMA_M, LOST_SIGMA_RAD = 0.75, 0.35  # above it lost: several poses may match
+TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction within it carries the pose onto new ground
+# Least share on walls of the returns on known ground. Over 8 recorded and 10 simulated drives it is 0.90 to
+# 1.00 at a right pose; people nearby lower it.
 MIN_AGREEMENT = 0.5
-MIN_AGREEMENT_FAR = 0.85  # where the match is not where the prediction was
-MIN_KNOWN = 0.02  # share of the returns on the map, and at least MIN_RETURNS, below which it says nothing
-CHANCE_SIGMAS = 2.0  # so many more returns than usual contradict the map by chance
-JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: a match this far from the prediction is no chance
-GAP_S = 2.5  # without a scan, after which a loose prediction is a gap in the way
-MAX_BLANK_S = GAP_S  # without a scan that has returns, after which nothing vouches for the pose
-UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 100.0, math.pi  # a sigma beyond is no measure of anything
-CARRIED_S = 4.0  # in which nobody measures the way: long enough to be lifted, carried some steps and set down
-RECOVERY_HINT = "Drive back to mapped ground, or set the pose"  # what to do where the vehicle is lost
-# Reasons of one scan on the map whose words do not name the laser.
+MIN_AGREEMENT_FAR = 0.85  # where the match is far from the prediction
+MIN_KNOWN = 0.02  # share of the returns on the map, and at least MIN_RETURNS: fewer are no evidence
+CHANCE_SIGMAS = 2.0  # tolerance for contradicting returns, of their binomial spread
+JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: gate between match and prediction
+GAP_S = 2.5  # without a scan: then a loose prediction counts as a gap of the path
+MAX_BLANK_S = GAP_S  # without a scan that has returns: then the pose is lost
+UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 100.0, math.pi  # a larger sigma is reported as not known
+CARRIED_S = 4.0  # without a measurement of motion: long enough to lift the vehicle, carry it and set it down
+RECOVERY_HINT = "Drive back to mapped ground, or set the pose"  # what to do when the vehicle is lost
+# Reasons about one scan on the map that do not name the laser themselves.
 OF_SCAN: frozenset[ReasonId] = frozenset(
     (
         *("contradicted", "off_map", "little_on_map", "new_ground", "few_confirming", "little_in_common"),
@@ -42,30 +42,30 @@ OF_SCAN: frozenset[ReasonId] = frozenset(
 
 
 class JudgementConfig(Section):
-    """When a match is accepted; part of the settings of every matcher."""
+    """Thresholds of acceptance; part of the settings of every matcher."""
 
-    lost_ratio: float = Field(default=0.30, ge=0.0, le=1.0)  # of the returns on the map: below, it is none
-    degraded_ratio: float = Field(default=0.45, ge=0.0, le=1.0)  # below, it is doubtful
-    degraded_sigma_m: float = Field(default=0.10, gt=0.0)  # a direction that the scan fixes worse is named
+    lost_ratio: float = Field(default=0.30, ge=0.0, le=1.0)  # of the returns on the map: below, lost
+    degraded_ratio: float = Field(default=0.45, ge=0.0, le=1.0)  # below, degraded
+    degraded_sigma_m: float = Field(default=0.10, gt=0.0)  # above it the open direction is reported
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """How a scan lies on a map.
 
-    used        returns asked
+    used        number of returns evaluated
     on_map      of them, on walls of the map
-    in_free     of them, where the map knows that nothing stands; the rest is on ground that it does not know
-    sigma       (m, rad) of the pose against the map, prediction and scan together; the position's worst
+    in_free     of them, in its free space; the rest is on unknown ground
+    sigma       (m, rad) of the pose against the map, prediction and scan fused; worst direction
     prior       (m, rad) of the prediction alone
     is_measured wheels or an IMU measured the motion since the last scan
-    is_far      the match is farther from the prediction than chance explains, or the prediction says little,
-                or odometry was silent so long that nobody measured the motion
+    is_far      the match is outside the gate of the prediction, or the prediction is loose, or odometry was
+                missing for longer than CARRIED_S
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
-    behind      returns clearly behind walls of the map, on ground that it does not know; None: not counted
-    is_in_doubt  a scan has contradicted this map since one lay on it: new ground proves nothing then, and
-                walls that should be seen from there count
+    behind      returns clearly behind walls of the map, on unknown ground; None: not counted
+    is_in_doubt  a scan has contradicted this map since the last match: then returns on unknown ground are no
+                evidence of new ground, and those behind walls count as contradictions
     """
 
     used: int
@@ -85,7 +85,7 @@ class Evidence:
 
 
 def sigmas_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:
-    """(m of the worst direction, rad) of a (3, 3) covariance of x, y, theta."""
+    """(m in the worst direction, rad) of a (3, 3) covariance of x, y, theta."""
     (a, b, _), (_, d, _), (_, _, turn) = covariance.tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
     return math.sqrt(max(largest, 0.0)), math.sqrt(max(turn, 0.0))
@@ -98,17 +98,17 @@ def weakest_of(covariance: npt.NDArray[np.float64]) -> tuple[float, float]:
 
 
 def is_loose(sigmas: tuple[float, float]) -> bool:
-    """Whether a prediction known to so many m and rad says little of where the match must lie."""
+    """Whether a prediction with sigmas (m, rad) is too uncertain to constrain the match."""
     return sigmas[0] > TIGHT_SIGMA_M or sigmas[1] > TIGHT_SIGMA_RAD
 
 
 def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64]) -> float:
-    """How far a pose is from the prediction, in squared sigmas; (3, 3) covariance in base axes.
+    """Squared Mahalanobis distance of a pose to the prediction; (3, 3) covariance in base axes.
 
-    Raises ZeroDivisionError where the covariance is singular.
+    Raises ZeroDivisionError if the covariance is singular.
     """
     away = predicted.inverse() @ pose
-    (xx, _, _), (yx, yy, _), (tx, ty, tt) = covariance.tolist()  # by hand: np.linalg takes 10 us to begin
+    (xx, _, _), (yx, yy, _), (tx, ty, tt) = covariance.tolist()  # written out: np.linalg takes 10 us per call
     y_of_x, t_of_x = yx / xx, tx / xx
     y_left, ty_left = yy - y_of_x * yx, ty - t_of_x * yx
     t_of_y = ty_left / y_left
@@ -119,12 +119,12 @@ def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64])
 
 
 def is_motion_unmeasured(predicted: Prediction) -> bool:
-    """Whether the vehicle may be anywhere, by what nobody measured of its way since the last scan."""
+    """Whether the motion since the last scan was not measured, so that the vehicle may be anywhere."""
     return predicted.pause_s > CARRIED_S or predicted.is_unwitnessed
 
 
 def begun(points: Points, predicted: Prediction) -> Match:
-    """The first scan: the map begins where the prediction puts it."""
+    """Match of the first scan: the map begins at the predicted pose."""
     return Match(predicted, points, 1.0)
 
 
@@ -135,17 +135,17 @@ def unmatched(
     inlier_ratio: float = 0.0,
     is_contradicted: bool = True,
 ) -> Match:
-    """Lost: the pose follows the prediction."""
+    """Match of a lost scan: the pose is the prediction."""
     return Match(predicted, points, inlier_ratio, "lost", reason, is_contradicted=is_contradicted)
 
 
 def of_laser(sensor: str, reason: Reason) -> Reason:
-    """A reason of a scan on the map, with its laser named."""
+    """The reason, prefixed with the laser's name if it is about one scan on the map."""
     return reason.reworded(f"{sensor}: {reason}") if reason.id in OF_SCAN else reason
 
 
 def too_few(points: Points) -> Reason:
-    """Why a scan has too few returns to be matched, NO_REASON where it has enough."""
+    """Reason if a scan has too few returns to be matched, else NO_REASON."""
     if len(points.xy_base) >= MIN_RETURNS:
         return NO_REASON
     return Reason(
@@ -156,11 +156,11 @@ def too_few(points: Points) -> Reason:
 
 
 def judge_blank(few: Reason, prior: tuple[float, float], blank_s: float) -> tuple[State, Reason]:
-    """State and reason of the pose at a scan with too few returns, where the pose was known before.
+    """State and reason at a scan with too few returns, where the pose was known before.
 
-    Such a scan measures nothing and contradicts nothing: the pose is the prediction, known as well as that.
+    Such a scan neither measures nor contradicts: the pose is the prediction, with its covariance.
 
-    few      the reason that `too_few` gives
+    few      the reason that `too_few` returns
     prior    (m, rad) sigma of the prediction against the map
     blank_s  since the newest scan with enough returns
     """
@@ -171,14 +171,13 @@ def judge_blank(few: Reason, prior: tuple[float, float], blank_s: float) -> tupl
 
 
 def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
-    """State and its reason, NO_REASON where it is ok. "lost": the match is rejected.
+    """State and reason of a match; NO_REASON if ok. "lost": the match is rejected.
 
-    A scan may lie on the map in small part for two reasons. On new ground its returns lie where the map knows
-    nothing; then a prediction that is good carries the pose. At a wrong pose they lie where the map knows
-    that nothing stands: that contradicts, however good the prediction was.
+    Few returns on the map have two causes. On new ground the others end on unknown ground; then a good
+    prediction carries the pose. At a wrong pose they end in free space, which contradicts any prediction.
     """
     ratio = evidence.inlier_ratio
-    # The prediction carries the pose onto new ground where it is itself; a match elsewhere needs more.
+    # On new ground the pose is the prediction; a match far from it needs more evidence.
     is_carried = evidence.is_measured and not evidence.is_far and not is_loose(evidence.prior)
     least_on_map = max(MIN_KNOWN * evidence.used, MIN_RETURNS)
     can_contradict = evidence.behind is not None and not evidence.is_in_doubt
@@ -199,8 +198,8 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
         )
         return "lost", Reason("off_map", words)
     is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_confirmed(evidence)
-    # In a direction that the walls leave open odometry may know little, and its sigma says so: of that the
-    # scan contradicts nothing, and another piece of the map would know no more.
+    # Along a direction that walls leave open odometry may be uncertain, and its sigma includes that. The scan
+    # contradicts nothing there, and a detached segment would be no better localised.
     is_open = not evidence.is_far and evidence.weakest[0] > limits.degraded_sigma_m
     if evidence.sigma[1] > LOST_SIGMA_RAD or (
         evidence.sigma[0] > LOST_SIGMA_M and not (is_open and is_confirmed)
@@ -236,8 +235,8 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
 
 
 def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
-    """A scan of which nothing lies on the map, though the prediction is good: new ground, unless more returns
-    than chance explains lie where nothing stands or behind walls that should be seen from there.
+    """State and reason of a scan with no return on the map and a good prediction: new ground, unless too many
+    returns lie in free space or behind walls that should be visible.
     """
     if is_contradicted(evidence):
         return "lost", _contradicted(evidence, f"expected at most {1.0 - MIN_AGREEMENT_FAR:.0%} there")
@@ -249,21 +248,19 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
 
 
 def _is_confirmed(evidence: Evidence) -> bool:
-    """Whether the returns on the map confirm the pose, and those that are not on it lie on new ground."""
+    """Whether enough returns on the map confirm the pose, and the others lie on new ground."""
     return evidence.on_map >= MIN_CONFIRMING and not is_contradicted(evidence)
 
 
 def is_contradicted(evidence: Evidence) -> bool:
-    """Whether more returns than chance explains lie where nothing stands, or behind walls of the map."""
+    """Whether more returns than chance explains lie in free space or behind walls of the map."""
     used, usual = evidence.used, 1.0 - MIN_AGREEMENT_FAR
     chance = CHANCE_SIGMAS * math.sqrt(usual * (1.0 - usual) * used)
     return evidence.in_free + (evidence.behind or 0.0) > usual * used + chance
 
 
 def drift_of(covariance: npt.NDArray[np.float64]) -> Reason:
-    """Why a pose with a covariance (3, 3) in the map is not known well enough to be `ok`; NO_REASON where it
-    is.
-    """
+    """Reason if a pose with a covariance (3, 3) in the map is too uncertain to be `ok`, else NO_REASON."""
     sigma_m, sigma_rad = sigmas_of(covariance)
     if sigma_m <= MAX_DRIFT_M and sigma_rad <= MAX_DRIFT_RAD:
         return NO_REASON
@@ -281,7 +278,7 @@ def _pose_uncertain(evidence: Evidence, most: tuple[float, float]) -> Reason:
 
 
 def _uncertain(sigmas: tuple[float, float], most: tuple[float, float]) -> str:
-    """By how much (m, rad), and what would be expected; or "not known", where the numbers say nothing."""
+    """Text for sigmas (m, rad) and their limits; "not known" if they are too large to mean anything."""
     (sigma_m, sigma_rad), (most_m, most_rad) = sigmas, most
     if not (sigma_m <= UNKNOWN_SIGMA_M and sigma_rad <= UNKNOWN_SIGMA_RAD):
         return "not known"

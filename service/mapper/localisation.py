@@ -1,4 +1,4 @@
-"""Where odom lies in the map by the newest of the graph, and how well that lets a scan know its place."""
+"""Pose of odom in the map by the newest result of the graph, and the state it allows for a scan."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,52 +20,52 @@ NOT_PLACED = Reason("not_placed", "not localised in the stored map yet; drive on
 
 
 class Localisation:
-    """Takes what the graph says; says of each scan that was matched whether its place in the map is known."""
+    """Takes results of the graph; sets the state of each matched scan by its localisation in the map."""
 
     def __init__(self, placed: Placed) -> None:
-        """placed: "unknown" where the session begins in a stored map, in which the vehicle is to be found."""
+        """placed: "unknown" if the session begins in a stored map, to be localised in."""
         self.pose_map_odom = SE2()  # of the newest scan
         self._news = PlaceNews(placed)
-        self._known: KnownPose | None = None  # a key frame that the graph has corrected
-        self._known_here: KnownPose | None = None  # what the newest scan's place rests on
-        self._placed_ns: int | None = None  # moment of the newest scan with returns; None: that was lost
+        self._known: KnownPose | None = None  # the newest key frame corrected by the graph
+        self._known_here: KnownPose | None = None  # of the newest scan's place
+        self._placed_ns: int | None = None  # moment of the newest scan with returns; None: it was lost
 
     @property
     def is_found(self) -> bool:
-        """False: of this session nothing is placed in the stored map."""
+        """Whether the session has a place in the stored map."""
         return self._news.placed != "unknown"
 
     @property
     def is_proven(self) -> bool:
-        """Whether what is seen may be compared with the stored map."""
+        """Whether scans may be compared with the stored map."""
         return self._news.placed == "proven"
 
     @property
     def pose_refused(self) -> tuple[float, float, float] | None:
-        """m, m, rad: where a person said that the vehicle is, and nothing seen fits it; None: nothing."""
+        """m, m, rad: pose set by the operator that the scans contradict; None: none."""
         return self._news.pose_refused
 
     def take(self, update: GraphUpdate) -> None:
-        """What a piece of work of the graph says of the place."""
+        """Take the localisation in a result of the graph."""
         if update.known is not None:
             self._known = update.known
         if update.place is not None:
             self._news = update.place
 
     def graph_ended(self) -> None:
-        """No graph looks for a piece any more."""
+        """Drop candidate places: the graph has stopped and searches for no segment any more."""
         self._news = PlaceNews(self._news.placed)
 
     def judged(self, match: Match, change: MapChange, pose_map_odom: SE2, at_ns: int, prior: Matrix) -> Match:
-        """The match with the state that its place in the map allows.
+        """The match, with the state that its place in the map allows.
 
-        change          what the local map made of it: the number of the piece that it lies in
+        change          of the local map: number of the segment that the scan lies in
         pose_map_odom   of the graph
         at_ns           moment of the scan
         prior           (3, 3) covariance of the prediction, base axes
         """
         match = self._on_map(match, change, pose_map_odom)
-        if few := too_few(match.points):  # it measures nothing, and contradicts nothing
+        if few := too_few(match.points):  # neither measures nor contradicts
             if self._placed_ns is None:
                 return match
             blank_s = (at_ns - self._placed_ns) * 1e-9
@@ -80,7 +80,7 @@ class Localisation:
         if (
             once is not None
             and match.state == "lost"
-            and match.measured is not None  # it lies on the piece
+            and match.measured is not None  # it lies on the segment
             and change.segment == once.segment
         ):
             self.pose_map_odom, self._known_here = once.pose_map_odom, once.known
@@ -98,7 +98,7 @@ class Localisation:
         return motion.covariance if self._known_here is None else self._known_here.covariance_at(motion)
 
     def _why_lost(self, reason: Reason) -> Reason:
-        """With the places that a person could choose between, and the one that was refused."""
+        """The reason, with the candidate places and the pose that was refused."""
         if self._news.possible:
             possible = _in_words(self._news.possible)
             words = f"{reason}; {possible}" if self.is_found else f"{possible}; drive on, or set the pose"

@@ -1,4 +1,4 @@
-"""What a loop rests on, for a person who accepts or refuses it."""
+"""Figures of a loop closure, by which an operator accepts or refuses it."""
 
 import math
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.refused_loops import WORDS, Ints
 
-PAIR_M = 5.0  # far enough to fix the turn, too
+PAIR_M = 5.0  # far enough to fix the rotation, too
 
 
 def residuals(map_poses: Floats, ends: Ints, measured: Floats) -> tuple[Floats, Floats]:
-    """(N,) m and (N,) rad between what loops measured, (N, 3), and the map.
+    """(N,) m and (N,) rad: residuals of loops measured as (N, 3).
 
-    map_poses   (K, 3) of the key frames;  ends  (N, 2) numbers of key frames
+    map_poses   (K, 3) of the key frames;  ends  (N, 2) indices of key frames
     """
     off = se2.between(measured, se2.between(map_poses[ends[:, 0]], map_poses[ends[:, 1]]))
     return np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
@@ -30,12 +30,11 @@ def evidence(
     path_length_m: Floats,
     first_ns: int,
 ) -> list[dict[str, Any]]:
-    """Of each of N loops its place, its times and its figures, for JSON.
+    """Place, times and figures of each of N loops, for JSON.
 
-    loops      arrays as the fields of RefusedLoops; those of accepted ones: covariance, (N, 3, 3), and no
-               reason
+    loops      arrays as the fields of RefusedLoops; accepted ones have covariance, (N, 3, 3), and no reason
     stamps_ns, map_poses, path_length_m   (K,), (K, 3), (K,) of all key frames
-    first_ns   from which times count
+    first_ns   origin of the times
     """
     ends = loops["ends"]
     off_m, off_rad = residuals(map_poses, ends, loops["measured"])
@@ -68,8 +67,9 @@ def evidence(
 
 
 def points_of(measured: Floats) -> Floats:
-    """(2, 2, 2) m: two pairs of points that say together what a loop, (3,), measured: both lie PAIR_M from
-    the second key frame. Of each pair the point as the first key frame sees it, and as the second does.
+    """(2, 2, 2) m: two point pairs equivalent to a measured loop, (3,).
+
+    Each point is PAIR_M from the second key frame, given in the frame of the first and of the second.
     """
     seen = np.array([[PAIR_M, 0.0], [-PAIR_M, 0.0]])
     return np.stack((se2.points_from(measured, seen), seen), axis=1)

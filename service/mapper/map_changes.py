@@ -1,4 +1,4 @@
-"""What has changed since a map was stored, as a vehicle sees it that is only localised in it."""
+"""Changes since a map was stored, detected by a vehicle that only localises in it."""
 
 from dataclasses import dataclass
 
@@ -15,31 +15,31 @@ from service.outputs import UNKNOWN as GRID_UNKNOWN
 from service.outputs import Grid
 
 Rows = npt.NDArray[np.int64]
-COARSER = 2  # cells of the map along an edge of one of these: 0.1 m
+COARSER = 2  # cells of the map per edge of a cell here: 0.1 m
 WALL_EVIDENCE = 13  # log-odds in steps of 0.05: 66 %
-FARTHEST_M = 12.0  # of a return that is asked
-CHANGE_STEP_M, CHANGE_STEP_RAD = 0.3, 0.2  # from one pose to the next that counts as another
-USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000  # scans between these are not asked
-MIN_POSES, MIN_VOTES, MIN_MS = 3, 5, 1000  # that contradict the map before a cell is told
-MIN_CHANGED_SHARE = 0.8  # of the scans that spoke of a cell since then
-MIN_CELLS = 4  # together: one alone is the rim of something that stands where it was
+FARTHEST_M = 12.0  # returns farther away are ignored
+CHANGE_STEP_M, CHANGE_STEP_RAD = 0.3, 0.2  # between poses that count as different
+USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000  # scans between these are skipped
+MIN_POSES, MIN_VOTES, MIN_MS = 3, 5, 1000  # contradicting poses, scans and time before a cell is reported
+MIN_CHANGED_SHARE = 0.8  # of the scans that observed the cell since then
+MIN_CELLS = 4  # connected: a single cell is the edge of an unchanged object
 NOTHING_CHANGED = Grid(0, COARSER * 0.05, 0.0, 0.0, np.empty((0, 0), np.int8))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapChanges:
-    """Cells of cell_m that are not what the stored map says. Rows of the arrays are cells."""
+    """Cells that differ from the stored map, of cell_m. Rows of the arrays are cells."""
 
     cell_m: float
-    xy_map: npt.NDArray[np.float64]  # (N, 2) m, their middles
-    is_new: npt.NDArray[np.bool_]  # (N,) something stands there now; else what stood there is gone
-    first_ns: npt.NDArray[np.int64]  # (N,) stamps of the first and of the last scan that said so
+    xy_map: npt.NDArray[np.float64]  # (N, 2) m, their centres
+    is_new: npt.NDArray[np.bool_]  # (N,) occupied now; else the stored object is gone
+    first_ns: npt.NDArray[np.int64]  # (N,) stamps of the first and the last scan that contradicts the map
     last_ns: npt.NDArray[np.int64]
-    scans: npt.NDArray[np.int64]  # (N,) that said so
+    scans: npt.NDArray[np.int64]  # (N,) number of these scans
 
     def as_grid(self) -> Grid:
-        """A picture just large enough: OCCUPIED where something stands now, FREE where what stood is gone,
-        UNKNOWN where all is as stored. 0 x 0 cells where nothing has changed.
+        """The smallest grid with all changes: OCCUPIED where something is new, FREE where something is gone,
+        UNKNOWN where the map is unchanged. 0 x 0 cells without changes.
         """
         if not len(self.xy_map):
             return NOTHING_CHANGED
@@ -53,7 +53,7 @@ class MapChanges:
         return Grid(0, self.cell_m, float(x_min_m), float(y_min_m), picture)
 
     def has_same_cells(self, other: "MapChanges | None") -> bool:
-        """Whether the same cells have changed in the same way."""
+        """Whether the same cells have changed in the same direction."""
         return (
             other is not None
             and np.array_equal(self.xy_map, other.xy_map)
@@ -61,7 +61,7 @@ class MapChanges:
         )
 
     def as_dict(self) -> dict[str, int | float]:
-        """How many, for JSON."""
+        """Counts, for JSON."""
         return {
             "cells_new": int(self.is_new.sum()),
             "cells_gone": int((~self.is_new).sum()),
@@ -70,9 +70,9 @@ class MapChanges:
 
 
 class ChangeWatch:
-    """Scans in at poses that are proven; out what they have said more than once, from more than one pose.
+    """Compares scans at confirmed poses with the stored map; reports what several poses contradict.
 
-    Reads the shown map, and changes nothing in it. Raises ValueError where the map has no cells.
+    Does not change the map. Raises ValueError if the map has no cells.
     """
 
     def __init__(self, shown: RenderedMap, cell_m: float) -> None:
@@ -95,12 +95,12 @@ class ChangeWatch:
             cell_m=COARSER * cell_m,
         )
         self._began_ns: int | None = None
-        self._used: tuple[SE2, int] | None = None  # pose and stamp of the newest scan that was asked
+        self._used: tuple[SE2, int] | None = None  # pose and stamp of the newest scan evaluated
         self._counted: SE2 | None = None
         self._scans = self._poses = 0
 
     def add(self, points: Points, pose_map_base: SE2, stamp_ns: int) -> None:
-        """Ask one scan, unless the one before was taken just here and now."""
+        """Evaluate a scan, unless pose and time have hardly changed since the last one."""
         if self._began_ns is None:
             self._began_ns = stamp_ns
         if self._used is not None:
@@ -124,9 +124,9 @@ class ChangeWatch:
         )
 
     def changes(self) -> MapChanges:
-        """What is sure by now."""
+        """Cells whose change is certain by now."""
         votes = self.votes
-        at = np.flatnonzero(votes.poses >= MIN_POSES)  # few cells; all else is asked of these alone
+        at = np.flatnonzero(votes.poses >= MIN_POSES)  # few cells; only these are evaluated
         changed, same = (of.ravel()[at].astype(np.int64) for of in (votes.changed, votes.same))
         is_sure = (
             (changed >= MIN_VOTES)
@@ -153,7 +153,7 @@ class ChangeWatch:
 
 
 def _stored(shown: RenderedMap) -> tuple[npt.NDArray[np.uint8], int, int]:
-    """What each coarser cell is (CELL_UNKNOWN ...), and the row and column of the first of them."""
+    """State of each coarser cell (CELL_UNKNOWN ...), and row and column of the first one."""
     edge = shown.evidence.shape[1]
     low_row, low_column = int(shown.tile_row.min()), int(shown.tile_column.min())
     height = (int(shown.tile_row.max()) - low_row + 1) * edge
@@ -170,15 +170,15 @@ def _stored(shown: RenderedMap) -> tuple[npt.NDArray[np.uint8], int, int]:
 
 
 def group_sizes(row: Rows, column: Rows) -> Rows:
-    """(N,) how many cells hang together with each, itself included, by edges or corners.
+    """(N,) size of the 8-connected group that each cell belongs to.
 
-    row, column   (N,) no cell twice; sorted by rows, then by columns
+    row, column   (N,) without duplicates; sorted by rows, then by columns
     """
     if not len(row):
         return np.empty(0, np.int64)
-    stride = int(column.max()) + 2  # the last column and the first one of the next row are no neighbours
+    stride = int(column.max()) + 2  # the last column is no neighbour of the next row's first one
     cell = row * stride + column
-    first, second = [], []  # of each two that touch, indices
+    first, second = [], []  # indices of each two neighbours
     for step in (1, stride - 1, stride, stride + 1):
         index = np.minimum(np.searchsorted(cell, cell + step), len(cell) - 1)
         touches = np.flatnonzero(cell[index] == cell + step)
@@ -189,7 +189,7 @@ def group_sizes(row: Rows, column: Rows) -> Rows:
 
 
 def _joined(first: Rows, second: Rows, count: int) -> Rows:
-    """(count,) the lowest index of those that are joined, over others too, by pairs of indices."""
+    """(count,) lowest index of the connected component, by pairs of indices."""
     group = np.arange(count)
     while (apart := group[first] != group[second]).any():
         one, other = group[first[apart]], group[second[apart]]

@@ -1,4 +1,4 @@
-"""A mapper that can be paused and begun anew between two frames, live and in a replay alike."""
+"""A mapper that can be paused and restarted between two frames, live and in a replay alike."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping
@@ -13,14 +13,14 @@ from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import GraphPicture, Grid, MapperOutput, TileUpdate
 
-APPLY_AFTER_NS = 500_000_000  # of the drive: what a loop takes live on a busy machine
+APPLY_AFTER_NS = 500_000_000  # of the drive: duration of a loop search on a busy machine
 
 SessionAction = Literal["pause", "resume", "reset_map"]
 
 
 @dataclass(frozen=True, slots=True)
 class SessionRequest:
-    """A request to the session with its place among the frames: it holds for those after it."""
+    """A request to the session, at its position among the frames: it affects those after it."""
 
     action: SessionAction
     arrived_ns: int  # as that of a frame
@@ -28,7 +28,7 @@ class SessionRequest:
 
 @dataclass(frozen=True, slots=True)
 class LoadMap:
-    """At this place among the frames the session begins anew, in a stored map."""
+    """The session restarts in a stored map, at this position among the frames."""
 
     folder: str
     version: int
@@ -37,7 +37,7 @@ class LoadMap:
 
 @dataclass(frozen=True, slots=True)
 class SwitchProfile:
-    """At this place among the frames the session begins anew, with another profile."""
+    """The session restarts with another profile, at this position among the frames."""
 
     profile: str
     arrived_ns: int
@@ -45,14 +45,14 @@ class SwitchProfile:
 
 @dataclass(frozen=True, slots=True)
 class ApplyResult:
-    """Live, a result of the graph's back end was applied at this place among the frames."""
+    """Live, a result of the graph's back end was applied at this position among the frames."""
 
     arrived_ns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphRequest:
-    """What a person asked the graph for, at this place among the frames: "optimize" ..."""
+    """A request of the operator to the graph, at this position among the frames: "optimize" ..."""
 
     name: str
     payload: Mapping[str, Any]  # a JSON object
@@ -63,7 +63,7 @@ class GraphRequest:
 class LeftOut:
     """Live, the next frame of a sensor was not mapped.
 
-    "old" is a scan that had waited too long, "fatal" a frame that the mapper died of.
+    "old" is a scan that waited too long, "fatal" a frame at which the mapper failed.
     """
 
     sensor: str
@@ -71,10 +71,10 @@ class LeftOut:
     arrived_ns: int
 
 
-# What stands among the frames.
+# Events recorded among the frames.
 Step = SessionRequest | LoadMap | SwitchProfile | ApplyResult | GraphRequest | LeftOut
 
-# What the verbs are called that go to the graph; a profile's graph says which of them it knows.
+# Names of the requests that go to the graph; the profile's graph decides which it supports.
 GRAPH_REQUESTS = (
     *("add_landmark_pair", "remove_landmark_pair", "optimize", "undo", "set_pose", "checkpoint"),
     *("edit_map", "set_mode"),
@@ -82,7 +82,7 @@ GRAPH_REQUESTS = (
 
 
 class FrameMapper(Protocol):
-    """service.mapper.pipeline.Mapper, whatever map it matches to."""
+    """service.mapper.pipeline.Mapper, for any local map."""
 
     counters: Counter[str]
     geo_reference: GeoReference | None
@@ -109,18 +109,17 @@ class FrameMapper(Protocol):
 
 
 class MappingSession:
-    """Frames and requests in, outputs out. Same order in, same outputs out.
+    """Maps frames and executes requests, in order. The same order gives the same outputs.
 
-    Scans of lasers that are not among `lasers` are counted and pass.
+    Scans of lasers that are not among `lasers` are counted and dropped.
 
-    In a pause no scan is mapped and no pose comes out; samples go on to the motion model, so that it knows
-    the way driven meanwhile. A reset puts a fresh mapper in the place of the old: map and `pose_map_base`
-    begin anew, while `pose_odom_base` goes on where it was, because odom never jumps.
+    During a pause no scan is mapped and no pose is published; samples still reach the motion model. A reset
+    replaces the mapper: map and `pose_map_base` restart; `pose_odom_base` continues, since odom never jumps.
 
-    apply_after_ns   a result of the graph's back end is applied with the first scan that was measured so
-                     long after that with which its job went out, and is waited for then: the same in every
-                     replay. None: the caller says when, by apply_result; live that is when it is ready, and
-                     in a replay of that where the recording says so.
+    apply_after_ns   a result of the graph's back end is applied with the first scan measured so long after
+                     the scan that submitted its job; the session waits for it, so every replay is the same.
+                     None: the caller applies results by apply_result: live when they are ready, in a replay
+                     of a live session where the recording has them.
     """
 
     def __init__(
@@ -131,12 +130,12 @@ class MappingSession:
     ) -> None:
         self.lasers = frozenset(lasers)
         self._apply_after_ns = apply_after_ns
-        self._sent_ns: deque[int] = deque()  # stamp of the scan with which each piece of work went out
+        self._sent_ns: deque[int] = deque()  # stamp of the scan that submitted each job
         self._new_mapper = new_mapper
         self._mapper = new_mapper()
         self._last_odom: tuple[int, SE2] | None = None  # stamp and pose of the newest output
-        self._began: tuple[int, SE2] | None = None  # that of the newest output before the last reset
-        self.counters = self._mapper.counters  # those of the mapper, going on over resets
+        self._began: tuple[int, SE2] | None = None  # of the newest output before the last reset
+        self.counters = self._mapper.counters  # of the mapper, continued over resets
         self.paused = False
 
     def process(self, frame: Frame) -> MapperOutput | None:
@@ -163,16 +162,16 @@ class MappingSession:
         return output
 
     def maps(self, scan: LaserScan) -> bool:
-        """Whether `process` would map it, were it in order."""
+        """Whether `process` would map the scan, if it is in order."""
         return scan.sensor in self.lasers and not self.paused
 
     def pass_over(self, scan: LaserScan) -> None:
-        """Leave out a scan that is too old to be mapped: the base is where wheels and gyro say."""
+        """Leave out a scan that is too old to be mapped: the pose follows wheels and gyro."""
         self.counters["scans_passed_over"] += 1
         self._mapper.skip(scan)
 
     def carry_out(self, action: SessionAction) -> bool:
-        """Whether that changed anything: a pause in a pause does not."""
+        """Carry out a request; whether it changed anything: a pause in a pause does not."""
         if action == "reset_map":
             self._mapper.graph.close()
             self._sent_ns.clear()
@@ -185,7 +184,7 @@ class MappingSession:
         return self.paused != paused
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
-        """As Mapper.changed_tiles; versions begin anew with each reset."""
+        """As Mapper.changed_tiles; versions restart with each reset."""
         return self._mapper.changed_tiles(most)
 
     def tiles(self) -> list[TileUpdate]:
@@ -198,27 +197,27 @@ class MappingSession:
 
     @property
     def geo_reference(self) -> GeoReference | None:
-        """Where the present map lies on the earth; None: that is not known (yet)."""
+        """Geographic reference of the current map; None: not known (yet)."""
         return self._mapper.geo_reference
 
     @property
     def saved(self) -> SavedGraph | KeptGraph | None:
-        """Of the newest checkpoint of the present map that was asked for; None: there was none."""
+        """Graph of the newest checkpoint of the current map; None: there is none."""
         return self._mapper.saved
 
     @property
     def graph_picture(self) -> GraphPicture | None:
-        """The graph of the present map, for people to look at; None where there is none (yet)."""
+        """The graph of the current map, for display; None: none (yet)."""
         return self._mapper.graph_picture
 
     @property
     def pose_refused(self) -> tuple[float, float, float] | None:
-        """m, m, rad: where a person said that the vehicle is, and it is not; None: nothing."""
+        """m, m, rad: pose set by the operator that the scans contradict; None: none."""
         return self._mapper.pose_refused
 
     @property
     def work_ready(self) -> bool:
-        """Whether apply_result would apply something without waiting. Only what runs live may ask."""
+        """Whether apply_result would apply a result without waiting. For live operation only."""
         return self._mapper.graph.ready
 
     @property
@@ -228,17 +227,17 @@ class MappingSession:
 
     @property
     def changes_reported(self) -> MapChanges | None:
-        """map_changes as they were some seconds ago; to ask for them costs nothing."""
+        """map_changes of some seconds ago, at no cost."""
         return self._mapper.changes_reported
 
     @property
     def is_localizing(self) -> bool:
-        """Whether the present map stays as it is."""
+        """Whether the current map stays as it is."""
         return self._mapper.is_localizing
 
     @property
     def graph_fault(self) -> str:
-        """Why the graph does no work any more, "" while all is well."""
+        """Why the graph stopped, "" if it runs."""
         return self._mapper.graph.fault
 
     def apply_result(self) -> None:
@@ -250,12 +249,12 @@ class MappingSession:
         return self._mapper.graph.request(name, payload)
 
     def take_edited(self) -> list[EditAnswer]:
-        """Answers to requests of which `request` gave None, that have come since the last call."""
+        """Answers since the last call to requests for which `request` returned None."""
         edited, self._mapper.edited = self._mapper.edited, []
         return edited
 
     def finish(self) -> FinishedGraph:
-        """Graph.finish, in the odom of all outputs. Before a reset or at the end; then no frame more."""
+        """Graph.finish, in the odom of all outputs. Called before a reset or at the end; no frame follows."""
         finished = self._mapper.finish()
         if self._began is None:
             return finished
@@ -264,7 +263,7 @@ class MappingSession:
         return replace(finished, corrections=corrections)
 
     def close(self) -> None:
-        """Nothing more is wanted of the graph's back end."""
+        """Release the graph's back end."""
         self._mapper.graph.close()
 
     def _apply_old(self, sent_until_ns: int, stamp_ns: int) -> None:
@@ -277,7 +276,7 @@ class MappingSession:
     def _in_one_odom(self, output: MapperOutput) -> MapperOutput:
         if self._began is None:
             return output
-        pose_odom_start = self._began[1]  # where the map began, in odom
+        pose_odom_start = self._began[1]  # origin of the map in odom
         return replace(
             output,
             pose_odom_base=pose_odom_start @ output.pose_odom_base,

@@ -1,4 +1,4 @@
-"""Where patches of a map wait while the vehicle is elsewhere. The mapper itself does no I/O."""
+"""Storage for the patches of a map that are far from the vehicle. The mapper itself does no I/O."""
 
 from collections.abc import Callable, Iterable
 from typing import Protocol
@@ -11,10 +11,10 @@ Cells = npt.NDArray[np.uint8]
 
 
 class PatchStore(Protocol):
-    """Keeps the layers of patches, as given. Every patch has layers of the same shapes."""
+    """Stores the layers of patches unchanged. Every patch has layers of the same shapes."""
 
     def load(self, key: PatchKey, layers: Iterable[Cells]) -> bool:
-        """Copy a patch into these arrays; False, and nothing is touched, where none was saved."""
+        """Copy a patch into these arrays; False, leaving them as they are, if it was not saved."""
         ...
 
     def save(self, key: PatchKey, layers: Iterable[Cells]) -> None: ...
@@ -22,7 +22,7 @@ class PatchStore(Protocol):
     def holds(self, key: PatchKey) -> bool: ...
 
     def expect(self, keys: Iterable[PatchKey]) -> None:
-        """These may be loaded soon. Returns at once; has no say in any result."""
+        """Prefetch hint: these may be loaded soon. Returns at once; affects no result."""
         ...
 
 
@@ -30,7 +30,7 @@ NewPatchStore = Callable[[], PatchStore]
 
 
 class MemoryPatches:
-    """PatchStore in memory: for short drives and tests, and where the system has no disk to lend."""
+    """PatchStore in memory: for short drives, tests, and systems without disk space."""
 
     def __init__(self) -> None:
         self._patches: dict[PatchKey, list[Cells]] = {}

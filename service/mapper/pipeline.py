@@ -30,8 +30,8 @@ from service.mapper.maps.standing import draw_standing
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 
-MAX_BEHIND_NS = 300_000_000  # that a sweep may have begun before the newest pose: latency and a slow laser
-CHANGES_REPORTED_NS = 5_000_000_000  # between two counts of the cells that have changed
+MAX_BEHIND_NS = 300_000_000  # of a sweep's start before the newest pose: latency and a slow laser
+CHANGES_REPORTED_NS = 5_000_000_000  # between two counts of the changed cells
 POINT_ARRAYS = ("xy_base", "xy_raw", "beam_time_s", "beam")  # of Points
 
 
@@ -41,7 +41,7 @@ class NoStopwatch:
 
 
 class Mapper(Generic[ReadableMap]):
-    """Single-threaded, reads no clock, knows no method by name. Same frames in, same outputs out."""
+    """Single-threaded, reads no clock, independent of the method. The same frames give the same outputs."""
 
     def __init__(
         self,
@@ -52,10 +52,10 @@ class Mapper(Generic[ReadableMap]):
         geo_reference: GeoReference | None = None,
         changes: ChangeWatch | None = None,
     ) -> None:
-        """placed: "unknown" where the session begins in a stored map, in which the vehicle is to be found.
+        """placed: "unknown" if the session begins in a stored map, in which the vehicle is to be localised.
 
-        is_localizing: the shown map stays as it is. geo_reference: of the stored map. changes: what is to be
-        told of how that map has changed; None: nothing is.
+        is_localizing: the shown map stays as it is. geo_reference: of the stored map. changes: detects
+        changes of that map; None: off.
         """
         self._changes = changes
         self._changes_reported_ns = 0
@@ -63,25 +63,25 @@ class Mapper(Generic[ReadableMap]):
         self.components = components
         self._localisation = Localisation(placed)
         self.is_localizing = is_localizing
-        self.saved: SavedGraph | KeptGraph | None = None  # of the newest checkpoint that was asked for
-        self.graph_picture: GraphPicture | None = None  # the newest, for people to look at
-        self.edited: list[EditAnswer] = []  # in the order of the requests; for who takes them
+        self.saved: SavedGraph | KeptGraph | None = None  # graph of the newest checkpoint
+        self.graph_picture: GraphPicture | None = None  # the newest, for display
+        self.edited: list[EditAnswer] = []  # in the order of the requests; taken by the caller
         self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None
         self._scan_ns: dict[str, int] = {}  # stamp of the newest one, by laser
-        self._sample_ns: dict[type[Frame], int] = {}  # stamp of the last one that was taken, by kind
-        self._state = Verdict("ok", NO_REASON)  # of the newest scan that was mapped
-        self.geo_reference = geo_reference  # None: where the map lies on the earth is not known
+        self._sample_ns: dict[type[Frame], int] = {}  # stamp of the newest accepted one, by type
+        self._state = Verdict("ok", NO_REASON)  # of the newest mapped scan
+        self.geo_reference = geo_reference  # None: not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
         self._checks = SensorChecks(self.counters)
 
     def process(self, frame: Frame) -> MapperOutput | None:
-        """Take the next frame in the order of arrival. None for anything but a scan that was mapped.
+        """Process the next frame in order of arrival. Returns None for anything but a mapped scan.
 
-        A scan that is older than another of its laser is dropped and counted; time never runs backwards. So
-        is one that comes right before odometry after a pause of both. Sweeps of several lasers overlap: one
-        that began before the newest pose is brought to the moment right after that.
+        A scan older than another of its laser is dropped and counted, and so is one that arrives right before
+        odometry after a pause of both. Sweeps of several lasers overlap: the points of one that began before
+        the newest pose are deskewed to the moment right after that pose.
         """
         if isinstance(frame, GnssFix):
             self.counters[self.components.graph.add_fix(frame)] += 1
@@ -111,9 +111,9 @@ class Mapper(Generic[ReadableMap]):
             self._checks.add_odometry(sample)
 
     def skip(self, scan: LaserScan) -> None:
-        """Let a scan pass unmapped: the base is where wheels and gyro say it is, or stands without them.
+        """Let a scan pass unmapped: the pose follows wheels and gyro, or stays without them.
 
-        Dead reckoning goes from scan to scan, for the motion model forgets samples after a while.
+        Dead reckoning proceeds from scan to scan, since the motion model keeps samples for a limited time.
         """
         at_ns = self.components.deskew.moment_of(scan)
         if self._last_ns is None or at_ns <= self._last_ns:
@@ -123,7 +123,7 @@ class Mapper(Generic[ReadableMap]):
         self.components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan) -> int | None:
-        """To which moment its points are brought, ns; None: it is too old."""
+        """Moment to which the scan's points are deskewed, ns; None: the scan is too old."""
         if scan.stamp_ns <= self._scan_ns.get(scan.sensor, scan.stamp_ns - 1):
             return None
         at_ns = self.components.deskew.moment_of(scan)
@@ -132,16 +132,16 @@ class Mapper(Generic[ReadableMap]):
         return self._last_ns + 1 if self._last_ns - at_ns <= MAX_BEHIND_NS else None
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
-        """Tiles of the shown map that changed since the last call; at most so many."""
+        """Tiles of the shown map changed since the last call, at most `most`."""
         return self.components.free_space.changed_tiles(most)
 
     def tiles(self) -> list[TileUpdate]:
-        """All tiles of the shown map as they are now, for who only looks on."""
+        """All tiles of the shown map; does not affect changed_tiles."""
         return self.components.free_space.tiles()
 
     def standing(self) -> Grid | None:
-        """How long things stand around the vehicle, as draw_standing has it, for who only looks on; None
-        where that is not counted or nothing is mapped yet.
+        """Durations of occupied cells around the vehicle, by draw_standing; None without such counts or a
+        scan.
         """
         local_map = self.components.local_map
         if self._newest is None or not isinstance(local_map, KnowsStanding):
@@ -156,22 +156,22 @@ class Mapper(Generic[ReadableMap]):
 
     @property
     def graph(self) -> Graph:
-        """To be asked and told; what comes back goes through apply_result and finish of the mapper."""
+        """For requests and queries; its results are applied by apply_result and finish of the mapper."""
         return self.components.graph
 
     def apply_result(self) -> None:
-        """Bring in the oldest piece of work of the graph, between two frames; waits for it."""
+        """Apply the oldest result of the graph, between two frames; waits for it."""
         update = self.components.graph.apply_result()
         if update is not None:
             self._bring_in(update)
 
     @property
     def map_changes(self) -> MapChanges | None:
-        """What has changed since the map was stored; None: nobody watches."""
+        """Changes since the map was stored; None: not monitored."""
         return None if self._changes is None else self._changes.changes()
 
     def finish(self) -> FinishedGraph:
-        """The graph's last word, after the last frame; the shown map is corrected, too."""
+        """Final result of the graph, after the last frame; the shown map is corrected as well."""
         finished = self.components.graph.finish()
         self._bring_in(finished.update)
         return finished
@@ -209,7 +209,7 @@ class Mapper(Generic[ReadableMap]):
         watch.start()
         if self._newest is None and scan.stamp_ns < at_ns:
             s.motion_model.begin_at(scan.stamp_ns)
-        predicted = self._predict(at_ns)  # where we should be, and how fast
+        predicted = self._predict(at_ns)  # pose and twist
         if refused := self._checks.refuse(scan, at_ns, predicted.travel_m):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
@@ -219,7 +219,7 @@ class Mapper(Generic[ReadableMap]):
             return self._compared(points, at_ns, looked_for)
         if is_motion_unmeasured(predicted) and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(predicted.pause_s)
-        match = s.matcher.match(points, predicted, s.local_map)  # where we are
+        match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
         reason = of_laser(scan.sensor, match.reason)
         match = replace(match, motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
@@ -232,7 +232,7 @@ class Mapper(Generic[ReadableMap]):
         return self._output(scan, at_ns, match.motion, self._state, match.inlier_ratio)
 
     def _insert(self, match: Match, at_ns: int, predicted: Prediction) -> Match:
-        """Put a match into local map, graph and shown map; its state is that of its place in the map."""
+        """Insert a match into local map, graph and shown map; sets its state by its place in the map."""
         s = self.components
         change = s.local_map.insert(match.points, match)
         static = _static_points(match)
@@ -255,7 +255,7 @@ class Mapper(Generic[ReadableMap]):
         )
         is_drawn = match.state != "lost" and self._localisation.is_found and not self.is_localizing
         match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)
-        if is_drawn:  # nothing is where nobody knows the place
+        if is_drawn:  # not while the place in the map is unknown
             s.free_space.insert(static, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._localisation.is_proven and self._changes is not None:
             self._changes.add(static, pose_map_odom @ match.motion.pose_odom_base, at_ns)
@@ -272,7 +272,7 @@ class Mapper(Generic[ReadableMap]):
         self.counters["changed_cells_gone"] = int((~is_new).sum())
 
     def _compared(self, points: Points, at_ns: int, looked_for: Prediction) -> MapperOutput:
-        """A scan of a laser in doubt: aligned with the map, with no say in it."""
+        """Output for a scan of a laser under test: aligned with the map, without effect on pose and map."""
         match = self.components.matcher.compare(points, looked_for, self.components.local_map)
         motion = self.components.motion_model.correct(None)
         state = self._checks.compare(match, at_ns, looked_for, self._state)
@@ -281,7 +281,7 @@ class Mapper(Generic[ReadableMap]):
     def _output(
         self, scan: LaserScan, at_ns: int, motion: Motion, state: Verdict, share: float
     ) -> MapperOutput:
-        """Where the base was when the scan began; right after the output before, where it began sooner.
+        """Output at the scan's stamp, or right after the output before if the scan began earlier.
 
         at_ns   moment of the motion
         """
@@ -309,7 +309,7 @@ class Mapper(Generic[ReadableMap]):
 
 
 def _static_points(match: Match) -> Points:
-    """The points of what does not move."""
+    """The points without those of moving objects."""
     if match.is_moving is None:
         return match.points
     kept = {name: getattr(match.points, name)[~match.is_moving] for name in POINT_ARRAYS}

@@ -1,8 +1,8 @@
 """Profile name -> its components and their settings. The only module that knows methods by name.
 
-Another profile is another folder in methods/, named like it, with method.py, and a name in METHODS. It is
-imported, with all that it stands on, when the profile is chosen. A config may put a component of one method
-into a slot of another's: `components: {matcher: surfel_gauss_newton}`; what it cannot read is refused.
+A profile is a folder of methods/ with a method.py, and its name in METHODS. It is imported when it is chosen.
+A config may use a component of another method: `components: {matcher: surfel_gauss_newton}`; a component that
+cannot read the local map is refused.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -56,22 +56,22 @@ METHODS: dict[str, Callable[[], Method]] = {
 
 
 def import_methods() -> None:
-    """Import every profile, with all that it stands on."""
+    """Import every profile."""
     for method in METHODS.values():
         method()
 
 
 def component_kinds(slot: Slot, profiles: Iterable[str] | None = None) -> dict[str, ComponentKind]:
-    """What can fill a slot, by name: of these profiles, or of all."""
+    """Components for a slot, by name: of these profiles, or of all."""
     methods = [METHODS[name]() for name in (METHODS if profiles is None else profiles)]
     kinds = [kind for method in methods for kind in (method.components[slot], *method.others.get(slot, ()))]
     return {kind.name: kind for kind in kinds}
 
 
 def chosen_components(profile: str, components: Mapping[Slot, str]) -> dict[Slot, ComponentKind]:
-    """The component of each slot: the profile's own, or what `components` names instead.
+    """The component of each slot: the profile's own, or the one that `components` names.
 
-    Raises ValueError, in words, for a component that is not there or that cannot read the local map chosen.
+    Raises ValueError for an unknown component, or one that cannot read the local map.
     """
     chosen = dict(METHODS[profile]().components)
     for slot, name in components.items():
@@ -94,26 +94,26 @@ def chosen_components(profile: str, components: Mapping[Slot, str]) -> dict[Slot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeginIn:
-    """A stored map that a session begins in."""
+    """The stored map that a session starts in."""
 
     graph: SavedGraph
     shown: RenderedMap
-    geo: GeoReference | None = None  # where it lies on the earth
+    geo: GeoReference | None = None  # its geographic reference
 
 
 class MappingConfig(Section):
-    """Which method maps, with which parameters, and how fine the shown map is.
+    """Settings of the mapper: profile, components, their parameters, cell size of the shown map.
 
-    mapping_model gives the class whose `settings` know the components that were chosen.
+    The class by mapping_model has the `settings` of the chosen components.
     """
 
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping", "localization"] = "mapping"
-    lasers: tuple[str, ...] | None = None  # whose scans are mapped; None: all that do not say map: false
-    outline_m: tuple[tuple[float, float], ...] = ()  # corners of the vehicle, base frame; returns within go
+    lasers: tuple[str, ...] | None = None  # that are mapped; None: all without map: false
+    outline_m: tuple[tuple[float, float], ...] = ()  # vehicle corners, base frame; returns within go
     components: dict[Slot, str] = Field(default_factory=dict)
-    settings: Any = None  # by slot: the settings of the component in it; None: the profile's
+    settings: Any = None  # by slot: settings of its component; None: the profile's
 
     @field_validator("profile")
     @classmethod
@@ -145,14 +145,14 @@ class MappingConfig(Section):
 
 
 def begins_in_stored(config: MappingConfig) -> bool:
-    """Whether a session of this config can begin in a stored map."""
+    """Whether a session with this config can start in a stored map."""
     return chosen_components(config.profile, config.components)["graph"].begins_in_stored
 
 
 def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
-    """The model for a mapping section: its settings are those of the components that the section chooses.
+    """Model of a mapping section, with the settings of the components that it chooses.
 
-    A section that chooses what is not there gets the plain model, which says so.
+    A section with an unknown component gets the plain model, whose validators report it.
     """
     profile, components = section.get("profile", "corridor"), section.get("components") or {}
     try:
@@ -172,15 +172,15 @@ def mapping_model(section: Mapping[str, Any]) -> type[MappingConfig]:
 
 
 def mapping_config(section: Mapping[str, Any] | None = None) -> MappingConfig:
-    """A mapping section as it stands in a config, read. Raises pydantic.ValidationError."""
+    """The validated mapping section of a config. Raises pydantic.ValidationError."""
     section = section or {}
     return mapping_model(section).model_validate(section)
 
 
 def with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
-    """The same lasers of the same vehicle, mapped by another profile with the settings that it brings along.
+    """The same lasers and vehicle with another profile and its default settings.
 
-    Raises ValueError, in words, for a profile that is not there.
+    Raises ValueError for an unknown profile.
     """
     kept = {"cell_m": mapping.cell_m, "lasers": mapping.lasers, "outline_m": mapping.outline_m}
     try:
@@ -198,15 +198,15 @@ def build_mapper(
     begin_in: BeginIn | None = None,
     keep_graph: KeepGraph | None = None,
 ) -> Mapper[Any]:
-    """A mapper that has seen nothing yet.
+    """A new mapper.
 
     mountings    pose_base_sensor of each laser, by its name
-    new_worker   where the graph's back end does its work
-    new_patch_store   where a map in patches keeps those that are far away
-    begin_in     the stored map that the vehicle is to be found in; None: a new map
+    new_worker   runs the graph's back end
+    new_patch_store   stores distant patches of a map
+    begin_in     the stored map to localise in; None: a new map
     keep_graph   as of BuildContext
 
-    Raises ValueError, in words, where the profile's graph cannot begin in a stored map.
+    Raises ValueError if the profile's graph cannot start in a stored map.
     """
     if config.settings is None:
         config = mapping_config(config.model_dump(exclude={"settings"}))

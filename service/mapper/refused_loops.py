@@ -1,4 +1,4 @@
-"""Loops that were measured and are not accepted, as they are stored, and why."""
+"""Loops that were measured but not accepted, as they are stored, with the reason."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -20,22 +20,22 @@ WORDS = (
     "taken back by hand",
     "it is farther from where the path leads than that can have drifted",
 )
-PREFIX = "refused_"  # of the names in a file
+PREFIX = "refused_"  # of the array names in a file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefusedLoops:
-    """R loops; arrays as those of the accepted ones."""
+    """R refused loops; arrays as those of the accepted ones."""
 
     ends: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (R, 2) key frames
-    measured: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (R, 3) second seen from first
+    measured: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (R, 3) second in first
     score: Floats = field(default_factory=lambda: np.zeros(0))  # (R,) inlier ratio
-    points: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) asked
-    against: Floats = field(default_factory=lambda: np.zeros(0))  # (R,) share in free space; NaN: not asked
-    reason: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) which of WORDS
+    points: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) evaluated
+    against: Floats = field(default_factory=lambda: np.zeros(0))  # (R,) share in free space; NaN: unknown
+    reason: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) index in WORDS
 
     def problem(self, keyframes: int) -> str:
-        """What does not fit a graph of so many key frames; "" where all does."""
+        """Why the arrays do not fit a graph of so many key frames; "" if they fit."""
         count = len(self.ends)
         for f in fields(self):
             shape = {"ends": (count, 2), "measured": (count, 3)}.get(f.name, (count,))
@@ -56,7 +56,7 @@ class RefusedLoops:
         )
 
     def renumbered(self, number: Ints, is_kept: npt.NDArray[np.bool_]) -> "RefusedLoops":
-        """Those between key frames that are kept, by the new numbers (N,) of these."""
+        """The loops between kept key frames, with the new indices (N,) of these."""
         left = self.chosen(np.flatnonzero(is_kept[self.ends].all(axis=1)))
         return RefusedLoops(number[left.ends], *(getattr(left, f.name) for f in fields(left)[1:]))
 
@@ -68,7 +68,7 @@ class RefusedLoops:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "RefusedLoops":
-        """What `arrays` gave; a file of format 2 knows of none. Raises KeyError."""
+        """Inverse of `arrays`; a file of format 2 has none. Raises KeyError."""
         if not any(name.startswith(PREFIX) for name in arrays):
             return RefusedLoops()
         return RefusedLoops(**{f.name: arrays[PREFIX + f.name] for f in fields(RefusedLoops)})

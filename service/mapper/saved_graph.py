@@ -1,4 +1,4 @@
-"""What a graph needs to go on in a later session: its key frames, and the loops between them."""
+"""The stored graph, with which a later session continues: key frames and the loops between them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -11,45 +11,44 @@ from service.geometry.poses import Floats
 from service.mapper.by_hand import ByHand
 from service.mapper.refused_loops import RefusedLoops
 
-SESSION_APART_M = 100.0  # path length that counts between the last key frame of a session and the next one
-POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of what a range errs by
-STORED_NAMES = {"path_length_m": "way_m", "segment": "piece"}  # of fields that a file spells otherwise
+SESSION_APART_M = 100.0  # path length assumed from the last key frame of a session to the next session
+POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of the noise of a range
+STORED_NAMES = {"path_length_m": "way_m", "segment": "piece"}  # in a file, where the field has another name
 MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
-KINDS = {  # of dtypes; the others are floating
+KINDS = {  # dtypes; the others are floating
     **dict.fromkeys(("stamp_ns", "segment", "point_count", "loop_ends", "loop_points"), "i"),
     "is_lost": "b",
 }
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
-USUAL_RANGE_SIGMA_M = 0.012  # of the key frames of a file that does not say: an LMS-100
+USUAL_RANGE_SIGMA_M = 0.012  # of key frames in a file without it: an LMS-100
 
 
 class KeptGraph(NamedTuple):
-    """What became of a graph that was put away by who maps, so that it need not be handed on itself."""
+    """Where the mapping process has stored a graph, reported in place of the graph itself."""
 
-    folder: str  # that holds it; "" where it holds nothing
-    fault: str  # why it is not there, "" while all is well
+    folder: str  # of the graph; "" if it was empty
+    fault: str  # why it was not stored, "" if it was
 
 
 KeepGraph = Callable[["SavedGraph"], KeptGraph]
 
 
 class SavedGraphError(ValueError):
-    """Arrays that are no graph; says which one, and what was expected."""
+    """Invalid arrays of a graph; the message names the array and the expected value."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedGraph:
-    """Key frames of one or more sessions in one map frame, and the loops that hold them together.
+    """Key frames of one or more sessions in one map frame, and the loops between them.
 
-    The frames of the N key frames are numbered by the way driven. A `session` is one run of the mapper: odom
-    poses of two sessions have nothing to do with each other. `piece` tells apart stretches of the way between
-    which odometry says nothing; each was found in the rest.
+    The N key frames are in the order driven. A session is one run of the mapper with an odom frame of its
+    own. A segment is a part of the path that no odometry connects to the others; loops join it to the map.
     """
 
     stamp_ns: npt.NDArray[np.int64]  # (N,)
     odom: Floats  # (N, 3) pose_odom_base: m, m, rad
     map: Floats  # (N, 3) pose_map_base
-    path_length_m: Floats  # (N,) travelled up to each
+    path_length_m: Floats  # (N,) path length up to each
     covariance: Floats  # (N, 3, 3) of the pose against the local map, base axes
     score: Floats  # (N,) inlier ratio on the local map
     gap_s: Floats  # (N,) longest time without a scan since the key frame before
@@ -73,7 +72,7 @@ class SavedGraph:
         return len(self.stamp_ns)
 
     def checked(self) -> "SavedGraph":
-        """Itself. Raises SavedGraphError where its arrays do not fit each other or hold what is no number."""
+        """The graph itself. Raises SavedGraphError if the arrays do not fit each other or are not finite."""
         if self.stamp_ns.ndim != 1 or self.point_count.dtype.kind != "i" or self.loop_ends.ndim != 2:
             raise SavedGraphError("stamp_ns, point_count or loop_ends is no such array")
         n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
@@ -109,18 +108,18 @@ class SavedGraph:
         return self
 
 
-_ELSEWHERE = ("xy_base", "normals", "by_hand", "refused")  # fields that are no small arrays
+_ELSEWHERE = ("xy_base", "normals", "by_hand", "refused")  # fields stored apart
 _SMALL = {f.name: STORED_NAMES.get(f.name, f.name) for f in fields(SavedGraph) if f.name not in _ELSEWHERE}
 
 
 def small_arrays(graph: SavedGraph) -> dict[str, npt.NDArray[Any]]:
-    """All but the points, by their names in a file."""
+    """All arrays but the points, by their names in a file."""
     small = {stored: getattr(graph, name) for name, stored in _SMALL.items()}
     return small | graph.by_hand.arrays() | graph.refused.arrays()
 
 
 def packed_points(graph: SavedGraph, first: int, last: int) -> dict[str, npt.NDArray[Any]]:
-    """Points of the key frames first..last - 1, in whole steps: a third of the room, to be compressed."""
+    """Points of the key frames first..last - 1, as integer steps: a third of the size after compression."""
     ends = np.concatenate(([0], np.cumsum(graph.point_count)))
     part = slice(ends[first], ends[last])
     return {
@@ -132,7 +131,7 @@ def packed_points(graph: SavedGraph, first: int, last: int) -> dict[str, npt.NDA
 def from_arrays(
     small: Mapping[str, npt.NDArray[Any]], points: Sequence[Mapping[str, npt.NDArray[Any]]]
 ) -> SavedGraph:
-    """What small_arrays and packed_points gave. Raises SavedGraphError."""
+    """Inverse of small_arrays and packed_points. Raises SavedGraphError."""
     small = _not_in_older_files(small) | dict(small)
     try:
         xy = [np.asarray(part["xy"]) for part in points] or [np.zeros((0, 2), np.int32)]
@@ -150,7 +149,7 @@ def from_arrays(
 
 
 def _not_in_older_files(small: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """What a file of format 2 does not say of its loops, nor every one of format 3 of its key frames."""
+    """Defaults of arrays that files of format 2, and some of format 3, do not have."""
     loops = len(small.get("loop_score", ()))
     return {
         "loop_points": np.zeros(loops, np.int64),

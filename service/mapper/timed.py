@@ -1,4 +1,4 @@
-"""What the timing in front of a mapping session hears of the frames that it gave."""
+"""Feedback to the timing in front of a mapping session about each frame."""
 
 import math
 
@@ -7,11 +7,11 @@ from service.mapper.mapping_session import MappingSession
 from service.outputs import MapperOutput
 from service.timing import Timing
 
-UNMAPPED = "that the mapper could not use"  # scans with good times, in words for Timing.count_unmapped
+UNMAPPED = "that the mapper could not use"  # scans with good stamps; text for Timing.count_unmapped
 
 
 def note_mapped(timing: Timing, mapper: MappingSession, frame: Frame, output: MapperOutput | None) -> None:
-    """Say where a frame lies that the mapper has processed, or that it was no use."""
+    """Report the stamp and heading at which a frame was mapped, or that the mapper could not use it."""
     if not isinstance(frame, LaserScan):
         return
     if output is not None:

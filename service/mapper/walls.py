@@ -1,4 +1,4 @@
-"""The walls that the points of a scan lie on."""
+"""Walls at the points of a scan."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,9 @@ Floats = npt.NDArray[np.float64]
 
 
 class Walls(NamedTuple):
-    """What is known of each point.
+    """Wall at each point.
 
-    xy_base   (N, 2) m      moved along its wall to where its beam meets it, base frame
+    xy_base   (N, 2) m      moved along its wall onto its beam, base frame
     normals   (N, 3)        unit normal towards the sensor, and the weight of the point; see estimate_normals
     """
 
@@ -28,10 +28,10 @@ def walls_of(
     range_sigma_m: float,
     grazing_weight: float = 1.0,
 ) -> Walls:
-    """Of a scan's points, (N, 2) m in beam order; the others as estimate_normals takes them.
+    """Walls at a scan's points, (N, 2) m in beam order; the other arguments as of estimate_normals.
 
-    Noise of a range moves a point along its beam: across its wall, which is measured, and along it, where the
-    bearing says better where the point is; [24] of docs/estimator.md.
+    Range noise moves a point along its beam. Its component across the wall is a measurement error; along
+    the wall the bearing is more precise, so the point is moved there; [24] of docs/estimator.md.
     """
     normals, aside_m = np.empty((len(xy_base), 3)), np.empty(len(xy_base))
     estimate_normals(
