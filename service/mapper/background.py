@@ -87,7 +87,7 @@ class DiscardingWorker:
         return self
 
     def result(self) -> Any:
-        raise WorkLostError("this back end works elsewhere")
+        raise WorkLostError("this worker discards its jobs")
 
     def close(self) -> None: ...
 

@@ -66,9 +66,9 @@ class ByHand:
         ):
             index = getattr(self, name)
             if len(index) and (index.min() < 0 or index.max() >= most):
-                return f"{PREFIX}{name} names what is not among the {most} here"
+                return f"{PREFIX}{name} has an index outside 0..{most - 1}"
         if not (np.isfinite(self.corner_xy).all() and np.isfinite(self.pair_xy).all()):
-            return f"{PREFIX}corner_xy or {PREFIX}pair_xy holds what is no number"
+            return f"{PREFIX}corner_xy or {PREFIX}pair_xy is not finite"
         return ""
 
     def pairs(self, ends: Ints) -> npt.NDArray[np.bool_]:

@@ -113,7 +113,7 @@ class Localisation:
 def _in_words(places: Sequence[PossiblePlace]) -> str:
     if (least := places[0].least) is not None:
         at = f"({places[0].x_m:.1f}, {places[0].y_m:.1f}) m"
-        for_it = f"{places[0].nats:.0f} nats speak for it, {least:.0f} would exclude that"
+        for_it = f"{places[0].nats:.0f} nats of evidence, {least:.0f} would exclude that"
         return f"the scans match the map at {at}, but unmapped ground may look the same ({for_it})"
     several = " and ".join(f"({at.x_m:.1f}, {at.y_m:.1f}) m ({at.nats:.0f} nats)" for at in places)
     return f"the scans match the map about equally well at {several}"

@@ -14,11 +14,11 @@ Ints = npt.NDArray[np.int64]
 TOO_FEW_POINTS, IN_FREE_SPACE, NOT_SUPPORTED, CONTRADICTED, BY_HAND, TOO_FAR = range(6)
 WORDS = (
     "too few of its points lie on the map",
-    "too many of its points lie where the map knows that nothing stands",
-    "no other loop near it says the same",
+    "too many of its points lie in free space of the map",
+    "no other loop nearby agrees with it",
     "the rest of the graph contradicts it",
-    "taken back by hand",
-    "it is farther from where the path leads than that can have drifted",
+    "refused by the operator",
+    "it deviates from the path by more than the path's drift",
 )
 PREFIX = "refused_"  # of the array names in a file
 
@@ -44,7 +44,7 @@ class RefusedLoops:
         if count and (self.ends.min() < 0 or self.ends.max() >= keyframes):
             return f"{PREFIX}ends names key frames that are not among the {keyframes} here"
         if count and (self.reason.min() < 0 or self.reason.max() >= len(WORDS)):
-            return f"{PREFIX}reason names what is none of the {len(WORDS)} reasons"
+            return f"{PREFIX}reason has an index outside 0..{len(WORDS) - 1}"
         return ""
 
     def chosen(self, which: Ints) -> "RefusedLoops":

@@ -74,7 +74,7 @@ class SavedGraph:
     def checked(self) -> "SavedGraph":
         """The graph itself. Raises SavedGraphError if the arrays do not fit each other or are not finite."""
         if self.stamp_ns.ndim != 1 or self.point_count.dtype.kind != "i" or self.loop_ends.ndim != 2:
-            raise SavedGraphError("stamp_ns, point_count or loop_ends is no such array")
+            raise SavedGraphError("stamp_ns, point_count or loop_ends has the wrong type or shape")
         n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
         expected = {
             **dict.fromkeys(
@@ -98,7 +98,7 @@ class SavedGraph:
             if array.shape != shape:
                 raise SavedGraphError(f"{stored} has the shape {array.shape}, expected {shape}")
             if name not in MAY_BE_NO_NUMBER and array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise SavedGraphError(f"{stored} holds what is no number")
+                raise SavedGraphError(f"{stored} is not finite")
         if loops and (self.loop_ends.min() < 0 or self.loop_ends.max() >= n):
             raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")
         if (self.point_count < 0).any():

@@ -167,7 +167,7 @@ def test_a_new_pair_and_one_of_the_map_are_removed(page, view, folder, bent):
     wait_for_version(page, 3)
     assert len(graph_in(folder).by_hand.pair_ends) == 1
     page.press("Remove Pair 0")
-    page.wait_for_text("edit-note", "2 parts of the map would hang together by nothing")
+    page.wait_for_text("edit-note", "2 parts of the map would be disconnected")
     assert load_map(folder).number == 3
 
 
@@ -283,7 +283,7 @@ def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
     assert page.text("cut-words") == "In it: 11 key frames."
     page.element("cut").click()
     page.answer()
-    page.wait_for_text("edit-note", "hang together by nothing")
+    page.wait_for_text("edit-note", "would be disconnected")
     assert load_map(folder).number == 1
     page.element("cut-bridge").click()
     page.element("cut").click()

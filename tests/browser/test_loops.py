@@ -56,11 +56,11 @@ def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(loops, graph, tm
     loops.wait_for("return corridor.edit.version === 2 && !corridor.edit.isBusy")
     assert len(load_map(tmp_path).graph.loop_ends) == len(graph.loop_ends) - 1
     refused = loops.run(LIST, "Loops not accepted")
-    press(loops, "Loops not accepted", refused.index("taken back by hand"), "Accept")
+    press(loops, "Loops not accepted", refused.index("refused by the operator"), "Accept")
     loops.answer()
     loops.wait_for("return corridor.edit.version === 3 && !corridor.edit.isBusy")
     assert len(load_map(tmp_path).graph.by_hand.pair_ends) == 2
-    assert "taken back by hand" not in loops.run(LIST, "Loops not accepted")
+    assert "refused by the operator" not in loops.run(LIST, "Loops not accepted")
     axe(loops, sizes=[DESKTOP], schemes=[False])
 
 
@@ -92,8 +92,8 @@ def test_a_loop_of_a_running_session_is_listed_shown_refused_and_accepted(page, 
     page.answer()
     wait_for_change(page, "took back the loop from key frame")
     show_graph()
-    page.wait_for(LIST + ".includes('taken back by hand')", "Loops not accepted")
-    refused = page.run(LIST, "Loops not accepted").index("taken back by hand")
+    page.wait_for(LIST + ".includes('refused by the operator')", "Loops not accepted")
+    refused = page.run(LIST, "Loops not accepted").index("refused by the operator")
     press(page, "Loops not accepted", refused, "Accept")
     page.answer()
     wait_for_change(page, "accepted the loop from key frame")

@@ -243,7 +243,7 @@ def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):
 
 
 def test_what_a_graph_does_not_do_is_refused_with_all_that_it_does(first):
-    with pytest.raises(GraphRequestError, match="knows optimize, undo, checkpoint, set_pose"):
+    with pytest.raises(GraphRequestError, match="supports optimize, undo, checkpoint, set_pose"):
         new_mapper(first[1]).graph.request("add_landmark", {})
 
 
@@ -280,7 +280,7 @@ def test_a_graph_comes_back_from_its_arrays_to_a_millimetre(first):
     [
         ("path_length_m", "way_m has the shape"),
         ("loop_ends", "key frames that are not among"),
-        ("map", "no number"),
+        ("map", "is not finite"),
     ],
 )
 def test_arrays_that_are_no_graph_are_refused_by_name(first, name, words):

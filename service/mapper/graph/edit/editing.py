@@ -76,7 +76,7 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
         raise EditError("that is all of the map: nothing would be left")
     segment = graph.segment if is_bridged else _segments_after_cut(graph.segment, is_kept)
     less = only(replace(graph, segment=segment), is_kept)
-    bridge = "--bridge lets odometry hold them over what is cut"
+    bridge = "--bridge connects them by odometry over the cut"
     _refuse_if_disconnected(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
     return less
 
@@ -154,7 +154,7 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
         refused=graph.refused.followed_by(_refused(graph, numbers)),
     )
     _refuse_if_disconnected(
-        groups(graph), less, "--add-pair holds them together, or cut one of them away first"
+        groups(graph), less, "--add-pair connects them, or cut one of them away first"
     )
     return less
 
@@ -245,7 +245,7 @@ def _refuse_if_disconnected(
         if len(parts) > 1:
             named = "; ".join(_named(graph, np.flatnonzero(after == part), first_ns) for part in parts)
             raise EditError(
-                f"{len(parts)} parts of the map would hang together by nothing: {named}. {instead}"
+                f"{len(parts)} parts of the map would be disconnected: {named}. {instead}"
             )
 
 

@@ -69,7 +69,7 @@ def merge_graphs(
     assert isinstance(saved, SavedGraph)
     across = [loop for loop in back_end.loops if (loop.of < len(first)) != (loop.to < len(first))]
     if not across:
-        raise MergeError("no loop holds the second map to the first where it was put")
+        raise MergeError("no loop joins the second map to the first at the pose given or found")
     off = [se2.between(loop.measured, se2.between(saved.map[loop.of], saved.map[loop.to])) for loop in across]
     residual = np.array(off)
     return Merged(

@@ -211,7 +211,7 @@ class LiveEdits:
         group = groups_of(len(segments), segment[np.array(left, np.int64).reshape(-1, 2)].tolist())
         if group[segment[of]] != group[segment[to]]:
             raise EditError(
-                "nothing else says where a part of the map lies that was begun after the vehicle was lost; "
+                "only this loop joins a part of the map that was begun after the vehicle was lost; "
                 "join it by a pair of points first, or cut it out"
             )
         self._refusals.add(gone, BY_HAND)

@@ -187,7 +187,7 @@ class LoopBackEnd:
         fixed_count = int(known.sum())
         if is_localizing and not self._fixed_count and (not fixed_count or not known[:fixed_count].all()):
             error = (
-                "a part of the map has not been placed in the rest yet"
+                "a part of the map is not joined to the rest yet"
                 if fixed_count
                 else "there is no map yet"
             )

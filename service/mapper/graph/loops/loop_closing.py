@@ -147,7 +147,7 @@ class LoopClosing(BackgroundGraph[Result]):
 
     def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any] | None:
         if name not in REQUESTS:
-            raise GraphRequestError(f"{name}: the graph of this profile knows {', '.join(REQUESTS)}")
+            raise GraphRequestError(f"{name}: the graph of this profile supports {', '.join(REQUESTS)}")
         if self.fault:
             raise GraphRequestError(f"{name}: no loops are closed any more: {self.fault}")
         if name == "set_pose":
@@ -157,7 +157,7 @@ class LoopClosing(BackgroundGraph[Result]):
             answered_later[name](payload)
             return None
         if payload:
-            raise GraphRequestError(f"{name} takes nothing besides; it was given {', '.join(payload)}")
+            raise GraphRequestError(f"{name} takes no arguments; it was given {', '.join(payload)}")
         if name == "undo" and not self._loops:
             raise GraphRequestError("undo: no loop is closed")
         self._submit(Batch([], name))

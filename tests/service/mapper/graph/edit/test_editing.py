@@ -184,7 +184,7 @@ def test_a_loop_that_alone_holds_a_detached_map_is_not_taken_back(ring: SavedGra
     segment = ring.segment.copy()
     segment[ROUND:] = 7
     torn = replace(ring, segment=segment)
-    with pytest.raises(EditError, match="2 parts of the map would hang together by nothing"):
+    with pytest.raises(EditError, match="2 parts of the map would be disconnected"):
         without_loops(torn, range(len(ring.loop_ends)))
 
 

@@ -137,7 +137,7 @@ def test_a_loop_is_refused_and_undo_gives_it_back(closed_ring: bytes):
     assert answer.reply["done"].startswith("took back the loop from key frame ")
     assert result.rendered_map is not None
     (found,) = [loop for loop in shown(back_end, "refused") if loop["stamps_ns"] == worst["stamps_ns"]]
-    assert found["why"] == "taken back by hand"
+    assert found["why"] == "refused by the operator"
     assert "no accepted loop joins" in asked(back_end, **change)[1].error
     assert len(saved(back_end).loop_ends) == len(before.loop_ends) - 1
     asked(back_end, what="undo")

@@ -28,8 +28,8 @@ def test_lost_work_is_counted_and_reported(new_graph: Callable[[], Graph]):
     update = graph.apply_result()
     assert update is not None
     assert update.counts == {"graph_work_lost": 1}
-    assert (graph.waiting, graph.fault) == (0, "this back end works elsewhere")
-    with pytest.raises(GraphRequestError, match="this back end works elsewhere"):
+    assert (graph.waiting, graph.fault) == (0, "this worker discards its jobs")
+    with pytest.raises(GraphRequestError, match="this worker discards its jobs"):
         graph.request("optimize", {})
     assert graph.apply_result() is None
 
