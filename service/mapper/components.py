@@ -178,7 +178,7 @@ class PossiblePlace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceNews:
+class PlaceUpdate:
     """Localisation of the vehicle in the map, by the graph.
 
     placed              of the session in its stored map
@@ -228,7 +228,7 @@ class GraphUpdate:
     since: Sequence[ScanToRender] = ()
     joined: int | None = None
     geo: GeoReference | None = None
-    place: PlaceNews | None = None
+    place: PlaceUpdate | None = None
     saved: SavedGraph | KeptGraph | None = None
     picture: GraphPicture | None = None
     known: KnownPose | None = None
@@ -296,7 +296,7 @@ class Standing(NamedTuple):
 
 
 @runtime_checkable
-class KnowsStanding(Protocol):
+class CountsStanding(Protocol):
     """A local map that counts how long cells stay occupied."""
 
     def standing(self) -> Standing | None:
@@ -332,10 +332,10 @@ class KnownMap(LocalMap, Protocol):
 class MapRenderer(Protocol):
     """Renders the shown map from scratch, in another process: can be pickled."""
 
-    def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
+    def render(self, items: Iterable[ToRender]) -> RenderedMap:
         """Render the items in order; walls of the operator last."""
 
-    def render_part(self, drawn: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
+    def render_part(self, items: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
         """As render, for items that may reach a polygon (C, 2) m: only the cells within it are replaced."""
 
 

@@ -13,10 +13,10 @@ from service.geometry.poses import Floats
 
 MAX_CORNERS = 500  # of an area or a wall
 MAX_PAIRS = 100  # in one change
-LONGEST_NAME = 100  # characters
+MAX_NAME_LENGTH = 100  # characters
 LARGEST_M2 = 10_000.0  # of the bounding box of an area or of a line of a wall: 4 million cells of 5 cm
 MIN_M2 = 1e-4  # of an area
-FURTHEST_M = 100_000.0  # from the origin
+MAX_COORDINATE_M = 100_000.0  # from the origin
 ONLY_LOCALISED = "the map stays as it is while the vehicle is only localised"
 
 
@@ -43,7 +43,7 @@ Number = Annotated[int, Field(ge=0, lt=2**53)]
 Stamp = Annotated[str, Field(pattern=r"^\d{1,19}$")]
 Seconds = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]  # after the map's first key frame
 Corners = Annotated[list[Point], at_most(MAX_CORNERS, "points")]
-Who = Annotated[str, Field(max_length=LONGEST_NAME)]
+Who = Annotated[str, Field(max_length=MAX_NAME_LENGTH)]
 PairT = TypeVar("PairT", bound=RequestModel)
 Becomes = Literal["as_seen", "unknown", "free"]  # as_seen: free where beams pass, else unknown
 
@@ -143,9 +143,9 @@ def refuse_line(corners: Floats) -> None:
 
 def _refuse_if_large(points: Floats, what: str, instead: str) -> None:
     """Raises EditError if the bounding box of (C, 2) m has too many cells to search."""
-    if (most_m := float(np.abs(points).max())) > FURTHEST_M:
+    if (most_m := float(np.abs(points).max())) > MAX_COORDINATE_M:
         raise EditError(
-            f"{what} reaches {most_m:.6g} m from the origin; at most {FURTHEST_M:.0f} m are taken"
+            f"{what} reaches {most_m:.6g} m from the origin; at most {MAX_COORDINATE_M:.0f} m are taken"
         )
     width_m, height_m = np.ptp(points, axis=0).tolist()
     if width_m * height_m > LARGEST_M2:

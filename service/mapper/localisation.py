@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from service.estimator.motion import Matrix, Motion
 from service.geometry.se2 import SE2
-from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceNews, PossiblePlace
+from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceUpdate, PossiblePlace
 from service.mapper.judgement import judge_blank, sigmas_of, too_few
 from service.mapper.known_pose import KnownPose
 from service.outputs import Reason
@@ -25,7 +25,7 @@ class Localisation:
     def __init__(self, placed: Placed) -> None:
         """placed: "unknown" if the session begins in a stored map, to be localised in."""
         self.pose_map_odom = SE2()  # of the newest scan
-        self._news = PlaceNews(placed)
+        self._place = PlaceUpdate(placed)
         self._known: KnownPose | None = None  # the newest key frame corrected by the graph
         self._known_here: KnownPose | None = None  # of the newest scan's place
         self._placed_ns: int | None = None  # moment of the newest scan with returns; None: it was lost
@@ -33,28 +33,28 @@ class Localisation:
     @property
     def is_found(self) -> bool:
         """Whether the session has a place in the stored map."""
-        return self._news.placed != "unknown"
+        return self._place.placed != "unknown"
 
     @property
     def is_proven(self) -> bool:
         """Whether scans may be compared with the stored map."""
-        return self._news.placed == "proven"
+        return self._place.placed == "proven"
 
     @property
     def pose_refused(self) -> tuple[float, float, float] | None:
         """m, m, rad: pose set by the operator that the scans contradict; None: none."""
-        return self._news.pose_refused
+        return self._place.pose_refused
 
     def take(self, update: GraphUpdate) -> None:
         """Take the localisation in a result of the graph."""
         if update.known is not None:
             self._known = update.known
         if update.place is not None:
-            self._news = update.place
+            self._place = update.place
 
     def graph_ended(self) -> None:
         """Drop candidate places: the graph has stopped and searches for no segment any more."""
-        self._news = PlaceNews(self._news.placed)
+        self._place = PlaceUpdate(self._place.placed)
 
     def judged(self, match: Match, change: MapChange, pose_map_odom: SE2, at_ns: int, prior: Matrix) -> Match:
         """The match, with the state that its place in the map allows.
@@ -76,14 +76,14 @@ class Localisation:
 
     def _on_map(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
         self.pose_map_odom, self._known_here = pose_map_odom, self._known
-        once = self._news.unconfirmed_place
+        unconfirmed = self._place.unconfirmed_place
         if (
-            once is not None
+            unconfirmed is not None
             and match.state == "lost"
             and match.measured is not None  # it lies on the segment
-            and change.segment == once.segment
+            and change.segment == unconfirmed.segment
         ):
-            self.pose_map_odom, self._known_here = once.pose_map_odom, once.known
+            self.pose_map_odom, self._known_here = unconfirmed.pose_map_odom, unconfirmed.known
             match = replace(match, state="degraded", reason=UNCONFIRMED_PLACE)
         if not self.is_found:
             match = replace(match, state="lost", reason=match.reason or NOT_PLACED)
@@ -99,8 +99,8 @@ class Localisation:
 
     def _why_lost(self, reason: Reason) -> Reason:
         """The reason, with the candidate places and the pose that was refused."""
-        if self._news.possible:
-            possible = _in_words(self._news.possible)
+        if self._place.possible:
+            possible = _in_words(self._place.possible)
             words = f"{reason}; {possible}" if self.is_found else f"{possible}; drive on, or set the pose"
             reason = Reason("several_places", words)
         if self.pose_refused is not None:
@@ -113,7 +113,7 @@ class Localisation:
 def _in_words(places: Sequence[PossiblePlace]) -> str:
     if (least := places[0].least) is not None:
         at = f"({places[0].x_m:.1f}, {places[0].y_m:.1f}) m"
-        for_it = f"{places[0].nats:.0f} nats of evidence, {least:.0f} would exclude that"
-        return f"the scans match the map at {at}, but unmapped ground may look the same ({for_it})"
+        evidence = f"{places[0].nats:.0f} nats of evidence, {least:.0f} would exclude that"
+        return f"the scans match the map at {at}, but unmapped ground may look the same ({evidence})"
     several = " and ".join(f"({at.x_m:.1f}, {at.y_m:.1f}) m ({at.nats:.0f} nats)" for at in places)
     return f"the scans match the map about equally well at {several}"

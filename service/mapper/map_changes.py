@@ -17,7 +17,7 @@ from service.outputs import Grid
 Rows = npt.NDArray[np.int64]
 COARSER = 2  # cells of the map per edge of a cell here: 0.1 m
 WALL_EVIDENCE = 13  # log-odds in steps of 0.05: 66 %
-FARTHEST_M = 12.0  # returns farther away are ignored
+MAX_RANGE_M = 12.0  # returns farther away are ignored
 CHANGE_STEP_M, CHANGE_STEP_RAD = 0.3, 0.2  # between poses that count as different
 USED_EVERY_M, USED_EVERY_RAD, USED_EVERY_NS = 0.1, 0.05, 200_000_000  # scans between these are skipped
 MIN_POSES, MIN_VOTES, MIN_MS = 3, 5, 1000  # contradicting poses, scans and time before a cell is reported
@@ -118,7 +118,7 @@ class ChangeWatch:
             points.xy_base,
             np.array([sensor.x_m, sensor.y_m]),
             np.array([pose_map_base.x_m, pose_map_base.y_m, pose_map_base.theta_rad]),
-            FARTHEST_M,
+            MAX_RANGE_M,
             self.votes,
             Moment(self._scans, self._poses, (stamp_ns - self._began_ns) // 1_000_000),
         )

@@ -10,12 +10,12 @@ from service.geometry.geo_reference import GeoReference
 from service.mapper.checks.sensor_checks import SensorChecks, Verdict
 from service.mapper.components import (
     Components,
+    CountsStanding,
     Detachable,
     EditAnswer,
     FinishedGraph,
     Graph,
     GraphUpdate,
-    KnowsStanding,
     MappedScan,
     Match,
     Placed,
@@ -144,7 +144,7 @@ class Mapper(Generic[ReadableMap]):
         scan.
         """
         local_map = self.components.local_map
-        if self._newest is None or not isinstance(local_map, KnowsStanding):
+        if self._newest is None or not isinstance(local_map, CountsStanding):
             return None
         standing = local_map.standing()
         return None if standing is None else draw_standing(standing, self._newest)
@@ -253,9 +253,9 @@ class Mapper(Generic[ReadableMap]):
                 is_motion_unmeasured(predicted),
             )
         )
-        is_drawn = match.state != "lost" and self._localisation.is_found and not self.is_localizing
+        is_shown = match.state != "lost" and self._localisation.is_found and not self.is_localizing
         match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)
-        if is_drawn:  # not while the place in the map is unknown
+        if is_shown:  # not while the place in the map is unknown
             s.free_space.insert(static, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._localisation.is_proven and self._changes is not None:
             self._changes.add(static, pose_map_odom @ match.motion.pose_odom_base, at_ns)

@@ -14,7 +14,7 @@ from service.mapper.refused_loops import RefusedLoops
 SESSION_APART_M = 100.0  # path length assumed from the last key frame of a session to the next session
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of the noise of a range
 STORED_NAMES = {"path_length_m": "way_m", "segment": "piece"}  # in a file, where the field has another name
-MAY_BE_NO_NUMBER = ("gap_s", "loop_against")
+MAY_BE_NAN = ("gap_s", "loop_against")
 KINDS = {  # dtypes; the others are floating
     **dict.fromkeys(("stamp_ns", "segment", "point_count", "loop_ends", "loop_points"), "i"),
     "is_lost": "b",
@@ -97,7 +97,7 @@ class SavedGraph:
                 raise SavedGraphError(f"{stored} is of {array.dtype}")
             if array.shape != shape:
                 raise SavedGraphError(f"{stored} has the shape {array.shape}, expected {shape}")
-            if name not in MAY_BE_NO_NUMBER and array.dtype.kind == "f" and not np.isfinite(array).all():
+            if name not in MAY_BE_NAN and array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise SavedGraphError(f"{stored} is not finite")
         if loops and (self.loop_ends.min() < 0 or self.loop_ends.max() >= n):
             raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")

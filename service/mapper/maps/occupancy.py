@@ -100,8 +100,8 @@ class Canvas:
             np.uint16(self._scan_number),
         )
 
-    def draw_again(self, drawn: Iterable[ToRender]) -> None:
-        for one in drawn:
+    def draw_again(self, items: Iterable[ToRender]) -> None:
+        for one in items:
             match one:
                 case ScanToRender():
                     self.draw(one.xy_base.astype(np.float64), one.sensor_xy_m, one.pose_map_base)
@@ -216,14 +216,14 @@ class OccupancyRenderer:
     def canvas(self) -> Canvas:
         return Canvas(EVIDENCE, self.free_range_m, self.cell_m)
 
-    def render(self, drawn: Iterable[ToRender]) -> RenderedMap:
+    def render(self, items: Iterable[ToRender]) -> RenderedMap:
         canvas = self.canvas()
-        canvas.draw_again(drawn)
+        canvas.draw_again(items)
         canvas.stand_walls()
         return canvas.rendered_map()
 
-    def render_part(self, drawn: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
-        whole = self.render(drawn)
+    def render_part(self, items: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
+        whole = self.render(items)
         cells = cells_inside(corners_map, self.cell_m)
         low = cells.min(axis=0) >> GRID_TILE_BITS
         rows, columns = (cells.max(axis=0) >> GRID_TILE_BITS) - low + 1

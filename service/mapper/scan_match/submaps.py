@@ -217,7 +217,7 @@ class Submap:
         return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
 
     def standing(self) -> Standing | None:
-        """As KnowsStanding.standing, of this sub-map."""
+        """As CountsStanding.standing, of this sub-map."""
         enough, cell_m = self._dynamic_filter.enough, self._config.cell_m
         if enough == 0:
             return None
@@ -319,7 +319,7 @@ class SurfelSubmaps:
         self._pause_s = 0.0
 
     def standing(self) -> Standing | None:
-        """As KnowsStanding.standing."""
+        """As CountsStanding.standing."""
         return None if self.matched_to is None else self.matched_to.standing()
 
     def join(self, segment: int) -> None:

@@ -23,9 +23,9 @@ from service.kernels.match import (
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
-    CARRIED_S,
     GAP_S,
     JUMP_CHI2,
+    MAX_UNMEASURED_S,
     Evidence,
     JudgementConfig,
     begun,
@@ -426,8 +426,8 @@ def _with_posts(
 def _unmeasured(pause_s: float) -> Reason:
     return Reason(
         "unmeasured_way",
-        f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {CARRIED_S:g} s; "
-        "1 s if odometry stops faster than a vehicle brakes); the vehicle may have been carried or towed",
+        f"neither laser nor odometry measured the motion for {pause_s:.1f} s (at most {MAX_UNMEASURED_S:g} "
+        "s; 1 s if odometry stops faster than a vehicle brakes); the vehicle may have been carried or towed",
     )
 
 

@@ -24,7 +24,7 @@ from service.mapper.edit_requests import (
     wall_words,
 )
 from service.mapper.graph.edit.editing import (
-    drawn_part,
+    rendered_part,
     solved,
     with_area_erased,
     with_pair,
@@ -135,7 +135,7 @@ def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
             graph, points = with_area_erased(graph, outline, becomes)
             if becomes == "as_seen":
                 shown = OccupancyTiles(OccupancyConfig(), stored.tiles[0].cell_m)
-                shown.replace_by(drawn_part(graph, outline, shown.renderer), ())
+                shown.replace_by(rendered_part(graph, outline, shown.renderer), ())
                 tiles, cells = with_area(stored.tiles, outline, UNKNOWN, shown.changed_tiles())
         as_what = {"free": "free", "unknown": "unknown", "as_seen": "free or unknown, as scans see them,"}
         words = f"{erased_words(outline)}: {counted(cells, 'cell')} {as_what[becomes]} now"

@@ -9,7 +9,7 @@ from service.mapper.components import (
     MapChange,
     Match,
     Placed,
-    PlaceNews,
+    PlaceUpdate,
     Points,
     PossiblePlace,
     UnconfirmedPlace,
@@ -26,11 +26,11 @@ MOTION = Motion(SE2(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.diag([0.04, 0.04, 0.01])
 MEASURED = Measurement(MOTION.pose_odom_base, MOTION.covariance, np.eye(3), 1.0)
 OF_GRAPH, OF_FIND = SE2(0.1, 0.2, 0.0), SE2(5.0, 0.0, 0.5)
 KNOWN = KnownPose(MOTION.pose_odom_base, MOTION.covariance, np.diag([0.01, 0.01, 0.001]))
-FOUND = PlaceNews(unconfirmed_place=UnconfirmedPlace(2, OF_FIND, KNOWN))
+FOUND = PlaceUpdate(unconfirmed_place=UnconfirmedPlace(2, OF_FIND, KNOWN))
 
 
 def judged(
-    news: PlaceNews,
+    news: PlaceUpdate,
     state: State,
     reason: str = "",
     segment: int = 2,
@@ -76,18 +76,18 @@ def test_a_find_says_nothing_of_another_detached_map_of_a_scan_beside_it_and_of_
     ],
 )
 def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, facts: list[str]):
-    assert list(judged(PlaceNews(placed), "ok")[1:]) == facts
+    assert list(judged(PlaceUpdate(placed), "ok")[1:]) == facts
 
 
 def test_who_is_lost_is_reported_between_which_places_and_that_the_pose_a_person_set_is_not_one():
     between = "about equally well at (1.0, 2.0) m (310 nats) and (-3.0, 4.0) m (305 nats)"
     between = f"the scans match the map {between}"
     alike = [PossiblePlace(1.0, 2.0, 310.0), PossiblePlace(-3.04, 4.0, 304.7)]
-    assert judged(PlaceNews(possible=alike), "lost", "why")[2] == f"why; {between}"
-    assert judged(PlaceNews("unknown", alike), "ok")[2] == f"{between}; drive on, or set the pose"
-    assert judged(PlaceNews(possible=alike), "ok")[2] == ""
+    assert judged(PlaceUpdate(possible=alike), "lost", "why")[2] == f"why; {between}"
+    assert judged(PlaceUpdate("unknown", alike), "ok")[2] == f"{between}; drive on, or set the pose"
+    assert judged(PlaceUpdate(possible=alike), "ok")[2] == ""
     refused = "the pose set at (7.0, 8.0) m is rejected: no scan matches the map there"
-    assert judged(PlaceNews(pose_refused=(7.0, 8.0, 0.5)), "lost", "why")[2] == f"{refused}; why"
+    assert judged(PlaceUpdate(pose_refused=(7.0, 8.0, 0.5)), "lost", "why")[2] == f"{refused}; why"
 
 
 def test_what_the_graph_has_decided_holds_until_it_says_else_or_ends():

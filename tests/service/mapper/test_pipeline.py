@@ -11,7 +11,7 @@ from service.estimator import estimator
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.components import GraphUpdate, PlaceNews, PossiblePlace, UnconfirmedPlace
+from service.mapper.components import GraphUpdate, PlaceUpdate, PossiblePlace, UnconfirmedPlace
 from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
 from service.mapper.localisation import UNCONFIRMED_PLACE
@@ -146,10 +146,10 @@ class FindingGraph(NoGraph):
 
     def apply_result(self):
         if self.segment is None:
-            return GraphUpdate({}, place=PlaceNews(possible=[PossiblePlace(1.0, 2.0, 310.0)]))
+            return GraphUpdate({}, place=PlaceUpdate(possible=[PossiblePlace(1.0, 2.0, 310.0)]))
         known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
         once = UnconfirmedPlace(self.segment, self.pose_map_odom, known)
-        return GraphUpdate({}, place=PlaceNews(unconfirmed_place=once))
+        return GraphUpdate({}, place=PlaceUpdate(unconfirmed_place=once))
 
 
 def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():

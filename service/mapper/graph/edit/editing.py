@@ -75,10 +75,10 @@ def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) 
     if not is_kept.any():
         raise EditError("that is all of the map: nothing would be left")
     segment = graph.segment if is_bridged else _segments_after_cut(graph.segment, is_kept)
-    less = only(replace(graph, segment=segment), is_kept)
+    remaining = only(replace(graph, segment=segment), is_kept)
     bridge = "--bridge connects them by odometry over the cut"
-    _refuse_if_disconnected(groups(graph)[is_kept], less, bridge, int(graph.stamp_ns.min()))
-    return less
+    _refuse_if_disconnected(groups(graph)[is_kept], remaining, bridge, int(graph.stamp_ns.min()))
+    return remaining
 
 
 def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
@@ -134,9 +134,9 @@ def without_pair(graph: SavedGraph, number: int) -> SavedGraph:
     count = len(graph.by_hand.pair_ends)
     if not 0 <= number < count:
         raise EditError(f"there is no pair {number}; {_counted(count, 'pair')}")
-    less = replace(graph, by_hand=graph.by_hand.without_pairs([number]))
-    _refuse_if_disconnected(groups(graph), less, "cut one of them away first")
-    return less
+    remaining = replace(graph, by_hand=graph.by_hand.without_pairs([number]))
+    _refuse_if_disconnected(groups(graph), remaining, "cut one of them away first")
+    return remaining
 
 
 def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
@@ -147,16 +147,16 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
     if unknown := [number for number in numbers if not 0 <= number < count]:
         raise EditError(f"there is no accepted loop {unknown[0]}; {_counted(count, 'loop')}")
     kept = np.setdiff1d(np.arange(count), numbers)
-    less = replace(
+    remaining = replace(
         graph,
         **_loops_of(graph, kept),
         loop_ends=graph.loop_ends[kept],
         refused=graph.refused.followed_by(_refused(graph, numbers)),
     )
     _refuse_if_disconnected(
-        groups(graph), less, "--add-pair connects them, or cut one of them away first"
+        groups(graph), remaining, "--add-pair connects them, or cut one of them away first"
     )
-    return less
+    return remaining
 
 
 def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
@@ -182,11 +182,11 @@ def solved(
     return Solved(saved, rendered_map, len(graph.loop_ends) - len(saved.loop_ends), np.hypot(*off.T))
 
 
-def drawn_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:
+def rendered_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:
     """The graph rendered within a polygon (C, 2) m of the map."""
-    drawn = LoopBackEnd(LoopsConfig(), renderer, graph).render(corners_map)
-    assert drawn is not None
-    return drawn
+    rendered = LoopBackEnd(LoopsConfig(), renderer, graph).render(corners_map)
+    assert rendered is not None
+    return rendered
 
 
 def graph_of(graph: SavedGraph) -> PoseGraph:
@@ -244,9 +244,7 @@ def _refuse_if_disconnected(
         parts = np.unique(after[before == group])
         if len(parts) > 1:
             named = "; ".join(_named(graph, np.flatnonzero(after == part), first_ns) for part in parts)
-            raise EditError(
-                f"{len(parts)} parts of the map would be disconnected: {named}. {instead}"
-            )
+            raise EditError(f"{len(parts)} parts of the map would be disconnected: {named}. {instead}")
 
 
 def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:

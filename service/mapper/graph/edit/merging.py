@@ -17,7 +17,7 @@ from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
 QUERY_EVERY_M = 4.0  # of path in the second graph
-MERGED_WITHIN_M, MERGED_WITHIN_RAD = 0.5, 0.05  # two results agree, plus AGREE_GROWTH
+MERGE_AGREE_M, MERGE_AGREE_RAD = 0.5, 0.05  # two results agree, plus AGREE_GROWTH
 AGREE_GROWTH = 0.02  # m per m of path between them: distortion of both maps
 MIN_MERGE_LOOPS = 3
 QUERY_KEYFRAMES = 6  # key frames of a query, where the search may end early
@@ -194,6 +194,6 @@ def _agree(place: Floats, a: Floats, b: Floats, apart_m: float) -> bool:
     """Whether two poses of the second frame agree at a place (3,) of it."""
     away = se2.between(se2.compose(a, place), se2.compose(b, place))
     return bool(
-        np.hypot(away[0], away[1]) <= MERGED_WITHIN_M + AGREE_GROWTH * apart_m
-        and abs(away[2]) <= MERGED_WITHIN_RAD + 0.05 * AGREE_GROWTH * apart_m
+        np.hypot(away[0], away[1]) <= MERGE_AGREE_M + AGREE_GROWTH * apart_m
+        and abs(away[2]) <= MERGE_AGREE_RAD + 0.05 * AGREE_GROWTH * apart_m
     )

@@ -29,7 +29,10 @@ FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a tilted vehic
 MIN_FIXES = 6  # accepted ones for a reference
 MIN_ACCEPTED_SHARE = 0.5  # accepted, of the kept fixes: with fewer there is no consensus
 MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the path was too short for a heading of the map
-MORE_FIXES = (5, 0.05)  # new fixes, and share of them, after which the consensus is computed again
+NEW_FIXES_FOR_CONSENSUS = (
+    5,
+    0.05,
+)  # new fixes, and share of them, after which the consensus is computed again
 MAX_S = 10.0  # weight limit of a fix after a pause
 NEWEST_FIXES = 40  # fixes by which the map's position is checked
 SOLVE_AT_M = 0.5  # their mean residual, and one sigma, that makes a solution worth while
@@ -71,11 +74,11 @@ class Anchoring:
         """Whether enough fixes have arrived since the last consensus."""
         new = len(self._fixes) - self._fixes_at_consensus
         return len(self._fixes) >= MIN_FIXES and new >= max(
-            MORE_FIXES[0], MORE_FIXES[1] * self._fixes_at_consensus
+            NEW_FIXES_FOR_CONSENSUS[0], NEW_FIXES_FOR_CONSENSUS[1] * self._fixes_at_consensus
         )
 
     @property
-    def has_news(self) -> bool:
+    def has_changes(self) -> bool:
         return len(self._fixes) >= MIN_FIXES and len(self._fixes) > self._fixes_at_consensus
 
     def find(self, keyframes: KeyframeList, covariance: Floats, is_known: npt.NDArray[np.bool_]) -> bool:
@@ -88,7 +91,7 @@ class Anchoring:
         among = np.array([k for k, fix in enumerate(self._fixes) if is_known[fix.keyframe]], np.int64)
         if len(among) < MIN_FIXES:
             return False
-        frame = self._frame or self._middle(among)
+        frame = self._frame or self._median_frame(among)
         enu = self._enu(frame, among)
         path_length_m = keyframes.path_length_m[[self._fixes[k].keyframe for k in among]]
         is_near = np.hypot(*enu.T) <= path_length_m[-1] + FAR_M
@@ -175,7 +178,7 @@ class Anchoring:
         sigma_m = math.sqrt(float((variance * self._repeats(used)).sum())) / len(used)
         return mean_m > max(SOLVE_AT_M, sigma_m)
 
-    def _middle(self, among: npt.NDArray[np.int64]) -> LocalFrame:
+    def _median_frame(self, among: npt.NDArray[np.int64]) -> LocalFrame:
         """A frame at the median of the fixes: a single one may be a gross error."""
         fixes = [self._fixes[k] for k in among]
         ecef = np.array([to_ecef(fix.latitude_deg, fix.longitude_deg, fix.height_m) for fix in fixes])

@@ -27,7 +27,7 @@ JUMP_SIGMAS = 0.5  # of the larger sigma of both fixes
 STRETCH_SIGMAS = 1.5  # limit of the mean error of an interval between two jumps
 LARGEST_STRETCH = 0.5  # of all fixes: a larger interval is never rejected
 ROUNDS = 6
-MORE_CONVEX = 2.0  # growth of mu per iteration
+MU_GROWTH = 2.0  # growth of mu per iteration
 MAX_MU = 1e4  # then undecided fixes are within 1e-4 of the gate
 QUICK = SolverConfig(most_iterations=4, least_gain=1e-3)
 
@@ -144,7 +144,7 @@ def _graduate(path: FixPath, is_candidate: npt.NDArray[np.bool_]) -> tuple[npt.N
         is_decided = bool(((weight == 0.0) | (weight == 1.0)).all())
         if (is_decided and mu > 1.0) or mu > MAX_MU:
             return weight > 0.5, poses
-        mu *= MORE_CONVEX
+        mu *= MU_GROWTH
 
 
 def _weights(chi2: Floats, mu: float) -> Floats:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.mapper.components import EditAnswer, MapRenderer, PlaceNews, RenderedMap
+from service.mapper.components import EditAnswer, MapRenderer, PlaceUpdate, RenderedMap
 from service.mapper.edit_requests import ONLY_LOCALISED, EditError, LiveChange
 from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.live_edits import AppliedEdit, LiveEdits, keyframes_near
@@ -58,7 +58,7 @@ MIN_SHARE_ON_MAP = 0.45  # inlier ratio of a loop, by the drive's median: half o
 MAX_AGAINST = 0.12  # share of the points in free space of the place: doors closed, objects moved
 AGREE_M, AGREE_RAD = 0.15, 0.03  # tolerance between two consistent loops, without drift
 CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: gate of a loop after a solution
-PROOF_NEAR_M = 2.0  # distance from a key frame of the stored map at which a new session is verified
+VERIFY_WITHIN_M = 2.0  # distance from a key frame of the stored map at which a new session is verified
 MAX_SESSION = 600  # key frames, 180 m of path: then a session that only localises drops half of them
 
 
@@ -127,18 +127,18 @@ class LoopBackEnd:
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
-    def _place(self) -> PlaceNews:
+    def _place(self) -> PlaceUpdate:
         detached = self.detached_search
         possible = detached.possible if self._is_detached() else ()
-        return PlaceNews(self._placement.state, possible, detached.pose_refused, detached.unconfirmed_place)
+        return PlaceUpdate(self._placement.state, possible, detached.pose_refused, detached.unconfirmed_place)
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
             self._append(frame)
-        taken_out = self._old_passes.taken_out  # indices of fixes do not account for it
-        self._anchoring.add([replace(fix, keyframe=fix.keyframe - taken_out) for fix in batch.fixes])
+        removed_count = self._old_passes.removed_count  # indices of fixes do not account for it
+        self._anchoring.add([replace(fix, keyframe=fix.keyframe - removed_count) for fix in batch.fixes])
         if batch.request == "set_pose":
-            self.detached_search.expect_at(np.array(batch.pose))
+            self.detached_search.search_near(np.array(batch.pose))
         if batch.request == "set_mode":
             return self._set_mode(batch.is_localizing)
         joined = self._search_detached() if self._is_detached() else None
@@ -187,16 +187,14 @@ class LoopBackEnd:
         fixed_count = int(known.sum())
         if is_localizing and not self._fixed_count and (not fixed_count or not known[:fixed_count].all()):
             error = (
-                "a part of the map is not joined to the rest yet"
-                if fixed_count
-                else "there is no map yet"
+                "a part of the map is not joined to the rest yet" if fixed_count else "there is no map yet"
             )
             return Result(*counts, edited=EditAnswer(error=error))
         self._fixed_count = (self._fixed_count or fixed_count) if is_localizing else 0
         self._candidates, self._is_switched = [], is_localizing
         self._accepted = [] if is_localizing else self._accepted  # an undo would change the stored map
         reply = {"mode": "localization" if is_localizing else "mapping", "keyframes": self.keyframes.count}
-        count = self.keyframes.count + self._old_passes.taken_out
+        count = self.keyframes.count + self._old_passes.removed_count
         return Result(*counts, edited=EditAnswer(reply), is_localizing=is_localizing, keyframes=count)
 
     def _edit(self, change: LiveChange | None) -> tuple[AppliedEdit | None, EditAnswer | None]:
@@ -278,7 +276,7 @@ class LoopBackEnd:
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if keyframes.path_length_m[loop.to] >= oldest_m]
-        return self._due.has_news(keyframes, self._loops)
+        return self._due.is_due(keyframes, self._loops)
 
     def _verify_placement(self) -> None:
         """Check the place of the session in the stored map; revoke it if the map contradicts it."""
@@ -287,7 +285,7 @@ class LoopBackEnd:
             return
         stored = np.flatnonzero(self._usable()[: keyframes.stored])
         away_m = np.hypot(*(keyframes.map[stored, :2] - keyframes.map[last, :2]).T)
-        if not len(stored) or away_m.min() > PROOF_NEAR_M:
+        if not len(stored) or away_m.min() > VERIFY_WITHIN_M:
             return
         submap = self._submaps.about(int(stored[np.argmin(away_m)]))
         cloud = cloud_of(keyframes, [last], last)
@@ -364,15 +362,15 @@ class LoopBackEnd:
         config, path_length_m = self._config, self.keyframes.path_length_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
 
-        def says_the_same(loop: Loop) -> bool:
+        def is_consistent(loop: Loop) -> bool:
             is_near = abs(path_length_m[loop.to] - path_length_m[found.to]) <= WITHIN_M
             is_near &= abs(path_length_m[loop.of] - path_length_m[found.of]) <= 2.0 * WITHIN_M
             return is_near and agree(self.keyframes, found, loop, base, growth)
 
-        if any(map(says_the_same, self._refusals.by_hand(self._loops))):
+        if any(map(is_consistent, self._refusals.by_hand(self._loops))):
             self._refusals.add([found], BY_HAND)
             return
-        group = [loop for loop in self._candidates if says_the_same(loop)]
+        group = [loop for loop in self._candidates if is_consistent(loop)]
         is_one_spot = np.ptp([path_length_m[loop.to] for loop in group]) < config.consensus_span_m
         if is_one_spot and not self._drift.confirms(found):
             return
@@ -428,7 +426,7 @@ class LoopBackEnd:
         keyframes = self.keyframes
         if keyframes.count == keyframes.stored:
             return Result(*self._counts)
-        if self._anchoring.has_news:
+        if self._anchoring.has_changes:
             self._find_anchors()
         if (self._loops or self._anchoring.reference) and not self._is_merging:
             self._solve()

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from service.geometry.geo_reference import GeoReference
-from service.mapper.components import Correction, EditAnswer, PlaceNews, RenderedMap
+from service.mapper.components import Correction, EditAnswer, PlaceUpdate, RenderedMap
 from service.mapper.edit_requests import LiveChange
 from service.mapper.graph.gnss.fix_track import PlacedFix
 from service.mapper.graph.model.keyframe_list import KeyFrame
@@ -47,7 +47,7 @@ class Result:
     geo: GeoReference | None = None
     fixes: Mapping[str, int] = field(default_factory=dict)
     saved: SavedGraph | KeptGraph | None = None  # at a checkpoint and at the end
-    place: PlaceNews = field(default_factory=PlaceNews)
+    place: PlaceUpdate = field(default_factory=PlaceUpdate)
     picture: GraphPicture | None = None  # if due
     edited: EditAnswer | None = None  # answer to a change or another mode
     is_localizing: bool | None = None  # from now on; None: unchanged

@@ -85,9 +85,9 @@ class LoopClosing(BackgroundGraph[Result]):
         self._is_placed = stored is None
         self._is_localizing = is_localizing
         self._is_always_localizing = is_localizing  # set by the config, for the entire session
-        self._is_looking = not self._is_placed  # the newest scan is in a detached segment
+        self._is_detached = not self._is_placed  # the newest scan is in a detached segment
         self._fix_counts: Mapping[str, int] = {}  # of the newest result
-        self._fresh: list[KeyFrame] = []  # not yet sent
+        self._new_keyframes: list[KeyFrame] = []  # not yet sent
         self._sent: deque[list[KeyFrame]] = deque()  # with each job
         self._last: SE2 | None = None  # of the newest key frame
         self._segment = 0  # of the newest scan
@@ -117,7 +117,7 @@ class LoopClosing(BackgroundGraph[Result]):
             self._prediction_variance[1] + sigma_rad**2,
         )
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.segment > 0)
-        self._is_looking = is_detached
+        self._is_detached = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._stationary_count - MAX_STATIONARY, 0), MAX_DOUBLED)
         is_due = self._is_step(pose, self._last) or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
@@ -128,7 +128,9 @@ class LoopClosing(BackgroundGraph[Result]):
             self._stationary_count += 1
             if self._is_step(pose, self._stationary_pose):
                 self._stationary_pose, self._stationary_count = pose, 0
-            self._fresh.append(_key_frame(scan, self._gap_s, self._is_unmeasured, self._prediction_variance))
+            self._new_keyframes.append(
+                _key_frame(scan, self._gap_s, self._is_unmeasured, self._prediction_variance)
+            )
             self._keyframes += 1
             self._gap_s, self._prediction_variance = 0.0, (0.0, 0.0)
         self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
@@ -169,7 +171,7 @@ class LoopClosing(BackgroundGraph[Result]):
         except ValidationError as error:
             fault = error.errors()[0]
             raise GraphRequestError(f"set_pose: {'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
-        if not self._is_looking:
+        if not self._is_detached:
             raise GraphRequestError(
                 "set_pose: the pose is known and the map confirms it; it can be set where it is lost"
             )
@@ -223,13 +225,13 @@ class LoopClosing(BackgroundGraph[Result]):
 
     def _submit(self, wanted: Batch = _NOTHING_ELSE) -> None:
         """Submit a request, with the key frames and fixes since the last batch."""
-        self._jobs.submit(replace(wanted, frames=self._fresh, fixes=self._fixes.take()))
-        self._sent.append(self._fresh)
-        self._fresh, self._path_length_m = [], 0.0
+        self._jobs.submit(replace(wanted, frames=self._new_keyframes, fixes=self._fixes.take()))
+        self._sent.append(self._new_keyframes)
+        self._new_keyframes, self._path_length_m = [], 0.0
 
     def _give_up(self) -> None:
         self._sent.clear()
-        self._fresh.clear()
+        self._new_keyframes.clear()
 
     def _bring_in(self, result: Result) -> GraphUpdate:
         self._sent.popleft()
@@ -249,7 +251,7 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.is_localizing is not None and result.edited is not None:
             self._is_localizing = result.is_localizing
             # The back end drops key frames while it only localises: count them again.
-            self._keyframes = result.keyframes + sum(map(len, self._sent)) + len(self._fresh)
+            self._keyframes = result.keyframes + sum(map(len, self._sent)) + len(self._new_keyframes)
             self._fixes = FixTrack()
         self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:
@@ -257,16 +259,16 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.newest:  # the first is the newest; the scan may be in a segment begun since
             correction = result.newest.get(self._segment, next(iter(result.newest.values())))
             self._pose_map_odom = correction.pose_map_base @ correction.pose_odom_base.inverse()
-        since = [frame for batch in self._sent for frame in batch] + self._fresh
+        since = [frame for batch in self._sent for frame in batch] + self._new_keyframes
         is_all = result.rendered_map is not None and result.rendered_map.is_part is None
-        drawn = [  # a partial map leaves them as they are
+        rendered = [  # a partial map leaves them as they are
             ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
             for frame in (since if is_all else ())
         ]
         return GraphUpdate(
             counts,
             rendered_map=result.rendered_map,
-            since=drawn,
+            since=rendered,
             joined=result.joined,
             geo=result.geo,
             place=result.place,

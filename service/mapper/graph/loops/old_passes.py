@@ -14,7 +14,7 @@ from service.mapper.graph.model.loops import WITHIN_M, Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames this close see the same
-TAKEN_OUT_AT_ONCE = 200  # key frames, 60 m of path: each removal renumbers the others
+MIN_REMOVED_AT_ONCE = 200  # key frames, 60 m of path: each removal renumbers the others
 
 Mask = npt.NDArray[np.bool_]
 
@@ -41,22 +41,22 @@ class Renumbering:
 class OldPasses:
     """Selects old passes to remove, and keeps the poses of removed key frames.
 
-    taken_out   number of removed key frames
+    removed_count   number of removed key frames
     """
 
     def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
         self._keyframes = keyframes
-        self._looked_back = 0  # key frames checked for surplus passes
-        self._spent: set[int] = set()  # key frames to remove
+        self._checked_count = 0  # key frames checked for surplus passes
+        self._to_remove: set[int] = set()  # key frames to remove
         # (G,) of the removed ones, compact, since an hour of laps makes thousands: ...
         self._gone_ns, self._begins_segment = np.zeros(0, np.int64), np.zeros(0, np.bool_)
         self._odom = np.zeros((0, 3))
-        self._beside = np.zeros(0, np.int64)  # ... the nearest kept key frame of each, and ...
-        self._from_beside = np.zeros((0, 3))  # ... its pose relative to that
+        self._reference = np.zeros(0, np.int64)  # ... the nearest kept key frame of each, and ...
+        self._from_reference = np.zeros((0, 3))  # ... its pose relative to that
 
     @property
-    def taken_out(self) -> int:
+    def removed_count(self) -> int:
         return len(self._gone_ns)
 
     def forget(self, loops: Sequence[Loop]) -> None:
@@ -73,7 +73,7 @@ class OldPasses:
         ends_m = path_length_m[[(loop.to, loop.of) for loop in loops]]
         to_m, of_m = ends_m[np.argsort(ends_m[:, 0], kind="stable")].T
         until = int(np.searchsorted(path_length_m, path_length_m[-1] - WITHIN_M))
-        for k in range(self._looked_back, until):
+        for k in range(self._checked_count, until):
             first = int(np.searchsorted(to_m, path_length_m[k] - config.place_m))
             last = int(np.searchsorted(to_m, path_length_m[k] + config.place_m, side="right"))
             if first == last:
@@ -89,7 +89,7 @@ class OldPasses:
             is_tied = False
             for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
                 if is_tied:
-                    self._spent.update(oldest.tolist())
+                    self._to_remove.update(oldest.tolist())
                 else:
                     apart_m = np.abs(of_m[first:last, None] - path_length_m[oldest])
                     is_tied = bool((apart_m <= config.place_m).any())
@@ -97,7 +97,7 @@ class OldPasses:
                         continue
                 for old in oldest.tolist():
                     keyframes.forget(old)
-        self._looked_back = max(until, self._looked_back)
+        self._checked_count = max(until, self._checked_count)
 
     def renumbering(self, needed: Sequence[npt.ArrayLike]) -> Renumbering | None:
         """Indices after the removal of old key frames; None while they are few.
@@ -108,19 +108,19 @@ class OldPasses:
         needed   others that stay
         """
         keyframes = self._keyframes
-        if len(self._spent) < TAKEN_OUT_AT_ONCE:
+        if len(self._to_remove) < MIN_REMOVED_AT_ONCE:
             return None
         is_kept = np.ones(keyframes.count, np.bool_)
-        is_kept[list(self._spent)] = False
-        self._spent.clear()
+        is_kept[list(self._to_remove)] = False
+        self._to_remove.clear()
         borders = np.flatnonzero(np.diff(keyframes.segment))
         is_kept[: max(keyframes.stored, 1)] = True
         for stays in (borders, borders + 1, *needed):
             is_kept[np.asarray(stays, np.int64)] = True
         new = Renumbering(is_kept)
         self._remember(is_kept)
-        self._beside = new.number[self._beside]
-        self._looked_back = int(is_kept[: self._looked_back].sum())
+        self._reference = new.number[self._reference]
+        self._checked_count = int(is_kept[: self._checked_count].sum())
         return new
 
     def _remember(self, is_kept: Mask) -> None:
@@ -130,22 +130,22 @@ class OldPasses:
         nearest = [others[np.argmin(np.hypot(*(at[others, :2] - at[k, :2]).T))] for k in gone]
         beside = np.array(nearest, np.int64)
         from_beside = se2.between(at[beside], at[gone])
-        again = np.flatnonzero(~is_kept[self._beside])  # their reference is removed now
-        row = np.searchsorted(gone, self._beside[again])
-        self._from_beside[again] = se2.compose(from_beside[row], self._from_beside[again])
-        self._beside[again] = beside[row]
+        again = np.flatnonzero(~is_kept[self._reference])  # their reference is removed now
+        row = np.searchsorted(gone, self._reference[again])
+        self._from_reference[again] = se2.compose(from_beside[row], self._from_reference[again])
+        self._reference[again] = beside[row]
         self._gone_ns = np.append(self._gone_ns, np.array(keyframes.stamps_ns, np.int64)[gone])
         begins = keyframes.segment[gone] != keyframes.segment[np.maximum(gone - 1, 0)]
         self._begins_segment = np.append(self._begins_segment, begins)
         self._odom = np.vstack((self._odom, keyframes.odom[gone]))
-        self._beside = np.append(self._beside, beside)
-        self._from_beside = np.vstack((self._from_beside, from_beside))
+        self._reference = np.append(self._reference, beside)
+        self._from_reference = np.vstack((self._from_reference, from_beside))
 
     def corrections(self) -> list[Correction]:
         """Pose of each key frame of the session, by ascending stamps, including removed ones."""
         keyframes = self._keyframes
         kept = [keyframes.correction(k) for k in range(keyframes.stored, keyframes.count)]
-        poses = se2.compose(keyframes.map[self._beside], self._from_beside)
+        poses = se2.compose(keyframes.map[self._reference], self._from_reference)
         rows = zip(
             self._gone_ns.tolist(),
             self._odom.tolist(),

@@ -13,7 +13,7 @@ from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.pose_graph import edge_chi2
 
 NEWEST_LOOPS = 20  # number of loops evaluated
-NEWS_CHI2 = 4.0  # of a loop: two sigmas
+MIN_RESIDUAL_CHI2 = 4.0  # of a loop: two sigmas
 # Path length after which loops that agree with the map lead to a solution: each alone is below the threshold,
 # but a drift that grows lap by lap is visible in all of them together.
 SOLVE_EVERY_M = 100.0
@@ -30,7 +30,7 @@ class SolutionDue:
         self._solved_m = path_length_m
         self._unrendered_m = 0.0
 
-    def has_news(self, keyframes: KeyframeList, loops: Sequence[Loop]) -> bool:
+    def is_due(self, keyframes: KeyframeList, loops: Sequence[Loop]) -> bool:
         """Whether one of the newest loops deviates from the map by more than its uncertainty, or
         SOLVE_EVERY_M were driven since the newest solution.
         """
@@ -43,7 +43,9 @@ class SolutionDue:
             off_m, off_rad = disagreement(keyframes, loop)
             if path_length_m[loop.to] <= path_length_m[-1] - WITHIN_M:
                 continue
-            if (off_m > self._config.solve_at_m and chi2 > NEWS_CHI2) or off_rad > self._config.solve_at_rad:
+            if (
+                off_m > self._config.solve_at_m and chi2 > MIN_RESIDUAL_CHI2
+            ) or off_rad > self._config.solve_at_rad:
                 return True
         return False
 

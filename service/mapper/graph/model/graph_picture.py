@@ -12,7 +12,7 @@ from service.outputs import GraphPicture
 MAX_KEYFRAMES = 1000  # in a picture; of more every second, third ... is shown
 MAX_LOOPS = 500  # of each kind
 MAX_BORDERS = 200
-DRAWN_GAP_M = 5.0  # path without a key frame: removed ones, or another session
+PICTURE_GAP_M = 5.0  # path without a key frame: removed ones, or another session
 PERIOD_NS = 2_000_000_000  # of the drive, between two pictures
 
 Ints = npt.NDArray[np.int64]
@@ -57,7 +57,7 @@ def stretches(path_length_m: Floats, segment: Ints, is_known: npt.NDArray[np.boo
         return np.empty(0, np.int64)
     begins = (
         (np.diff(segment) != 0)
-        | (np.diff(path_length_m) >= DRAWN_GAP_M)
+        | (np.diff(path_length_m) >= PICTURE_GAP_M)
         | (np.diff(is_known.astype(int)) != 0)
     )
     numbers = np.concatenate(([0], np.cumsum(begins))).astype(np.int64)

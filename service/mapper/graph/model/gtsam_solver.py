@@ -9,7 +9,7 @@ from service.geometry.poses import Floats
 from service.mapper.graph.model.pose_graph import PoseGraph, SolverConfig, bearing_range
 
 FIXED_SIGMA = 1e-5  # m and rad, of a fixed pose: above rounding
-ASIDE_M = 4.0  # from a pose to its auxiliary pose, for points too near for a bearing
+AUXILIARY_OFFSET_M = 4.0  # from a pose to its auxiliary pose, for points too near for a bearing
 MIN_FACTOR_RANGE_M = 1.0  # a nearer point is measured from the auxiliary pose
 
 
@@ -64,7 +64,7 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
     ):
         factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), noise(covariance, width)))
     helpers: dict[int, int] = {}
-    aside = gtsam.Pose2(-ASIDE_M, 0.0, 0.0)
+    aside = gtsam.Pose2(-AUXILIARY_OFFSET_M, 0.0, 0.0)
     sightings = graph.sightings
     for of, landmark, xy, covariance, width in zip(
         sightings.of.tolist(),
@@ -76,7 +76,7 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
     ):
         seer = of
         if np.hypot(*xy) < MIN_FACTOR_RANGE_M:  # bearing and range are undefined at the pose
-            xy = np.add(xy, (ASIDE_M, 0.0))
+            xy = np.add(xy, (AUXILIARY_OFFSET_M, 0.0))
             seer = helpers.get(of, -1)
             if seer < 0:
                 seer = helpers[of] = pose_count + landmark_count + len(helpers)

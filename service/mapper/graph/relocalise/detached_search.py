@@ -21,7 +21,7 @@ from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
 from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
-from service.mapper.graph.relocalise.known_map import Aligned, KnownMap, Weight
+from service.mapper.graph.relocalise.known_map import Aligned, KnownMap, PlaceScore
 from service.mapper.graph.relocalise.odometry_prior import (
     ODOMETRY_PROBABILITY_CONTINUOUS,
     ODOMETRY_PROBABILITY_MEASURED,
@@ -39,22 +39,25 @@ from service.mapper.graph.relocalise.place_search import (
 )
 from service.mapper.known_pose import KnownPose, covariance_added
 
-AROUND_M, MAX_KEYFRAMES_AROUND = 6.0, 40  # key frames around a pose set by the operator
+SUBMAP_RADIUS_M, MAX_SUBMAP_KEYFRAMES = 6.0, 40  # key frames around a pose set by the operator
 MAX_QUERY = 12  # key frames of a query
 MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
 # Margin by which the evidence of the best place must exceed every other (nats, by
 # service.kernels.beam_likelihood); plus a share of its unexplained evidence, since then the true place may
 # fit worse than one that looks alike.
 MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
-MAX_OFF_M, MAX_OFF_SHARE = 4.0, 0.2  # drift of dead reckoning without a scan gap, and per m of a segment
-NEARBY_M = 10.0  # grid of the search area's centre
+MAX_ODOMETRY_ERROR_M, MAX_ODOMETRY_ERROR_SHARE = (
+    4.0,
+    0.2,
+)  # drift of dead reckoning without a scan gap, and per m of a segment
+SEARCH_GRID_M = 10.0  # grid of the search area's centre
 MIN_APART_M = 4.0  # between two results that confirm each other: from one viewpoint rooms may look alike
 # Probability that any of the searched places fits as well by chance, if the vehicle is on unmapped ground.
 MAX_CHANCE = 1e-4
 # Least share of the beams on the map, and on walls of those on known ground. From new viewpoints, and near
 # new ground, much of the query is unmapped.
 MIN_ON_MAP, MIN_AGREEING = 0.3, 0.90
-EXPECTED_REACH, EXPECTED_TRIES = (1.5, 0.35), 10  # m, rad around a pose set by the operator; attempts
+SET_POSE_WINDOW, SET_POSE_ATTEMPTS = (1.5, 0.35), 10  # m, rad around a pose set by the operator; attempts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,14 +65,14 @@ class CandidatePose:
     """A candidate place of a query in the known map."""
 
     pose: Floats  # (3,) of the reference key frame in the map
-    weight: Weight
+    score: PlaceScore
     loop: Loop | None  # to the nearest key frame; None if too little fits
     prior: float = 0.0  # nats: log-ratio of the odometry prior to a uniform one
 
     @property
     def evidence(self) -> float:
         """Nats of the beams and the odometry prior."""
-        return self.weight.evidence + self.prior
+        return self.score.evidence + self.prior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,20 +94,24 @@ class DetachedSearch:
         self._config = config
         self._keyframes = keyframes
         self._hypothesis: Hypothesis | None = None
-        self._expected: Floats | None = None  # (3,) pose of the newest key frame set by the operator
-        self._expected_odom: Floats | None = None  # the same as pose of odom in the map
-        self._tries = 0
+        self._operator_pose: Floats | None = None  # (3,) pose of the newest key frame set by the operator
+        self._operator_pose_odom: Floats | None = None  # the same as pose of odom in the map
+        self._attempts_left = 0
         self.pose_refused: tuple[float, float, float] | None = None  # by the operator, contradicted
         self._refused_segment = 0
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: the session has no place in the stored map
-        self.possible: list[PossiblePlace] = []  # of the newest segment, as in PlaceNews
+        self.possible: list[PossiblePlace] = []  # of the newest segment, as in PlaceUpdate
         self._query: SeenCloud | None = None  # of the newest search
         self._places: list[CandidatePose] = []  # its results
 
-    def expect_at(self, pose_map_base: Floats) -> None:
+    def search_near(self, pose_map_base: Floats) -> None:
         """Search first around the pose set by the operator, (3,) m, m, rad."""
-        self._expected, self._expected_odom, self._tries = pose_map_base, None, EXPECTED_TRIES
+        self._operator_pose, self._operator_pose_odom, self._attempts_left = (
+            pose_map_base,
+            None,
+            SET_POSE_ATTEMPTS,
+        )
         self.pose_refused = None
 
     def make_ready(self, known: npt.NDArray[np.int64]) -> None:
@@ -154,7 +161,7 @@ class DetachedSearch:
             self.pose_refused = None
         is_in_stored = 0 < keyframes.stored < keyframes.count
         self._is_session_placed = not is_in_stored or bool((known >= keyframes.stored).any())
-        if (expected := self._find_expected(segment, known)) is not None:
+        if (expected := self._search_near_operator_pose(segment, known)) is not None:
             return expected
         own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)
         from_m = keyframes.path_length_m[-1] - config.place_m
@@ -212,7 +219,7 @@ class DetachedSearch:
         """Whether the last query does not contradict the pose of dead reckoning."""
         if prior is None or prior.is_vague or self._query is None or self._known_map is None:
             return False
-        return self._known_map.align(self._query, prior.pose).weight.evidence > -MIN_MARGIN_NATS
+        return self._known_map.align(self._query, prior.pose).score.evidence > -MIN_MARGIN_NATS
 
     def _is_possible(self, reference: int) -> bool:
         """Whether the newest result is among the candidate places."""
@@ -240,8 +247,8 @@ class DetachedSearch:
         """Sub-map of key frames of all passes around a pose (3,) of the map."""
         keyframes = self._keyframes
         away_m = np.hypot(*(keyframes.map[known, :2] - pose[:2]).T)
-        nearest = known[np.argsort(away_m, kind="stable")[:MAX_KEYFRAMES_AROUND]]
-        near = nearest[np.sort(away_m)[:MAX_KEYFRAMES_AROUND] <= max(AROUND_M, float(away_m.min()))]
+        nearest = known[np.argsort(away_m, kind="stable")[:MAX_SUBMAP_KEYFRAMES]]
+        near = nearest[np.sort(away_m)[:MAX_SUBMAP_KEYFRAMES] <= max(SUBMAP_RADIUS_M, float(away_m.min()))]
         return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
 
     def _map_of(self, known: npt.NDArray[np.int64]) -> KnownMap:
@@ -252,11 +259,11 @@ class DetachedSearch:
 
     def _place(self, segment: int, pose_map_odom: Floats, is_set_by_operator: bool = False) -> None:
         keyframes = self._keyframes
-        if self._expected is not None and not is_set_by_operator:
-            self._reject_expected(segment)
+        if self._operator_pose is not None and not is_set_by_operator:
+            self._reject_operator_pose(segment)
         mine = keyframes.segment == segment
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
-        self._hypothesis = self._expected = self._known_map = None
+        self._hypothesis = self._operator_pose = self._known_map = None
 
     def places_of(
         self,
@@ -318,8 +325,8 @@ class DetachedSearch:
         if self._query is None or self._known_map is None:
             return math.nan
         seen, known_map = self._query, self._known_map
-        here = known_map.refine(seen, known_map.align(seen, pose_map)).weight
-        others = [p.weight.evidence for p in self._places if not is_same_place(p.pose, pose_map)]
+        here = known_map.refine(seen, known_map.align(seen, pose_map)).score
+        others = [p.score.evidence for p in self._places if not is_same_place(p.pose, pose_map)]
         return here.evidence - max(others, default=-math.inf)
 
     def best_of(
@@ -336,8 +343,8 @@ class DetachedSearch:
         best = max(found, key=lambda place: place.evidence)
         if best.loop is None:
             return None
-        margin = _margin(best.weight.unexplained, prior is not None and prior.explains(best.pose))
-        if self._is_session_placed and best.weight.evidence < margin:
+        margin = _margin(best.score.unexplained, prior is not None and prior.explains(best.pose))
+        if self._is_session_placed and best.score.evidence < margin:
             return None
         for other in found:
             log_ratio = best.evidence - other.evidence
@@ -373,38 +380,40 @@ class DetachedSearch:
         log_ratio = self._known_map.log_ratio_where_known(self._query, best.pose, other.pose)
         return log_ratio + best.prior - other.prior
 
-    def _find_expected(self, segment: int, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
+    def _search_near_operator_pose(
+        self, segment: int, known: npt.NDArray[np.int64]
+    ) -> tuple[Loop, ...] | None:
         """Place the newest segment near the pose set by the operator, if it fits; gives up after
-        EXPECTED_TRIES.
+        SET_POSE_ATTEMPTS.
         """
         keyframes = self._keyframes
         own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)[-MAX_QUERY:]
-        if self._expected is None or not len(own) or not len(known):
+        if self._operator_pose is None or not len(own) or not len(known):
             return None
-        if self._expected_odom is None:
+        if self._operator_pose_odom is None:
             newest = keyframes.odom[keyframes.count - 1]
-            self._expected_odom = se2.compose(self._expected, se2.between(newest, np.zeros(3)))
+            self._operator_pose_odom = se2.compose(self._operator_pose, se2.between(newest, np.zeros(3)))
         reference = int(own[-1])
-        at = se2.compose(self._expected_odom, keyframes.odom[reference])
+        at = se2.compose(self._operator_pose_odom, keyframes.odom[reference])
         submap = self._around(known, at)
         cloud = cloud_of(keyframes, own.tolist(), reference)
         guess = se2.between(keyframes.map[submap.reference], at)
-        pose = submap.search(cloud, guess, *EXPECTED_REACH, MIN_LOOP_SCORE)
+        pose = submap.search(cloud, guess, *SET_POSE_WINDOW, MIN_LOOP_SCORE)
         loop = None if pose is None else self._loop_at(submap, cloud, pose, reference)[1]
-        self._tries -= 1
+        self._attempts_left -= 1
         if loop is None:
-            if self._tries == 0:
-                self._reject_expected(segment)
+            if self._attempts_left == 0:
+                self._reject_operator_pose(segment)
             return None
         found = se2.compose(keyframes.map[submap.reference], loop.measured)
         pose_map_odom = se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3)))
         self._place(segment, pose_map_odom, is_set_by_operator=True)
         return (loop,)
 
-    def _reject_expected(self, segment: int) -> None:
-        assert self._expected is not None
-        x_m, y_m, theta_rad = self._expected.tolist()
-        self._expected, self._refused_segment, self.pose_refused = None, segment, (x_m, y_m, theta_rad)
+    def _reject_operator_pose(self, segment: int) -> None:
+        assert self._operator_pose is not None
+        x_m, y_m, theta_rad = self._operator_pose.tolist()
+        self._operator_pose, self._refused_segment, self.pose_refused = None, segment, (x_m, y_m, theta_rad)
 
     def _loop_at(
         self, submap: CandidateSubmap, cloud: PointCloud, pose: Floats, reference: int
@@ -431,21 +440,21 @@ class DetachedSearch:
         Where dead reckoning confirms the place, its pose is fused with it, which fixes directions that walls
         leave open.
         """
-        fit, weight = aligned.fit, aligned.weight
+        fit, score = aligned.fit, aligned.score
         is_at_dead_reckoning = prior is not None and prior.explains(fit.pose)
         if prior is not None and is_at_dead_reckoning:
             fit = prior.joined(fit)
         nats = 0.0 if prior is None else prior.nats(fit.pose)
-        if not (is_at_dead_reckoning or _fits(weight.on_map, weight.against)):
-            return CandidatePose(fit.pose, weight, None, nats)
+        if not (is_at_dead_reckoning or _fits(score.on_map, score.against)):
+            return CandidatePose(fit.pose, score, None, nats)
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
         c, s = math.cos(poses[of, 2]), math.sin(poses[of, 2])
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         information = turn @ fit.information @ turn.T
         measured = se2.between(poses[of], fit.pose)
-        loop = loop_of(of, reference, measured, information, weight.on_map, len(cloud.xy), weight.against)
-        return CandidatePose(fit.pose, weight, loop, nats)
+        loop = loop_of(of, reference, measured, information, score.on_map, len(cloud.xy), score.against)
+        return CandidatePose(fit.pose, score, loop, nats)
 
     def _reach_m(self, segment: int, reference: int) -> float:
         """Largest distance of a key frame from dead reckoning, m; inf: anywhere.
@@ -458,7 +467,7 @@ class DetachedSearch:
         is_anywhere = not self._is_session_placed or segment in keyframes.unmeasured
         if is_anywhere or keyframes.gap_s[first] > MAX_SCAN_GAP_S:
             return math.inf
-        return MAX_OFF_M + MAX_OFF_SHARE * float(
+        return MAX_ODOMETRY_ERROR_M + MAX_ODOMETRY_ERROR_SHARE * float(
             keyframes.path_length_m[reference] - keyframes.path_length_m[first]
         )
 
@@ -469,8 +478,8 @@ class DetachedSearch:
         if not math.isfinite(reach_m):
             return known
         poses = self._keyframes.map
-        middle = NEARBY_M * np.round(poses[reference, :2] / NEARBY_M)
-        most_m = NEARBY_M * (math.ceil((reach_m + EVIDENCE_RANGE_M) / NEARBY_M) + 1)
+        middle = SEARCH_GRID_M * np.round(poses[reference, :2] / SEARCH_GRID_M)
+        most_m = SEARCH_GRID_M * (math.ceil((reach_m + EVIDENCE_RANGE_M) / SEARCH_GRID_M) + 1)
         is_near: npt.NDArray[np.bool_] = np.hypot(*(poses[known, :2] - middle).T) <= most_m
         return known[is_near]
 
@@ -490,6 +499,6 @@ def _margin(unexplained: float, is_at_dead_reckoning: bool) -> float:
 
 def _could_win(one: Aligned, prior: OdometryPrior | None) -> bool:
     """Whether a candidate may exceed new ground once refined, which adds REFINE_MARGIN_NATS at most."""
-    unexplained = max(one.weight.unexplained - REFINE_MARGIN_NATS, 0.0)
+    unexplained = max(one.score.unexplained - REFINE_MARGIN_NATS, 0.0)
     least = _margin(unexplained, prior is not None and is_same_place(prior.pose, one.fit.pose))
-    return one.weight.evidence + REFINE_MARGIN_NATS >= least
+    return one.score.evidence + REFINE_MARGIN_NATS >= least

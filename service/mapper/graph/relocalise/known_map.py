@@ -80,7 +80,7 @@ SEEN_THROUGH_EVIDENCE = -10  # log-odds of a cell through which a beam passed wi
 
 
 @dataclass(frozen=True, slots=True)
-class Weight:
+class PlaceScore:
     """Evidence of a cloud at a pose."""
 
     evidence: float  # nats: log-likelihood ratio of its beams to unknown ground
@@ -94,7 +94,7 @@ class Aligned:
     """A cloud aligned with the map."""
 
     fit: Fit
-    weight: Weight
+    score: PlaceScore
 
 
 class KnownMap:
@@ -110,7 +110,7 @@ class KnownMap:
         self._ground = _ground(keyframes, known, clouds, merged.xy)
         self._facing = _facing_pyramid(few, self._ground)
         self._known_ground = _known_ground_of(keyframes, known, clouds, self._walls.grid(), self._ground)
-        self._weighed = 0
+        self._evaluated = 0
 
     @property
     def area_m2(self) -> float:
@@ -146,15 +146,15 @@ class KnownMap:
             seen.shares,
             pose,
             self._known_ground,
-            self._weighed + 1,
+            self._evaluated + 1,
             CLIMB_STEPS,
             MIN_CLIMB_STEP,
         )
-        self._weighed += count
+        self._evaluated += count
         again = self._aligned(seen, pose)
-        if again.weight.evidence >= evidence:
+        if again.score.evidence >= evidence:
             return again
-        return Aligned(Fit(pose, again.fit.information, again.fit.share), self.weigh(seen, pose))
+        return Aligned(Fit(pose, again.fit.information, again.fit.share), self.score(seen, pose))
 
     def along(self, seen: SeenCloud, aligned: Aligned) -> list[Aligned]:
         """Alignments beside a place, along its least certain direction."""
@@ -167,16 +167,16 @@ class KnownMap:
             self._walls.align(seen.cloud, aligned.fit.pose + off_m * axis) for off_m in [*-steps, *steps]
         ]
         least = ALONG_SHARE * aligned.fit.share
-        return [Aligned(fit, self.weigh(seen, fit.pose)) for fit in beside if fit.share >= least]
+        return [Aligned(fit, self.score(seen, fit.pose)) for fit in beside if fit.share >= least]
 
-    def weigh(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Weight:
+    def score(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> PlaceScore:
         """Evidence of a cloud at a pose (3,); below `least` only an upper bound."""
         shares = seen.shares
         evidence, at_end, along_beam = self._beam_evidence(seen, pose, least)
         merged = max(float(shares.sum()), 1e-9)
         against = float(shares @ (at_end + along_beam < AGAINST_RATIO)) / merged
         on_map = float(shares @ (at_end > ON_MAP_RATIO)) / merged
-        return Weight(evidence, max(0.0, FULL_RATIO * merged - evidence), against, on_map)
+        return PlaceScore(evidence, max(0.0, FULL_RATIO * merged - evidence), against, on_map)
 
     def structure(self, seen: SeenCloud, pose: Floats) -> float:
         """Log-likelihood ratio of a pose (3,) to an unmapped building, nats: each wall or object counts once,
@@ -202,7 +202,7 @@ class KnownMap:
         """Evidence of a cloud at a pose, and its terms at the end (N,) and along (N,) each beam, nats."""
         cloud = seen.cloud
         at_end, along_beam = np.empty(len(cloud.xy)), np.empty(len(cloud.xy))
-        self._weighed += 1
+        self._evaluated += 1
         evidence = evidence_of_beams(
             cloud.xy,
             cloud.normals,
@@ -210,7 +210,7 @@ class KnownMap:
             seen.shares,
             pose,
             self._known_ground,
-            self._weighed,
+            self._evaluated,
             least,
             at_end,
             along_beam,
@@ -219,7 +219,7 @@ class KnownMap:
 
     def _aligned(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> Aligned:
         fit = self._walls.align(seen.cloud, pose)
-        return Aligned(fit, self.weigh(seen, fit.pose, least))
+        return Aligned(fit, self.score(seen, fit.pose, least))
 
 
 def _one_of_each_cell(cloud: PointCloud) -> PointCloud:

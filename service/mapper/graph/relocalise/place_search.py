@@ -16,7 +16,10 @@ SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses that count as equal
 MAX_REFINED = 12  # places per search
 REFINE_MARGIN_NATS = 100.0  # a place this far below the best is not refined
 PRUNE_MARGIN_NATS = 250.0  # nor is its evidence computed to the end: the upper bound stands for it
-MAX_SLID, MAX_BESIDE = 8, 4  # places per round to search beside along walls, and neighbours of each
+MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = (
+    8,
+    4,
+)  # places per round to search beside along walls, and neighbours of each
 MAX_ROUNDS = 3  # or until the best place stays the best
 
 
@@ -41,9 +44,14 @@ def find_places(
     places = _refined(known_map, seen, [*aligned[:MAX_REFINED], *guessed], [])
     expanded: list[Aligned] = []
     for _ in range(MAX_ROUNDS):
-        best, fresh = places[:1], [place for place in places[:MAX_SLID] if place not in expanded]
-        expanded += fresh
-        beside = [one for place in fresh for one in _distinct(known_map.along(seen, place))[:MAX_BESIDE]]
+        best, unexpanded = (
+            places[:1],
+            [place for place in places[:MAX_SLIDE_SOURCES] if place not in expanded],
+        )
+        expanded += unexpanded
+        beside = [
+            one for place in unexpanded for one in _distinct(known_map.along(seen, place))[:MAX_SLIDE_TARGETS]
+        ]
         places = _refined(known_map, seen, _distinct(beside), places)
         if places[:1] == best:
             break
@@ -57,7 +65,7 @@ def _aligned(known_map: KnownMap, seen: SeenCloud, is_possible: Callable[[Floats
     best = -math.inf
     for guess in filter(is_possible, known_map.candidates(seen.cloud)):
         aligned.append(known_map.align(seen, guess, best - PRUNE_MARGIN_NATS))
-        best = max(best, aligned[-1].weight.evidence)
+        best = max(best, aligned[-1].score.evidence)
     return aligned
 
 
@@ -66,8 +74,8 @@ def _refined(
 ) -> list[Aligned]:
     """`places` with `aligned`, refined, added, the most likely first."""
     for one in aligned:
-        least = places[0].weight.evidence - REFINE_MARGIN_NATS if places else -math.inf
-        if one.weight.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
+        least = places[0].score.evidence - REFINE_MARGIN_NATS if places else -math.inf
+        if one.score.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
             places = _distinct([*places, known_map.refine(seen, one)])
     return places
 
@@ -101,4 +109,4 @@ def _distinct(aligned: list[Aligned]) -> list[Aligned]:
 
 
 def _by_evidence(aligned: list[Aligned]) -> list[Aligned]:
-    return sorted(aligned, key=lambda one: -one.weight.evidence)
+    return sorted(aligned, key=lambda one: -one.score.evidence)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.components import KnowsStanding, Standing
+from service.mapper.components import CountsStanding, Standing
 from service.mapper.maps.standing import SHOWN_REACH_M, draw_standing
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
@@ -55,7 +55,7 @@ def test_what_is_far_from_the_vehicle_is_left_out() -> None:
 def test_walls_of_a_room_stand_longer_from_scan_to_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.mapper.scan_match.submaps.FIRST_SCANS", 100)
     chain = SurfelSubmaps(SubmapsConfig())
-    assert isinstance(chain, KnowsStanding)
+    assert isinstance(chain, CountsStanding)
     assert chain.standing() is None
     shares = []
     for k in range(24):

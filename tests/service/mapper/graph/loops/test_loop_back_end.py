@@ -13,7 +13,7 @@ from service.mapper.components import Correction
 from service.mapper.graph.loops import old_passes, passes, solution_due
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.graph_picture import DRAWN_GAP_M
+from service.mapper.graph.model.graph_picture import PICTURE_GAP_M
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
@@ -161,7 +161,7 @@ def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
 
 def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: pytest.MonkeyPatch):
     """The first pass and the newest ones stay, and the path of all scans is as good as that."""
-    monkeypatch.setattr(old_passes, "TAKEN_OUT_AT_ONCE", 40)
+    monkeypatch.setattr(old_passes, "MIN_REMOVED_AT_ONCE", 40)
     frames, truth = key_frames(3.8)
     back_end, results = fed(frames, LoopsConfig(keep_passes=1), renders=False)
     keyframes, a_round = back_end.keyframes, round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
@@ -175,7 +175,7 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert seam_m(list(finished.all), truth).max() < 0.02
     assert finished.picture is not None
     longest_m = max(np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) for way in finished.picture.paths)
-    assert longest_m < DRAWN_GAP_M
+    assert longest_m < PICTURE_GAP_M
 
 
 def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):

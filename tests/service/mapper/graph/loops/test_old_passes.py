@@ -17,7 +17,7 @@ PASSES, LONG = 9, 60  # key frames a pass
 
 @pytest.fixture(autouse=True)
 def taken_out_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(old_passes, "TAKEN_OUT_AT_ONCE", 10)
+    monkeypatch.setattr(old_passes, "MIN_REMOVED_AT_ONCE", 10)
 
 
 def driven(leads_to: Callable[[int], int]) -> tuple[KeyframeList, list[Loop]]:
@@ -52,7 +52,7 @@ def test_the_passes_between_the_first_and_the_newest_are_taken_out():
     keyframes.keep(new.is_kept)
     assert keyframes.count == len(new.is_kept) - len(gone) == len(keyframes.thinned)
     assert [keyframes.stamps_ns[loop.to] for loop in left] == [one.to for one in loops if one.to not in gone]
-    assert passes.taken_out == len(gone)
+    assert passes.removed_count == len(gone)
     passes.forget(left)
     assert passes.renumbering([]) is None  # nothing is looked back at twice
 
@@ -83,7 +83,7 @@ def test_what_is_taken_out_goes_with_the_map_beside_it():
 
 def again(passes: OldPasses, keep: int) -> OldPasses:
     """It looks back at all once more, with fewer passes to be kept."""
-    passes._config, passes._looked_back = LoopsConfig(keep_passes=keep), 0
+    passes._config, passes._checked_count = LoopsConfig(keep_passes=keep), 0
     return passes
 
 

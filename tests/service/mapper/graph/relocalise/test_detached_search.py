@@ -33,7 +33,7 @@ def test_where_dead_reckoning_leads_the_vehicle_may_be_unless_what_is_seen_contr
 ) -> None:
     search = DetachedSearch(LoopsConfig(), KeyframeList())
     search._query = SimpleNamespace()  # type: ignore[assignment]
-    there = SimpleNamespace(weight=SimpleNamespace(evidence=evidence))
+    there = SimpleNamespace(score=SimpleNamespace(evidence=evidence))
     search._known_map = SimpleNamespace(align=lambda seen, pose: there)  # type: ignore[assignment]
     assert search._may_be_at(prior) is may_be_there
 

@@ -22,7 +22,7 @@ from service.mapper.graph.relocalise.detached_search import (
     CandidatePose,
     DetachedSearch,
 )
-from service.mapper.graph.relocalise.known_map import MAX_NATS_PER_WALL, KnownMap, Weight
+from service.mapper.graph.relocalise.known_map import MAX_NATS_PER_WALL, KnownMap, PlaceScore
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.drives import cast
 
@@ -152,13 +152,13 @@ def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
     seen = seen_cloud(keyframes, [own], own)
     cloud = seen.cloud
     aligned = known_map.align(seen, np.array([STOOD.x_m + 0.1, STOOD.y_m - 0.1, STOOD.theta_rad]))
-    weight = aligned.weight
+    score = aligned.score
     on_pillar = np.hypot(*(se2.points_from(aligned.fit.pose, cloud.xy) - (3.2, 2.4)).T) < 0.4
     assert 0.03 < on_pillar.mean() < 0.3
-    assert weight.against == pytest.approx(on_pillar.mean(), abs=0.03)
+    assert score.against == pytest.approx(on_pillar.mean(), abs=0.03)
     count = len(cloud.xy)
-    assert weight.evidence / count == pytest.approx(1.55 - 7.3 * on_pillar.mean(), abs=0.15)
-    assert weight.unexplained == pytest.approx(FULL_RATIO * count - weight.evidence)
+    assert score.evidence / count == pytest.approx(1.55 - 7.3 * on_pillar.mean(), abs=0.15)
+    assert score.unexplained == pytest.approx(FULL_RATIO * count - score.evidence)
 
 
 def test_a_person_who_stood_there_when_the_map_was_made_hides_no_place():
@@ -183,9 +183,9 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
 
     def best_of(unexplained: float, ahead: float, beside_m: float = 5.0) -> object:
-        best = CandidatePose(np.zeros(3), Weight(500.0, unexplained, 0.0, 1.0), loop)
+        best = CandidatePose(np.zeros(3), PlaceScore(500.0, unexplained, 0.0, 1.0), loop)
         other = CandidatePose(
-            np.array([beside_m, 0.0, 0.0]), Weight(500.0 - ahead, unexplained, 0.0, 1.0), loop
+            np.array([beside_m, 0.0, 0.0]), PlaceScore(500.0 - ahead, unexplained, 0.0, 1.0), loop
         )
         return search.best_of([other, best])
 
@@ -210,7 +210,10 @@ def test_after_an_unmeasured_motion_a_place_must_beat_new_ground_and_dead_reckon
     def best_of(evidence: float, x_m: float, rival: float = -300.0) -> object:
         places = [
             CandidatePose(
-                np.array([x, 0.0, 0.0]), Weight(nats, 200.0, 0.0, 0.3), loop, prior.nats(np.array([x, 0, 0]))
+                np.array([x, 0.0, 0.0]),
+                PlaceScore(nats, 200.0, 0.0, 0.3),
+                loop,
+                prior.nats(np.array([x, 0, 0])),
             )
             for x, nats in ((x_m, evidence), (9.0, rival))
         ]

@@ -72,7 +72,7 @@ def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_
         assert all(abs(off[1]) < 0.02 and abs(off[2]) < 0.01 for off in off_m)
         assert (max((abs(off[0]) for off in off_m), default=0.0) > 1.5) == are_there_others
         best, *others = find_places(known_map, seen)
-        rivals = [one.fit.pose for one in others if best.weight.evidence - one.weight.evidence < 20.0]
+        rivals = [one.fit.pose for one in others if best.score.evidence - one.score.evidence < 20.0]
         assert any(0.1 < abs(at[0] - best.fit.pose[0]) < 1.65 for at in rivals) == are_there_others
 
 
