@@ -1,4 +1,4 @@
-"""Acceleration that fades within a correlation time: what it does to speed and way; [2], [3].
+"""Transition and process noise of an acceleration with exponential correlation; [2], [3].
 
 Numbers in brackets are those of docs/estimator.md. Source: Singer, Estimating optimal tracking filter
 performance for manned maneuvering targets, IEEE Transactions on Aerospace and Electronic Systems 6, 1970.
@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 from service.kernels.compiled import inner_kernel
 
-SHORT = 1.0  # times the correlation time: below, differences of near equals give way to their series
+SHORT = 1.0  # in correlation times: below, differences of near equals are computed as power series
 TERMS = 20  # of the series: the last is 1e-14 of the first
 
 
 class Transition(NamedTuple):
-    """From one moment to a later one: how far an acceleration then carries, and the noise on the way."""
+    """Transition of twist and acceleration over a time step, with the integrated process noise."""
 
-    kept: float  # of the acceleration
+    kept: float  # factor on the acceleration
     to_twist_s: float  # change of speed = to_twist_s * acceleration
-    to_step_s2: float  # way beyond that at the speed of before = to_step_s2 * acceleration
+    to_step_s2: float  # displacement beyond constant speed = to_step_s2 * acceleration
     step_step: float  # variances over the density of [2]: s^3, s^2, s, s, 1, 1/s
     step_twist: float
     step_acceleration: float

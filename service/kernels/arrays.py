@@ -1,4 +1,4 @@
-"""Types of the arrays that kernels take: C-contiguous, which mypy does not know, and not read-only."""
+"""Types of the arrays that kernels take: C-contiguous and, unless named Readonly, writable."""
 
 from typing import Annotated
 
@@ -29,7 +29,7 @@ UInt16_4D = Annotated[npt.NDArray[np.uint16], Layout(np.uint16, 4)]
 Bool_1D = Annotated[npt.NDArray[np.bool_], Layout(np.bool_, 1)]
 Bool_2D = Annotated[npt.NDArray[np.bool_], Layout(np.bool_, 2)]
 ReadonlyFloat32_1D = Annotated[npt.NDArray[np.float32], Layout(np.float32, 1, is_readonly=True)]
-# Kernels that take these are compiled for both: for maps of floats and of bytes.
+# A kernel with this type is compiled twice: for maps of floats and of bytes.
 LikelihoodCells = Annotated[
     npt.NDArray[np.float32] | npt.NDArray[np.uint8], Layout(np.float32, 3), Layout(np.uint8, 3)
 ]

@@ -1,4 +1,4 @@
-"""Learning a likelihood map as a background: what is hit again grows, what beams pass through fades."""
+"""Background learning of a likelihood map: cells rise where hit and fall where beams pass through."""
 
 import math
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
 
 MAX_SEEN = 65_535
-INTERPOLATION_SIGMAS = 3.0  # how far a cell is interpolated from
+INTERPOLATION_SIGMAS = 3.0  # radius of the interpolation
 
 
 class LearningSettings(NamedTuple):
@@ -26,21 +26,22 @@ class LearningSettings(NamedTuple):
     is_printed: bool
     is_bounded: bool
     counts_blur: bool
-    scans: int = 1  # so many like it a scan stands for: those before it that were not learned
+    scans: int = 1  # number of scans this one stands for: it and those skipped before it
 
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, LikelihoodLevel, int, float, ScanCells)
 def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, cells):
-    """Put the cells that beams passed through before their end on the scan's list, with value 0.
+    """Add the cells that beams passed through before their end point to the scan's list, with value 0.
 
     xy_base         (N, 2) float64    end points, m, base frame
-    sensor_xy_m     (2,)   float64    where the beams start, m, base frame
+    sensor_xy_m     (2,)   float64    start of the beams, m, base frame
     pose            (3,)   float64    base in the frame of the map
     level           LikelihoodLevel   in and out: marks
-    protect_count   int               cells seen in more scans are passed over; so are those of likelihood 0
-    free_range_m    float             beams are followed so far
-    cells           ScanCells         in: what blur_scan made; out: with the cells passed
-    Source: Amanatides and Woo 1987. Cells on the list already stay as they are: no beam clears what is there.
+    protect_count   int               cells seen in more scans are skipped, as are those of likelihood 0
+    free_range_m    float             length up to which beams are traced
+    cells           ScanCells         in: from blur_scan; out: with the cells passed
+    Cells already on the list are unchanged: no beam clears what the scan hits.
+    Source: Amanatides and Woo 1987.
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -80,7 +81,7 @@ def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, 
 
 @kernel(LikelihoodLevel, int, ScanCells)
 def mark_unseen(level, protect_count, cells):
-    """Put every cell of the map that the scan says nothing of on its list, with value 0: the printed rule.
+    """Add every cell of the map that is not on the scan's list to it, with value 0: the rule as printed.
 
     Arguments as in mark_passed.
     """
@@ -100,22 +101,22 @@ def mark_unseen(level, protect_count, cells):
 
 @inner_kernel
 def kept_rising(highest, settings):
-    """Share of its old likelihood that a rising cell keeps. Source: Li et al. 2016, eq. 14: 1 - w_u."""
+    """Factor on the old likelihood of a rising cell. Source: Li et al. 2016, eq. 14: 1 - w_u."""
     return (1.0 - settings.rate * (1.0 + settings.control * highest)) ** settings.scans
 
 
 @inner_kernel
 def kept_falling(highest, settings):
-    """Share of its old likelihood that a falling cell keeps. Source: Li et al. 2016, eq. 16: 1 - w_d."""
+    """Factor on the old likelihood of a falling cell. Source: Li et al. 2016, eq. 16: 1 - w_d."""
     return (1.0 - settings.rate / (1.0 + settings.control * highest)) ** settings.scans
 
 
 @inner_kernel
 def averaged(likelihood, highest, value, settings):
-    """Likelihood of a cell beside a hit one, brought nearer to what the scan gives it.
+    """Likelihood of a cell beside a hit, averaged with that of the scan: rate w_u upwards, w_d downwards.
 
-    Noise hits a wall now in this cell, now in the one beside it: with the rise rate the one beside would fall
-    16 times as fast as where nothing is seen (tau = 3), so upwards at w_u, downwards at w_d.
+    Range noise moves the hits of a wall between neighbouring cells. With w_u in both directions the cell
+    beside would fall 16 times as fast as an unseen one (tau = 3).
     """
     kept = kept_rising(highest, settings) if value > likelihood else kept_falling(highest, settings)
     return kept * likelihood + (1.0 - kept) * value
@@ -123,11 +124,10 @@ def averaged(likelihood, highest, value, settings):
 
 @inner_kernel
 def increase(likelihood, highest, value, settings):
-    """Likelihood of a cell that is hit again, by a scan that gives it `value`.
+    """Likelihood of a cell hit by a scan of likelihood `value`.
 
-    Source: Li et al. 2016, eqs. 13 and 14. Where settings.is_printed is false, max() with the scan is left
-    out: with it one hit is as good as a hundred, and noise adds up to a wall as thick as the worst scan
-    makes it.
+    Source: Li et al. 2016, eqs. 13 and 14. Without settings.is_printed the max() with the scan is left out:
+    with it a single hit counts fully, and noise makes a wall as thick as in the worst scan.
     """
     base = max(likelihood, value) if settings.is_printed else likelihood
     return 1.0 - kept_rising(highest, settings) * (1.0 - base)
@@ -135,13 +135,13 @@ def increase(likelihood, highest, value, settings):
 
 @inner_kernel
 def decrease(likelihood, highest, settings):
-    """Likelihood of a cell that nothing was seen in. Source: Li et al. 2016, eqs. 15 and 16."""
+    """Likelihood of a cell in which nothing was seen. Source: Li et al. 2016, eqs. 15 and 16."""
     return kept_falling(highest, settings) * likelihood
 
 
 @inner_kernel
 def store(level, slot, r, q, likelihood, scans):
-    """Put a new likelihood into a cell, keep the highest, and count so many scans."""
+    """Store the new likelihood of a cell, update its maximum and its scan count."""
     level.likelihood[slot, r, q] = np.float32(likelihood)
     level.highest[slot, r, q] = max(level.highest[slot, r, q], np.float32(likelihood))
     level.seen[slot, r, q] = np.uint16(min(level.seen[slot, r, q] + scans, MAX_SEEN))
@@ -149,7 +149,7 @@ def store(level, slot, r, q, likelihood, scans):
 
 @inner_kernel
 def listed(level, row, column):
-    """Row of a cell in the scan's list, -1 where it is not on it."""
+    """Row of a cell in the scan's list, -1 where it is absent."""
     slot = find_tile(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
     if slot == NO_TILE:
         return np.int64(-1)
@@ -158,7 +158,7 @@ def listed(level, row, column):
 
 @inner_kernel
 def rise_at(level, k, old, settings, cells):
-    """p_u of a cell: what the nearest hits say.
+    """p_u of a cell, interpolated from the nearest hits.
 
     Source: Li et al. 2016, eq. 17, a maximum where argmax is printed.
     k     int     its row in the list
@@ -186,7 +186,7 @@ def rise_at(level, k, old, settings, cells):
 
 @inner_kernel
 def spread_falls(level, settings, cells):
-    """Fill p_d of the cells that are only blurred. Source: Li et al. 2016, eq. 17: the most negative."""
+    """Fill p_d of the blurred cells. Source: Li et al. 2016, eq. 17: the most negative."""
     radius = INTERPOLATION_SIGMAS * settings.sigma_cells
     reach = math.floor(radius)
     for i in range(cells.rows[0]):
@@ -214,9 +214,8 @@ def learn_scan(level, settings, cells):
     level      LikelihoodLevel   in and out
     settings   LearningSettings
     cells      ScanCells         from blur_scan and mark_passed or mark_unseen, all rows present
-    A cell that was never seen takes the scan's own likelihood, as the whole map does at the first scan.
-    Others are increased where hit, decreased where passed, and where only blurred interpolated between those
-    (as printed) or brought nearer to the scan's own likelihood, upwards and downwards at their own rates.
+    A cell seen for the first time takes the scan's likelihood. Others rise where hit and fall where passed. A
+    blurred cell is interpolated between those (as printed), or averaged with the scan's likelihood.
     Source: Li et al. 2016, section 2.4, eqs. 13 to 18.
     """
     for k in range(cells.rows[0]):
@@ -254,7 +253,7 @@ def interpolated(level, k, old, value, settings, cells):
 
     k       int     its row in the list, p_d filled in
     old     float   its likelihood before
-    value   float   that in the scan's own map; where settings.is_bounded nothing rises above it
+    value   float   that in the scan's own map, with settings.is_bounded an upper bound
     """
     rise = 0.0
     if old < (value if settings.is_bounded else 1.0):

@@ -1,8 +1,7 @@
-"""How likely the beams of a scan are at a pose in a known map, against ground that nobody knows.
+"""Log-likelihood ratio of the beams of a scan at a pose in a known map, against unknown ground.
 
-A beam is likely where it ends on a wall of the map, less likely where the map knows that nothing stands, and
-it does not go through walls. A wall that it does go through is asked once, however many beams do so: a thing
-that is gone is one thing, near the sensor or far from it.
+A beam is likely where it ends on a wall of the map, and unlikely in known free space or behind a wall. Each
+wall that beams pass through counts once, however many do so: one removed object is one event.
 """
 
 import math
@@ -32,31 +31,31 @@ from service.kernels.tiles import NO_TILE, find_tile
 
 MIN_BEAM_COSINE = 0.6  # between the normal of a point and that of its wall
 WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map and of the pose
-POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of points as such; they are kept in cells
-# Densities of where a beam ends, 1/m. People, chairs and doors stand where nothing stood. Where the map knows
-# nothing, or ends, anything may stand; but surfaces are smooth, so given the beam beside it one ends within
-# 0.1 m (1 sigma).
+POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of end points without a normal, kept in a grid
+# Densities of the end of a beam, 1/m: in known free space, by people, chairs and doors; on unknown ground,
+# where surfaces are smooth: a beam ends within 0.1 m (1 sigma) of its neighbour.
 IN_FREE, NOT_KNOWN = 0.01, 4.0
-ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on what the map has there
-AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # other side of a wall, which is about so thick
-THROUGH_REACH_M = 0.07  # how far from the middle of a surfel it still is the wall
-MIN_OPEN = 0.02  # a wall that stood at all times is gone this often
+ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on mapped surfaces
+AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # back of a wall: share, thickness of the wall, its sigma
+THROUGH_REACH_M = 0.07  # half length of a surfel in the test whether a beam passes through it
+MIN_OPEN = 0.02  # least probability that a wall was removed
 FULL_RATIO = 1.5  # nats: mean of beams that all end on walls
 AGAINST_RATIO = 0.5 * math.log(IN_FREE / NOT_KNOWN)  # nats: a beam below it contradicts the map
 
 
 class KnownGround(NamedTuple):
-    """A map as beams are asked of it.
+    """A map prepared for evaluating beams.
 
     walls     SurfelGrid
-    has_wall  (H, W) bool                   whether a surfel lies in a cell of `walls`, from its first tile on
-    looked    (capacity, T, T, 2) float32   beams of the map itself that went through each of the surfels
-    ground    OccupancyGrid                 of cells as large as those of `walls`
-    free      int                           evidence at or below it: nothing stands in a cell
+    has_wall  (H, W) bool                   whether a cell of `walls` has a surfel, from its first tile on
+    looked    (capacity, T, T, 2) float32   beams of the map's own scans that passed through each surfel
+    ground    OccupancyGrid                 with cells of the size of those of `walls`
+    free      int                           a cell with at most this evidence is free
     points    (H, W) uint8                  likelihood of an end point near those of the map, cells of
                                             POINT_CELL_M, by splat_points
     first_row, first_column   int           of the cell of the map that is points[0, 0]
-    asked     (capacity, T, T) int32        the pose, by number, for which a cell of `walls` was gone through
+    asked     (capacity, T, T) int32        number of the last pose whose beams passed through a cell of
+                                            `walls`
     """
 
     walls: SurfelGrid
@@ -72,7 +71,7 @@ class KnownGround(NamedTuple):
 
 @njit(cache=True, nogil=True, inline="always")
 def goes_through(surfels, slot, row, column, side, u, v, du, dv):
-    """Whether a beam goes through a surfel, from either side, and ends clearly behind it.
+    """Whether a beam passes through a surfel, from either side, and ends at least BEHIND_M behind it.
 
     u, v     float   start of the beam, m from the centre of the cell
     du, dv   float   from there to its end point, m
@@ -93,12 +92,12 @@ def goes_through(surfels, slot, row, column, side, u, v, du, dv):
 
 @kernel(Float64_2D, Float64_1D, SurfelGrid, float, Float32_4D)
 def count_looks(ends, sensor, walls, weight, looked):
-    """Count the beams of one scan that go through surfels.
+    """Count the beams of one scan that pass through each surfel.
 
     ends     (N, 2) float64   m, frame of the map
-    sensor   (2,)   float64   where they begin
+    sensor   (2,)   float64   start of the beams
     walls    SurfelGrid
-    weight   float            what each of them counts
+    weight   float            of each beam
     looked   (capacity, T, T, 2) float32   in and out
     """
     cell_m = walls.cell_m
@@ -115,7 +114,7 @@ def count_looks(ends, sensor, walls, weight, looked):
                 v = sensor[1] - (row + 0.5) * cell_m
                 for side in range(2):
                     if walls.surfels[slot, r, q, side, COUNT] == 0.0:
-                        break  # the second side is never filled before the first
+                        break  # sides are filled in order
                     if goes_through(walls.surfels, slot, r, q, side, u, v, du, dv):
                         looked[slot, r, q, side] += np.float32(weight)
             is_column = next_column < next_row
@@ -126,18 +125,18 @@ def count_looks(ends, sensor, walls, weight, looked):
 
 
 def cells_with_walls(walls: SurfelGrid) -> npt.NDArray[np.bool_]:
-    """`has_wall` of a KnownGround: a byte a cell, where a surfel takes forty."""
+    """`has_wall` of a KnownGround: one byte a cell instead of forty."""
     rows, columns = walls.tiles.slots.shape
     has_wall = np.zeros((rows, TILE_CELLS, columns, TILE_CELLS), np.bool_)
     for row, column in np.argwhere(walls.tiles.slots != NO_TILE).tolist():
         surfels = walls.surfels[walls.tiles.slots[row, column]]
-        has_wall[row, :, column, :] = surfels[:, :, 0, COUNT] > 0.0  # the second side is never filled before
+        has_wall[row, :, column, :] = surfels[:, :, 0, COUNT] > 0.0  # sides are filled in order
     return has_wall.reshape(rows * TILE_CELLS, columns * TILE_CELLS)
 
 
 @kernel(Float64_2D, int, int, UInt8_2D)
 def splat_points(xy, first_row, first_column, points):
-    """Likelihood of an end point near others: the most that any of them says, 255 at one of them.
+    """Raise the likelihood of an end point around each point, to 255 at the point itself.
 
     xy       (N, 2) float64   m, no nearer than POINT_REACH cells to the border
     points   (H, W) uint8     in and out, cells of POINT_CELL_M
@@ -146,7 +145,7 @@ def splat_points(xy, first_row, first_column, points):
     for i in range(xy.shape[0]):
         column, row = math.floor(xy[i, 0] / POINT_CELL_M), math.floor(xy[i, 1] / POINT_CELL_M)
         if points[row - first_row, column - first_column] > 250:
-            continue  # another point lies in the middle of the cell
+            continue  # another point is at the centre of the cell
         for r in range(row - POINT_REACH, row + POINT_REACH + 1):
             dy = (r + 0.5) * POINT_CELL_M - xy[i, 1]
             for q in range(column - POINT_REACH, column + POINT_REACH + 1):
@@ -158,11 +157,11 @@ def splat_points(xy, first_row, first_column, points):
 
 @inner_kernel
 def openness(u, v, du, dv, known, number):
-    """Log-probability that what a beam goes through is gone; what another beam of the pose `number` went
-    through is gone already, and says nothing.
+    """Log-probability that the walls along a beam were removed; walls counted for this pose are skipped.
 
     u, v     float   start, m, frame of the map
     du, dv   float   from there to its end
+    number   int     of the pose
     """
     walls, looked, has_wall = known.walls, known.looked, known.has_wall
     cell_m = walls.cell_m
@@ -211,7 +210,7 @@ def openness(u, v, du, dv, known, number):
 
 @inner_kernel
 def density_of_ground(ground, free, x, y):
-    """Of beams that end where no wall of the map is, 1/m; free ground is known in the cells around, too."""
+    """Density of beams that end off the walls of the map, 1/m; in free space its 3 x 3 cells are free."""
     column, row = math.floor(x / ground.cell_m), math.floor(y / ground.cell_m)
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
@@ -223,15 +222,14 @@ def density_of_ground(ground, free, x, y):
 
 @inner_kernel
 def weigh_ends(xy, normals, pose, known, at_end):
-    """Log-likelihood of where each beam ends at a pose, less that on ground of which the map knows nothing.
+    """Log-likelihood ratio of the end of each beam at a pose, against unknown ground.
 
     xy        (N, 2) float64   ends of the beams, m
     normals   (N, 3) float64   of the walls there
     pose      (3,)   float64   of their frame in the map
     known     KnownGround
-    at_end    (N,)   float64   out, nats: about FULL_RATIO on a wall, 0 on unknown ground, below 0 where the
-                               map knows that nothing stands
-    Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model).
+    at_end    (N,)   float64   out, nats: about FULL_RATIO on a wall, 0 on unknown ground, negative in free
+    space Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model).
     """
     count = xy.shape[0]
     front, back, turned = np.empty((count, 6)), np.empty((count, 6)), normals.copy()
@@ -261,17 +259,17 @@ def weigh_ends(xy, normals, pose, known, at_end):
 
 @inner_kernel
 def weigh_ways(xy, sensors, pose, known, number, least, along_beam):
-    """Log-probability that what the beams go through is gone; gives up where it is less than `least` in sum.
+    """Log-probability that the walls along each beam were removed; stops once the sum is below `least`.
 
     xy        (N, 2) float64   ends of the beams, m
-    sensors   (N, 2) float64   where each begins, m, in the frame of xy
+    sensors   (N, 2) float64   their starts, m, in the frame of xy
     pose      (3,)   float64   of that frame in the map
-    known     KnownGround      `asked` is written to
-    number    int              of this pose: another one than that of the call before
+    known     KnownGround      its pose numbers are updated
+    number    int              of this pose; unlike that of the call before
     least     float            nats
-    on_way    (N,)   float64   out, nats, 0 or less; what is not asked any more: 0
-    Returns their sum.
-    Source: a wall is gone by hits and misses, as reflection maps count them (Haehnel 2004).
+    along_beam (N,)  float64   out, nats, 0 or less; 0 for beams not evaluated
+    Returns the sum.
+    Source: hits and misses of a surfel, as in reflection maps (Haehnel 2004).
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     along_beam[:] = 0.0

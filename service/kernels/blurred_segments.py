@@ -36,14 +36,14 @@ def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
 
     xy_map         (N, 2) float64   m, axes of the map
     axis           int              0: parallel to x, 1: to y
-    gap_m          (N,)   float64   a step to the next point along the axis longer than this parts a segment;
-                                    of two neighbours the larger counts
+    gap_m          (N,)   float64   a longer step to the next point along the axis splits a segment; of two
+                                    neighbours the larger counts
     limits         (2,)   float64   width of a band, least length of a segment; m
-    least_points   int              the search ends with a band of no more points (n)
+    least_points   int              the search ends with a band of at most so many points (n)
     segment        (N, 2) int32     column `axis` out: number of the segment of each point, or NO_SEGMENT
     Returns the number of segments.
-    Source: Qian et al. 2019, algorithm 1. As printed it never ends where no piece of the fullest band is long
-    enough; here no band may begin again within half a width of such a one.
+    Source: Qian et al. 2019, algorithm 1. As printed it never ends where no part of the fullest band is long
+    enough; here no band may begin again within half a width of such a band.
     """
     width_m, length_m = limits[0], limits[1]
     count = xy_map.shape[0]
@@ -60,7 +60,7 @@ def segments_along(xy_map, axis, gap_m, limits, least_points, segment):
         may_begin[i] = True
         segment[i, axis] = NO_SEGMENT
     found = 0
-    for _ in range(count):  # each round takes points away, or at least the begin of a band
+    for _ in range(count):  # each round removes points, or at least the start of a band
         first, last, live = fullest_band(across, alive, may_begin, width_m)
         if live <= least_points:
             break

@@ -1,6 +1,6 @@
-"""Branch and bound on a likelihood map: the candidate that an exhaustive search finds, asking far fewer.
+"""Branch and bound on a likelihood map: the result of an exhaustive search, with far fewer evaluations.
 
-Rounding keeps order, so a bound, a sum of float32 in the order of the points, is never below what it bounds.
+Rounding is monotonic: a bound, a float32 sum in the order of the points, is never below what it bounds.
 """
 
 from typing import NamedTuple
@@ -21,10 +21,10 @@ from service.kernels.tiles import NO_TILE, find_tile
 
 
 class MaxPyramid(NamedTuple):
-    """Cell (r, c) of level l is the maximum over the 2^l x 2^l cells of the layer from there towards +x, +y.
+    """Max pyramid: cell (r, c) of level l is the maximum over 2^l x 2^l cells of the layer, towards +x, +y.
 
     levels           (L, H, W)  uint8 or float32, as the cells of the layer
-    first_row, first_column   int   which cell of the layer is levels[0, 0, 0]
+    first_row, first_column   int   cell of the layer at levels[0, 0, 0]
     empty, offset, scale, cell_m    as in the layer
     """
 
@@ -41,9 +41,9 @@ class MaxPyramid(NamedTuple):
 def build_pyramid(layer, first_row, first_column, levels):
     """Fill a max pyramid from the part of a layer that begins at a cell.
 
-    first_row, first_column   int   the cell of the layer that becomes levels[0, 0, 0]; see padding_cells
+    first_row, first_column   int   the cell of the layer at levels[0, 0, 0]; see padding_cells
     levels                    (L, H, W)  out, of the type of layer.cells
-    Returns a MaxPyramid over `levels`. What it does not cover counts as empty.
+    Returns a MaxPyramid over `levels`. Cells outside it count as empty.
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
     height, width = levels.shape[1], levels.shape[2]
@@ -73,7 +73,7 @@ def build_pyramid(layer, first_row, first_column, levels):
 
 @seldom_kernel(LikelihoodCells, float)
 def pool_levels(levels, empty):
-    """Fill levels 1 and up from level 0; beyond the upper borders all is `empty`."""
+    """Fill levels 1 and up from level 0; cells beyond the upper borders are `empty`."""
     height, width = levels.shape[1], levels.shape[2]
     outside = np.full(width, empty, levels.dtype)
     for level in range(1, levels.shape[0]):
@@ -97,7 +97,7 @@ def padding_cells(level_count: int) -> int:
 
 @inner_kernel
 def block_sum(cells, counts, pyramid, level, shift_row, shift_column):
-    """Sum of a level at shifted points: no less than that of any candidate in the block.
+    """Sum of a level at shifted points: an upper bound of every candidate in the block.
 
     cells     (C, 2) int64     row and column in the layer, from turned_cells
     counts    (C,)   float32   points in each
@@ -129,11 +129,11 @@ def nearest_square(low, high):
 
 @seldom_kernel(Float64_2D, MaxPyramid, SearchWindow, float)
 def search_branch_and_bound(xy_base, pyramid, window, least_score):
-    """The candidate that search_exhaustive finds on the layer of the pyramid, without asking most of them.
+    """The candidate of search_exhaustive on the layer of the pyramid, without evaluating most of them.
 
     xy_base       (N, 2) float64   m, base frame
     pyramid       MaxPyramid
-    least_score   float            nothing is returned below it; -inf asks for the best however poor
+    least_score   float            lower bound of the result; -inf: none
     Returns a SearchResult; with score -inf and the centre where nothing reaches least_score.
     Source: Hess et al. 2016, algorithm 3: depth first, the better half first; ties as in SearchResult.
     """
@@ -168,7 +168,7 @@ def search_branch_and_bound(xy_base, pyramid, window, least_score):
     best_rank = np.int64(2**62)
     best_k, best_j, best_i = np.int64(half_theta), np.int64(half_y), np.int64(half_x)
     found = False
-    stack = np.empty((4 * top + 4, 3), np.int64)  # level, j, i of blocks to look into, best on top
+    stack = np.empty((4 * top + 4, 3), np.int64)  # level, j, i of blocks to split, best on top
     stack_bounds = np.empty(4 * top + 4, np.float32)
     child = np.empty((4, 2), np.int64)
     child_bounds = np.empty(4, np.float32)

@@ -1,8 +1,9 @@
-"""Directions of walls that one scan hits with two or three beams, by the points of several key frames.
+"""Normals of walls that a scan hits with two or three beams, by the points of several key frames.
 
-The far side of a sunk door is hit by a few beams only. One scan does not know its direction, but the points
-of several scans lie beside each other on it. Each cell has the first and second moments of the points that
-no scan by itself could give a direction, and of what noise adds to them; [27] of docs/estimator.md.
+A single scan cannot estimate such a normal, but the points of several scans lie beside each other on the
+wall.
+Each cell keeps the first and second moments of the points without a normal of their own, and what noise adds
+to the moments; [27] of docs/estimator.md.
 
 Sources: Biber, Strasser, The normal distributions transform, IROS 2003; Chan, Golub, LeVeque, Updating
 formulae and a pairwise algorithm for computing sample variances, 1979.
@@ -29,20 +30,20 @@ from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_s
 MOMENT_TILE_BITS = 4
 MOMENT_TILE_CELLS = 1 << MOMENT_TILE_BITS
 MOMENT_TILE_MASK = MOMENT_TILE_CELLS - 1
-# Key frames go into the halves by turns: directions by one and by the other have no noise in common.
+# Key frames alternate between the halves: the noise of their normals is independent.
 HALVES = 2
 # Columns of a half: weights, 1 / noise^2 each; mean from the centre of the cell, m; weighted squares
 # about it; squares of the beams' directions, which noise adds to those. Their trace counts the points.
 WEIGHT, MOMENT_MEAN_X, MOMENT_MEAN_Y, XX, XY, YY, NOISE_XX, NOISE_XY, NOISE_YY = range(9)
 MOMENTS = 9
-MIN_POINTS = 6.0  # that a direction is taken from
-MAX_POINTS = 200.0  # then a half counts half: it forgets
-OFF_SIGMAS = 2.5  # a point farther from the plane of its cell lies beside it: behind a corner, or in the air
-RESTART_POINTS = 12.0  # a cell that is no plane with so many points begins anew without those behind a corner
+MIN_POINTS = 6.0  # of a normal
+MAX_POINTS = 200.0  # above it the moments of a half are halved
+OFF_SIGMAS = 2.5  # a point farther off the plane of its cell does not belong to it
+RESTART_POINTS = 12.0  # a cell with so many points that is no plane is cleared
 
 
 class MomentGrid(NamedTuple):
-    """Of one sub-map.
+    """Moments of one sub-map.
 
     tiles     TileIndex                             tiles of MOMENT_TILE_CELLS a side
     moments   (capacity, T, T, HALVES, MOMENTS)  float32
@@ -56,13 +57,14 @@ class MomentGrid(NamedTuple):
 
 @inner_kernel
 def normal_of(xx, xy, yy, noise_xx, noise_xy, noise_yy, weight):
-    """Normal (2,) of the plane that squares about a mean show, without what noise adds to them; the squares
-    across it, what noise explains of them, and the squares along it, all in units of the noise. [27]
+    """Normal (2,) of a plane by its weighted squares, less those of noise; [27].
+
+    Also returns the squares across it, their expectation by noise, and the squares along it.
     """
     half = 0.5 * (xx - noise_xx - yy + noise_yy)
     off = xy - noise_xy
     root = math.hypot(half, off)
-    if half >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing
+    if half >= 0.0:  # eigenvector of the small eigenvalue, in the form without cancellation
         nx = -off
         ny = half + root
     else:
@@ -81,22 +83,22 @@ def normal_of(xx, xy, yy, noise_xx, noise_xy, noise_yy, weight):
 
 @inner_kernel
 def is_thin(across, expected, count):
-    """Whether so many points lie on one plane: what lies across is chi-square with count - 2 degrees."""
+    """Whether points lie on one plane: squares across are chi-square, count - 2 degrees of freedom."""
     return across <= expected * (1.0 + THICK_SIGMAS * math.sqrt(2.0 / (count - 2.0)))
 
 
 @kernel(Float64_2D, Float64_1D, float, Float64_2D, Float64_2D, Float64_1D, MomentGrid, int)
 def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose, grid, half):
-    """Add those points of a key frame that have no direction of their own to the cells they lie in.
+    """Add the points of a key frame that have no normal to the moments of their cells.
 
     xy_base         (N, 2) float64   m, base frame
-    sensor_xy_m     (2,)   float64   where the beams start, m, base frame
+    sensor_xy_m     (2,)   float64   start of the beams, m, base frame
     range_sigma_m   float            noise of a range
-    normals         (N, 3) float64   from estimate_normals: points of ROUGH_WEIGHT are added, but for
-    directed        (N, 3) float64   those of weight 0 here, which direct_by_moments has found off a plane
+    normals         (N, 3) float64   from estimate_normals: points of ROUGH_WEIGHT are added
+    directed        (N, 3) float64   from direct_by_moments: points of weight 0, off a plane, are left out
     pose            (3,)   float64   base in the frame of the grid
     grid            MomentGrid       in and out; its index covers the points
-    half            int              of HALVES, that this key frame goes into
+    half            int              half of this key frame, below HALVES
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -152,15 +154,16 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
 
 @inner_kernel
 def is_known(across, expected, along, count):
-    """Whether so many points show the direction of their plane, as MAX_ANGLE asks; see normal_of."""
+    """Whether the normal of a plane is known to MAX_ANGLE; arguments from normal_of."""
     most_rad2 = (MAX_ANGLE * ANGLE_SIGMA_RAD) ** 2
     return max(across, expected) <= most_rad2 * along * count
 
 
 @inner_kernel
 def plane_near(pooled):
-    """Normal (2,) of moments about a point (9,), see pool_cells; whether they are a plane; whether they show
-    its direction; and the variance of the points along it, m^2.
+    """Normal (2,) of pooled moments (9,), see pool_cells.
+
+    Also returns whether they are a plane, whether its normal is known, and the variance along it, m^2.
     """
     w = pooled[WEIGHT]
     wx = pooled[MOMENT_MEAN_X]
@@ -181,18 +184,18 @@ def plane_near(pooled):
 
 @inner_kernel
 def most_off_m2(cosine, noise_m2):
-    """Square of how far noise brings a point off its plane, m^2; cosine: of the incidence."""
+    """Square of the gate of a point's distance from its plane, m^2; cosine: of the incidence."""
     return OFF_SIGMAS * OFF_SIGMAS * (noise_m2 * cosine * cosine + WALL_M * WALL_M)
 
 
 @inner_kernel
 def is_within(nx, ny, along_m2, pooled, ux, uy, noise_m2):
-    """Whether a point lies within a wall, so far from its ends that it is of no other wall that begins there.
+    """Whether a point lies within a wall, far enough from its ends to belong to no other wall.
 
     nx, ny     float   normal of the wall
-    along_m2   float   variance of its points along it, m^2: they are spread evenly
+    along_m2   float   variance of its points along it, m^2; uniform distribution
     pooled     (9,)    from pool_cells
-    ux, uy     float   unit vector to the sensor: noise brings points along the beam from one wall to another
+    ux, uy     float   unit vector to the sensor: noise moves points along the beam
     """
     beside_m = abs(ny * pooled[MOMENT_MEAN_X] - nx * pooled[MOMENT_MEAN_Y]) / pooled[WEIGHT]
     half_m = math.sqrt(3.0 * max(along_m2, 0.0))
@@ -201,19 +204,19 @@ def is_within(nx, ny, along_m2, pooled, ux, uy, noise_m2):
 
 @inner_kernel
 def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
-    """Moments about a point of the 3 x 3 cells around it.
+    """Pool the moments of the 3 x 3 cells around a point.
 
     grid, half    as in direct_by_moments
     x, y          float   m, the point in the frame of the grid
     ux, uy        float   unit vector to the sensor, in that frame
-    noise_m2      float   square of the noise of a range
-    only_planes   bool    cells alone that by themselves are a plane on which the point lies; else all, by
-                          their distance from the point
+    noise_m2      float   variance of a range
+    only_planes   bool    use only cells that by themselves are a plane through the point, with equal weights;
+                          else all, weighted by distance
     pooled        (9,) float64   out: columns as in a cell; MOMENT_MEAN_X, MOMENT_MEAN_Y are weighted sums
-    Returns how many points they are of.
+    Returns the number of points.
     """
     moments = grid.moments
-    slots = grid.tiles.slots  # an index in a loop costs a reference
+    slots = grid.tiles.slots  # hoisted: an index in the loop costs a reference
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
     cell_m = grid.cell_m
@@ -237,7 +240,7 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
             cell = moments[slot, (row + v) & MOMENT_TILE_MASK, (column + u) & MOMENT_TILE_MASK, half]
             if cell[WEIGHT] == 0.0:
                 continue
-            mx = u * cell_m + cell[MOMENT_MEAN_X] - dx  # from the point: nothing cancels
+            mx = u * cell_m + cell[MOMENT_MEAN_X] - dx  # relative to the point: no cancellation
             my = v * cell_m + cell[MOMENT_MEAN_Y] - dy
             near = 1.0 - (mx * mx + my * my) * per_square_reach
             if near <= 0.0:
@@ -275,21 +278,20 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
 def direct_by_moments(
     xy_base, sensor_xy_m, range_sigma_m, pose, grid, half, grazing_weight, weight_off_plane, normals
 ):
-    """Give points without a direction of their own that of the plane which key frames have shown there.
+    """Set the normals of points without one from the moments of the key frames.
 
-    The moments of the 3 x 3 cells around a point count by their distance from it, as surfels do. Where two
-    walls meet they are no plane together: there those cells count that are one by themselves, for points
-    that lie on it, and not where the other wall may be meant.
+    The moments of the 3 x 3 cells around a point are pooled, weighted by distance as surfels are. Where walls
+    meet these are no plane; then only cells that are a plane by themselves are pooled.
 
     xy_base            (N, 2) float64   m, base frame
-    sensor_xy_m        (2,)   float64   where the beams start, m, base frame
+    sensor_xy_m        (2,)   float64   start of the beams, m, base frame
     range_sigma_m      float            noise of a range
     pose               (3,)   float64   base in the frame of the grid
     grid               MomentGrid
-    half               int              of HALVES, that directions are taken from
+    half               int              half to read, below HALVES
     grazing_weight     float            as in estimate_normals
-    weight_off_plane   float            of a point that lies beside such a plane by more than noise explains
-    normals            (N, 3) float64   in and out: from estimate_normals; points of ROUGH_WEIGHT are asked
+    weight_off_plane   float            of a point off the plane by more than noise
+    normals            (N, 3) float64   in and out: from estimate_normals; points of ROUGH_WEIGHT are changed
     """
     noise_m2 = range_sigma_m * range_sigma_m
     c = math.cos(pose[2])

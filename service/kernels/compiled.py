@@ -1,8 +1,8 @@
-"""How functions become kernels.
+"""Decorators that compile functions to kernels.
 
-numba gives each function an entry for Python, which takes every array and tuple apart, and one for C. Both
-are compiled too, and for a small function of many arrays that takes longer than the function itself. It also
-searches each function for expressions of whole arrays, to fuse their loops; kernels have loops of their own.
+numba generates for each function a wrapper for Python, which unpacks all arrays and tuples, and one for C.
+For a small function of many arrays these take longer to compile than the function. It also rewrites
+expressions of whole arrays, which kernels do not have.
 """
 
 from collections.abc import Callable
@@ -15,21 +15,21 @@ INNER_OPTIONS = {**OPTIONS, "no_cpython_wrapper": True}
 
 
 def kernel(*types: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A kernel that Python and other kernels call.
+    """A kernel called from Python and from other kernels.
 
-    types   of the arguments as Python passes them, for which it is compiled before the first scan: arrays of
-        arrays.py, NamedTuples of these, scalars
+    types   of the arguments, for which it is compiled before the first scan: arrays of arrays.py, NamedTuples
+        of these, scalars
     """
     return _declared(types, is_seldom=False)
 
 
 def seldom_kernel(*types: Any) -> Callable[[Callable[..., Any]], Any]:
-    """As kernel; not every scan calls it, so the first scans do not wait for it to be compiled."""
+    """As kernel, but compiled after the first scans: few scans call it."""
     return _declared(types, is_seldom=True)
 
 
 def inner_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that only other kernels call: it has no entry for Python."""
+    """A kernel called by other kernels only, without a wrapper for Python."""
     return njit(**INNER_OPTIONS)(function)
 
 

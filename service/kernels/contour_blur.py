@@ -25,7 +25,7 @@ from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
 PASSED, BLURRED, HIT = range(
     3
-)  # what a scan saw of a cell: a beam went through, a wall is near, a point in it
+)  # observation of a cell by a scan: a beam passed, a contour is near, a point is in it
 NODES_APART_CELLS = 1.0  # of a contour, at least
 
 
@@ -34,8 +34,8 @@ class LikelihoodLevel(NamedTuple):
 
     tiles        TileIndex                   tiles of 2**TILE_BITS cells a side
     likelihood   (capacity, T, T)  float32   M^p, 0 to 1
-    highest      (capacity, T, T)  float32   M^p-hat, the highest that ever was
-    seen         (capacity, T, T)  uint16    M^n, in how many scans; stops at its largest number
+    highest      (capacity, T, T)  float32   M^p-hat, the highest so far
+    seen         (capacity, T, T)  uint16    M^n, number of scans; saturates
     mark         (capacity, T, T)  int32     row of the cell in the scan's list + 1; 0 between two scans
     cell_m       float
     """
@@ -49,13 +49,13 @@ class LikelihoodLevel(NamedTuple):
 
 
 class ScanCells(NamedTuple):
-    """The cells of which one scan tells something.
+    """The cells observed by one scan.
 
     place    (M, 3) int32     tile slot; row and column of the cell in the map
     kind     (M,)   uint8     PASSED, BLURRED or HIT
     value    (M,)   float32   likelihood in the scan's own map; 0 where a beam passed
     fall     (M,)   float32   p_d of eq. 17, filled in while learning
-    rows     (1,)   int64     how many are in use; may exceed M, and then the rows beyond are missing
+    rows     (1,)   int64     number of cells; above M the rows beyond are missing
     """
 
     place: Int32_2D
@@ -68,17 +68,17 @@ class ScanCells(NamedTuple):
 class BlurSettings(NamedTuple):
     """Documented where they are configured."""
 
-    along_cells: float  # inf: the whole contour is as likely as its points (the traditional map)
+    along_cells: float  # inf: the entire contour is as likely as its points (the traditional map)
     across_cells: float
     is_squared: bool
-    least: float  # what is below counts as 0
+    least: float  # smaller likelihoods count as 0
     uses_lone_points: bool
     is_sub_cell: bool
 
 
 @inner_kernel
 def touch_cell(level, row, column, cells):
-    """Row of a cell in the scan's list, put there with value 0 if it was not; -1 where the list is full."""
+    """Row of a cell in the scan's list, appended with value 0 if absent; -1 where the list is full."""
     slot = find_tile(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
     if slot == NO_TILE:
         slot, used_before = take_slot(level.tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -108,7 +108,7 @@ def touch_cell(level, row, column, cells):
 
 @inner_kernel
 def raise_cell(level, row, column, value, cells):
-    """Let a cell be at least so likely in the scan's own map; the largest wins."""
+    """Raise the likelihood of a cell in the scan's own map to at least a value."""
     k = touch_cell(level, row, column, cells)
     if k >= 0:
         cells.kind[k] = max(cells.kind[k], np.uint8(BLURRED))
@@ -117,7 +117,7 @@ def raise_cell(level, row, column, value, cells):
 
 @kernel(LikelihoodLevel, ScanCells)
 def forget_scan(level, cells):
-    """Take the marks of a scan off the map and empty its list."""
+    """Clear the marks of a scan in the map and empty its list."""
     for k in range(min(cells.rows[0], cells.value.shape[0])):
         level.mark[cells.place[k, 0], cells.place[k, 1] & TILE_MASK, cells.place[k, 2] & TILE_MASK] = 0
     cells.rows[0] = 0
@@ -125,16 +125,16 @@ def forget_scan(level, cells):
 
 @kernel(BlurSettings)
 def blur_reach_cells(settings):
-    """How far from a contour, across it, anything is left of it."""
+    """Distance across a contour beyond which its likelihood is negligible, cells."""
     log_least = -math.log(settings.least)
     return settings.across_cells * (math.sqrt(2.0 * log_least) if settings.is_squared else log_least)
 
 
 @inner_kernel
 def blurred(along, across, settings):
-    """Likelihood at a distance along a contour from its nearest point, and one from the contour; cells.
+    """Likelihood by the distance along a contour from its nearest point and across it, cells.
 
-    Source: Li et al. 2016, eq. 6; with is_squared the Gaussian that its exponent is not.
+    Source: Li et al. 2016, eq. 6; with is_squared a Gaussian, unlike the printed exponent.
     """
     u = along / settings.along_cells
     v = across / settings.across_cells
@@ -148,9 +148,9 @@ def blur_segment(u0, v0, u1, v1, before, after, level, settings, cells):
     """Raise the cells beside one step of a contour.
 
     u0, v0, u1, v1   float   its ends, in cells of the level
-    before, after    float   how far beyond each end cells still belong to this step, cells
-    Distances are those of the centre of a cell. Inside, d_x is the way to the nearer end and d_y the distance
-    to the step; beyond an end d_y is the distance to that end. Source: Li et al. 2016, eqs. 6 and 7.
+    before, after    float   extension of the step beyond each end, cells
+    Distances are those of the centre of a cell. Inside, d_x is the distance to the nearer end and d_y that to
+    the step; beyond an end d_y is the distance to that end. Source: Li et al. 2016, eqs. 6 and 7.
     """
     reach = blur_reach_cells(settings)
     length = math.hypot(u1 - u0, v1 - v0)
@@ -159,7 +159,7 @@ def blur_segment(u0, v0, u1, v1, before, after, level, settings, cells):
     if length > 0.0:
         eu = (u1 - u0) / length
         ev = (v1 - v0) / length
-    # Arrays are taken out of the tuples once: a reference taken in the loop costs more than all the rest.
+    # Hoisted: a reference to an array of a tuple inside the loop costs more than the rest.
     slots = level.tiles.slots
     first_row = level.tiles.origin[0]
     first_column = level.tiles.origin[1]
@@ -206,7 +206,7 @@ def blur_segment(u0, v0, u1, v1, before, after, level, settings, cells):
 
 @inner_kernel
 def interval(slope, offset, low, high):
-    """Where low <= slope x + offset <= high: (least x, greatest x), the wrong way round where nowhere."""
+    """Solution of low <= slope x + offset <= high: (least x, greatest x), reversed where there is none."""
     if abs(slope) < 1e-9:
         return (-1e9, 1e9) if low <= offset <= high else (1.0, -1.0)
     a = (low - offset) / slope
@@ -216,7 +216,7 @@ def interval(slope, offset, low, high):
 
 @inner_kernel
 def blur_point(u, v, level, settings, cells):
-    """Raise the cells around a point without a direction, by the narrower of the two blurs."""
+    """Raise the cells around an isolated point, by the narrower of the two blurs."""
     cells_wide = min(settings.along_cells, settings.across_cells)
     narrow = BlurSettings(cells_wide, cells_wide, settings.is_squared, settings.least, True, True)
     reach = blur_reach_cells(narrow)
@@ -233,7 +233,7 @@ def blur_contour(nodes, reach, level, settings, cells):
 
     nodes   (K, 2) float64   its points, K >= 2, cells
     reach   float            from blur_reach_cells
-    At a bend the cells on its outer side go half to either step; at the ends all go to the last one.
+    At a bend the cells on its outer side are shared equally by both steps.
     """
     last = nodes.shape[0] - 2
     before = reach
@@ -252,9 +252,9 @@ def blur_contour(nodes, reach, level, settings, cells):
 
 @inner_kernel
 def draw_hits(nodes, level, settings, cells):
-    """Call the cells of points HIT; on a traditional map every cell that the contour crosses.
+    """Mark the cells of points as HIT; on a traditional map every cell that the contour crosses.
 
-    Without is_sub_cell their likelihood is 1, else it stays that of the centre of the cell.
+    Without is_sub_cell their likelihood is 1, else that of the centre of the cell.
     """
     for k in range(nodes.shape[0]):
         steps = 1
@@ -280,11 +280,11 @@ def blur_scan(xy_base, contour, pose, level, settings, cells):
     xy_base    (N, 2) float64    end points, m, base frame
     contour    (N,)   int32      from extract_contours
     pose       (3,)   float64    base in the frame of the map
-    level      LikelihoodLevel   in and out: marks, and tiles that were not there; its index covers all
+    level      LikelihoodLevel   in and out: marks and new tiles; its index covers the scan
     settings   BlurSettings
     cells      ScanCells         in: empty; out
-    Nothing below settings.least is listed, except cells that hold a point. Contours are blurred between
-    points at least a cell apart, their ends always included.
+    Likelihoods below settings.least are left out, except of cells that contain a point. Contours are blurred
+    between points at least a cell apart, including their ends.
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -310,7 +310,7 @@ def blur_scan(xy_base, contour, pose, level, settings, cells):
                     if du * du + dv * dv < NODES_APART_CELLS * NODES_APART_CELLS:
                         if i < last:
                             continue
-                        node_count = max(node_count - 1, 1)  # the end stays, the node beside it goes
+                        node_count = max(node_count - 1, 1)  # keep the end, drop the node before it
                 nodes[node_count, 0] = uv[i, 0]
                 nodes[node_count, 1] = uv[i, 1]
                 node_count += 1

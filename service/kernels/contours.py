@@ -1,4 +1,4 @@
-"""Contours: which neighbouring end points of a scan are joined to one line."""
+"""Contours: neighbouring end points of a scan joined to lines."""
 
 import math
 
@@ -9,21 +9,21 @@ from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
 ALONE = -1
-SHORTEST_STEP_M = 1e-6  # two points on the same spot still have a ratio
+SHORTEST_STEP_M = 1e-6  # lower bound, so that coincident points have a ratio
 
 
 @kernel(Float64_2D, float, float, Int32_1D)
 def extract_contours(xy_base, longest_m, most_ratio, contour):
-    """Grow contours from the closest pairs, at both ends, as long as steps are short and alike.
+    """Grow contours from the closest pairs, at both ends, while steps are short and similar.
 
     xy_base      (N, 2) float64   end points in beam order, m
-    longest_m    float            no step of a contour is longer
-    most_ratio   float            of neighbouring steps none is longer than the other by a greater factor
+    longest_m    float            longest step of a contour
+    most_ratio   float            largest ratio of neighbouring steps
     contour      (N,)   int32     out: number of the contour of each point, in the order they were found;
-                                  ALONE where it belongs to none. The points of a contour lie in a row.
+                                  ALONE where it belongs to none. The points of a contour are consecutive.
     Returns the number of contours.
-    Source: Li et al. 2016, section 2.2, eq. 5. A seed is a pair of which neither point is taken; a new step
-    is compared with the last one of its end.
+    Source: Li et al. 2016, section 2.2, eq. 5. A seed is a pair of free points; a new step is compared with
+    the last one of its end.
     """
     count = xy_base.shape[0]
     contour.fill(ALONE)

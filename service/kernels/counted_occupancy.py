@@ -1,6 +1,6 @@
-"""How often each cell was hit and how often seen through, and what that says of it.
+"""Occupancy by counts: how often each cell was hit and how often a beam passed through it.
 
-The two counts are the whole map: probability and likelihood follow from them.
+Probability and likelihood follow from the two counts.
 """
 
 import math
@@ -38,7 +38,7 @@ class CountedGrid(NamedTuple):
 
 
 class CountWeights(NamedTuple):
-    """Log-odds of O_o, what one hit says, and of O_f, what one beam through says."""
+    """Log-odds O_o of one hit and O_f of one beam passing through."""
 
     hit: float
     passed: float
@@ -46,18 +46,18 @@ class CountWeights(NamedTuple):
 
 @inner_kernel
 def occupied_probability(hits, passes, weights):
-    """p = O_o^c_o O_f^c_f / (O_o^c_o O_f^c_f + (1 - O_o)^c_o (1 - O_f)^c_f), by way of its log-odds.
+    """p = O_o^c_o O_f^c_f / (O_o^c_o O_f^c_f + (1 - O_o)^c_o (1 - O_f)^c_f), computed by log-odds.
 
     hits, passes   int
     weights        CountWeights
-    Source: Zhang et al. 2016, eqs. 6 to 8; the lost eq. 8 is the normalised product of the odds.
+    Source: Zhang et al. 2016, eqs. 6 to 8; eq. 8, missing in print, is the normalised product of the odds.
     """
     return 1.0 / (1.0 + math.exp(-(hits * weights.hit + passes * weights.passed)))
 
 
 @inner_kernel
 def touch_counted(grid, tile_row, tile_column):
-    """Slot of a tile, made where there was none."""
+    """Slot of a tile, created if absent."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
     if slot == NO_TILE:
         slot, used_before = take_slot(grid.tiles, tile_row, tile_column)
@@ -71,12 +71,11 @@ def touch_counted(grid, tile_row, tile_column):
 
 @inner_kernel
 def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_number):
-    """Count the cells between two points as seen through, that of the end point left out.
+    """Count the cells between two points as passed, except that of the end point.
 
     u, v          float         start, in cells
     du, dv        float         from start to end, in cells
-    grid          CountedGrid   in and out; its arrays stand beside it, for taking them out again costs more
-                                than a cell
+    grid          CountedGrid   in and out; its arrays are also passed, hoisted out of the loop
     weights       CountWeights
     scan_number   uint16
     Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
@@ -110,15 +109,16 @@ def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_n
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, CountedGrid, CountWeights, float, int, np.uint16)
 def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_stride, scan_number):
-    """Count a scan, each cell once: end points first, so that no beam goes through what another one hit.
-    Counts stay at their greatest value.
+    """Count a scan, each cell once: end points first, so that no beam clears a cell that another one hit.
+
+    Counts saturate.
 
     xy_base        (N, 2) float64   end points, m, base frame
-    sensor_xy_m    (2,)   float64   where the beams start, m, base frame
+    sensor_xy_m    (2,)   float64   start of the beams, m, base frame
     pose           (3,)   float64   base in the frame of the grid
-    grid           CountedGrid      in and out; its tiles' index covers end points and sensor
+    grid           CountedGrid      in and out; its index covers end points and sensor
     weights        CountWeights
-    free_range_m   float            beams clear cells up to here
+    free_range_m   float            length up to which beams clear cells
     pass_stride    int              every so many beams clear cells; all of them hit
     scan_number    uint16           differs from that of the last scan, and is not 0
     Source: Zhang et al. 2016, section 2.1.1.
@@ -150,17 +150,18 @@ def count_scan(xy_base, sensor_xy_m, pose, grid, weights, free_range_m, pass_str
 
 @kernel(Float64_2D, Float64_1D, CountedGrid, int)
 def count_overlap(xy_base, pose, grid, reach_cells):
-    """How many points lie on walls, and how many where nothing stands.
+    """Number of points on walls and in free space.
 
-    A wall is a cell that is occupied rather than free, within so many cells of the point's along both axes.
-    Nothing stands in a cell that beams went through and none ended in, without a wall around; the rest is not
-    known.
+    A point is on a wall if a cell within reach_cells of it along both axes is more probably occupied than
+    free.
+    It is in free space if beams passed through its cell and none ended there. Otherwise it is on unknown
+    ground.
 
     xy_base       (N, 2) float64   m, base frame
     pose          (3,)   float64   base in the frame of the grid
     grid          CountedGrid
     reach_cells   int
-    Returns (on walls, where nothing stands).
+    Returns (on walls, in free space).
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -191,7 +192,7 @@ def weigh_scan(values, floor):
     """Log-likelihood of a scan: the sum over its beams of log(floor + (1 - floor) likelihood).
 
     values   (N, 3) float64   from read_field
-    floor    float            of a beam that ends where nothing was ever hit
+    floor    float            of a beam that ends in a cell without hits
     Returns (log-likelihood, mean likelihood).
     """
     total = 0.0

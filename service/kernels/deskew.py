@@ -1,4 +1,4 @@
-"""Ranges -> end points at one instant: the motion during the sweep is taken out beam by beam."""
+"""Ranges to end points, and deskewing: the motion during the sweep is removed beam by beam."""
 
 import math
 from typing import NamedTuple
@@ -8,18 +8,18 @@ from service.kernels.compiled import kernel
 
 
 class Returns(NamedTuple):
-    """Room for the beams of one scan that came back."""
+    """Arrays for the returned beams of one scan."""
 
-    xy_raw: Float64_2D  # (N, 2) m, base frame at each beam's own moment
+    xy_raw: Float64_2D  # (N, 2) m, base frame at each beam's own time
     beam_time_s: Float64_1D  # (N,) since beam 0
-    beam: Int32_1D  # (N,) which beam of the scan
+    beam: Int32_1D  # (N,) index of the beam in the scan
 
 
 @kernel(ReadonlyFloat32_1D, Float64_2D, Float64_1D, Float64_1D, float, Returns)
 def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s, returns):
-    """End points of the beams that returned, each in the base frame of its own moment.
+    """End points of the beams that returned, each in the base frame at its own time.
 
-    range_m           (N,)    float32   m; NaN where nothing came back
+    range_m           (N,)    float32   m; NaN without a return
     direction_base    (N, 2)  float64   unit vector of each beam in base axes
     mount_xy_m        (2,)    float64   the sensor in the base frame
     gate_m            (2,)    float64   nearest and farthest range that is used
@@ -42,9 +42,9 @@ def project_returns(range_m, direction_base, mount_xy_m, gate_m, beam_interval_s
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, Float64_2D)
 def deskew_points(xy_raw, beam_time_s, twist, xy_base):
-    """Bring points to the base frame of beam 0, for a base that moves with a constant twist.
+    """Transform points to the base frame at beam 0, for a base with constant twist.
 
-    xy_raw        (N, 2) float64   m, base frame at each point's own moment
+    xy_raw        (N, 2) float64   m, base frame at each point's own time
     beam_time_s   (N,)   float64   s since beam 0
     twist         (3,)   float64   m/s forward, m/s left, rad/s
     xy_base       (N, 2) float64   out: m, base frame at beam 0

@@ -2,7 +2,7 @@
 
 Errors and the rows of the covariance are those of filter_state.py.
 
-docs/estimator.md derives every equation; numbers in brackets are those of that page.
+docs/estimator.md gives the equations; numbers in brackets are those of that page.
 Sources: Barfoot, State Estimation for Robotics, 2017, sections 3.4 (motion priors), 4.2 and 7.3;
 Roumeliotis and Burdick, Stochastic cloning, ICRA 2002; Sola, Quaternion kinematics for the error-state
 Kalman filter, 2017, chapter 5.
@@ -47,22 +47,22 @@ from service.kernels.tracks import (
 )
 
 GYRO_SCALE = 0.005  # error of the gyro's scale
-GRACE_NS = 50_000_000  # odometry may begin so much later than the last scan
-# Of a step in which odometry stands: what else says that the vehicle does not is to be heard, [30].
+GRACE_NS = 50_000_000  # odometry may begin this long after the last scan
+# Added to a step in which odometry stands, so that scans that see a motion outweigh it; [30].
 STANDING_M, STANDING_RAD = 0.003, 0.002
-MEAN_S = 0.5  # over which the twist is averaged that an error of scale is multiplied by; [25]
-MIN_CHANGE_SIGMAS = 3.0  # a change of speed that noise explains says nothing of a lag; [26]
+MEAN_S = 0.5  # time constant of the mean twist that the scale error is multiplied by; [25]
+MIN_CHANGE_SIGMAS = 3.0  # a smaller change of speed is noise and corrects no lag; [26]
 
 
 @inner_kernel
 def observe(covariance, rows, residual, variance, gain, gate, correction):
-    """One linear measurement: rows . error = residual + noise; changes covariance, adds to correction.
+    """Apply one scalar measurement: rows . error = residual + noise; updates covariance and correction.
 
-    rows   (19,) float64     that of the lag is set to 0 where the innovation is beyond the gate
+    rows   (19,) float64     measurement Jacobian; its LAG entry becomes 0 where the innovation is beyond the
+                             gate
     gain   (19,) float64     scratch
-    gate   chi2 beyond which the noise is widened until the innovation fits: a Huber weight; [6]
-    The pose is one, so its error against the first scan moves as that against the local map does, and its
-    covariance follows by Joseph's form; [7].
+    gate   chi2 above which the variance grows until the innovation fits: a Huber weight; [6]
+    The gain of MAP is that of LOCAL, and the covariance is updated in Joseph's form; [7].
     """
     projected = np.empty(STATES)
     while True:
@@ -80,9 +80,9 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
         chi2 = innovation * innovation / total
         if chi2 <= gate or rows[LAG] == 0.0:
             break
-        rows[LAG] = 0.0  # no lag that is at all likely explains it: it is a fault, and says nothing of one
+        rows[LAG] = 0.0  # no likely lag explains this innovation
     if chi2 > gate:
-        # Huber: variance grows so that the weight falls with 1 / |innovation| beyond the gate
+        # Huber: the weight falls with 1 / |innovation| beyond the gate
         total = expected + variance * chi2 / gate
     for i in range(STATES):
         gain[i] = projected[i] / total
@@ -98,7 +98,7 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
 
 @kernel(PackedFilter, Track, Track, int, MotionSettings)
 def predict_motion(packed, odometry, gyro, stamp_ns, settings):
-    """Go on to the moment of a scan: the acceleration fades, then odometry and gyro as measurements.
+    """Propagate to the time of a scan, then apply odometry and gyro as measurements; [3] to [7].
 
     packed     PackedFilter     in and out
     odometry   Track
@@ -130,10 +130,10 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
     knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, change)
     knows_way = knows_way and max(state.noise[0], state.noise[1]) <= settings.fault_noise
     if knows_way:
-        # errors are counted from what odometry said: over a long gap the last speed is far from anything
+        # linearised at odometry's step: over a long gap the last speed is far from the truth
         for i in range(3):
             step[i] = state.said[i]
-        # (turns are not wrapped: a speed that is wrong by a turn a scan would go on for ever)
+        # (rotations are not wrapped: a speed wrong by a turn per scan would remain)
         logarithm(step, said)
         for i in range(3):
             correction[STEP + i] = way[i] - said[i]
@@ -158,7 +158,7 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
             of_scale = tied[i] * correction[SCALE if i < 2 else TURN_SCALE]
             correction[TWIST + i] += of_scale
             correction[STEP + i] += dt * of_scale
-            # over a long step the speed before says little; the noise of a short one must not be in it
+            # over a long step the mean twist is outdated; the noise of a short step must not enter
             newer = said[i] / dt - state.mean_twist[i]
             tied[i] = state.mean_twist[i] + of_step * newer
             state.mean_twist[i] += new * newer
@@ -171,9 +171,9 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
 
 @inner_kernel
 def accelerate(state, dt, settings, way):
-    """Twist, acceleration and their errors dt later, and the error of the step until then; [3].
+    """Propagate twist, acceleration and covariance by dt, and the covariance of the step; [3].
 
-    way   (3,) float64   out: m, m, rad on the way, whose exponential is the step
+    way   (3,) float64   out: tangent of the step, m, m, rad
     """
     P = state.covariance
     over = transition_over(dt, settings.acceleration_s)
@@ -217,9 +217,9 @@ def accelerate(state, dt, settings, way):
 
 @kernel(Float64_2D, Float64_1D, float, float)
 def tie_to_scale(P, tied, times, dt):
-    """Add to the errors of twist and step what an error of scale does to them: `times` so much; [25].
+    """Add `times` the effect of the scale error to the errors of twist and step; [25].
 
-    tied   (3,) float64   the twist that it is multiplied by
+    tied   (3,) float64   the twist that the scale error is multiplied by
     """
     for i in range(6):
         row = STEP + i  # and TWIST
@@ -233,13 +233,13 @@ def tie_to_scale(P, tied, times, dt):
 
 @inner_kernel
 def change_of_speed(state, odometry, dt, of_step, settings, change):
-    """The change of speed that a lag of odometry's stamps is multiplied by; [26].
+    """Change of speed that the lag of odometry's stamps is multiplied by; [26].
 
     odometry   Track
     dt         float          s, of the step
-    of_step    float          0..1: how much of it is the change over the step; the rest is that before
+    of_step    float          0..1: share of the change over the step itself
     settings   MotionSettings
-    change     (3,) float64   in: over the step, as odometry says; out
+    change     (3,) float64   in: over the step, by odometry; out
     """
     acceleration = np.empty(3)
     add_to_path(state.path, state.stamp_ns[0], state.pose)
@@ -261,7 +261,7 @@ def change_of_speed(state, odometry, dt, of_step, settings, change):
 
 @inner_kernel
 def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
-    """Turn in rad and its variance, turn (2,), that the gyro said; False where it was silent."""
+    """The gyro's rotation in rad and its variance into turn (2,); False where it was silent."""
     first = gyro.span[0]
     end = gyro.span[1]
     if end - first < 2 or gyro.stamp_ns[end - 1] <= last_ns or gyro.stamp_ns[first] > last_ns + GRACE_NS:
@@ -278,9 +278,9 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
 
 @inner_kernel
 def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
-    """What odometry said of the way between two moments, into state.said; False where it was silent; [5].
+    """Odometry's increment between two times into state.said; False where it was silent; [5].
 
-    change   (3,) float64   out: of the mean speed that it said
+    change   (3,) float64   out: change of odometry's mean speed
     """
     lag_ns = np.int64(round(state.learnt[2] * 1e9))
     first = odometry.span[0]
@@ -303,7 +303,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     way = np.empty(3)
     last = state.last_odom
     if last[7] > 0.0:
-        # on from the pose that was used last, guessed or not: steps then add up to what odometry says
+        # continue from the pose used last, extrapolated or not: the steps then add up to odometry's motion
         odometry_at(odometry, last_ns + np.int64(round(last[6] * 1e9)), settings, way, scratch)
         between(way, before, way)
         compose(last[:3], way, before)
@@ -322,7 +322,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     turned = abs(way[2])
     dt = (stamp_ns - last_ns) * 1e-9
     if stamp_ns - last_ns < LAG_WINDOW_NS:
-        # not of the step itself: one that is too long by chance would weigh less than one that is too short
+        # not from the step itself: by chance a long step would weigh less than a short one
         d = 0.5 * dt * math.hypot(twists[0, 0] + twists[1, 0], twists[0, 1] + twists[1, 1])
         turned = 0.5 * dt * abs(twists[0, 2] + twists[1, 2])
     bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
@@ -332,7 +332,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     square_m2 += settings.acceleration**2 * bridged + late_m**2
     square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
     square_rad2 += settings.resolution_rad**2 + settings.turn_acceleration**2 * bridged + late_rad**2
-    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # the vehicle stands, or odometry has died; [30]
+    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # standstill, or dead odometry; [30]
         square_m2 += STANDING_M**2
         square_rad2 += STANDING_RAD**2
     for i in range(3):
@@ -346,7 +346,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
 
 @inner_kernel
 def add_to_state(state, step, correction):
-    """Put a correction of a prediction into step, twist and what is learnt, and go on by the step."""
+    """Apply a correction to step, twist and learnt parameters, then move the pose by the step."""
     moved = np.empty(3)
     exponential(correction[STEP], correction[STEP + 1], correction[STEP + 2], moved)
     compose(step, moved, step)
@@ -364,7 +364,7 @@ def add_to_state(state, step, correction):
 
 @inner_kernel
 def move_axes(P, k, step):
-    """Errors k to k + 2, of a pose, in axes of a base that lies a step from it: P <- F P F'; [4]."""
+    """Transform pose errors k to k + 2 to the axes of a base moved by a step: P <- F P F'; [4]."""
     c = math.cos(step[2])
     s = math.sin(step[2])
     x_turn = s * step[0] - c * step[1]
@@ -381,7 +381,7 @@ def move_axes(P, k, step):
 
 @inner_kernel
 def carry(P, step):
-    """Errors of the pose in axes of the new base, with that of the step; [4]. The step's rows are cleared."""
+    """Transform the pose errors to the new base, add the step's error and clear its rows; [4]."""
     for k in (MAP, LOCAL):
         move_axes(P, k, step)
         for i in range(3):
@@ -398,14 +398,14 @@ def carry(P, step):
 
 @inner_kernel
 def correct_motion(state, pose, local_covariance, prior_weight):
-    """Take in where a scan puts the base, and how well it is then known against the local map; [9], [10].
+    """Correct the state with a matched pose and its covariance against the local map; [9], [10].
 
     state              Filter           in and out
-    pose               (3,)   float64   base in odom, prediction and scan together
+    pose               (3,)   float64   base in odom, of prediction and scan together
     local_covariance   (3, 3) float64   of it
-    prior_weight       float            that the prediction had beside the scan; below 1 its error was larger
-                                        than believed
-    Everything else moves by what it has in common with the pose.
+    prior_weight       float            of the prediction in the match; below 1 its covariance is widened
+    first The other states follow by their correlation with the pose. Returns False where the prior is
+    singular.
     """
     P = state.covariance
     step = np.empty(3)
@@ -437,7 +437,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     for i in range(STATES):
         for j in range(3):
             correction[i] += gain[i, j] * moved[j]
-    used = gain.copy()  # the pose is one: its error against the first scan moves as that against the map
+    used = gain.copy()  # the correction moves the pose against map and first scan alike
     for i in range(3):
         for j in range(3):
             used[MAP + i, j] = 1.0 if i == j else 0.0
@@ -474,9 +474,9 @@ def take_match(packed, pose, local_covariance, prior_weight, information, settin
 
 @kernel(Float64_2D, float)
 def transfer_into_map(P, kept):
-    """What a scan adds to the local map carries the pose's error into it: less is left against it; [11].
+    """Multiply the error against the local map by a factor: the map takes over part of it; [11].
 
-    kept   float   share of the error that is left, 0..1
+    kept   float   0..1
     """
     for i in range(3):
         for j in range(STATES):

@@ -1,7 +1,7 @@
-"""Where on a large map a scan may lie, when nobody knows: all places and headings, by branch and bound.
+"""Global search of a scan in a large map: all positions and headings, by branch and bound.
 
-A point of a wall lies on a wall only where that faces the same way. So a scan that is turned wrongly fits
-nowhere, and most headings are given up for whole blocks of the map at once.
+A point of a wall matches only walls with a similar normal. A scan at a wrong heading therefore matches
+nowhere, and most headings are pruned for entire blocks of the map.
 """
 
 import math
@@ -13,18 +13,18 @@ from service.kernels.arrays import Float64_2D, UInt8_4D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
-DIRECTIONS = 16  # in which walls face; a wall counts in the two beside its own, too
-ANY = DIRECTIONS  # layer of what has no direction: posts, legs, leaves
+DIRECTIONS = 16  # bins of normals; a wall counts in the two neighbouring bins, too
+ANY = DIRECTIONS  # layer of points without a normal: posts, legs, leaves
 LAYERS = DIRECTIONS + 1
-SECTORS = 8  # of headings: the best of a block is kept for each, for rivals of one spot differ by half turns
-FULL_BYTE = 255  # of a cell in which a wall lies
+SECTORS = 8  # of headings: a block keeps the best of each, as ambiguous poses differ by half turns
+FULL_BYTE = 255  # of a cell that contains a wall
 
 
 class FacingPyramid(NamedTuple):
-    """Likelihoods of end points by the way that their walls face, and maxima over blocks of them.
+    """Likelihood of end points by the direction of their normals, and maxima over blocks of cells.
 
     levels        (LAYERS, L, H, W) uint8   [d, l, r, c]: the maximum over 2^l x 2^l cells from (r, c) on
-    first_row, first_column   int           of the cell of the map that is levels[:, :, 0, 0]
+    first_row, first_column   int           cell of the map at levels[:, :, 0, 0]
     cell_m        float
     """
 
@@ -36,16 +36,16 @@ class FacingPyramid(NamedTuple):
 
 @inner_kernel
 def direction_of(angle_rad):
-    """Which of the DIRECTIONS is nearest to an angle."""
+    """Bin of DIRECTIONS nearest to an angle."""
     return math.floor(angle_rad / (2.0 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
 @kernel(Float64_2D, Float64_2D, FacingPyramid, float)
 def splat_facing(xy, normals, pyramid, sigma_m):
-    """Fill level 0: the most that any point says of a cell or one beside it, by the distance to its border.
+    """Fill level 0: the likelihood of each cell by the nearest point in it or the cells beside.
 
     xy        (N, 2) float64   m, frame of the map; no nearer than a cell to the border of the pyramid
-    normals   (N, 3) float64   as estimate_normals gives them; of weight 1 or more: a wall
+    normals   (N, 3) float64   of estimate_normals; weight 1 or more: a wall
     pyramid   FacingPyramid    in and out
     sigma_m   float
     """
@@ -72,7 +72,7 @@ def splat_facing(xy, normals, pyramid, sigma_m):
 
 @inner_kernel
 def facing_sum(cells, levels, level, row, column):
-    """Sum of a level at points, moved by so many cells: no less than that of any place in the block.
+    """Sum of a level at points shifted by so many cells: an upper bound of every pose in the block.
 
     cells   (N, 3) int64   row, column, layer
     """
@@ -88,7 +88,7 @@ def facing_sum(cells, levels, level, row, column):
 
 @inner_kernel
 def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
-    """Row, column and layer (N, 3) of points at a heading, the base in the middle of the cell (0, 0)."""
+    """Row, column and layer (N, 3) of points at a heading, with the base at the centre of the cell (0, 0)."""
     c = math.cos(theta_rad) / cell_m
     s = math.sin(theta_rad) / cell_m
     for n in range(xy_base.shape[0]):
@@ -101,18 +101,18 @@ def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
 
 @kernel(Float64_2D, Float64_2D, FacingPyramid, int, float, float)
 def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind):
-    """The best place of each block of the map and each sector of headings, if it is good enough.
+    """The best pose of each block of the map and sector of headings.
 
     xy_base         (N, 2) float64   m, base frame
     normals         (N, 3) float64
-    pyramid         FacingPyramid    of as many rows and columns as whole blocks of its highest level
-    heading_count   int              headings asked, a whole turn
-    least_score     float            0..1: what is worse is not given
-    behind          float            nor what is so far behind the best of all
-    Returns (places (C, 4) float64: x m, y m, theta rad of the base in the frame of the map, mean likelihood
-    0..1; and how many blocks were asked).
-    Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, algorithm 3; here the layers know
-    directions, and each block keeps a best one of its own.
+    pyramid         FacingPyramid    rows and columns: multiples of the blocks of its highest level
+    heading_count   int              headings evaluated, a full turn
+    least_score     float            0..1: worse poses are dropped
+    behind          float            poses worse than the best by more are dropped
+    Returns (poses (C, 4) float64: x m, y m, theta rad of the base in the frame of the map, mean likelihood
+    0..1; number of blocks evaluated).
+    Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, algorithm 3; here with layers of
+    directions, and a best pose for each block.
     """
     levels = pyramid.levels
     count = xy_base.shape[0]
@@ -149,7 +149,7 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
     best = np.full(blocks * SECTORS, floor, np.int64)
     best_at = np.full((blocks * SECTORS, 3), -1, np.int64)  # heading, row, column
     best_of_all = floor
-    stack = np.empty((4 * top + 4, 3), np.int64)  # level, row, column of blocks to look into, best on top
+    stack = np.empty((4 * top + 4, 3), np.int64)  # level, row, column of blocks to split, best on top
     stack_bounds = np.empty(4 * top + 4, np.int64)
     child = np.empty((4, 2), np.int64)
     child_bounds = np.empty(4, np.int64)

@@ -1,12 +1,12 @@
-"""What the error-state filter of the vehicle's motion holds; service/kernels/estimator.py is its equations.
+"""State of the error-state filter of the vehicle's motion; equations: service/kernels/estimator.py.
 
 Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows of the covariance:
 
     MAP    0:3    pose against the first scan
     LOCAL  3:6    pose against the local map, which was built from earlier poses
-    STEP   6:9    motion since the last scan; in use within a prediction only
+    STEP   6:9    motion since the last scan; used within a prediction only
     TWIST  9:12   velocity
-    SCALE 12, TURN_SCALE 13   of odometry: true way = (1 + scale) * way said
+    SCALE 12, TURN_SCALE 13   of odometry: true distance = (1 + scale) * measured distance
     LAG   14      of odometry's stamps behind the scans', s
     BIAS  15      of the gyro, rad/s
     ACCELERATION 16:19   of the twist
@@ -20,7 +20,7 @@ from service.kernels.tracks import PATH_POSES, Track
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
 ACCELERATION, STATES = 16, 19
-STUDENT = 5.0  # degrees of freedom of a prediction's error: now and then it is far larger than usual; [12]
+STUDENT = 5.0  # degrees of freedom of the prediction's error, Student's t; [12]
 MAP_BLOCK, LOCAL_BLOCK = slice(MAP, MAP + 3), slice(LOCAL, LOCAL + 3)
 
 
@@ -35,10 +35,10 @@ class MotionSettings(NamedTuple):
     gyro_walk: float  # rad / sqrt(s)
     acceleration: float  # m/s^2 sqrt(s)
     turn_acceleration: float  # rad/s^2 sqrt(s)
-    acceleration_s: float  # in which an acceleration fades
+    acceleration_s: float  # time constant of an acceleration
     jitter_s: float
     speed_window_s: float
-    fault_noise: float  # times the variance of its model: such odometry is judged but not used
+    fault_noise: float  # factor on the modelled variance above which odometry is not used
 
 
 class Filter(NamedTuple):
@@ -50,20 +50,20 @@ class Filter(NamedTuple):
     acceleration (3,)    float64   of the twist
     learnt      (4,)     float64   scale, turn scale, lag s, gyro bias rad/s
     covariance  (19, 19) float64
-    noise       (2,)     float64   how many times its model odometry's variance is: position, heading
+    noise       (2,)     float64   learnt factor on odometry's variance: position, heading
     gyro_noise  (1,)     float64   the same of the gyro
-    motion_noise (3,)    float64   the same of a change of twist, forward, left, rotation: 1 where odometry or
-                                   gyro measures it
-    said        (8,)     float64   odometry's step (3) and whether there was one; its variances (2);
-                                   gyro's turn less bias, its variance (0: there was none)
+    motion_noise (3,)    float64   the same of the acceleration, forward, left, rotation: 1 where odometry or
+                                   gyro measures the motion
+    said        (8,)     float64   odometry's increment (3), whether there was one, its variances (2); the
+                                   gyro's rotation less bias, its variance (0: none)
     last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
-                                   that they were taken with, whether there was one
-    window      (20,)    float64   since sources were judged last: pose then (3); step that odometry said (3),
-                                   its variances (2), whether it always said one; turn that the gyro said, its
-                                   variance, whether it always did; way in m, time in s; twist then (3), its
+                                   used for both, whether there was one
+    window      (20,)    float64   since the noise was learnt last: pose then (3); odometry's step (3), its
+                                   variances (2), whether it was complete; the gyro's rotation, its variance,
+                                   whether it was complete; path length in m, time in s; twist then (3), its
                                    variances (3)
-    mean_twist  (3,)     float64   that odometry said, of the last half second
-    tied_twist  (3,)     float64   that an error of scale is multiplied by in the errors of twist and pose
+    mean_twist  (3,)     float64   of odometry, over the last half second
+    tied_twist  (3,)     float64   that the scale error is multiplied by
     path        Track              poses at the last scans
     """
 
@@ -85,7 +85,7 @@ class Filter(NamedTuple):
 
 
 class PackedFilter(NamedTuple):
-    """A Filter in two arrays, as Python hands it to a kernel: each array handed over takes 0.15 us.
+    """A Filter in two arrays, to pass it to a kernel: each array passed takes 0.15 us.
 
     numbers   (NUMBERS,) float64   the covariance last
     stamps    (STAMPS,)  int64
@@ -95,7 +95,7 @@ class PackedFilter(NamedTuple):
     stamps: Int64_1D
 
 
-# Where each begins in `numbers`; what follows are the poses of the path, and the covariance.
+# Offsets in `numbers`; the poses of the path and the covariance follow.
 _POSE, _TWIST, _ACCELERATION, _LEARNT, _NOISE, _GYRO_NOISE, _MOTION_NOISE = 0, 3, 6, 9, 13, 15, 16
 _SAID, _LAST_ODOM, _WINDOW, _MEAN_TWIST, _TIED_TWIST, _PATH = 19, 27, 35, 55, 58, 61
 COVARIANCE = _PATH + 3 * PATH_POSES
@@ -103,7 +103,7 @@ NUMBERS, STAMPS = COVARIANCE + STATES * STATES, 3 + PATH_POSES
 
 
 def views_of(packed):
-    """The Filter whose arrays lie in a PackedFilter: to change one is to change the other."""
+    """The Filter whose arrays are views into a PackedFilter."""
     numbers, stamps = packed
     return Filter(
         stamps[:1],

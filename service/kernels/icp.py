@@ -16,8 +16,8 @@ class IcpResult(NamedTuple):
     """step: pose of the newer base in the older one's frame.
 
     step         (3,) float64   x m, y m, theta rad
-    rms_m        float          root of the mean squared distance of the pairs; inf where there were too few
-    paired       int            points that had a partner
+    rms_m        float          root mean square distance of the pairs; inf with too few pairs
+    paired       int            points with a partner
     iterations   int
     """
 
@@ -29,16 +29,16 @@ class IcpResult(NamedTuple):
 
 @inner_kernel
 def closest_points(xy, others, bearing_rad, most_m, partner):
-    """The nearest of some points for each of others: outwards by bearing until no nearer one is left.
+    """The nearest of `others` for each point, searched outwards by bearing.
 
-    A point at r whose bearing differs by d is no nearer than r sin d, or r beyond a right angle. The points
-    of a scan lie side by side by bearing, so few are asked, however the walls run.
+    A point at range r whose bearing differs by d is at least r sin d away, or r beyond a right angle. This
+    bound ends the search after few points.
 
     xy            (N, 2) float64   m
     others        (M, 2) float64   m, by rising bearing; M > 0
     bearing_rad   (M,)   float64   atan2(y, x) of each
-    most_m        float            a farther one is no partner
-    partner       (N,)   int64     out: row of others, -1 where there is none
+    most_m        float            largest distance of a partner
+    partner       (N,)   int64     out: row of others, -1: none
     """
     count = others.shape[0]
     for n in range(xy.shape[0]):
@@ -76,14 +76,14 @@ def closest_points(xy, others, bearing_rad, most_m, partner):
 
 @kernel(Float64_2D, Float64_2D, Float64_1D, float, int, float)
 def icp_point_to_point(newer, older, start, most_m, iterations, settled):
-    """The motion between two scans that brings each point of the newer one onto the nearest of the older.
+    """The motion between two scans by point-to-point ICP.
 
     newer        (N, 2) float64   m, base frame of the newer scan
     older        (M, 2) float64   m, base frame of the older scan
-    start        (3,)   float64   pose of the newer base in the older one's frame, first guess
-    most_m       float            points farther apart are no pair
-    iterations   int              at most so many
-    settled      float            m and rad: ends with a step below it
+    start        (3,)   float64   pose of the newer base in the older one's frame, initial guess
+    most_m       float            largest distance of a pair
+    iterations   int              upper bound
+    settled      float            m and rad: a smaller step is the last
     Returns an IcpResult.
     Source: Tang et al. 2014, section 2.2; closed form in the plane as in Lu and Milios 1997, appendix B.
     """

@@ -1,4 +1,4 @@
-"""The likeliest pose of a cloud of points in a known map near another one, by the beams that end in them."""
+"""Maximum likelihood pose of a point cloud in a known map near an initial pose, by its beams."""
 
 import math
 
@@ -23,13 +23,13 @@ from service.kernels.linear3 import copy_vector
     Float64_1D,
 )
 def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, at_end, along_beam):
-    """Nats that speak for a pose: of the beams' ends and ways.
+    """Log-likelihood ratio of a pose by the end points and the paths of the beams, nats.
 
-    Ways only take away: where the ends alone do not reach `least`, no way is asked, and what is given is less
-    than `least`, but no less than the evidence.
+    The paths can only reduce it: where the end points alone do not reach `least`, the paths are not
+    evaluated, and the result is an upper bound below `least`.
 
-    shares   (N,) float64   what the end of each beam counts
-    at_end, on_way   (N,) float64   out, as weigh_ends and weigh_ways give them
+    shares   (N,) float64   weight of each end point
+    at_end, along_beam   (N,) float64   out, as from weigh_ends and weigh_ways
     """
     weigh_ends(xy, normals, pose, known, at_end)
     total = 0.0
@@ -43,14 +43,13 @@ def evidence_of_beams(xy, normals, sensors, shares, pose, known, number, least, 
 
 @kernel(Float64_2D, Float64_2D, Float64_2D, Float64_1D, Float64_1D, KnownGround, int, Float64_1D, float)
 def climb(xy, normals, sensors, shares, pose, known, number, first, least):
-    """Go from a pose to the likeliest one near it: a step along the axis that gains most, while one gains;
-    then steps of half the length.
+    """Move a pose to a local maximum of the likelihood, by coordinate steps that are halved.
 
-    pose     (3,) float64   in: where to start, out: where it ended, in the map
-    number   int            of the first pose asked, as weigh_ways takes it; those after it count on
+    pose     (3,) float64   in: initial, out: final, in the map
+    number   int            of the first pose evaluated, see weigh_ways; those after it count up
     first    (3,) float64   longest steps, m, m, rad
-    least    float          so many times the longest steps are the shortest
-    Returns (nats at the end, poses asked).
+    least    float          shortest steps over the longest
+    Returns (nats at the final pose, poses evaluated).
     Source: Hooke and Jeeves, Direct search solution of numerical and statistical problems, 1961.
     """
     at_end, along_beam = np.empty(xy.shape[0]), np.empty(xy.shape[0])

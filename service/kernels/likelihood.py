@@ -1,4 +1,4 @@
-"""The coarse map: how likely an end point is at a place, splatted as one Gaussian a point."""
+"""The coarse map: likelihood of an end point in each cell, one Gaussian per point."""
 
 import math
 from typing import NamedTuple
@@ -14,7 +14,7 @@ SPLAT_REACH_CELLS = 4
 
 
 class LikelihoodField(NamedTuple):
-    """What a scan can be aligned with: how likely an end point is in each cell.
+    """Likelihood of an end point in each cell, to align a scan with.
 
     tiles    TileIndex                       tiles of TILE_CELLS a side
     field    (capacity, T, T) float32        0 to 1
@@ -28,13 +28,13 @@ class LikelihoodField(NamedTuple):
 
 @kernel(Float64_2D, Float64_1D, SurfelGrid, float, float)
 def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
-    """Raise the field around each end point to exp(-d^2 / 2 sigma^2); the largest wins.
+    """Raise the field around each end point to exp(-d^2 / 2 sigma^2); the maximum is kept.
 
     xy_base    (N, 2) float64   m, base frame
     pose       (3,)   float64   pose of the base in the frame of the grid
     grid       SurfelGrid       in and out; its index covers the points and SPLAT_REACH_CELLS around them
     sigma_m    float
-    enough     float            a point whose own cell is already this likely is passed over
+    enough     float            points whose own cell has at least this likelihood are skipped
     Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.4, with a maximum for the sum.
     """
     c = math.cos(pose[2])
@@ -71,7 +71,7 @@ def splat_likelihood(xy_base, pose, grid, sigma_m, enough):
 
 @inner_kernel
 def field_cell(field, tiles, row, column):
-    """Likelihood in a cell; 0 where no tile lies."""
+    """Likelihood in a cell; 0 without a tile."""
     slot = find_tile(tiles, row >> TILE_BITS, column >> TILE_BITS)
     if slot == NO_TILE:
         return 0.0
@@ -89,7 +89,7 @@ def read_field(xy_base, pose, likelihood, values):
     Source: Kohlbrecher et al. 2011, eqs. (4) to (6).
     """
     tiles, field, cell_m = likelihood
-    slots = tiles.slots  # taken out once, as in find_surfels
+    slots = tiles.slots  # hoisted, as in find_surfels
     first_row = tiles.origin[0]
     first_column = tiles.origin[1]
     cells_per_m = 1.0 / cell_m

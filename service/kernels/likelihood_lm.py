@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a likelihood map: how every matcher climbs on one."""
+"""Levenberg-Marquardt on a likelihood map, used by all matchers with such a map."""
 
 import math
 from typing import NamedTuple
@@ -15,12 +15,12 @@ MIN_DAMPING = 1e-6  # of Levenberg-Marquardt
 
 
 class LmSettings(NamedTuple):
-    """When a descent ends, and how it is damped.
+    """End and damping of a descent.
 
-    trials                        int     systems solved, at most
-    settled_m, settled_rad        float   it ends with a step below both
-    first_damping, most_damping   float   it ends where nothing damped less lowers the cost
-    floor                         float   added to what is damped: a direction that nothing fixes stays
+    trials                        int     most systems solved
+    settled_m, settled_rad        float   a step below both is the last
+    first_damping, most_damping   float   the descent ends above the largest damping
+    floor                         float   added to the damped diagonal: directions without information stay
     """
 
     trials: int
@@ -33,7 +33,7 @@ class LmSettings(NamedTuple):
 
 @kernel(Float64_2D, int, float)
 def thin_evenly(xy_base, beams, sigma):
-    """About so many of some points, and the weight of each, as if all had been asked.
+    """About `beams` of the points, evenly chosen, with weights that sum as for all of them.
 
     xy_base   (N, 2) float64   m
     beams     int              > 0
@@ -57,7 +57,7 @@ def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
 
     xy_base   (N, 2) float64   m, base frame
     values    (N, 3) float64   from read_field at this pose
-    weights   (N,)   float64   of each point, over the variance of 1 - P: what a prior is weighed against
+    weights   (N,)   float64   of each point, over the variance of 1 - P
     pose      (3,)   float64   base in the frame of the map
     H, g      (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
     Returns half the cost.
@@ -106,7 +106,7 @@ def likelihood_normal_equations(xy_base, values, weights, pose, H, g):
 def align_points(
     xy_base, weights, prior_pose, prior_information, field, settings, most_steps, damping, pose, H
 ):  # fmt: skip
-    """Pose at which points lie best on a likelihood map, held by a prior.
+    """Align points with a likelihood map, with a prior.
 
     xy_base             (N, 2) float64    m, base frame
     weights             (N,)   float64    as for likelihood_normal_equations
@@ -114,11 +114,11 @@ def align_points(
     prior_information   (3, 3) float64    in the axes of the map; all zero for no prior
     field               LikelihoodField
     settings            LmSettings
-    most_steps          int               it ends after so many, too
-    damping             float             to begin with; what came out of a call before goes on
-    pose                (3,)   float64    in: where to start; out: where it ended, theta not wrapped
-    H                   (3, 3) float64    out: Hessian of the points alone, where it started
-    Returns (steps taken, whether the last was a settled one, damping to go on with).
+    most_steps          int               upper bound
+    damping             float             initial; may continue from a previous call
+    pose                (3,)   float64    in: initial; out: final, theta not wrapped
+    H                   (3, 3) float64    out: Hessian of the points alone, at the initial pose
+    Returns (steps taken, whether it converged, final damping).
     """
     values = np.empty((xy_base.shape[0], 3))
     g = np.empty(3)

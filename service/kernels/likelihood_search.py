@@ -1,9 +1,9 @@
-"""Exhaustive search for the pose at which a scan lies best on a likelihood map.
+"""Exhaustive search for the pose at which a scan fits a likelihood map best.
 
-Every candidate of a window is scored: a number of headings, and for each of them shifts by whole cells.
-Turning costs, shifting does not: the cell of each point is found once a heading, then blocks are added up.
-Branch and bound (branch_and_bound.py) asks far fewer of a large window and finds the same one.
-The score is a mean over the points; on a layer of logarithms that is the logarithm of a product.
+Every candidate of a window is scored: headings, and for each heading shifts by cells. The cells of the points
+are computed once per heading; shifts then add up blocks of cells. Branch and bound (branch_and_bound.py)
+finds the same pose of a large window with far fewer evaluations.
+The score is a mean over the points; on a layer of logarithms it is the logarithm of a product.
 Sums are float32 in the order of the points.
 """
 
@@ -23,7 +23,7 @@ class LikelihoodLayer(NamedTuple):
 
     tiles    TileIndex                          tiles of T x T cells, T any
     cells    (capacity, T, T)  uint8 or float32
-    empty    float    what a cell counts where no tile lies, in the unit of cells
+    empty    float    value without a tile, in the unit of cells
     offset   float
     scale    float    above 0
     cell_m   float
@@ -41,7 +41,8 @@ ByteLayer = Annotated[LikelihoodLayer, 1]  # the second kind of LikelihoodCells
 
 
 class SearchWindow(NamedTuple):
-    """Candidates (k, j, i): the centre, turned by (k - half_theta) steps about the base, then moved by
+    """Candidates (k, j, i): the centre, rotated by (k - half_theta) steps about the base, then shifted by
+    (i - half_x, j - half_y) cells along the axes of the map.
     (i - half_x, j - half_y) cells along the axes of the map.
 
     pose             (3,) float64   x m, y m, theta rad of the base in the frame of the map: the centre
@@ -63,8 +64,8 @@ class SearchResult(NamedTuple):
 
     pose         (3,) float64   x m, y m, theta rad in the frame of the map
     score        float          mean of the values at the points; -inf where none reached the least
-    k, j, i      int            which candidate
-    evaluated    int            candidates and blocks of candidates whose points were added up
+    k, j, i      int            index of the candidate
+    evaluated    int            candidates and blocks of candidates evaluated
     """
 
     pose: npt.NDArray[np.float64]
@@ -77,12 +78,12 @@ class SearchResult(NamedTuple):
 
 @inner_kernel
 def turned_cells(xy_base, window, k, cell_m, cells, counts):
-    """Cells of the points at heading k of a window, at its centre; neighbours in one cell are put together.
+    """Cells of the points at heading k of a window, at its centre; consecutive equal cells are merged.
 
     xy_base   (N, 2) float64   m, base frame
     cells     (N, 2) int64     out: row, column
     counts    (N,)   float32   out: points in each
-    Returns how many there are.
+    Returns the number of cells.
     """
     theta = window.pose[2] + (k - window.half_theta) * window.theta_step_rad
     c = math.cos(theta) / cell_m
@@ -112,7 +113,7 @@ def add_block(layer, values, row, column, weight, shape, sums, begin):
     weight        float32
     shape         (J, I) int
     sums          flat float32, in and out; J rows of I from `begin` on
-    Indices are unsigned and arrays flat: with no sign to ask for, the inner loops add many cells at once.
+    Flat arrays and unsigned indices let the compiler vectorise the inner loops.
     """
     rows, columns = shape
     tile_cells = layer.cells.shape[1]
@@ -156,7 +157,7 @@ def score_window(xy_base, layer, window):
     values = layer.cells.reshape(-1)
     flat = sums.reshape(-1)
     tile_cells = layer.cells.shape[1]
-    row_room = tile_cells - shape[0]  # a block that begins so far into a tile at most lies in it as a whole
+    row_room = tile_cells - shape[0]  # a block that begins at most here lies within one tile
     column_room = tile_cells - shape[1]
     tile_row = tile_column = np.int64(0)
     slot = np.int64(find_tile(layer.tiles, tile_row, tile_column))
@@ -201,7 +202,7 @@ def result_of(count, layer, window, total, k, j, i, evaluated):
 
 @seldom_kernel(Float64_2D, LikelihoodLayer, SearchWindow)
 def search_exhaustive(xy_base, layer, window):
-    """The best candidate of a window, by asking every one, and the sums of all.
+    """The best candidate of a window, by evaluating all of them, and their sums.
 
     xy_base   (N, 2) float64   m, base frame
     Returns (SearchResult, sums (K, J, I) float32 as from score_window).
@@ -217,7 +218,7 @@ def search_exhaustive(xy_base, layer, window):
                 if total < best:
                     continue
                 rank = (k - window.half_theta) ** 2 + (j - window.half_y) ** 2 + (i - window.half_x) ** 2
-                if total > best or rank < best_rank:  # in order of (k, j, i): the first of equals stays
+                if total > best or rank < best_rank:  # ties: the first in order of (k, j, i)
                     best, best_rank = total, rank
                     best_k, best_j, best_i = k, j, i
     return result_of(xy_base.shape[0], layer, window, best, best_k, best_j, best_i, sums.size), sums
@@ -225,7 +226,7 @@ def search_exhaustive(xy_base, layer, window):
 
 @seldom_kernel(Float64_2D, SearchWindow, float)
 def cells_asked(xy_base, window, cell_m):
-    """Cells of a layer that the points can come to lie in: rows [first, last], then columns, as 4 int."""
+    """Range of cells that the points can fall into: first and last row, first and last column."""
     nowhere = np.int64(2**62)
     first_row, last_row, first_column, last_column = nowhere, -nowhere, nowhere, -nowhere
     for k in range(2 * window.half_theta + 1):
@@ -251,7 +252,7 @@ def cells_asked(xy_base, window, cell_m):
 
 @seldom_kernel(Float32_3D, float, float)
 def surface_moments(sums, best, temperature):
-    """Mean and covariance of the candidates, each counted exp((sum - best) / temperature).
+    """Mean and covariance of the candidates, weighted by exp((sum - best) / temperature).
 
     sums          (K, J, I) float32
     best          float    the largest sum

@@ -1,4 +1,4 @@
-"""The three-level likelihood map: lines through the points of a scan, two rings around, no forgetting."""
+"""The three-level likelihood map: lines through the points of a scan with two rings around, never lowered."""
 
 import math
 
@@ -9,14 +9,14 @@ from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.likelihood_search import ByteLayer
 from service.kernels.tiles import NO_TILE, find_tile
 
-RINGS = 2  # around the cell that was hit
+RINGS = 2  # around the cell that is hit
 
 
 @inner_kernel
 def raise_cell(layer, changed, row, column, levels, ring_cells):
-    """Raise a cell to the level of a hit, and two rings around it to theirs; a greater value stays.
+    """Raise a cell to the level of a hit, and two rings around it to theirs; greater values stay.
 
-    layer     LikelihoodLayer  in and out; every cell within the rings lies in a tile
+    layer     LikelihoodLayer  in and out; every cell within the rings has a tile
     changed   (capacity,) uint8   set to 1 for the tiles touched
     levels    (3,) uint8   value of the hit, of the first ring, of the second
     ring_cells   int   width of a ring
@@ -32,9 +32,9 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
     if reach <= r < tile_cells - reach and reach <= c < tile_cells - reach:
         slot = find_tile(layer.tiles, tile_row, tile_column)
         if cells[slot, r, c] == levels[0]:
-            return  # was hit before, so its rings stand
+            return  # hit before: its rings exist
         changed[slot] = 1
-        flat = cells.reshape(-1)  # flat, and indexed without a sign, so that a row is raised at once
+        flat = cells.reshape(-1)  # flat, with unsigned indices, so that the inner loop is vectorised
         for ring in range(RINGS, -1, -1):
             around = ring * ring_cells
             level = levels[ring]
@@ -58,15 +58,15 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
 
 @kernel(Float64_2D, Int32_1D, ByteLayer, UInt8_1D, UInt8_1D, int, Float64_1D)
 def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
-    """Draw a scan: a cell for each point, and a line where two neighbouring beams end close to each other.
+    """Rasterise a scan: a cell for each point, and a line between neighbouring beams that end close together.
 
     xy_map    (N, 2) float64   m, frame of the map, in beam order
-    beam      (N,)   int32     which beam; across one without return no line is drawn
+    beam      (N,)   int32     index of the beam; no line crosses a beam without return
     layer     LikelihoodLayer  in and out, with a tile wherever a point or its rings lie
     changed   (capacity,) uint8   in and out
     levels    (3,)   uint8     as in raise_cell, and
     ring_cells   int
-    join_m    (N,) float64     "a certain distance": a line from the point before is no longer than this
+    join_m    (N,) float64     "a certain distance": longest line from the point before
     Source: Tang et al. 2014, section 2.3 and fig. 4c.
     """
     cell_m = layer.cell_m
@@ -80,7 +80,7 @@ def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
         dv = v - xy_map[n - 1, 1] / cell_m
         if du * du + dv * dv > (join_m[n] / cell_m) ** 2:
             continue
-        count = math.ceil(max(abs(du), abs(dv)))  # no two places on the line are more than a cell apart
+        count = math.ceil(max(abs(du), abs(dv)))  # at most a cell between consecutive points of the line
         for k in range(1, count):
             share = k / count
             raise_cell(
@@ -110,12 +110,12 @@ def mean_value(xy_base, pose, layer):
 
 @kernel(Float64_2D, ByteLayer, Float64_1D, Float64_2D, float, float)
 def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
-    """Climb by chance: try places around the best so far; look more closely once enough were tried in vain.
+    """Random search around the best pose so far, with smaller steps after enough failed trials.
 
     xy_base     (N, 2) float64   m, base frame; N > 0
     layer       LikelihoodLayer
     start       (3,)   float64   base in the frame of the map
-    deviates    (3 T, 3) float64 normal deviates, a row a trial; it ends after T trials in vain
+    deviates    (3 T, 3) float64 normal deviates, a row a trial; the search ends after T failed trials
     sigma_m, sigma_rad   float   of the first trials
     Returns (pose (3,), mean value there, trials).
     Source: Steux and El Hamzaoui 2010, tinySLAM, ts_monte_carlo_search; reference 28 of Tang et al. 2014.
@@ -150,11 +150,11 @@ def monte_carlo_search(xy_base, layer, start, deviates, sigma_m, sigma_rad):
 
 @kernel(Float64_2D, Int32_1D, Float64_1D, float, Float64_2D)
 def smooth_lines(xy_map, beam, join_m, half_m, smooth):
-    """Each point becomes the mean of as many neighbours on both sides as lie within reach on the same line.
+    """Replace each point by the mean of as many neighbours on each side as are within reach on its line.
 
     xy_map   (N, 2) float64   m, in beam order
     beam     (N,)   int32
-    join_m   (N,)   float64   as in draw_scan: a longer step to a point ends a line
+    join_m   (N,)   float64   as in draw_scan: a longer step ends a line
     half_m   float            reach
     smooth   (N, 2) float64   out
     """
@@ -193,7 +193,7 @@ def mark_patches(xy_map, margin_m, patch_m, first_row, first_column, marks):
 
     xy_map   (N, 2) float64   m, frame of the map
     first_row, first_column   int   patch of marks[0, 0]
-    marks    (H, W) uint8     out: 1 for each, as far as the array reaches; the rest is left as it is
+    marks    (H, W) uint8     out: set to 1 for each patch inside the array
     """
     for n in range(xy_map.shape[0]):
         low_row = math.floor((xy_map[n, 1] - margin_m) / patch_m) - first_row

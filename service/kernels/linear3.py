@@ -1,4 +1,4 @@
-"""Three unknowns x, y, theta, by hand: np.linalg and checked copies cost seconds of compiling each."""
+"""Linear algebra for three unknowns x, y, theta: np.linalg and array copies take seconds to compile each."""
 
 import math
 
@@ -12,14 +12,14 @@ def cholesky_3x3(A, L):
     """Lower Cholesky factor of a symmetric 3 x 3 matrix.
 
     A  (3, 3) float64   symmetric; the lower triangle is read
-    L  (3, 3) float64   out: lower factor, the upper triangle is left as it was
-    Returns False where A is not positive definite; L then means nothing.
+    L  (3, 3) float64   out: lower factor; the upper triangle is unchanged
+    Returns False where A is not positive definite; L is then undefined.
     """
     for j in range(3):
         d = A[j, j]
         for k in range(j):
             d -= L[j, k] * L[j, k]
-        if not d > 0.0:  # also refuses NaN
+        if not d > 0.0:  # also rejects NaN
             return False
         L[j, j] = math.sqrt(d)
         for i in range(j + 1, 3):
@@ -37,7 +37,7 @@ def solve_3x3(A, b, x):
     A  (3, 3) float64
     b  (3,)   float64
     x  (3,)   float64   out
-    Returns False, and leaves x alone, where A is not positive definite.
+    Returns False, with x unchanged, where A is not positive definite.
     """
     L = np.zeros((3, 3))
     if not cholesky_3x3(A, L):
@@ -58,14 +58,14 @@ def solve_3x3(A, b, x):
 
 @inner_kernel
 def copy_vector(source, out):
-    """source, out   (N,) float64. Instead of out[:] = source, whose shape check takes seconds to compile."""
+    """Copy source to out, (N,) float64; the shape check of out[:] = source takes seconds to compile."""
     for i in range(source.shape[0]):
         out[i] = source[i]
 
 
 @inner_kernel
 def copy_matrix(source, out):
-    """source, out   (N, M) float64. See copy_vector."""
+    """Copy source to out, (N, M) float64; see copy_vector."""
     for i in range(source.shape[0]):
         for k in range(source.shape[1]):
             out[i, k] = source[i, k]
@@ -73,7 +73,7 @@ def copy_matrix(source, out):
 
 @inner_kernel
 def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
-    """A  (3, 3) float64   out, over x, y, theta; by its entries on and above the diagonal."""
+    """Fill A (3, 3) float64, over x, y, theta, from its entries on and above the diagonal."""
     A[0, 0] = xx
     A[0, 1] = A[1, 0] = xy
     A[1, 1] = yy
@@ -84,9 +84,9 @@ def fill_symmetric(A, xx, xy, yy, xt, yt, tt):
 
 @inner_kernel
 def diagonalise_3x3(A, V):
-    """Eigenvalues and eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
+    """Eigenvalues and eigenvectors of a symmetric 3 x 3 matrix, by Jacobi rotations.
 
-    A  (3, 3) float64   in and out: diagonal with the eigenvalues then
+    A  (3, 3) float64   in and out: diagonal, the eigenvalues
     V  (3, 3) float64   out: the eigenvectors, a column each
     Source: Golub and Van Loan, Matrix Computations, 2013, section 8.5.
     """

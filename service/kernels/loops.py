@@ -1,4 +1,4 @@
-"""What loop closing asks of arrays: a field to search, an alignment, what contradicts it, path lengths."""
+"""Kernels of loop closing: likelihood field, alignment, contradiction with free space, path lengths."""
 
 import math
 
@@ -20,12 +20,12 @@ SPLAT_CELLS = 2
 
 @kernel(Float64_2D, int, int, float, float, Float32_2D)
 def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
-    """Likelihood of an end point near others: the most that any of them says.
+    """Raise the likelihood of an end point around each point; the maximum is kept.
 
     xy                        (N, 2) float64   m, frame of the field
     first_row, first_column   int              of the cell that is field[0, 0]; all points lie in the field
     sigma_m                   float
-    field                     (H, W) float32   in and out; 0 where nothing lies near
+    field                     (H, W) float32   in and out; 0 away from the points
     """
     scale = -0.5 / (sigma_m * sigma_m)
     for i in range(xy.shape[0]):
@@ -48,7 +48,7 @@ def splat_field(xy, first_row, first_column, cell_m, sigma_m, field):
 
 @kernel(Float32_2D, int, int, OccupancyGrid, float)
 def fill_unknown(field, first_row, first_column, grid, likelihood):
-    """Give cells of a likelihood field that a map knows nothing of at least a likelihood.
+    """Raise the unknown cells of a map to a least likelihood.
 
     field                     (H, W) float32   in and out
     first_row, first_column   int              of the cell that is field[0, 0]
@@ -67,7 +67,7 @@ def fill_unknown(field, first_row, first_column, grid, likelihood):
 
 @kernel(Float64_2D, float, Bool_1D)
 def thin_points(xy, spacing_m, kept):
-    """Leave out points that lie nearer than spacing_m to the last one kept.
+    """Drop points closer than spacing_m to the last one kept.
 
     xy     (N, 2) float64   in beam order, m
     kept   (N,)   bool      out
@@ -81,15 +81,15 @@ def thin_points(xy, spacing_m, kept):
 
 @kernel(Float64_2D, Float64_2D, SurfelGrid, MatchSettings, Float64_1D, Float64_2D)
 def align_surfels(xy, normals, grid, settings, pose, information):
-    """Gauss-Newton on surfels without a prior; a direction that nothing fixes stays where it began.
+    """Gauss-Newton on surfels without a prior; directions without information keep their initial value.
 
     xy         (N, 2) float64   m, frame of the pose
-    normals    (N, 3) float64   as estimate_normals gives them
+    normals    (N, 3) float64   from estimate_normals
     grid       SurfelGrid
     settings   MatchSettings
-    pose       (3,)   float64   in: where to start; out: where it ended, in the frame of the grid
+    pose       (3,)   float64   in: initial; out: final, in the frame of the grid
     information (3, 3) float64  out: of the cloud alone, in the axes of the grid
-    Returns (points asked, points that lie on the map).
+    Returns (points used, inliers).
     """
     g = np.empty(3)
     step = np.empty(3)
@@ -125,12 +125,12 @@ def align_surfels(xy, normals, grid, settings, pose, information):
 
 @kernel(Float64_2D, Float64_1D, OccupancyGrid, int)
 def share_in_free_space(xy, pose, grid, free):
-    """How many of some points lie where a map is sure that nothing is, of those that lie where it knows.
+    """Share of the points on known ground that lie in free space.
 
     xy      (N, 2) float64   m
     pose    (3,)   float64   of their frame in that of the grid
     grid    OccupancyGrid
-    free    int              evidence at or below it is free space; so must be all eight cells around
+    free    int              a point is in free space if its 3 x 3 cells have at most this evidence
     Returns a float in [0, 1].
     """
     c = math.cos(pose[2])
@@ -159,14 +159,14 @@ def share_in_free_space(xy, pose, grid, free):
 
 @kernel(Float64_1D, Int64_1D, Int64_1D, float, int, Float64_1D)
 def path_lengths(step_m, of, to, loop_m, start, length_m):
-    """Shortest way through a chain with loops from one of its poses to all others.
+    """Shortest paths through a chain with loops from one of its poses to all others.
 
-    step_m     (N,)  float64   way from each pose to the next; the last one's means nothing
+    step_m     (N,)  float64   path length from each pose to the next; the last entry is unused
     of, to     (E,)  int64     poses that a loop joins
-    loop_m     float           what going over a loop costs, > 0
+    loop_m     float           cost of a loop, > 0
     start      int
     length_m   (N,)  float64   out
-    Source: Bellman 1958; the chain is relaxed in both directions between two looks at the loops.
+    Source: Bellman 1958; the chain is relaxed in both directions between two passes over the loops.
     """
     count = length_m.shape[0]
     length_m.fill(np.inf)

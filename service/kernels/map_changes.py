@@ -1,6 +1,4 @@
-"""Where scans contradict a map that stays as it is: things that stand where it knows that nothing does, and
-walls of it that beams go through.
-"""
+"""Contradictions between scans and a frozen map: objects in free space, beams through walls."""
 
 import math
 from typing import NamedTuple
@@ -12,21 +10,21 @@ from service.kernels.compiled import inner_kernel, seldom_kernel
 from service.kernels.rays import BEHIND_M, begin_ray
 
 CELL_UNKNOWN, CELL_FREE, CELL_WALL = 0, 1, 2
-MIN_SINE = 0.4  # of the angle between beam and wall: what passes along a wall says nothing of it
-LONG = 4.0  # times as long as wide: what stands around a cell has a direction
-MAX_VOTES = 200  # of either side; then both are halved, and what is newer counts more
+MIN_SINE = 0.4  # of the angle between beam and wall: beams along a wall are no evidence against it
+LONG = 4.0  # length over width of the wall cells around a cell, from which on they have a direction
+MAX_VOTES = 200  # of either kind; then both are halved, so that newer votes count more
 
 
 class ChangeVotes(NamedTuple):
-    """What scans said to the cells of a map. Row 0, column 0 is the cell at (first_row, first_column).
+    """Votes of scans on the cells of a map. Row 0, column 0 is the cell at (first_row, first_column).
 
-    stored     (H, W) uint8    CELL_UNKNOWN, CELL_FREE or CELL_WALL: what the map says
+    stored     (H, W) uint8    CELL_UNKNOWN, CELL_FREE or CELL_WALL, of the map
     changed    (H, W) uint8    scans that contradict it
-    same       (H, W) uint8    scans that confirm it, since the first that contradicted it
+    same       (H, W) uint8    scans that confirm it, since the first contradiction
     poses      (H, W) uint8    poses from which it was contradicted
     last_pose  (H, W) int32    number of the last of them
-    first_ms, last_ms  (H, W) int32   moments of the first and of the last contradiction
-    hit, passed        (H, W) int32   number of the last scan that ended in the cell, or went through it
+    first_ms, last_ms  (H, W) int32   times of the first and of the last contradiction
+    hit, passed        (H, W) int32   number of the last scan that ended in the cell, or passed through it
     first_row, first_column   int
     cell_m     float
     """
@@ -46,7 +44,7 @@ class ChangeVotes(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """Of one scan: its number and that of its pose, from 1, and its time."""
+    """Numbers of a scan and of its pose, from 1, and the time."""
 
     scan: int
     pose: int
@@ -55,12 +53,12 @@ class Moment(NamedTuple):
 
 @seldom_kernel(Float64_2D, Float64_1D, Float64_1D, float, ChangeVotes, Moment)
 def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
-    """Let one scan speak of each cell once.
+    """Add the votes of one scan, at most one per cell.
 
     xy_base       (N, 2) float64   ends of beams, m, base frame
-    sensor_base   (2,)   float64   where they begin
+    sensor_base   (2,)   float64   start of the beams
     pose          (3,)   float64   base in the map
-    farthest_m    float            ends beyond are not asked
+    farthest_m    float            longer beams are ignored
     votes         ChangeVotes      in and out
     moment        Moment
     """
@@ -87,7 +85,7 @@ def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
 
 @inner_kernel
 def _weigh_end(row, column, votes, moment):
-    """Something stands at the end of a beam."""
+    """Vote for an object at the end of a beam."""
     height, width = votes.stored.shape
     if not (1 <= row < height - 1 and 1 <= column < width - 1):
         return
@@ -109,7 +107,7 @@ def _weigh_end(row, column, votes, moment):
 
 @inner_kernel
 def _weigh_way(u, v, du, dv, far_m, votes, moment):
-    """Nothing stands on the way of a beam, up to BEHIND_M before its end."""
+    """Vote for free space along a beam, up to BEHIND_M before its end."""
     height, width = votes.stored.shape
     share = 1.0 - BEHIND_M / far_m if far_m > BEHIND_M else 0.0
     column, row, step_column, step_row, next_column, next_row, per_column, per_row, steps = begin_ray(
@@ -136,7 +134,7 @@ def _weigh_way(u, v, du, dv, far_m, votes, moment):
 
 @inner_kernel
 def _is_hit(row, column, votes, moment):
-    """Whether this scan ended in a cell or in one of the eight around it."""
+    """Whether this scan ended in the 3 x 3 cells around a cell."""
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
             if votes.hit[r, q] == moment.scan:
@@ -146,7 +144,7 @@ def _is_hit(row, column, votes, moment):
 
 @inner_kernel
 def _crosses(row, column, du, dv, votes):
-    """Whether a beam goes across the wall of a cell, not along it."""
+    """Whether a beam crosses the wall of a cell rather than running along it."""
     height, width = votes.stored.shape
     count = sx = sy = xx = xy = yy = 0.0
     for r in range(max(row - 2, 0), min(row + 3, height)):
@@ -159,7 +157,7 @@ def _crosses(row, column, du, dv, votes):
                 xx += x * x
                 xy += x * y
                 yy += y * y
-    xx = xx / count - (sx / count) ** 2 + 0.08  # a cell is no point
+    xx = xx / count - (sx / count) ** 2 + 0.08  # variance within a cell
     yy = yy / count - (sy / count) ** 2 + 0.08
     xy = xy / count - sx * sy / (count * count)
     half = 0.5 * (xx + yy)

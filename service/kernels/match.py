@@ -1,5 +1,6 @@
-"""Scan to sub-map: Gauss-Newton on surfels, then on finer ones, deskewing anew between; a coarse map leads
-where that fails.
+"""Scan to sub-map matching: Gauss-Newton on surfels, coarse then fine, deskewed again between iterations.
+
+Where it fails, a coarse likelihood map gives other initial poses.
 """
 
 import math
@@ -25,18 +26,18 @@ from service.kernels.surfel_equations import surfel_cost, surfel_normal_equation
 from service.kernels.surfels import SurfelGrid, find_surfels_again, forget_around, nothing_around
 
 MAX_HALVINGS = 4  # of a step that raises the cost; [12]
-MIN_FINE_SHARE = 0.8  # of the points that lie on surfels of whole cells: with fewer, these decide; [32]
-MIN_FINE_POINTS = 2.0  # of this laser, that a wall of half cells stands for; [32]
-MIN_PRIOR_WEIGHT = 0.5  # of [12], at a chi2 of 11, 99 % of three degrees: the prediction was contradicted
+MIN_FINE_SHARE = 0.8  # inliers of half cells over those of whole cells; below it the whole cells decide; [32]
+MIN_FINE_POINTS = 2.0  # points of this laser that a surfel of half cells stands for at least; [32]
+MIN_PRIOR_WEIGHT = 0.5  # of [12], at chi2 = 11, 99 % of three degrees of freedom: the prediction contradicts
 
 
 class Prior(NamedTuple):
-    """Where the base should be. Covariances in base axes of the predicted pose, theta last."""
+    """Predicted pose of the base. Covariances in base axes of this pose, theta last."""
 
     pose: Float64_1D  # (3,) m, m, rad in the frame of the grid
     twist: Float64_1D  # (3,) m/s forward, m/s left, rad/s
     covariance: Float64_2D  # (3, 3) of the pose against the map
-    twist_gain: Float64_2D  # (3, 3) what a correction of the pose says of the twist, 1/s
+    twist_gain: Float64_2D  # (3, 3) correction of the twist per correction of the pose, 1/s
 
 
 class MatchSettings(NamedTuple):
@@ -69,23 +70,23 @@ class MatchResult(NamedTuple):
     twist: npt.NDArray[np.float64]  # (3,)
     covariance: npt.NDArray[
         np.float64
-    ]  # (3, 3) of the pose against the map, in its base axes: prior and scan
+    ]  # (3, 3) of the pose against the map, in its base axes, by prior and scan
     # (3, 3) of the scan alone, in base axes, less information_chance_chi2; the covariance has all of it
     information: npt.NDArray[np.float64]
-    prior_weight: float  # 1: scan and prediction agree; less: so much less did the prediction count
-    share: float  # of the points used that lie on the map
-    used: int  # points that were asked
-    weakest_sigma_m: float  # along the direction that the scan alone fixes least; inf: not at all
+    prior_weight: float  # of the prediction; 1: it agrees with the scan
+    share: float  # inlier ratio, 0..1
+    used: int  # points used
+    weakest_sigma_m: float  # in the direction that the scan fixes least; inf: unobservable
     weakest_direction_rad: float  # that direction, in base axes
 
 
 @inner_kernel
 def learn_twist(prior, pose, weight, twist):
-    """Twist that goes with where the match ended, starting from the prior's.
+    """Twist at the matched pose, by the correlation of pose and twist in the prior.
 
     prior   Prior
     pose    (3,) float64   matched
-    weight  float          of the prior: the part of it that did not count says nothing of the twist
+    weight  float          of the prior; the correction of the twist is scaled by it
     twist   (3,) float64   out
     """
     c = math.cos(prior.pose[2])
@@ -106,7 +107,7 @@ def learn_twist(prior, pose, weight, twist):
 
 @inner_kernel
 def prior_chi2_at(pose, prior_pose, information):
-    """How far a pose lies from the prediction, in squared sigmas; arguments as those of prior_weight_at."""
+    """Chi2 of a pose against the prediction; arguments as for prior_weight_at."""
     e = np.empty(3)
     e[0] = pose[0] - prior_pose[0]
     e[1] = pose[1] - prior_pose[1]
@@ -120,7 +121,7 @@ def prior_chi2_at(pose, prior_pose, information):
 
 @inner_kernel
 def prior_weight_at(pose, prior_pose, information, freedom):
-    """Weight of the prediction: its error has Student's distribution, so one that is far off gives way; [12].
+    """Weight of the prediction by Student's distribution: it falls with the error; [12].
 
     pose, prior_pose   (3,)   float64
     information        (3, 3) float64   of the prediction, in the axes of the grid
@@ -131,7 +132,7 @@ def prior_weight_at(pose, prior_pose, information, freedom):
 
 
 def student_cost(chi2, freedom):
-    """Half the cost of a prediction that is so many squared sigmas off; [12]."""
+    """Half the cost of a prediction with this chi2; [12]."""
     return 0.5 * (freedom + 3.0) * math.log1p(chi2 / freedom)
 
 
@@ -167,26 +168,25 @@ def align_on_surfels(
     information,
     less_chance,
 ):
-    """Gauss-Newton on surfels, held by the prior, deskewing anew with the twist that each step finds.
+    """Gauss-Newton on surfels with a prior, deskewed again with the twist of each step.
 
-    returns             Returns            end points at their own moments
+    returns             Returns            end points at their own times
     normals             (N, 3) float64     base frame
     prior               Prior
     prior_information   (3, 3) float64     in the axes of the grid
     grid                SurfelGrid
     settings            MatchSettings
-    enough              float              a step shorter than so many times what is settled is the last one,
-                                           where the match is not doubted
-    doubt_inlier_ratio  float              with fewer points than that on the map, as where the prediction is
-                                           contradicted, no step is taken that raises the cost
+    enough              float              factor on the convergence limits; 1 for a match in doubt
+    doubt_inlier_ratio  float              below this inlier ratio, or with a contradicted prediction, no step
+                                           may raise the cost
     least_count         float              as in find_surfels_again
-    around              Around             in and out: what is around the points, of searches before
+    around              Around             in and out: results of previous searches
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
-    pose                (3,)   float64     in: where to start; out: where it ended
+    pose                (3,)   float64     in: initial; out: final
     information         (3, 3) float64     out: of the scan alone, in the axes of the grid
     less_chance         (3, 3) float64     out: the same, less information_chance_chi2
-    Returns (half the cost before the last step, of points and prior; points asked; points that lie on the
-    map; weight of the prior).
+    Returns (half the cost before the last step, of points and prior; points used; inliers; weight of the
+    prior).
     """
     g = np.empty(3)
     total = np.empty(3)
@@ -271,17 +271,16 @@ def align_on_surfels(
 def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_inlier_ratio, xy_base):
     """Pose of a scan in a sub-map.
 
-    returns     Returns            end points at their own moments
+    returns     Returns            end points at their own times
     normals     (N, 3) float64     from estimate_normals, base frame
     prior       Prior
-    start       (3,)   float64     where to begin; the prior's pose, or what a search found
-    grid        SurfelGrid         what lies within its reach draws the scan near, and tells how much of it is
-                                   on the map
-    fine_grid   SurfelGrid         of the same points in smaller cells, or `grid` again: by them the scan is
-                                   aligned from there on, unless less than MIN_FINE_SHARE of what lies on
-                                   the map lies on walls in them that stand for MIN_FINE_POINTS of it
+    start       (3,)   float64     initial pose: the prior's, or that of a search
+    grid        SurfelGrid         whole cells: they attract the scan first and give its inlier ratio
+    fine_grid   SurfelGrid         half cells, or `grid` again: they refine the pose if at least
+                                   MIN_FINE_SHARE of the inliers lies on their surfels of at least
+                                   MIN_FINE_POINTS
     settings    MatchSettings
-    doubt_inlier_ratio float       with fewer points than that on the map, other starts are tried
+    doubt_inlier_ratio float       below this inlier ratio other initial poses are tried
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
@@ -293,10 +292,10 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     prior_information = np.zeros((3, 3))
     if invert_3x3(prior.covariance, rotated):
         rotate_information(rotated, prior.pose[2], prior_information)
-    # The prediction may lie outside the catchment of the surfels: then let the coarse map lead there, from
-    # the predicted heading and from two beside it. What costs least is kept. The coarse map is held to the
-    # prediction no better than it tells places apart: odometry that errs and is sure of it would else hold
-    # each start where it is, and its own cost, which grows slowly, would never be asked.
+    # The prediction may be outside the basin of convergence of the surfels. Then the coarse map gives initial
+    # poses, from the predicted heading and two beside it; the match of least cost is kept. Its prior is
+    # widened to the resolution of the coarse map: else wrong odometry with a small covariance would fix every
+    # start.
     loose = prior.covariance.copy()
     loose[0, 0] += settings.coarse_m * settings.coarse_m
     loose[1, 1] += settings.coarse_m * settings.coarse_m

@@ -1,4 +1,4 @@
-"""Direction of the wall at each end point, from the beams beside it."""
+"""Normal of the wall at each end point, from the neighbouring beams."""
 
 import math
 
@@ -7,51 +7,49 @@ import numpy as np
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 
-WALL_M = 0.004  # how even a wall is, at best
+WALL_M = 0.004  # roughness of a plane wall
 BEAMS_EACH_SIDE, MAX_BEAMS_EACH_SIDE = 4, 32  # of a window
-# Points farther apart than noise explains, GAP_M at least, and so many steps between beams: a gap. Noise that
-# parted a wall seen aslant would part it where the next point is farther, and turn what is left of it.
+# A gap: points farther apart than GAP_M, than noise explains, and than so many beam steps. Split by noise, an
+# oblique wall would end where the next point is farther, which turns the rest of it.
 GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 3.5
-# Beams that graze a wall hit it in steps so long, each longer than the one before by at most so much.
+# Grazing beams hit a wall in steps up to this length, each longer than the one before by at most this factor.
 MAX_STEP_M, MAX_GROWTH = 1.0, 1.5
-IN_LINE_SIGMAS = 3.0  # a point that far off two others is not in line with them
-THICK_SIGMAS = 2.0  # of its spread: a piece thicker than noise by more is no plane
-ANGLE_SIGMA_RAD = 0.1  # a window grows until the wall's direction is known so well
-MAX_ANGLE = 2.0  # times the direction's sigma that is asked for: known worse, a piece is rough
-MIN_COS_INCIDENCE = 0.05  # beams that graze more see nothing that can be relied on
+IN_LINE_SIGMAS = 3.0  # gate for a point off the line of two others
+THICK_SIGMAS = 2.0  # gate of the scatter across a plane
+ANGLE_SIGMA_RAD = 0.1  # target sigma of a normal; the window grows until it is reached
+MAX_ANGLE = 2.0  # times the target sigma: a less certain normal is discarded
+MIN_COS_INCIDENCE = 0.05  # beams that graze more are not used
 ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
-# Beside an edge, where the window around a point holds two walls: a window to one side of the point.
+# Beside an edge, where the window around a point contains two walls: a window on one side of the point.
 MIN_SIDE = 2  # points in it besides the point itself
-MIN_REACH_M = 0.12  # windows that reach less far fit on the side of a door by themselves
-MIN_WIDTH_M = 0.6  # of a run with edges; a narrower one is a post, a trunk or a person, and round
-MAX_SPACING_M = 0.1  # of its points: of few and far ones, each on another wall, any three make a plane
-MIN_COS_BESIDE_EDGE = 0.5  # of the incidence: what lies between two walls lies along the beams
-CLEAN = 1.0  # spread across, at most, over what noise explains
-MIN_RUNS, MAX_BEAM_GAP = 30, 4  # of three beams, that noise is seen in; steps between the beams of a run
+MIN_REACH_M = 0.12  # shorter windows fit on the side of a door
+MIN_WIDTH_M = 0.6  # of a run with edges; a narrower one is a round object: a post, a trunk or a person
+MAX_SPACING_M = 0.1  # of its points: any three sparse points, each on another wall, form a plane
+MIN_COS_BESIDE_EDGE = 0.5  # of the incidence: points between two walls lie along the beams
+CLEAN = 1.0  # largest scatter across, over the expected
+MIN_RUNS, MAX_BEAM_GAP = 30, 4  # runs of three beams for the range noise; largest beam step within a run
 
 
 @kernel(Float64_2D, Float64_1D, float, float, float, Float64_2D, Float64_1D)
 def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals, aside_m):
-    """Principal axes of each point and its contiguous neighbours.
+    """Normal and weight of each point from the principal axes of its contiguous neighbours.
 
     xy_base          (N, 2) float64   end points in beam order, m, base frame
-    sensor_xy_m      (2,)   float64   where the beams start, m, base frame
+    sensor_xy_m      (2,)   float64   start of the beams, m, base frame
     angle_step_rad   float            between neighbouring beams, > 0
     range_sigma_m    float            noise of a range
-    grazing_weight   float            of a point whose beam runs along the wall, where one head-on has 1
-    normals          (N, 3) float64   out: unit normal towards the sensor in base axes, and the weight of the
-                                      point: 1 or more on a planar piece, ROUGH_WEIGHT elsewhere, 0
-                                      where the beam grazes too much. An error of the range moves the point
-                                      along its beam, so across a wall it counts by the cosine of the
-                                      incidence: the weight is 1 head-on, grazing_weight at most
-    aside_m          (N,)   float64   out: how far along its wall, to the left of the normal, a point has to
-                                      be moved to where its beam meets the wall, for noise has moved it along
-                                      the beam; 0 where it lies on no plane; [24]
+    grazing_weight   float            limit of the weight at grazing incidence
+    normals          (N, 3) float64   out: unit normal towards the sensor in base axes, and weight: 1 head-on
+                                      up to grazing_weight on a plane, because range noise counts by the
+                                      cosine of the incidence; ROUGH_WEIGHT off planes; 0 below
+                                      MIN_COS_INCIDENCE
+    aside_m          (N,)   float64   out: shift of a point along its wall, left of the normal, to where its
+                                      beam meets the wall; 0 off planes; [24]
     """
     count = xy_base.shape[0]
     sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
     range_m = np.empty(count)
-    first = np.empty(count, np.int64)  # of the run of points without a gap that each belongs to
+    first = np.empty(count, np.int64)  # of each point's run, without gaps
     square_m2 = range_sigma_m * range_sigma_m
     least_gap_m = max(GAP_M, GAP_SIGMAS * range_sigma_m)
     for i in range(count):
@@ -72,8 +70,8 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
                 xy_base, sensor_xy_m, i, angle_step_rad, square_m2
             ):
                 first[i] = first[i - 1]
-    # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L: as many beams
-    # are wanted each side as make beams^3 spacing^2 this much
+    # [16] 12 sigma^2 / (n L^2) is the variance of the direction of n points over the length L; solved for
+    # beams^3 spacing^2, with `beams` on each side
     wanted_m2 = 1.5 * (range_sigma_m / ANGLE_SIGMA_RAD) ** 2
     reach = BEAMS_EACH_SIDE
     end = count  # of the run
@@ -83,7 +81,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         spacing_m = angle_step_rad * range_beside(range_m, first, i, end)
         spacing_m2 = spacing_m * spacing_m
         while reach < MAX_BEAMS_EACH_SIDE and (reach + 1) ** 3 * spacing_m2 <= wanted_m2:
-            reach += 1  # from that of the point beside: no cube root
+            reach += 1  # continued from the neighbouring point instead of a cube root
         while reach > BEAMS_EACH_SIDE and reach**3 * spacing_m2 > wanted_m2:
             reach -= 1
         low = max(first[i], i - reach)
@@ -108,10 +106,10 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
 
 @kernel(Float64_2D, Float64_2D, Float64_1D, Float64_2D)
 def move_along_walls(xy_base, normals, aside_m, moved):
-    """Points where their beams meet their walls; [24].
+    """Shift each point along its wall to where its beam meets the wall; [24].
 
     xy_base   (N, 2) float64   m, base frame
-    normals   (N, 3) float64   from estimate_normals, as aside_m (N,) is
+    normals   (N, 3) float64   from estimate_normals, as aside_m (N,)
     moved     (N, 2) float64   out: m, base frame
     """
     for i in range(xy_base.shape[0]):
@@ -121,10 +119,10 @@ def move_along_walls(xy_base, normals, aside_m, moved):
 
 @inner_kernel
 def is_grazed(xy_base, sensor_xy_m, i, angle_step_rad, square_m2):
-    """Whether points i - 1 and i, though far apart, lie on one wall that the beams graze: with two points
-    beside them they are in line.
+    """Whether the distant points i - 1 and i are on one wall at grazing incidence: in line with two
+    neighbours.
 
-    Three are not enough: at the edge of a door the beam that lies on both walls ends somewhere between them.
+    Three points are not enough: at the edge of a door a beam on both walls ends between them.
     """
     if is_in_line(xy_base, sensor_xy_m, i - 1, angle_step_rad, square_m2):
         return is_in_line(xy_base, sensor_xy_m, i - 2, angle_step_rad, square_m2) or is_in_line(
@@ -137,7 +135,7 @@ def is_grazed(xy_base, sensor_xy_m, i, angle_step_rad, square_m2):
 
 @inner_kernel
 def is_in_line(xy_base, sensor_xy_m, k, angle_step_rad, square_m2):
-    """Whether point k and the two beside it are in line within noise: beams side by side, steps alike."""
+    """Whether point k and its neighbours, of consecutive beams and similar steps, are in line."""
     if k < 1 or k + 1 >= xy_base.shape[0]:
         return False
     x = xy_base[k, 0] - sensor_xy_m[0]
@@ -154,7 +152,7 @@ def is_in_line(xy_base, sensor_xy_m, k, angle_step_rad, square_m2):
         x, y, x + bx, y + by, angle_step_rad
     ):
         return False
-    # Of the three, the one between is off their line by `off` over the length between the outer two.
+    # The middle point is off the line of the outer two by `off` over their distance.
     dx = bx - ax
     dy = by - ay
     square = dx * dx + dy * dy
@@ -168,7 +166,7 @@ def is_in_line(xy_base, sensor_xy_m, k, angle_step_rad, square_m2):
 
 @inner_kernel
 def is_beside(x, y, other_x, other_y, angle_step_rad):
-    """Whether two points (m, from the sensor) are of beams side by side: no beam between them was lost."""
+    """Whether two points (m, from the sensor) are of consecutive beams."""
     sine = abs(x * other_y - y * other_x)
     squares = (x * x + y * y) * (other_x * other_x + other_y * other_y)
     return sine * sine < (1.5 * angle_step_rad) ** 2 * squares
@@ -176,13 +174,12 @@ def is_beside(x, y, other_x, other_y, angle_step_rad):
 
 @inner_kernel
 def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach, square_m2, grazing_weight):
-    """Normal (2,), weight and way aside of point i by the longest clean window to one side, as plane_at gives
-    them; ROUGH_WEIGHT: none is.
+    """Normal (2,), weight and shift of point i by the longest clean window on one side; see plane_at.
 
     first, end   the run of the point
     reach        points of the longest window besides the point
-    The outermost point of a window may lie beyond the next edge, within noise: it is left out of a window
-    of more than MIN_SIDE.
+    The weight is ROUGH_WEIGHT where no window is clean. The outermost point of a window may lie beyond the
+    next edge, within noise: it is left out of windows of more than MIN_SIDE.
     """
     nx = 1.0
     ny = 0.0
@@ -225,8 +222,8 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
 
 @inner_kernel
 def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight):
-    """Unit normal (2,) of point i by the points low to high - 1, its weight, their spread across in units of
-    what noise explains, and how far point i is to be moved along the wall, m; see estimate_normals.
+    """Unit normal (2,) of point i by the points low to high - 1, its weight, their scatter across over the
+    expected, and the shift of point i along the wall, m; see estimate_normals.
     """
     most_rad2 = (MAX_ANGLE * ANGLE_SIGMA_RAD) ** 2
     n = high - low
@@ -247,15 +244,15 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
         half = 0.5 * (a - c)
         root = math.sqrt(half * half + b * b)
         mean = 0.5 * (a + c)
-        # [20] The point itself tells nothing of the direction, for its error shall not be in it; and
-        # noise along the beam tilts the line of points that are seen aslant: both are taken out.
+        # [20] The point itself is left out, so that its error does not affect its normal, and the noise along
+        # the beam is subtracted, because at oblique incidence it tilts the line.
         x = xy_base[i, 0] - sensor_xy_m[0] - sx / n
         y = xy_base[i, 1] - sensor_xy_m[1] - sy / n
         own = n / (n - 1.0)
         noise = (n - 4) * square_m2
         tilt = b - own * x * y - noise * nx * ny
         lean = half - 0.5 * own * (x * x - y * y) - 0.5 * noise * (nx * nx - ny * ny)
-        if lean >= 0.0:  # eigenvector of the small eigenvalue, from the form that cancels nothing
+        if lean >= 0.0:  # eigenvector of the small eigenvalue, in the form without cancellation
             ex = -tilt
             ey = lean + math.hypot(lean, tilt)
         else:
@@ -274,19 +271,19 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
                 sine = -sine
             nx = ex
             ny = ey
-            # [17] the spread across a plane has n - 2 degrees of freedom
+            # [17] the scatter across a plane has n - 2 degrees of freedom
             expected = square_m2 * cosine * cosine + WALL_M * WALL_M
             spread = THICK_SIGMAS * math.sqrt(2.0 / max(n - 2, 1))
             excess = (mean - root) / (max(n - 2, 1) * expected)
             thin = excess < 1.0 + spread
-            # Not the scatter measured: a point that is off would judge itself by it.
+            # The expected, not the observed scatter: else an outlier would affect its own selection.
             is_direction_known = expected < most_rad2 * (mean + root)
             if thin and is_direction_known:
                 weight = 0.0
                 if cosine >= MIN_COS_INCIDENCE:
                     square = cosine * cosine
                     weight = 1.0 / (square + (1.0 - square) / grazing_weight)
-                    # [24] what noise explains of how far the point is off the line
+                    # [24] part of the point's distance from the line that is noise
                     off = (nx * x + ny * y) * square_m2 * square / expected
                     aside_m = off * sine / cosine
     return nx, ny, weight, excess, aside_m
@@ -294,7 +291,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
 
 @inner_kernel
 def range_beside(range_m, first, i, end):
-    """Mean range of the two points beside point i of a run, m: free of the error of its own."""
+    """Mean range of the two neighbours of point i in its run, m: independent of its own error."""
     total = 0.0
     count = 0
     if i > first[i]:
@@ -308,13 +305,11 @@ def range_beside(range_m, first, i, end):
 
 @kernel(Float64_2D, Int32_1D, Float64_1D)
 def range_noise(xy_raw, beam, sensor_xy_m):
-    """Noise of a range as a scan shows it, m; 0.0 where it shows none: fewer than 30 runs of three beams.
+    """Range noise of a scan, m; 0.0 where it has too few runs of three beams; [19].
 
-    Runs are of beams side by side; where there are too few, of every second one, up to every fourth: a LUX
-    at 25 Hz fills every second beam of its grid.
-
-    Along walls the range of a beam is nearly the mean of its neighbours', so second differences are noise:
-    their median is 0.6745 sqrt(6) sigma of normal noise, whatever edges and people are in view; [19].
+    Along walls the second difference of ranges is noise; the median of its magnitude is 0.6745 sqrt(6) sigma.
+    Runs are of consecutive beams, or of every second to fourth one where there are too few: a LUX at 25 Hz
+    fills every second beam of its grid.
 
     xy_raw        (N, 2) float64   m, in beam order
     beam          (N,)   int32     number of each point's beam

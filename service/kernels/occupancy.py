@@ -1,4 +1,4 @@
-"""Hits and misses along beams, in tiles of the map that is shown."""
+"""Hits and misses along beams, in tiles of the published map."""
 
 import math
 from typing import NamedTuple
@@ -16,12 +16,12 @@ GRID_TILE_MASK = GRID_TILE_CELLS - 1
 
 
 class OccupancyGrid(NamedTuple):
-    """The shown map.
+    """The published map.
 
     tiles      TileIndex
-    evidence   (capacity, T, T) int8     log-odds in steps of the configured size; 0: never seen
+    evidence   (capacity, T, T) int8     log-odds in steps of the configured size; 0: unknown
     touched    (capacity, T, T) uint16   number of the scan that last changed a cell
-    changed    (capacity,)      uint8    1: the tile changed since it was last handed out
+    changed    (capacity,)      uint8    1: the tile changed since it was last published
     cell_m     float
     """
 
@@ -33,7 +33,7 @@ class OccupancyGrid(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What one scan says to a cell, in steps of log-odds."""
+    """Update of a cell by one scan, and its limits, in steps of log-odds."""
 
     hit: int
     miss: int
@@ -43,7 +43,7 @@ class Evidence(NamedTuple):
 
 @inner_kernel
 def touch_tile(grid, tile_row, tile_column):
-    """Slot of a tile, made where there was none."""
+    """Slot of a tile, created if absent."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
     if slot == NO_TILE:
         slot, used_before = take_slot(grid.tiles, tile_row, tile_column)
@@ -55,7 +55,7 @@ def touch_tile(grid, tile_row, tile_column):
 
 @inner_kernel
 def weigh_cell(old, amount, evidence):
-    """Evidence of a cell, by what it was and what a scan says to it; 0 is kept for "never seen"."""
+    """Updated evidence of a cell; 0 is reserved for unknown."""
     new = min(max(old + amount, evidence.least), evidence.most)
     if new == 0:
         new = 1 if amount > 0 else -1
@@ -64,7 +64,7 @@ def weigh_cell(old, amount, evidence):
 
 @inner_kernel
 def cell_in_tiles(slot, row, column):
-    """Number of a cell among those of all tiles, one after the other; row and column in the map."""
+    """Flat index of a cell in the array of tiles; row and column in the map."""
     return (
         (slot << 2 * GRID_TILE_BITS) | ((row & GRID_TILE_MASK) << GRID_TILE_BITS) | (column & GRID_TILE_MASK)
     )
@@ -72,21 +72,22 @@ def cell_in_tiles(slot, row, column):
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, OccupancyGrid, Evidence, float, np.uint16)
 def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_number):
-    """Weigh the cells that a scan saw: end points first, so that no beam clears what another one hit.
+    """Update the cells that a scan observed: end points first, so that no beam clears a cell that another
+    hit.
 
-    A scan speaks of each cell once. A beam clears the cells up to that of its end point.
+    A scan updates each cell once. A beam clears the cells before that of its end point.
 
     xy_base        (N, 2) float64   end points, m, base frame
-    sensor_xy_m    (2,)   float64   where the beams start, m, base frame
+    sensor_xy_m    (2,)   float64   start of the beams, m, base frame
     pose           (3,)   float64   base in the map frame
-    grid           OccupancyGrid    in and out; its tiles' index covers end points and sensor
+    grid           OccupancyGrid    in and out; its index covers end points and sensor
     evidence       Evidence
-    free_range_m   float            beams clear cells up to here
+    free_range_m   float            length up to which beams clear cells
     scan_number    uint16           differs from that of the last scan, and is not 0
     Source: Thrun, Burgard, Fox, Probabilistic Robotics, table 9.1; Amanatides and Woo, A fast voxel traversal
     algorithm for ray tracing, 1987.
     """
-    cells = grid.evidence.reshape(-1)  # taken out once: a reference taken in the loop costs more than a cell
+    cells = grid.evidence.reshape(-1)  # hoisted: a reference inside the loop costs more than a cell
     touched = grid.touched.reshape(-1)
     changed = grid.changed
     cell_m = grid.cell_m
@@ -136,7 +137,7 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
                 if new != old:
                     cells[k] = np.int8(new)
                     changed[slot] = np.uint8(1)
-            # By selection: which border comes next is anybody's guess, that of the processor too.
+            # Without branches: the next border cannot be predicted.
             is_column = next_column < next_row
             column += step_column if is_column else 0
             row += 0 if is_column else step_row
@@ -146,7 +147,7 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
 
 @inner_kernel
 def evidence_at(grid, row, column):
-    """Evidence of a cell, 0 where no tile is."""
+    """Evidence of a cell, 0 without a tile."""
     slot = find_tile(grid.tiles, row >> GRID_TILE_BITS, column >> GRID_TILE_BITS)
     if slot == NO_TILE:
         return np.int64(0)
@@ -155,15 +156,15 @@ def evidence_at(grid, row, column):
 
 @kernel(Float64_2D, Float64_1D, OccupancyGrid)
 def count_overlap(xy_base, pose, grid):
-    """How many points lie on walls, and how many where nothing stands.
+    """Number of points on walls and in free space.
 
-    A wall is a cell of evidence above 0, the point's own or one of the eight around. Nothing stands in a cell
-    below 0 without a wall around; the rest is not known.
+    A point is on a wall if any of its 3 x 3 cells has evidence above 0, else in free space if its own cell
+    has evidence below 0, else on unknown ground.
 
     xy_base   (N, 2) float64   m, base frame
     pose      (3,)   float64   base in the frame of the grid
     grid      OccupancyGrid
-    Returns (on walls, where nothing stands).
+    Returns (on walls, in free space).
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -186,12 +187,12 @@ def count_overlap(xy_base, pose, grid):
 
 @kernel(Int8_2D, float, Int8_2D)
 def to_per_cent(evidence, per_step, cells):
-    """Log-odds -> occupancy in per cent; -1 where never seen.
+    """Log-odds to occupancy in per cent; -1: unknown.
 
     evidence   (T, T) int8
     per_step   float         log-odds of one step
-    cells      (T, T) int8   out
-    Returns True where any cell differs from what `cells` held.
+    cells      (T, T) int8   in and out
+    Returns whether any cell changed.
     """
     per_cent = np.empty(256, np.int8)
     for value in range(-128, 128):
@@ -209,11 +210,11 @@ def to_per_cent(evidence, per_step, cells):
 
 @seldom_kernel(Int64_1D, Int64_1D, Int8_3D, OccupancyGrid)
 def write_tiles(tile_row, tile_column, evidence, grid):
-    """Put other tiles in the place of all that a map holds; those that it holds besides become unknown.
+    """Replace all tiles of a map; tiles that are not among the new ones become unknown.
 
     tile_row, tile_column   (T,)        int64
-    evidence                (T, W, W)   int8            evidence
-    grid                    OccupancyGrid               in and out; its tiles' index covers them
+    evidence                (T, W, W)   int8
+    grid                    OccupancyGrid               in and out; its index covers them
     """
     slots = grid.tiles.slots
     kept = np.zeros(slots.shape, np.uint8)

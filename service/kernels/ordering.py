@@ -1,4 +1,4 @@
-"""Order among numbers. By hand: numba's np.argsort takes 2 s to compile, its np.partition 10 s."""
+"""Sorting and selection: numba's np.argsort takes 2 s to compile, its np.partition 10 s."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from service.kernels.compiled import inner_kernel
 
 @inner_kernel
 def order_rising(values, order):
-    """Where the smallest value stands, the next one and so on; of equal ones the first comes first.
+    """Stable argsort in rising order.
 
     values   (N,) float64   no NaN
     order    (N,) int64     out
@@ -38,9 +38,9 @@ def order_rising(values, order):
 
 @inner_kernel
 def kth_smallest(values, count, k):
-    """The value that stands at place k, from 0, among the first `count` once they are sorted.
+    """The k-th smallest, from 0, of the first `count` values.
 
-    values   (M,) float64   no NaN; count of them in use, put into another order
+    values   (M,) float64   no NaN; count of them in use; reordered
     Source: Hoare 1961, Algorithm 65: find.
     """
     low = 0

@@ -1,4 +1,4 @@
-"""The occupancy likelihood map whose points weigh more where they lie in an orthogonal segment."""
+"""Occupancy likelihood map in which points of orthogonal segments weigh more."""
 
 import math
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from service.kernels.surfels import TILE_BITS, TILE_MASK  # read_field knows til
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
 NOISY_OR, MAXIMUM = 0, 1
-FULL = 255.0  # what a likelihood of 1 is in `cells`
+FULL = 255.0  # likelihood 1 in `cells`
 
 
 class WeightedLayer(NamedTuple):
@@ -31,7 +31,7 @@ class WeightedLayer(NamedTuple):
 
 @inner_kernel
 def shares_of_three(offset, sigma, shares):
-    """How a Gaussian is spread over the cell of its point and those on both sides, along one axis.
+    """Shares of a Gaussian in the cell of its point and those on both sides, along one axis.
 
     offset   float          mean, from the centre of the middle cell, cells
     sigma    float          cells
@@ -78,7 +78,7 @@ def insert_weighted(xy_map, segment, sigma_cells, about_point, rule, layer):
                 q = column + b - 1
                 slot = find_tile(tiles, r >> TILE_BITS, q >> TILE_BITS)
                 if slot == NO_TILE:
-                    slot = take_slot(tiles, r >> TILE_BITS, q >> TILE_BITS)[0]  # none is ever handed back
+                    slot = take_slot(tiles, r >> TILE_BITS, q >> TILE_BITS)[0]  # slots are never released
                 before = np.float64(likelihood[slot, r & TILE_MASK, q & TILE_MASK])
                 new = along_y[a] * along_x[b]
                 after = 1.0 - (1.0 - before) * (1.0 - new) if rule == NOISY_OR else max(before, new)

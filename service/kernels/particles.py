@@ -1,4 +1,4 @@
-"""Weights of particles, and which of them live on."""
+"""Weights of particles, and resampling."""
 
 import math
 
@@ -8,11 +8,11 @@ from service.kernels.compiled import kernel
 
 @kernel(Float64_1D, Float64_1D)
 def normalise_weights(log_weights, weights):
-    """Weights that add up to 1, and how many particles they are worth.
+    """Normalise weights; returns the effective number of particles.
 
-    log_weights   (N,) float64   in and out: the largest becomes 0, so that they never run away
-    weights       (N,) float64   out
-    Returns 1 / sum of squares: N for equal weights, 1 where one has it all.
+    log_weights   (N,) float64   in and out: the largest becomes 0, which keeps them bounded
+    weights       (N,) float64   out: sum 1
+    Returns 1 / sum of squares: N for equal weights, 1 where one particle has all the weight.
     Source: Doucet, Godsill, Andrieu 2000, eq. 51.
     """
     largest = log_weights[0]
@@ -32,11 +32,11 @@ def normalise_weights(log_weights, weights):
 
 @kernel(Float64_1D, float, Int64_1D)
 def resample(weights, first, chosen):
-    """Low-variance resampling: one random number for all.
+    """Low-variance resampling with one random number.
 
-    weights   (N,) float64   add up to 1
+    weights   (N,) float64   sum 1
     first     float          random, in [0, 1)
-    chosen    (N,) int64     out: which particle each one becomes; rising
+    chosen    (N,) int64     out: index of the particle that each one becomes; rising
     Source: Thrun, Burgard, Fox, Probabilistic Robotics, table 4.4.
     """
     count = weights.shape[0]

@@ -1,4 +1,4 @@
-"""Information about a pose in the plane: (3, 3) over x, y, theta."""
+"""Information matrices of a pose in the plane: (3, 3) over x, y, theta."""
 
 import math
 
@@ -11,13 +11,13 @@ from service.kernels.linear3 import solve_3x3
 
 @inner_kernel
 def wrap(theta):
-    """The same direction in [-pi, pi)."""
+    """The angle in [-pi, pi)."""
     return (theta + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @inner_kernel
 def invert_3x3(A, inverse):
-    """Inverse of a symmetric positive definite matrix; False, and `inverse` undefined, where it is not.
+    """Inverse of a symmetric positive definite matrix; False, with `inverse` undefined, where it is not.
 
     A, inverse   (3, 3) float64
     """
@@ -35,7 +35,7 @@ def invert_3x3(A, inverse):
 
 @kernel(Float64_2D, float, Float64_2D)
 def rotate_information(information, theta, rotated):
-    """Information of (x, y, theta) from axes that are turned by theta into the axes they are turned in.
+    """Rotate the information of (x, y, theta) to axes against which the old ones are rotated by theta.
 
     information, rotated   (3, 3) float64
     theta                  float
@@ -82,10 +82,10 @@ def add_prior(pose, prior_pose, information, H, g):
 
 @inner_kernel
 def weakest_direction(H):
-    """How well a Hessian over x, y, theta fixes the position where it fixes it least.
+    """The direction in which a Hessian over x, y, theta fixes the position least.
 
     H   (3, 3) float64
-    Returns (information in 1/m^2 with theta left free, direction in rad).
+    Returns (information in 1/m^2, theta marginalised; direction in rad).
     """
     k = 1.0 / H[2, 2] if H[2, 2] > 0.0 else 0.0
     a = H[0, 0] - k * H[0, 2] * H[0, 2]

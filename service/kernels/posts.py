@@ -1,4 +1,4 @@
-"""A quick look at a scan: whether it can see posts mostly."""
+"""A fast test whether a scan can consist mostly of posts."""
 
 import math
 
@@ -7,18 +7,19 @@ import numpy as np
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 
-SLACK = 1e-9  # relative, for sums in another order
+SLACK = 1e-9  # relative, for sums in a different order
 
 
 @inner_kernel
 def missing_by_chance(range_m, beam, gap, least_step_m):
-    """The most returns in a row that a scan of so many beams loses, if it loses each with the probability
-    with which one is missing between two of the same surface; 0 where that is never so.
+    """Longest run of missing returns expected by chance in a scan; 0 where no return is missing.
+
+    The probability of a missing return is counted between returns of the same surface.
 
     range_m        (N,) float64   m
-    beam           (N,) int32     which beam of the scan
+    beam           (N,) int32     index of the beam in the scan
     gap            int            beams from one return to the next
-    least_step_m   float          a step of the range between two surfaces
+    least_step_m   float          range step between two surfaces
     """
     whole = lost = 0
     for i in range(1, range_m.shape[0]):
@@ -28,25 +29,24 @@ def missing_by_chance(range_m, beam, gap, least_step_m):
     if lost == 0:
         return 0
     probability = lost / (lost + whole)
-    # N p^n, the runs of n that are expected, is above a half up to this n.
+    # N p^n, the expected number of runs of n, is above a half up to this n.
     return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if whole > 0 else range_m.shape[0]
 
 
 @kernel(Float64_2D, Int32_1D, int, Float64_1D, float, float, float, float)
 def look_for_posts(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
-    """Whether points in narrow runs are at least `least_share` of all, never False where they are; and how
-    many returns in a row the laser loses by chance.
+    """Whether points in narrow runs are at least `least_share` of all; and the longest chance gap.
 
-    A run ends where more returns are missing than that, or where the range steps. Cut too often, its pieces
-    are narrow all the more, so rounding can only make this True.
+    A run ends where more returns are missing than chance explains, or where the range steps. Rounding can
+    only split runs, which makes them narrower: the result may be falsely True, never falsely False.
 
     xy             (N, 2) float64   m, in order of the beams
-    beam           (N,)   int32     which beam of the scan
+    beam           (N,)   int32     index of the beam in the scan
     gap            int              beams from one return to the next, see usual_gap
     sensor_xy      (2,)   float64   m, the sensor in the frame of xy
     step_rad       float            from one return to the next
     most_width_m   float            of a narrow run
-    least_step_m   float            of the range, where a run ends
+    least_step_m   float            range step at which a run ends
     least_share    float            0 to 1
     """
     count = xy.shape[0]

@@ -1,6 +1,4 @@
-"""The systematic error of a laser's ranges, of all of them and as a curve over range: walls show it that are
-seen again.
-"""
+"""Systematic range error of a laser, constant and as a curve over range, from walls seen again."""
 
 import math
 
@@ -25,12 +23,12 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, find_tile
 
-MIN_INCIDENCE_COSINE = 0.1  # of the incidence: beams that graze more say nothing of a range
+MIN_INCIDENCE_COSINE = 0.1  # beams that graze more carry no information about the range
 
 
 @inner_kernel
 def bias_at(curve_m, node_m, range_m):
-    """Value of a curve between its nodes, m; beyond the last one that of the last.
+    """Linear interpolation of a curve, m; constant beyond the last node.
 
     curve_m   (K,) float64   m at 0, node_m, 2 node_m, ...
     """
@@ -43,11 +41,11 @@ def bias_at(curve_m, node_m, range_m):
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, float, Float64_2D)
 def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
-    """Take the bias out of points, each along its beam.
+    """Subtract the bias from points, each along its beam.
 
     xy             (N, 2) float64   m
-    sensor_xy_m    (2,)   float64   where the beams start, m
-    curve_m        (K,)   float64   by which ranges are too long, at the nodes
+    sensor_xy_m    (2,)   float64   start of the beams, m
+    curve_m        (K,)   float64   bias of the ranges at the nodes
     node_m         float            distance of the nodes
     shortened      (N, 2) float64   out: m; may be xy
     """
@@ -62,7 +60,7 @@ def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
 
 @inner_kernel
 def cosine_of_map(found, grid, laser):
-    """Mean cosine at which a laser has seen the wall of a point, row of find_surfels; nan: not known."""
+    """Mean cosine of incidence of a laser on a point's wall, a row of find_surfels; nan: unknown."""
     column = math.floor(found[0] / grid.cell_m)
     row = math.floor(found[1] / grid.cell_m)
     slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
@@ -93,17 +91,18 @@ def cosine_of_map(found, grid, laser):
     Float64_1D,
 )
 def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m, information, weighted_m):
-    """What a matched scan says of the bias at the nodes and of that of all ranges, whatever its pose; [21].
+    """Information of a matched scan about the bias, at the nodes and constant, with the pose marginalised;
+    [21].
 
     xy_base        (N, 2) float64           m, base frame
     normals        (N, 3) float64           from estimate_normals
     pose           (3,)   float64           matched
-    sensor_xy_m    (2,)   float64           where the beams start, m, base frame
-    laser          int                      as in insert_surfels; LASERS says nothing of all ranges
+    sensor_xy_m    (2,)   float64           start of the beams, m, base frame
+    laser          int                      as in insert_surfels; LASERS: no information about the constant
     grid           SurfelGrid               with cosines
     settings       MatchSettings
     node_m         float                    distance of the nodes
-    information    (K + 1, K + 1) float64   out: 1/m^2; all ranges last
+    information    (K + 1, K + 1) float64   out: 1/m^2; the constant last
     weighted_m     (K + 1,)       float64   out: information times bias, 1/m
     """
     information[:, :] = 0.0
@@ -117,8 +116,8 @@ def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m,
     H = np.zeros((3, 3))
     g = np.zeros(3)
     J = np.empty(3)
-    of = np.array([0, 0, count])  # what the distance of a point to its wall depends on,
-    share = np.empty(3)  # and how much
+    of = np.array([0, 0, count])  # indices of the Jacobian of a residual
+    share = np.empty(3)  # its entries
     cross = np.zeros((count + 1, 3))
     solved = np.zeros((count + 1, 3))
     for i in range(xy_base.shape[0]):
@@ -136,7 +135,7 @@ def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m,
         cosine = -(J[0] * (c * x - s * y) + J[1] * (s * x + c * y)) / range_m
         if cosine < MIN_INCIDENCE_COSINE:
             continue
-        # At the range of the wall, not of the point: those that are short by chance are no sort of points.
+        # At the range of the wall, not of the point: else the range noise would select the node.
         at = max(0.0, range_m + e / cosine) / node_m
         k = int(at)
         if k >= count - 1:

@@ -1,7 +1,8 @@
-"""Nearest hit of rays among line segments and moving discs, with a uniform grid to skip empty space.
+"""Ray casting against line segments and moving discs, with a uniform grid to skip empty space.
 
-A ray has a place, a direction and a time of its own, so a sweep cast from a moving vehicle is distorted as a
-real one is. Source of the grid walk: Amanatides, Woo, "A fast voxel traversal algorithm", Eurographics 1987.
+Each ray has its own origin, direction and time, so a sweep cast from a moving vehicle is distorted like a
+real one. Source of the grid traversal: Amanatides, Woo, "A fast voxel traversal algorithm", Eurographics
+1987.
 """
 
 import math
@@ -12,9 +13,9 @@ from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D, Int32_3D
 from service.kernels.compiled import inner_kernel, kernel
 
 NO_HIT = -1
-CORNER_SLACK = 1e-9  # how far beyond its ends a segment still stops a ray, in its own lengths: closes corners
+CORNER_SLACK = 1e-9  # extension of a segment beyond its ends, in its own lengths: closes corners
 BORDER_SLACK_M = (
-    1e-6  # a segment this near a cell belongs to it: one that lies on a border is found from both sides
+    1e-6  # a segment this close to a cell belongs to it, so one on a border belongs to both cells
 )
 
 
@@ -79,7 +80,7 @@ def index_segments(segments, grid_frame, rows, columns):
 
 @inner_kernel
 def _segment_distance(x, y, c, s, segment):
-    """Way along the ray from (x, y) in direction (c, s) to a segment (4,), m; inf where it misses."""
+    """Distance along the ray from (x, y) in direction (c, s) to a segment (4,), m; inf: no hit."""
     ex, ey = segment[2] - segment[0], segment[3] - segment[1]
     cross = c * ey - s * ex
     if abs(cross) < 1e-12:
@@ -94,7 +95,7 @@ def _segment_distance(x, y, c, s, segment):
 
 @inner_kernel
 def _disc_distance(x, y, c, s, time_s, disc):
-    """Way along the ray to a disc (5,) at that time, m; 0 from inside it, inf where it misses."""
+    """Distance along the ray to a disc (5,) at that time, m; 0 from inside it, inf: no hit."""
     dx, dy = disc[0] + time_s * disc[2] - x, disc[1] + time_s * disc[3] - y
     outside = dx * dx + dy * dy - disc[4] * disc[4]
     if outside <= 0.0:
@@ -117,7 +118,7 @@ def _clip(start, way, low, high, t_in, t_out):
 
 @inner_kernel
 def _walk(x, y, c, s, segments, grid_frame, cell_span, cell_items, nearest_m):
-    """Nearest segment on a ray closer than nearest_m: (way to it in m, its index), or (nearest_m, NO_HIT)."""
+    """Nearest segment on a ray closer than nearest_m: (distance in m, its index), or (nearest_m, NO_HIT)."""
     x0, y0, cell_m = grid_frame
     rows, columns = cell_span.shape[0], cell_span.shape[1]
     t_in, t_out = _clip(x, c, x0, x0 + columns * cell_m, 0.0, nearest_m)
@@ -152,15 +153,15 @@ def _walk(x, y, c, s, segments, grid_frame, cell_span, cell_items, nearest_m):
 
 @kernel(Float64_2D, Float64_2D, Float64_2D, Float64_1D, Int32_3D, Int32_1D, float)
 def cast_rays(rays, segments, discs, grid_frame, cell_span, cell_items, range_max_m):
-    """Where rays end.
+    """Cast rays against segments and discs.
 
     rays         (N, 4) float64   x, y (m), direction (rad), time (s, on the discs' clock) of each
     segments     (S, 4) float64   x0, y0, x1, y1, m
     discs        (D, 5) float64   x, y at time 0 (m), speed in x and y (m/s), radius (m)
-    grid_frame, cell_span, cell_items   what index_segments took and gave
-    range_max_m  float            how far to look
-    Returns range_m (N,) float64, inf where nothing was hit, and hit (N,) int32: index of the segment,
-    S + index of the disc, or NO_HIT. A ray that starts inside a disc hits it at 0.
+    grid_frame, cell_span, cell_items   arguments and results of index_segments
+    range_max_m  float
+    Returns range_m (N,) float64, inf: no hit, and hit (N,) int32: index of the segment, S + index of the
+    disc, or NO_HIT. A ray that starts inside a disc hits it at 0.
     """
     count = rays.shape[0]
     range_m = np.full(count, np.inf)

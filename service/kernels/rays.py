@@ -1,4 +1,4 @@
-"""The cells that a beam passes, one after the other."""
+"""Traversal of the cells along a beam."""
 
 import math
 
@@ -6,19 +6,20 @@ import numpy as np
 
 from service.kernels.compiled import inner_kernel
 
-BEHIND_M = 0.3  # a beam that ends so far behind something went through it
+BEHIND_M = 0.3  # a beam passes through a wall if it ends at least this far behind it
 
 
 @inner_kernel
 def begin_ray(u, v, du, dv):
-    """Where the walk through the cells between two points begins, and how it goes on.
+    """Start and increments of the traversal of the cells between two points.
 
     u, v     float   start, in cells
     du, dv   float   from start to end, in cells
     Returns (column, row, step_column, step_row of int; next_column, next_row, per_column, per_row of float;
     count of int). next_* is the ray parameter, 0 at the start and 1 at the end, at the next vertical and
-    horizontal border, per_* what it grows by from one such border to the next. The end lies count steps on:
-    if next_column < next_row, column += step_column and next_column += per_column, else the same for rows.
+    horizontal border, per_* its increment from one such border to the next. The end is reached after count
+    steps: if next_column < next_row, column += step_column and next_column += per_column, else the same for
+    rows.
     Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
     """
     column = math.floor(u)

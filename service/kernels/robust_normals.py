@@ -1,4 +1,4 @@
-"""Orientation of the wall at each end point despite outliers, and weights that balance orientations."""
+"""Robust orientation of the wall at each end point, and weights that balance orientations."""
 
 import math
 
@@ -10,25 +10,25 @@ from service.kernels.ordering import kth_smallest
 
 MAX_NEIGHBOURS = 21
 CONCENTRATION_STEPS = 4
-CHI2_975 = 7.378  # of two degrees of freedom: what lies beyond is an outlier
+CHI2_975 = 7.378  # of two degrees of freedom; gate for outliers
 CHI2_MEDIAN = 1.386  # of two degrees of freedom
-MIN_VARIANCE_M2 = 1e-12  # keeps a perfect line from having no covariance
+MIN_VARIANCE_M2 = 1e-12  # keeps the covariance of collinear points regular
 
 
 @kernel(Float64_2D, Float64_1D, float, int, float, float, Float64_1D)
 def estimate_orientations(
     xy_base, sensor_xy_m, angle_step_rad, beams_each_side, half_length_m, thin_m, angle
 ):
-    """Direction of the normal at each point, from the points beside it.
+    """Direction of the normal at each point, from its neighbours.
 
     xy_base           (N, 2) float64   end points in beam order, m, base frame
-    sensor_xy_m       (2,)   float64   where the beams start
+    sensor_xy_m       (2,)   float64   start of the beams
     angle_step_rad    float            between neighbouring beams, > 0
-    beams_each_side   int              neighbours on each side at least; near walls as many as lie within
-    half_length_m     float            ... this way, MAX_NEIGHBOURS in all
-    thin_m            float            neighbours that spread no wider than this across their line have no
-                                       outlier worth a robust estimate
-    angle             (N,)   float64   out: rad in [0, pi), base axes; NaN where fewer than 3 points are there
+    beams_each_side   int              least neighbours on each side; near walls all within
+    half_length_m     float            ... this distance, at most MAX_NEIGHBOURS in all
+    thin_m            float            neighbours with less scatter across their line are used without a
+                                       robust estimate
+    angle             (N,)   float64   out: rad in [0, pi), base axes; NaN with fewer than 3 points
     Source: Li et al. 2016, section 2.3: robust diagnostic PCA after Nurunnabi et al., by the minimum
     covariance determinant: outliers beyond the 97.5 % quantile of the robust distance are left out, then PCA.
     """
@@ -63,7 +63,7 @@ def estimate_orientations(
 
 @inner_kernel
 def moments(window, chosen, n):
-    """Mean and covariance (xx, xy, yy) of the chosen ones of n points."""
+    """Mean and covariance (xx, xy, yy) of the chosen points."""
     size = 0
     mx = my = 0.0
     for k in range(n):
@@ -86,13 +86,13 @@ def moments(window, chosen, n):
 
 @inner_kernel
 def concentrate(window, n, distance, chosen):
-    """Choose the points that are no outliers, by the subset of least covariance determinant.
+    """Choose the inliers by the subset of least covariance determinant.
 
     window     (M, 2) float64   m, n of them in use
     distance   (M,)   float64   scratch
     chosen     (M,)   bool      out
-    Source: Rousseeuw and Van Driessen 1999; from four fixed subsets instead of random ones: three
-    stretches of neighbouring points, and all of them.
+    Source: Rousseeuw and Van Driessen 1999; from four fixed subsets instead of random ones: three runs of
+    neighbouring points, and all of them.
     """
     half = (n + 3) // 2
     sorted_in_part = np.empty(n)
@@ -119,7 +119,7 @@ def concentrate(window, n, distance, chosen):
             best = a * d - b * b
             best_mx, best_my, best_a, best_b, best_d = mx, my, a, b, d
     mahalanobis(window, n, best_mx, best_my, best_a, best_b, best_d, distance)
-    # so that the median of good points is that of chi-squared
+    # scaled so that the median of inliers is that of chi-squared
     for k in range(n):
         sorted_in_part[k] = distance[k]
     scale = kth_smallest(sorted_in_part, n, half - 1) / CHI2_MEDIAN
@@ -139,16 +139,16 @@ def mahalanobis(window, n, mx, my, a, b, d, distance):
 
 @kernel(Float64_1D, float, float, Int64_1D, Float64_1D)
 def balance_weights(angle, middle_count, slope_count, histogram, weight):
-    """Weight of each point by how many share its orientation: together a small group counts for little, a
-    large one for 1, however large.
+    """Weight of each point by the number of points with its orientation: small groups are suppressed, large
+    ones count equally.
 
     angle          (N,) float64   from estimate_orientations
     middle_count   float          a group of so many counts for one half; 100 is printed
     slope_count    float          50 is printed
     histogram      (B,) int64     out: points in each of B bins of pi / B
-    weight         (N,) float64   out: scaled to a mean of 1; 1 for all where no orientation is known
+    weight         (N,) float64   out: scaled to a mean of 1; 0 without an orientation, 1 for all where no
+                                  orientation is known
     Source: Li et al. 2016, eq. 9, over 180 deg since normals have no sign.
-    A point without an orientation gets 0.
     """
     bins = histogram.shape[0]
     histogram[:] = 0

@@ -1,4 +1,4 @@
-"""What a scan says of the pose, honest about the noise of its normals; docs/estimator.md, [15] and [22]."""
+"""Information of a scan about the pose, without noise of normals; docs/estimator.md, [15], [22]."""
 
 import math
 
@@ -7,16 +7,15 @@ import numpy as np
 from service.kernels.compiled import inner_kernel
 from service.kernels.linear3 import diagonalise_3x3
 
-CLUSTER_BEAMS = 16  # neighbours whose normals share most of their points
+CLUSTER_BEAMS = 16  # neighbours whose normals are computed from mostly the same points
 
 
 @inner_kernel
 def chance_variance(evidence, along):
-    """Variance, by chance alone, of what `shared` says along a direction; [22].
+    """Variance of `shared` along a direction by chance alone; [22].
 
-    The scan's normals stand in for the surfels' (an instrument, in the words of errors in variables): what
-    differs between the two is noise of the scan's own. Neighbours take theirs from the same points, so they
-    are counted CLUSTER_BEAMS at a time.
+    The scan's normals are instruments for those of the surfels: their difference is the scan's own noise. It
+    is correlated between neighbours, so CLUSTER_BEAMS beams form a cluster.
 
     evidence   (N, 7) float64   from surfel_normal_equations
     along      (3,)   float64   over x, y, theta
@@ -37,17 +36,16 @@ def chance_variance(evidence, along):
 
 @inner_kernel
 def scan_information(H, shared, evidence, chance_chi2, damping, information):
-    """What a scan says of the pose, and how much of its gradient to follow; [15].
+    """Information of a scan about the pose, and the damping of its gradient; [15].
 
-    The gradient g has the covariance H, but follows the pose only as `shared` does. So
-    damping = shared H^-1 is what of the gradient is no noise, and the information is shared H^-1 shared
-    (Godambe 1960). Where both normals agree all three are one; along a bare corridor they vanish. By chance
-    `shared` may be negative there, or above H: in the axes in which both are diagonal it is held to 0..H.
-    Held so, it is no longer zero in the mean, and many scans add up: chance is taken off it, [22].
+    The gradient g has the covariance H and the sensitivity `shared`. The damping is shared H^-1 and the
+    information shared H^-1 shared (Godambe 1960). Where both normals agree all three are equal; along a bare
+    corridor they vanish. By chance `shared` may be negative or above H: its eigenvalues relative to H are
+    limited to 0..1. Limited values have a positive mean, so chance is subtracted before; [22].
 
     H, shared              (3, 3) float64   from surfel_normal_equations
     evidence               (N, 7) float64   from there
-    chance_chi2            float            squared sigmas of chance that are no information; 0: all is
+    chance_chi2            float            squared sigmas of chance to subtract; 0: none
     damping, information   (3, 3) float64   out
     """
     L = np.empty((3, 3))
@@ -61,7 +59,7 @@ def scan_information(H, shared, evidence, chance_chi2, damping, information):
     trace = H[0, 0] + H[1, 1]
     if trace <= 0.0 or H[2, 2] <= 0.0:
         return
-    # The axes of H, with theta in a unit in which it is known like the position: an open direction is one.
+    # Axes of H with theta scaled like the position, so that an unobservable direction is an axis.
     unit[2] = math.sqrt(0.5 * trace / H[2, 2])
     for i in range(3):
         for j in range(3):

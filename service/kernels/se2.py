@@ -1,4 +1,4 @@
-"""Poses (3,) in the plane, x m, y m, theta rad, one at a time: for kernels. See service/geometry/se2.py."""
+"""Poses (3,) in the plane, x m, y m, theta rad, for kernels; see service/geometry/se2.py."""
 
 import math
 
@@ -8,7 +8,7 @@ from service.kernels.pose_information import wrap
 
 @inner_kernel
 def compose(a, b, out):
-    """a * b of poses (3,); out may be either."""
+    """a * b of poses (3,); out may be a or b."""
     c = math.cos(a[2])
     s = math.sin(a[2])
     x = a[0] + c * b[0] - s * b[1]
@@ -32,7 +32,7 @@ def between(a, b, out):
 
 @inner_kernel
 def exponential(x, y, turn, out):
-    """Pose reached by a constant twist times duration."""
+    """Pose after a constant twist times duration."""
     if abs(turn) < 1e-6:
         a = 1.0 - turn * turn / 6.0
         b = 0.5 * turn
@@ -47,7 +47,7 @@ def exponential(x, y, turn, out):
 
 @inner_kernel
 def logarithm(pose, out):
-    """Twist times duration that leads to a pose; inverse of exponential."""
+    """Twist times duration that reaches a pose; inverse of exponential."""
     half = 0.5 * pose[2]
     k = 1.0 - half * half / 3.0 if abs(half) < 1e-4 else half / math.tan(half)
     out[0] = k * pose[0] + half * pose[1]

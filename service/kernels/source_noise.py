@@ -1,4 +1,4 @@
-"""How many times the variance of its model the noise of odometry, gyro and motion is.
+"""Learnt noise of odometry, gyro and motion, as factors on the modelled variances.
 
 docs/estimator.md, [18] and [29].
 """
@@ -12,16 +12,16 @@ from service.kernels.filter_state import TWIST, Filter
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
-NOISE_WINDOWS = 10.0  # over which the noise of a source is learnt
+NOISE_WINDOWS = 10.0  # time constant of the learnt noise, in windows
 NOISE_WINDOW_M, WINDOW_S = 0.3, 1.0  # a radian counts as a metre
 MIN_NOISE, MAX_NOISE = 0.25, 1e6  # factors on the configured variance, [18]
-# Speeds then change by 0.14 m/s and 0.63 rad/s within a second, 1 sigma: a turn begins more suddenly.
+# Speeds then change by 0.14 m/s and 0.63 rad/s within a second, 1 sigma; rotations begin more suddenly.
 MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 
 
 @inner_kernel
 def widen_window(state, travel_m, dt):
-    """Add what the sources said of the last step to the window that they are judged over."""
+    """Add the increments of the last step to the window."""
     w = state.window
     if state.said[3] > 0.0:
         compose(w[3:6], state.said[:3], w[3:6])
@@ -50,10 +50,10 @@ def begin_window(state):
 
 @inner_kernel
 def learn_noise(state, information, settings):
-    """Hold what odometry and gyro said over a window against what scans say of it; [18].
+    """Update the noise of odometry and gyro from their innovations over a window; [18].
 
-    The mean of squared innovations, less what the scan does not know, over the variance of the model is how
-    many times that variance is. It is learnt by as much as the scan knows better than the source.
+    A sample is the squared innovation less the scan's variance, over the modelled variance. It weighs by how
+    much more certain the scan is than the source.
 
     state         Filter           in and out
     information   (3, 3) float64   of the scan alone, base axes
@@ -90,15 +90,15 @@ def learn_noise(state, information, settings):
 
 @inner_kernel
 def learn_motion(state, settings):
-    """How many times the variance of its model a change of speed has, where only scans measure it; [29].
+    """Update the factor on the variance of the acceleration where only scans measure the motion; [29].
 
-    The model is as wide as vehicles can drive. For one that drives steadily it is too wide: where scans say
-    little, along a corridor, their noise would move the speed. Standing teaches nothing of driving.
+    The model covers all vehicles. For a vehicle at steady speed it is too wide: along a corridor, noise of
+    the scans would change the speed. Standstill is excluded.
 
     Source: Shumway, Stoffer, An approach to time series smoothing and forecasting using EM, 1982.
     """
     w = state.window
-    if w[6] > 0.0 or w[7] > 0.0:  # variances: odometry said something
+    if w[6] > 0.0 or w[7] > 0.0:  # variances: odometry measured a step
         state.motion_noise[:] = 1.0
         return
     lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)
@@ -118,21 +118,21 @@ def learn_motion(state, settings):
 
 @inner_kernel
 def motion_noise_over(learnt, dt):
-    """The same over a step of dt: what was learnt over windows says nothing of what goes beyond one; [29]."""
+    """The factor for a step of dt: beyond the length of a window it tends to 1; [29]."""
     return learnt + (1.0 - learnt) * max(0.0, 1.0 - WINDOW_S / dt)
 
 
 @inner_kernel
 def innovation(off, model, noise, alone):
-    """What a source's innovation says of its noise.
+    """Noise sample by an innovation of a source.
 
-    off     m or rad that the pose, made with the source, is off from what the source said
-    model   variance of the source by its model;   noise   factor on it, as learnt
+    off     m or rad by which the corrected pose is off from the source's increment
+    model   variance of the source by its model;   noise   learnt factor on it
     alone   variance of the step by the scan alone
-    Returns (weight 0..1 of this sample, squared innovation less the scan's own variance, over the model).
+    Returns (weight 0..1 of the sample, squared innovation less the scan's variance, over the model).
     """
     variance = model * noise
-    left_out = off * (variance + alone) / variance  # as if the source had had no say
+    left_out = off * (variance + alone) / variance  # as if the source had not been used
     share = model / (model + alone)
     return share * share, (left_out * left_out - alone) / model
 

@@ -1,6 +1,6 @@
-"""How long something stands in each cell of a sub-map: moving objects get little weight, and are removed.
+"""Static score: how long each cell of a sub-map is occupied. Dynamic objects get low weights and are removed.
 
-Time is counted in ticks, those of a key frame being the time since the one before.
+Time is counted in ticks; those of a key frame are the time since the previous one.
 """
 
 import math
@@ -28,17 +28,17 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, slot_at
 
-CAME_INTO_FREE = np.uint16(1 << 15)  # above all marks of a path
+CAME_INTO_FREE = np.uint16(1 << 15)  # flag above all path marks
 
 
 class Sightings(NamedTuple):
-    """What key frames saw in the cells of a sub-map, in the slots of its surfels; 0 where nothing was seen.
+    """Observations of key frames in the cells of a sub-map, in the slots of its surfels; 0: not observed.
 
-    score     (capacity, T, T) int8     ticks; above 0: so long something stood here, less what was looked
-                                        through it; below 0: so long the cell was free
-    touched   (capacity, T, T) uint16   number of the key frame that spoke of the cell last
-    since     (capacity, T, T, 2) uint16   mark of the path at which each of the cell's two surfels began, and
-                                        CAME_INTO_FREE besides if the cell was known to be free before
+    score     (capacity, T, T) int8     ticks; above 0: occupied, less the time in which beams passed through;
+                                        below 0: free
+    touched   (capacity, T, T) uint16   number of the key frame that observed the cell last
+    since     (capacity, T, T, 2) uint16   path mark at which each of the cell's two surfels began, with the
+                                        flag CAME_INTO_FREE if the cell was free before
     """
 
     score: Int8_3D
@@ -59,20 +59,20 @@ class StaticScoreSettings(NamedTuple):
 
 @njit(cache=True, nogil=True, inline="always")  # called, it costs a reference to its surfels for each cell
 def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
-    """Whether a beam goes through a surfel of a cell and ends clearly behind its wall.
+    """Whether a beam passes through a surfel of a cell from its front and ends at least behind_m behind it.
 
-    A beam that passes along a wall ends on it, or before it: it does not look through.
+    A beam that grazes a wall ends on it or before it, and does not pass through.
 
     surfels       (capacity, T, T, 2, COLUMNS) float32
     slot, row, column   int     the cell, within its tile
-    reach_m       float         how far from the middle of a surfel it still is the wall
+    reach_m       float         half length of a surfel
     u, v          float         start of the beam, m from the centre of the cell
     du, dv        float         from there to its end point, m
     behind_m      float
     """
     for side in range(2):
         if surfels[slot, row, column, side, COUNT] == 0.0:
-            break  # the second side is never filled before the first
+            break  # sides are filled in order
         nx = np.float64(surfels[slot, row, column, side, NORMAL_X])
         ny = np.float64(surfels[slot, row, column, side, NORMAL_Y])
         mx = np.float64(surfels[slot, row, column, side, MEAN_X])
@@ -105,7 +105,7 @@ def placed(xy_base, pose):
     Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Sightings, StaticScoreSettings, np.uint16, int, np.uint16
 )
 def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks, mark):
-    """Count the cells in which a key frame has end points; points where it was free until now get weight 0.
+    """Count the cells with end points of a key frame; points in cells that were free until now get weight 0.
 
     xy_base     (N, 2) float64       m, base frame
     normals     (N, 3) float64       in and out: from estimate_normals
@@ -113,9 +113,9 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks,
     grid        SurfelGrid           in and out; its index covers the points
     sightings   Sightings            in and out
     settings    StaticScoreSettings
-    number      uint16               of the key frame: not that of the one before, nor 0
-    ticks       int                  since the one before
-    mark        uint16               of the path, see Sightings.since
+    number      uint16               of the key frame; not that of the previous one, nor 0
+    ticks       int                  since the previous one
+    mark        uint16               path mark, see Sightings.since
     """
     score = sightings.score
     touched = sightings.touched
@@ -157,15 +157,15 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks,
     Float64_2D, Float64_1D, Float64_1D, SurfelGrid, SurfelGrid, Sightings, StaticScoreSettings, np.uint16, int
 )
 def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, settings, number, ticks):
-    """Take away surfels that beams of a key frame look through, and remember which cells are free.
+    """Remove surfels that beams of a key frame pass through, and mark free cells.
 
-    Cells in which the key frame has an end point stay as they are, and so do cells without a tile: no wall
-    is near them. Arguments as in count_hits, which comes first, and
+    Cells with an end point of the key frame are unchanged, and so are cells without a tile. Arguments as in
+    count_hits, which is called first, and
 
-    sensor_xy_m   (2,) float64   where the beams start, m, base frame
-    fine_grid     SurfelGrid     in and out: of the same points, in cells of which PARTS x PARTS make up one
+    sensor_xy_m   (2,) float64   start of the beams, m, base frame
+    fine_grid     SurfelGrid     in and out: of the same points, PARTS x PARTS cells for each of the grid
     """
-    score = sightings.score  # arrays are taken out of the tuples once, as in find_surfels
+    score = sightings.score  # hoisted, as in find_surfels
     touched = sightings.touched
     since = sightings.since
     surfels = grid.surfels
@@ -221,13 +221,13 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
 
 @inner_kernel
 def slot_of(slots, first_row, first_column, row, column):
-    """Slot of a cell's tile, NO_TILE where there is none; slots, first_row, first_column as in TileIndex."""
+    """Slot of a cell's tile, or NO_TILE; slots, first_row, first_column as in TileIndex."""
     return slot_at(slots, (row >> TILE_BITS) - first_row, (column >> TILE_BITS) - first_column)
 
 
 @inner_kernel
 def score_at(slots, first_row, first_column, score, row, column):
-    """Score of a cell, 0 where no tile is; slots as in slot_of."""
+    """Score of a cell, 0 without a tile; slots as in slot_of."""
     slot = slot_of(slots, first_row, first_column, row, column)
     if slot == NO_TILE:
         return np.int64(0)
@@ -236,7 +236,7 @@ def score_at(slots, first_row, first_column, score, row, column):
 
 @inner_kernel
 def most_around(slots, first_row, first_column, score, row, column):
-    """Largest score of the 3 x 3 cells around."""
+    """Largest score of the 3 x 3 cells around a cell."""
     most = score_at(slots, first_row, first_column, score, row, column)
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
@@ -246,13 +246,11 @@ def most_around(slots, first_row, first_column, score, row, column):
 
 @kernel(Float64_2D, Float64_1D, SurfelGrid, Sightings, StaticScoreSettings, Float64_2D)
 def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
-    """Let points count by how long something stands where they lie, against what stands longest in the scan.
+    """Weigh points by the static score of their cells, relative to the highest of the scan.
 
-    Where nobody looked yet, what stands beside counts: a prediction that is off by a cell puts part of the
-    walls behind where they stand.
-
-    The weights grow again by as much as they fell on average, settings.most_gain times at most: where
-    everything is new, new things count in full.
+    An unobserved cell takes the highest score of its neighbours: a prediction that is off by a cell puts
+    points behind their wall. The weights are then scaled to their previous mean, at most by
+    settings.most_gain: on new ground new objects count fully.
 
     xy_base     (N, 2) float64       m, base frame
     pose        (3,)   float64       base in the frame of the grid, as predicted
@@ -300,7 +298,7 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
 
 @inner_kernel
 def stood_before(slots, first_row, first_column, sightings, row, column, side, latest):
-    """Whether a surfel of a cell stands since a mark of the path, or longer; slots as in slot_of."""
+    """Whether a surfel of a cell exists since a path mark or before; slots as in slot_of."""
     slot = slot_of(slots, first_row, first_column, row, column)
     if slot == NO_TILE:
         return False
@@ -311,7 +309,7 @@ def stood_before(slots, first_row, first_column, sightings, row, column, side, l
 
 @inner_kernel
 def stood_around(slots, first_row, first_column, sightings, row, column, latest):
-    """Whether anything stands so long in the 3 x 3 cells around."""
+    """Whether any of the 3 x 3 cells around a cell has such a surfel."""
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
             if stood_before(slots, first_row, first_column, sightings, r, q, 0, latest):
@@ -321,11 +319,11 @@ def stood_around(slots, first_row, first_column, sightings, row, column, latest)
 
 @inner_kernel
 def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
-    """Whether a beam passes through a wall that stands since a mark of the path, or longer.
+    """Whether a beam passes through a wall that exists since a path mark or before.
 
     x, y     float   start of the beam, m, frame of the grid
     dx, dy   float   from there to its end point, m
-    latest   int     mark; CAME_INTO_FREE: all walls are asked
+    latest   int     mark; CAME_INTO_FREE: all walls
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -355,17 +353,16 @@ def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
 
 @kernel(Float64_2D, Float64_1D, Float64_2D, Float64_1D, SurfelGrid, Sightings, float)
 def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, behind_m):
-    """How many points lie where key frames looked through and nothing stands in the 3 x 3 cells around, and
-    how many clearly behind something that stands, on ground that nobody knows.
+    """Number of points in free space, and of points behind a wall on unknown ground.
 
     xy_base       (N, 2) float64   m, base frame
-    sensor_xy_m   (2,)   float64   where the beams start, m, base frame
-    normals       (N, 3) float64   from estimate_normals; points of weight 0 are not asked
+    sensor_xy_m   (2,)   float64   start of the beams, m, base frame
+    normals       (N, 3) float64   from estimate_normals; points of weight 0 are skipped
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
     sightings     Sightings
     behind_m      float            as in looks_through
-    Returns (in free space, behind).
+    Returns (in free space, behind a wall). Points with an occupied cell in their 3 x 3 cells are in neither.
     """
     score = sightings.score
     slots = grid.tiles.slots
@@ -394,16 +391,16 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
 
 @kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Sightings, float, int, Float64_1D)
 def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, latest, residual_m):
-    """How far points lie from walls that stand since a mark of the path, or longer.
+    """Distances of points from walls that exist since a path mark or before.
 
     xy_base       (N, 2) float64   m, base frame
-    normals       (N, 3) float64   from estimate_normals; points of weight 0 are not asked
+    normals       (N, 3) float64   from estimate_normals; points of weight 0 are skipped
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
     sightings     Sightings
     least_cosine  float            as in find_surfels
     latest        int              mark
-    residual_m    (N,)   float64   out: along the wall's normal; NaN where there is no such wall
+    residual_m    (N,)   float64   out: along the wall's normal; NaN without such a wall
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -422,7 +419,7 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
         column = math.floor(xy[i, 0] * cells_per_m)
         nx = np.float32(c * normals[i, 0] - s * normals[i, 1])
         ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
-        # What came into the cell of a wall lately, or beside it, is not the wall.
+        # An object that came recently into the cell of a wall, or beside it, is not the wall.
         reach = 0 if score_at(slots, first_row, first_column, sightings.score, row, column) > 0 else 1
         stood = False
         for r in range(row - reach, row + reach + 1):
@@ -443,14 +440,14 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
 
 @kernel(Float64_2D, Float64_1D, SurfelGrid, Sightings, int, Bool_1D)
 def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
-    """Which points lie where nothing stood before: in known free space, or on what came into it lately.
+    """Mark points on dynamic objects: in free space, or in cells occupied only recently.
 
     xy_base     (N, 2) float64   m, base frame
     pose        (3,)   float64   base in the frame of the grid
     grid        SurfelGrid
     sightings   Sightings
-    latest      int              mark of the path: what became occupied later came lately
-    is_moved    (N,)   bool      out; False beside what stood before
+    latest      int              path mark; cells occupied later are recent
+    is_moved    (N,)   bool      out; False beside an older wall
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -472,10 +469,10 @@ def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, SurfelGrid, Sightings, int, float)
 def count_through(xy_base, sensor_xy_m, pose, grid, sightings, latest, behind_m):
-    """How many beams pass through a wall that stands since a mark of the path, or longer.
+    """Number of beams that pass through a wall that exists since a path mark or before.
 
     xy_base       (N, 2) float64   m, base frame
-    sensor_xy_m   (2,)   float64   where the beams start, m, base frame
+    sensor_xy_m   (2,)   float64   start of the beams, m, base frame
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
     sightings     Sightings

@@ -1,4 +1,4 @@
-"""Inertial navigation over a flat earth that does not turn: a step, and how its error goes on."""
+"""Strapdown inertial navigation over a flat, non-rotating earth: one step and its error transition."""
 
 import math
 
@@ -34,21 +34,21 @@ def rotation_of(vector, rotation):
 
 @kernel(Float64_1D, Float64_1D, Float64_2D, Float64_1D, Float64_1D, Float64_1D, float, Float64_2D)
 def strapdown_step(position, velocity, rotation, force_mps2, rate_radps, gravity_mps2, time_s, transition):
-    """Move the navigation state by one step, and write how its error goes on.
+    """Propagate the navigation state by one step and compute the transition of its error.
 
     position       (3,)      float64   in and out: m, navigation frame
     velocity       (3,)      float64   in and out: m/s, navigation frame
     rotation       (3, 3)    float64   in and out: navigation frame from body
     force_mps2     (3,)      float64   specific force over the step, less its bias, body
     rate_radps     (3,)      float64   turn rate over the step, less its bias, body
-    gravity_mps2   (3,)      float64   gravity in the navigation frame: its sign says whether z is up or down
+    gravity_mps2   (3,)      float64   gravity in the navigation frame; its sign defines z up or down
     time_s         float               length of the step
     transition     (15, 15)  float64   out: Phi = I + F dt for errors "believed less true"
     Errors: position and velocity in the navigation frame, attitude as the rotation vector e with
     R_believed = exp(e) R_true, biases in the body.
     Source: Qian et al. 2019, eqs. 6 to 10; Groves, Principles of GNSS, Inertial and Multisensor
-    Integrated Navigation Systems, sections 5.2 and 14.2.3; the earth turns by 15 deg/h, far less than a
-    MEMS gyro is off, and is left out.
+    Integrated Navigation Systems, sections 5.2 and 14.2.3. The earth's rotation of 15 deg/h is neglected: it
+    is far below the bias of a MEMS gyro.
     """
     turn = np.empty((3, 3))
     half = np.empty(3)

@@ -1,4 +1,4 @@
-"""What the points of a scan say of its pose by the surfels beside them: cost, gradient, Hessian.
+"""Normal equations of a scan's pose by the surfels beside its points: cost, gradient, Hessian.
 
 `settings` is MatchSettings of service/kernels/match.py.
 """
@@ -11,11 +11,11 @@ from service.kernels.linear3 import fill_symmetric
 
 @inner_kernel
 def point_information(weight, count, beside, settings):
-    """What a point says of its distance to a surfel, 1/m^2; [13].
+    """Information of a point about its distance to a surfel, 1/m^2; [13].
 
     weight   of the point: 1 where its beam meets the wall head-on
     count    points of the noise surfel_sigma_m that the surfel stands for
-    beside   points of this scan in the same cell: they are one measurement of its wall, each a part of it
+    beside   points of this scan in the same cell, which share the error of its surfel
     """
     square = settings.range_sigma_m * settings.range_sigma_m
     counted = settings.surfel_sigma_m * settings.surfel_sigma_m
@@ -25,16 +25,16 @@ def point_information(weight, count, beside, settings):
 
 @inner_kernel
 def surfel_cost(xy_base, normals, found, pose, unmatched_m, settings):
-    """Half the cost whose gradient surfel_normal_equations gives; apart, for its logarithms take as long.
+    """Half the cost of the gradient of surfel_normal_equations; separate, because its logarithms are slow.
 
-    unmatched_m   float             a point without a surfel costs as much as one that is so far off
+    unmatched_m   float             a point without a surfel costs as much as one at this distance
     The others    as there.
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     squared_cauchy = settings.cauchy_m * settings.cauchy_m
     unmatched = 0.5 * squared_cauchy * math.log1p(unmatched_m * unmatched_m / squared_cauchy)
-    # A surfel that is not there would stand for one point of this scan.
+    # A missing surfel counts as one point of this scan.
     unknown_count = (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
     cost = 0.0
     for i in range(xy_base.shape[0]):
@@ -62,11 +62,11 @@ def surfel_normal_equations(xy_base, normals, found, pose, settings, H, shared, 
     pose          (3,)   float64    base in the frame of the surfels
     settings      MatchSettings
     H, g          (3, 3), (3,) float64   out: Hessian, and gradient of half the cost, over x, y, theta
-    shared        (3, 3) float64    out: the same Hessian from the product of the surfel's normal and the
-                                    scan's own: noise of either alone then adds nothing; [14]
-    evidence      (N, 7) float64    out: weight of each point, 0 where it has no surfel; its row of the
-                                    Jacobian by the surfel's normal, and what that by the scan's differs
-    Returns (points asked, points within settings.inlier_m).
+    shared        (3, 3) float64    out: Hessian by the product of the surfel's and the scan's normal, whose
+                                    noise is independent; [14]
+    evidence      (N, 7) float64    out: weight of each point, 0 without a surfel; its row of the Jacobian by
+                                    the surfel's normal; difference to that by the scan's normal
+    Returns (points used, points within settings.inlier_m).
     Source: point-to-line ICP, Censi 2008; Cauchy weight 1 / (1 + e^2 / c^2).
     """
     c = math.cos(pose[2])

@@ -1,4 +1,4 @@
-"""Surfels: mean and normal of the end points in a cell, one for each side of a wall."""
+"""Surfels: mean and normal of the end points in a cell, one surfel for each side of a wall."""
 
 import math
 from typing import NamedTuple
@@ -13,19 +13,19 @@ from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_s
 TILE_BITS = 5
 TILE_CELLS = 1 << TILE_BITS
 TILE_MASK = TILE_CELLS - 1
-# Columns of a surfel: how many points of one and the same noise it stands for, mean from the centre of its
-# cell (m), unit normal.
+# Columns of a surfel: points of equal noise that it stands for, mean from the centre of its cell (m), unit
+# normal.
 COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
-# And where a map is to know what ranges that are too long have done to it: for each of so many lasers, the
-# mean over all points of a surfel of the cosine of incidence, 0 for a point of another laser.
+# Columns for the constant range bias: for each laser, the mean cosine of incidence over all points of a
+# surfel, 0 for points of other lasers.
 COSINES, LASERS = 5, 3
 COLUMNS = COSINES + LASERS
-SAME_WALL_COSINE = np.float32(0.7)  # a point that faces farther from a surfel begins the other one
+SAME_WALL_COSINE = np.float32(0.7)  # between a point's normal and a surfel's; below it the other side is used
 SURFELS_AROUND = 18  # surfels in 3 x 3 cells
 NOWHERE = -(2**62)  # row of no cell
-REACH_CELLS = 1.25  # surfels farther than this from a point say nothing of the wall beside it
+REACH_CELLS = 1.25  # farther surfels are not averaged
 PARTS = 2  # cells of a finer grid along the edge of a whole cell; [32]
-# Of the way from the plane through the mean of surfels to their own planes: where a round wall is; [28]
+# Position of a round wall between the plane through the mean of its surfels and their own planes; [28]
 ROUND_SHARE = 0.5 * (1.0 + 7.0 / (12.0 * REACH_CELLS * REACH_CELLS))
 
 
@@ -33,7 +33,7 @@ class SurfelGrid(NamedTuple):
     """One sub-map.
 
     tiles     TileIndex                                   tiles of TILE_CELLS a side
-    surfels   (capacity, T, T, 2, 5 or COLUMNS) float32   two surfels a cell, facing apart
+    surfels   (capacity, T, T, 2, 5 or COLUMNS) float32   two surfels a cell, with unlike normals
     field     (capacity, T, T)                  float32   likelihood of an end point, read by the coarse stage
     cell_m    float
     """
@@ -45,12 +45,11 @@ class SurfelGrid(NamedTuple):
 
 
 class Around(NamedTuple):
-    """What is around the cells of a scan's points, kept from one search to the next while no surfel changes.
+    """Cache of the surfels around a scan's points, valid while no surfel changes.
 
-    cell      (N, 2) int64     row and column of the cell that was looked around for a point, in the grid
-    span      (N, 2) int64     first row in `surfels`, and count, of what was found there
-    surfels   (M, 5) float64   how many points each stands for, its mean from the centre of that cell (m), its
-                               unit normal
+    cell      (N, 2) int64     row and column in the grid of the cell searched for a point
+    span      (N, 2) int64     first row in `surfels`, and count, of its surfels
+    surfels   (M, 5) float64   points each stands for, mean from the centre of that cell (m), unit normal
     used      (1,)   int64     rows in use
     """
 
@@ -62,7 +61,7 @@ class Around(NamedTuple):
 
 @inner_kernel
 def nothing_around(count):
-    """Around for so many points, before the first search."""
+    """An empty Around for so many points."""
     around = Around(
         np.empty((count, 2), np.int64),
         np.empty((count, 2), np.int64),
@@ -75,7 +74,7 @@ def nothing_around(count):
 
 @inner_kernel
 def forget_around(around):
-    """As before the first search, of another grid too."""
+    """Empty the cache, also for use with another grid."""
     around.used[0] = 0
     for i in range(around.cell.shape[0]):
         around.cell[i, 0] = NOWHERE
@@ -83,7 +82,7 @@ def forget_around(around):
 
 @inner_kernel
 def touch_tile(grid, tile_row, tile_column):
-    """Slot of a tile of the grid; made, and cleared, where there was none."""
+    """Slot of a tile of the grid; created and cleared if absent."""
     slot = find_tile(grid.tiles, tile_row, tile_column)
     if slot == NO_TILE:
         slot, used_before = take_slot(grid.tiles, tile_row, tile_column)
@@ -95,7 +94,7 @@ def touch_tile(grid, tile_row, tile_column):
 
 @inner_kernel
 def side_of(surfels, slot, row, column, nx, ny):
-    """Which of the two surfels of a cell a point with this normal, float32, belongs to."""
+    """Index of the surfel of a cell for a point with this normal, float32."""
     cosine = surfels[slot, row, column, 0, NORMAL_X] * nx + surfels[slot, row, column, 0, NORMAL_Y] * ny
     if surfels[slot, row, column, 0, COUNT] > 0.0 and cosine < SAME_WALL_COSINE:
         other = surfels[slot, row, column, 1, NORMAL_X] * nx + surfels[slot, row, column, 1, NORMAL_Y] * ny
@@ -109,15 +108,15 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
     """Merge the points of a scan into the surfels of a sub-map whose index covers them.
 
     xy_base       (N, 2) float64   m, base frame
-    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1 or more, are taken
+    normals       (N, 3) float64   from estimate_normals; only planar points, of weight 1 or more, are used
     pose          (3,)   float64   pose of the base in the frame of the grid
     grid          SurfelGrid       in and out
-    count_limit   float            a surfel forgets: so many points of this noise are the most it stands for
-                                   by them; one that stands for more gains none, but its mean follows them
-    point_count   float            how many points of the noise that surfels count in each stands for: the
-                                   ratio of the variances, so that the mean has the least
-    sensor_xy_m   (2,)   float64   where the beams start, m, base frame
-    laser         int              which one of LASERS; LASERS: none of them; -1: the surfels have no cosines
+    count_limit   float            points of this noise that a surfel averages over; above it the count is
+                                   constant and the mean still follows
+    point_count   float            points of the noise that surfels count in which each stands for: the ratio
+                                   of the variances
+    sensor_xy_m   (2,)   float64   start of the beams, m, base frame
+    laser         int              below LASERS; LASERS: none of them; -1: the surfels have no cosines
     """
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -176,7 +175,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
 
 @inner_kernel
 def forget_part(fine_grid, row, column):
-    """Take all surfels out of the PARTS x PARTS finer cells that make up a whole one."""
+    """Clear the surfels of the PARTS x PARTS finer cells within a whole cell."""
     slots = fine_grid.tiles.slots
     first_row = fine_grid.tiles.origin[0]
     first_column = fine_grid.tiles.origin[1]
@@ -189,10 +188,10 @@ def forget_part(fine_grid, row, column):
 
 @kernel(SurfelGrid, int, float)
 def shorten_surfels(grid, laser, step_m):
-    """Move the walls of a sub-map to where they are if the ranges of one of its lasers were so much too long.
+    """Move the walls of a sub-map by a change of a laser's constant range bias.
 
     grid     SurfelGrid   in and out; with cosines
-    laser    int          one of LASERS
+    laser    int          below LASERS
     step_m   float
     """
     surfels = grid.surfels
@@ -206,7 +205,7 @@ def shorten_surfels(grid, laser, step_m):
                 for q in range(TILE_CELLS):
                     for side in range(2):
                         if surfels[slot, r, q, side, COUNT] == 0.0:
-                            break  # the second side is never filled before the first
+                            break  # sides are filled in order
                         forward_m = np.float32(step_m * surfels[slot, r, q, side, COSINES + laser])
                         surfels[slot, r, q, side, MEAN_X] += forward_m * surfels[slot, r, q, side, NORMAL_X]
                         surfels[slot, r, q, side, MEAN_Y] += forward_m * surfels[slot, r, q, side, NORMAL_Y]
@@ -214,38 +213,34 @@ def shorten_surfels(grid, laser, step_m):
 
 @inner_kernel
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
-    """The wall beside each point, searched for once: see find_surfels_again."""
+    """The wall beside each point, without a cache; see find_surfels_again."""
     around = nothing_around(xy_base.shape[0])
     find_surfels_again(xy_base, normals, pose, grid, least_cosine, 0.0, around, found)
 
 
 @inner_kernel
 def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, around, found):
-    """The wall beside each point: mean of the surfels in the 3 x 3 cells around it that face the same way.
+    """The wall beside each point: mean of the surfels in the 3 x 3 cells around it with a similar normal.
 
-    A wall does not end where its cells do: each of its surfels is the mean of the points that fell into one
-    cell, noise cut off at the border. The nearest of them alone says too little, and leans to one side where
-    a border runs along a wall; by as many points as they stand for, and less with distance, they add up to
-    the wall again.
+    A cell cuts the noise of a wall at its border, so its surfel alone is biased where a border runs along the
+    wall. The mean over surfels, weighted by count and distance, is not.
 
     xy_base        (N, 2) float64   m, base frame
     normals        (N, 3) float64   from estimate_normals; points of weight 0 get none
     pose           (3,)   float64   base in the frame of the grid
     grid           SurfelGrid
-    least_cosine   float            between the two normals; -2 takes any
-    least_count    float            a wall that stands for fewer points is none
-    around         Around           in and out: from nothing_around, then from the search before
-    found          (N, 6) float64   out: x, y of the wall (m, frame of the grid), normal x, normal y, how many
-                                    points it stands for near by; 0 where there is none, and the rest then
-                                    means nothing; and how many consecutive points of this scan lie in the
-                                    same cell: they share the errors of its wall
-    What is round bulges out of the plane through the mean of its surfels, and falls short of their own
-    planes: the wall is ROUND_SHARE of the way from the one to the others, [28].
+    least_cosine   float            between the two normals; -2 accepts any
+    least_count    float            walls that stand for fewer points are ignored
+    around         Around           in and out: from nothing_around or the previous search
+    found          (N, 6) float64   out: x, y of the wall (m, frame of the grid), normal x, normal y, points
+                                    it stands for, 0: none, the rest is then undefined; consecutive points of
+                                    this scan in the same cell
+    A round wall lies between the plane through the mean and the surfels' own planes, at ROUND_SHARE; [28].
     Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1); of second
     order by the normals, as the spheres of Guennebaud, Gross, Algebraic point set surfaces, 2007.
     """
-    # Neighbouring points mostly lie in one cell: what is around it is gathered once for them and kept. Arrays
-    # are taken out of the tuples once, and cells are read by scalars: a reference costs more than a surfel.
+    # The surfels around a cell are gathered once for consecutive points. Arrays are hoisted out of the tuples
+    # and cells read as scalars: a reference costs more than a surfel.
     near_cell = around.cell
     near_span = around.span
     near_surfels = around.surfels
@@ -260,7 +255,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
     per_square_reach = 1.0 / (REACH_CELLS * cell_m) ** 2
     c = math.cos(pose[2])
     s = math.sin(pose[2])
-    run = 0  # first point of those in one cell
+    run = 0  # first of consecutive points in one cell
     run_row = run_column = NOWHERE
     for i in range(xy_base.shape[0]):
         found[i, 4] = 0.0
@@ -305,7 +300,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
                         for side in range(2):
                             n = surfels[slot, r, q, side, COUNT]
                             if n == 0.0:
-                                break  # the second side is never filled before the first
+                                break  # sides are filled in order
                             near_surfels[end, COUNT] = n
                             near_surfels[end, MEAN_X] = u * cell_m + surfels[slot, r, q, side, MEAN_X]
                             near_surfels[end, MEAN_Y] = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
@@ -341,7 +336,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
         if length > 0.0 and total >= least_count:
             nx = sum_nx / length
             ny = sum_ny / length
-            off_mean = nx * (dx - sum_x / total) + ny * (dy - sum_y / total)  # of the point from that plane
+            off_mean = nx * (dx - sum_x / total) + ny * (dy - sum_y / total)  # distance from the mean plane
             behind = ROUND_SHARE * (sum_off / total - off_mean)
             found[i, 0] = sum_x / total - behind * nx + (column + 0.5) * cell_m
             found[i, 1] = sum_y / total - behind * ny + (row + 0.5) * cell_m

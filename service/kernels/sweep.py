@@ -1,4 +1,4 @@
-"""The motion within a sweep beyond the twist, as expected and as measured; docs/estimator.md, [23]."""
+"""Motion within a sweep beyond constant twist, as predicted and as measured; docs/estimator.md, [23]."""
 
 import math
 
@@ -24,7 +24,7 @@ from service.kernels.tracks import Track, odometry_at, turned_to
 
 @inner_kernel
 def expected_step(state, seconds, settings, step):
-    """Where the base is expected after some seconds (or before the moment of the prediction); [23].
+    """Predicted motion of the base over some seconds, negative before the predicted time; [23].
 
     An acceleration fades backwards in time as it does forwards.
     """
@@ -40,7 +40,7 @@ def expected_step(state, seconds, settings, step):
 
 @inner_kernel
 def expected_variance(state, axis, seconds, settings):
-    """How far the base may be from there, m^2 or rad^2, by white acceleration; axis 0, 1: x, y; 2: theta."""
+    """Variance of that motion by white acceleration, m^2 or rad^2; axis 0, 1: x, y; 2: theta."""
     density = settings.turn_acceleration if axis == 2 else settings.acceleration
     t = abs(seconds)
     return density * density * t * t * t / 3.0 + state.covariance[TWIST + axis, TWIST + axis] * t * t
@@ -48,11 +48,11 @@ def expected_variance(state, axis, seconds, settings):
 
 @inner_kernel
 def gain_of(expected, measured, variance):
-    """Part of a measured deviation that is motion, not noise or a lie: 0 to 1; [23].
+    """Gain of a measured deviation, 0 to 1; it falls where the deviation is beyond the gate; [23].
 
-    expected   m^2 or rad^2, by the model
+    expected   m^2 or rad^2, prior variance
     measured   m or rad
-    variance   m^2 or rad^2, of that measurement
+    variance   m^2 or rad^2, measurement noise
     """
     total = expected + variance
     if expected <= 0.0:
@@ -62,7 +62,7 @@ def gain_of(expected, measured, variance):
 
 @inner_kernel
 def covers(track, at_ns, begin_s, end_s):
-    """Whether a track has samples before a moment, and some of the time from begin_s to end_s about it."""
+    """Whether a track has samples before a time and during part of begin_s to end_s about it."""
     first, end = track.span[0], track.span[1]
     if end - first < 2 or track.stamp_ns[first] > at_ns + np.int64(min(begin_s, 0.0) * 1e9):
         return False
@@ -77,16 +77,16 @@ def sweep_deviation(packed, odometry, gyro, begin_s, end_s, settings, deviation)
 
 @inner_kernel
 def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
-    """Where the base was at moments of a sweep, seen from where the twist alone would have brought it; [23].
+    """Pose of the base at times of a sweep, relative to that by constant twist; [23].
 
-    state       Filter           after a prediction: its moment is 0 s
+    state       Filter           after a prediction; its time is 0 s
     odometry    Track
     gyro        Track
     begin_s     float            of the sweep
     end_s       float
     settings    MotionSettings
-    deviation   (K, 3) float64   out: m, m, rad at K moments evenly from begin_s to end_s; K > 1
-    Returns False where nothing is known of it, and leaves deviation as it is.
+    deviation   (K, 3) float64   out: m, m, rad at K times evenly from begin_s to end_s; K > 1
+    Returns False where it is unknown; deviation is then unchanged.
     """
     at_ns = state.stamp_ns[0]
     lag_ns = np.int64(state.learnt[2] * 1e9)
@@ -108,7 +108,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
     rate = abs(twist[2])
     count = deviation.shape[0]
     expected_at = np.empty((count, 3))
-    off = np.zeros((count, 3))  # from there
+    off = np.zeros((count, 3))  # relative to expected_at
     known, variance, said_rad = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
     for k in range(count):
         t = begin_s + (end_s - begin_s) * k / (count - 1)
@@ -122,7 +122,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
         step[1] *= 1.0 + state.learnt[0]
         step[2] *= 1.0 + state.learnt[1]
         expected_step(state, known[k], settings, scratch)
-        between(scratch, expected_at[k], rest)  # beyond its newest sample it goes on as expected
+        between(scratch, expected_at[k], rest)  # beyond the newest sample the predicted motion
         compose(step, rest, step)
         between(expected_at[k], step, off[k])
         way_m, turn_rad = speed * abs(t), rate * abs(t)
@@ -134,7 +134,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
         said_rad[k] = off[k, 2]
     if knows_way:
         for axis in range(3):
-            # Of what the sweep shows its noise is no acceleration (Efron, Morris, JASA 1973).
+            # Empirical Bayes: the deviation beyond noise limits the prior variance (Efron, Morris 1973).
             part = 0.0
             for end in (0, count - 1):
                 expected = expected_variance(state, axis, known[end], settings)
@@ -155,7 +155,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
             expected = expected_variance(state, 2, known_s, settings)
             of_gyro *= state.gyro_noise[0]
             kept = gain_of(expected, turned, of_gyro)
-            if knows_way:  # where both speak and contradict each other, the gyro may be dead
+            if knows_way:  # where gyro and odometry contradict each other, the gyro may be dead
                 apart = turned - said_rad[k]
                 both = of_gyro + variance[k, 1]
                 kept *= min(1.0, CHI2_99_OF_1 * both / max(apart * apart, 1e-12))
@@ -170,9 +170,9 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
 
 @kernel(PackedFilter, Track, Track, float, MotionSettings, Float64_1D, Float64_1D, Float64_2D)
 def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance):
-    """Where the base was some seconds from the newest estimate, within its sweep; [23].
+    """Motion some seconds from the newest estimate, within its sweep; [23].
 
-    packed       PackedFilter     after a correction: its moment is 0 s
+    packed       PackedFilter     after a correction; its time is 0 s
     odometry     Track
     gyro         Track
     seconds      float            not 0
@@ -206,12 +206,12 @@ def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance
 
 @kernel(Float64_1D, float, float, Float64_2D, Float64_2D)
 def bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw):
-    """Move each point as the base deviated from the constant twist at its moment: then the twist is all.
+    """Move each point by the base's deviation from constant twist at its time.
 
     beam_time_s    (N,)   float64   s, within begin_s to end_s
     deviation      (K, 3) float64   of sweep_deviation
-    xy_raw         (N, 2) float64   in: m, base frame at each point's moment; out: base frame at that moment,
-                                    had the twist been constant
+    xy_raw         (N, 2) float64   in: m, base frame at each point's time; out: base frame at that time for
+                                    constant twist
     """
     last = deviation.shape[0] - 1
     per_s = last / (end_s - begin_s)
@@ -230,6 +230,6 @@ def bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw):
 
 @kernel(Track, int, MotionSettings, Float64_1D)
 def begin_twist(track, stamp_ns, settings, twist):
-    """Speed (3,) that odometry gives at the first scan."""
+    """Odometry's speed (3,) at the first scan."""
     pose = np.empty(3)
     odometry_at(track, stamp_ns, settings, pose, twist)

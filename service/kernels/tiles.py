@@ -11,11 +11,11 @@ NO_TILE = -1
 
 
 class TileIndex(NamedTuple):
-    """Where the tiles of one map lie in a pool that several maps share.
+    """Slots of the tiles of one map in a shared pool.
 
     slots    (H, W)       int32   slot of tile (origin[0] + row, origin[1] + column), or NO_TILE
     origin   (2,)         int64   tile row and tile column of slots[0, 0]
-    free     (capacity,)  int32   stack of slots that were handed back
+    free     (capacity,)  int32   stack of released slots
     counts   (2,)         int64   height of that stack; first slot that was never used
     """
 
@@ -27,7 +27,7 @@ class TileIndex(NamedTuple):
 
 @inner_kernel
 def slot_at(slots, row, column):
-    """Slot at a place of TileIndex.slots, NO_TILE outside; for loops, where a TileIndex costs a reference."""
+    """Slot at a row and column of TileIndex.slots, NO_TILE outside; for loops with hoisted arrays."""
     if row < 0 or column < 0 or row >= slots.shape[0] or column >= slots.shape[1]:
         return NO_TILE
     return slots[row, column]
@@ -35,15 +35,15 @@ def slot_at(slots, row, column):
 
 @inner_kernel
 def find_tile(index, tile_row, tile_column):
-    """Slot of a tile, NO_TILE where there is none or where it lies outside the index."""
+    """Slot of a tile, NO_TILE where it is absent or outside the index."""
     return slot_at(index.slots, tile_row - index.origin[0], tile_column - index.origin[1])
 
 
 @kernel(TileIndex, int, int)
 def take_slot(index, tile_row, tile_column):
-    """Give a tile that has none a slot. The caller has made sure that index and pool have room.
+    """Assign a slot to a tile that has none; index and pool must have room.
 
-    Returns (slot, used_before); a slot used before still holds its old cells, which the caller clears.
+    Returns (slot, used_before); a slot used before has old cells, which the caller clears.
     """
     used_before = index.counts[0] > 0
     if used_before:
@@ -58,7 +58,7 @@ def take_slot(index, tile_row, tile_column):
 
 @kernel(Float64_2D)
 def farthest_m2(xy):
-    """Square of the distance of the farthest of some points, (N, 2) float64 m, from the origin, m^2."""
+    """Largest squared distance of points, (N, 2) float64 m, from the origin, m^2."""
     farthest = 0.0
     for i in range(xy.shape[0]):
         farthest = max(farthest, xy[i, 0] * xy[i, 0] + xy[i, 1] * xy[i, 1])

@@ -1,4 +1,4 @@
-"""Samples of odometry and gyro in the order of their stamps, and what they say between and beyond them.
+"""Samples of odometry and gyro in the order of their stamps, interpolated and extrapolated.
 
 Numbers in brackets are those of docs/estimator.md.
 """
@@ -11,9 +11,9 @@ from service.kernels.arrays import Float64_2D, Int64_1D
 from service.kernels.compiled import inner_kernel
 from service.kernels.se2 import between, compose, exponential, logarithm
 
-LAG_WINDOW_NS = 200_000_000  # over which a speed is taken that a lag of the stamps is multiplied by
-ACCELERATION_NS = 100_000_000  # two such windows tell the acceleration of a path
-LONGEST_WINDOW_NS = 500_000_000  # scans farther apart tell none
+LAG_WINDOW_NS = 200_000_000  # of the mean speed that a lag of the stamps is multiplied by
+ACCELERATION_NS = 100_000_000  # two such windows give the acceleration of a path
+LONGEST_WINDOW_NS = 500_000_000  # scans farther apart give none
 PATH_POSES = 256
 
 
@@ -21,8 +21,8 @@ class Track(NamedTuple):
     """Samples in the order of their stamps; rows `span[0]` to `span[1]` are in use.
 
     stamp_ns   (N,)   int64
-    value      (N, W) float64   odometry: x m, y m, theta rad, variance m^2, variance rad^2; gyro: the angle
-                                turned since the first sample, rad, and what pauses of it add to its variance
+    value      (N, W) float64   odometry: x m, y m, theta rad, variance m^2, variance rad^2; gyro: angle since
+                                the first sample, rad, and the variance added by its pauses
     span       (2,)   int64
     """
 
@@ -33,7 +33,7 @@ class Track(NamedTuple):
 
 @inner_kernel
 def last_at_or_before(track, stamp_ns):
-    """Row of the newest sample that is not after a moment; span[0] - 1 where all are."""
+    """Row of the newest sample that is not after a time; span[0] - 1 where all are."""
     low = track.span[0]
     high = track.span[1]
     while low < high:
@@ -47,10 +47,10 @@ def last_at_or_before(track, stamp_ns):
 
 @inner_kernel
 def odometry_twist(track, row, window_ns, twist):
-    """Speed between a sample and an earlier one at least window_ns away, so that ticks average out.
+    """Speed between a sample and one at least window_ns before, so that encoder ticks average out.
 
-    A burst of stamps is no speed: where all samples lie within the window the oldest is taken.
-    Returns whether there was time between them.
+    Where all samples are within the window the oldest is taken: a burst of stamps is no speed.
+    Returns whether there was time between the two.
     """
     first = row - 1
     while first > track.span[0] and track.stamp_ns[row] - track.stamp_ns[first] < window_ns:
@@ -71,11 +71,12 @@ def odometry_twist(track, row, window_ns, twist):
 
 @inner_kernel
 def odometry_at(track, stamp_ns, settings, pose, twist):
-    """Pose (3,) and twist (3,) that odometry gives at a moment.
+    """Odometry's pose (3,) and twist (3,) at a time.
 
-    Returns (variance m^2, variance rad^2 of the device's own at that moment, seconds since the sample before,
-    seconds from that one to the next): between samples the pose is a bridge of white-noise acceleration,
-    beyond the last the last speed goes on.
+    Between samples the pose is interpolated by white-noise acceleration, beyond the last the speed is
+    constant.
+    Returns (the device's own variance m^2, rad^2; seconds since the sample before; seconds from that one to
+    the next).
     """
     row = last_at_or_before(track, stamp_ns)
     window_ns = np.int64(settings.speed_window_s * 1e9)
@@ -103,9 +104,9 @@ def odometry_at(track, stamp_ns, settings, pose, twist):
 
 @inner_kernel
 def mean_twist(track, stamp_ns, settings, twist):
-    """Mean speed (3,) over LAG_WINDOW_NS about a moment: what a lag of the stamps is multiplied by.
+    """Mean speed (3,) over LAG_WINDOW_NS about a time: what a lag of the stamps is multiplied by.
 
-    A speed from two ticks would be noise, and a lag learnt from it a fraction of the truth.
+    A speed by two encoder ticks would be noise, and the learnt lag too small.
     """
     before = np.empty(3)
     after = np.empty(3)
@@ -120,7 +121,7 @@ def mean_twist(track, stamp_ns, settings, twist):
 
 @inner_kernel
 def add_to_path(path, stamp_ns, pose):
-    """Append a pose (3,) to a track of PATH_POSES rows; of a full one the older half is forgotten."""
+    """Append a pose (3,) to a track of PATH_POSES rows; of a full track the older half is dropped."""
     end = path.span[1]
     if end == path.stamp_ns.shape[0]:
         kept = end // 2
@@ -138,11 +139,11 @@ def add_to_path(path, stamp_ns, pose):
 
 @inner_kernel
 def acceleration_of(path, odometry, lag_ns, settings, acceleration):
-    """Acceleration (3,) at the end of a path that odometry shows, too: the smaller one, 0 where signs differ.
+    """Acceleration (3,) at the end of a path, confirmed by odometry: the smaller one, 0 where signs differ.
 
-    Each is that between the mean speeds of two windows. Where a wheel slips odometry's speed changes and that
-    of the path does not; where an encoder is dead it is the other way round.
-    Returns the length of a window in s; 0.0 where the path does not reach so far back.
+    Each is that between the mean speeds of two windows. Where a wheel slips, odometry's speed changes and
+    that of the path does not; with a dead encoder the reverse.
+    Returns the length of a window in s; 0.0 where the path is too short.
     """
     newest = path.span[1] - 1
     middle = last_at_or_before(path, path.stamp_ns[newest] - ACCELERATION_NS)
@@ -173,7 +174,7 @@ def acceleration_of(path, odometry, lag_ns, settings, acceleration):
 
 @inner_kernel
 def change_of_mean(first, middle, last, old_s, new_s, acceleration):
-    """Acceleration (3,) between the mean speeds from a first pose to a middle one, and on to a last."""
+    """Acceleration (3,) between the mean speeds from first to middle and from middle to last pose."""
     step = np.empty(3)
     new = np.empty(3)
     old = np.empty(3)
@@ -196,7 +197,7 @@ def bridge_s3(since_s, gap_s):
 
 @inner_kernel
 def turned_to(track, stamp_ns):
-    """Angle that the gyro has turned up to a moment since the first sample; it goes on at its last rate."""
+    """The gyro's angle at a time since the first sample; beyond the last one by its last rate."""
     row = last_at_or_before(track, stamp_ns)
     row = min(max(row, track.span[0]), track.span[1] - 2)
     share = (stamp_ns - track.stamp_ns[row]) / (track.stamp_ns[row + 1] - track.stamp_ns[row])

@@ -1,19 +1,19 @@
-"""How far apart the returns of a scan are, where they are neighbours."""
+"""Spacing of the returns of a scan in beams."""
 
 import numpy as np
 
 from service.kernels.arrays import Int32_1D
 from service.kernels.compiled import kernel
 
-MAX_GAP = 64  # beams; returns farther apart are no neighbours
+MAX_GAP = 64  # beams; returns farther apart are not neighbours
 
 
 @kernel(Int32_1D)
 def usual_gap(beam):
-    """From one return to the next, in beams, where they are neighbours: the most common gap; 1 where none is.
+    """Most common gap from one return to the next, in beams; 1 where there is none.
 
-    It is 1 where each beam is measured. A LUX measures each second or fourth direction of the grid that its
-    layers are reduced to: what lies between is not looked at, and no gap in what stands there.
+    It is 1 where each beam is measured. A LUX measures every second or fourth direction of the grid that its
+    layers are projected to; the directions between are not measured.
 
     beam   (N,) int32   of each return, rising
     """

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a likelihood map with the speed of the laser inside: every step deskews anew."""
+"""Levenberg-Marquardt on a likelihood map that also estimates the velocity: each step deskews again."""
 
 import math
 
@@ -12,7 +12,7 @@ from service.kernels.pose_information import wrap
 
 @inner_kernel
 def log_motion(dx, dy, turn, motion):
-    """Twist times duration that leads to a pose (dx, dy, turn) seen from the start.
+    """Twist times duration that reaches the pose (dx, dy, turn) in the frame of the start.
 
     motion   (3,) float64   out: m forward, m left, rad
     Source: logarithm of SE(2) in closed form; Li et al. 2016, eq. 11.
@@ -26,7 +26,7 @@ def log_motion(dx, dy, turn, motion):
 
 @inner_kernel
 def velocity_between(start, pose, elapsed_s, twist):
-    """Constant body twist that leads from one pose to the next.
+    """Constant body twist from one pose to the next.
 
     start, pose   (3,) float64   m, m, rad in one frame
     elapsed_s     float          > 0
@@ -62,23 +62,23 @@ def align_level(
     returns, weights, prior_pose, prior_information, start, elapsed_s, twist_gain,
     field, settings, most_steps, xy_base, pose, twist, H,
 ):  # fmt: skip
-    """Pose and speed of a scan on one level of a likelihood map.
+    """Pose and velocity of a scan on one level of a likelihood map.
 
-    returns             Returns           end points at their own moments
+    returns             Returns           end points at their own times
     weights             (N,)   float64    from balance_weights, over the variance of 1 - P
-    prior_pose          (3,)   float64    predicted, and the information that is put on it: all zero for none
-    prior_information   (3, 3) float64    in map axes
-    start               (3,)   float64    pose of the scan before; with elapsed_s it makes a pose a speed
-    elapsed_s           float             since then; 0: the speed stays as it is
+    prior_pose          (3,)   float64    predicted
+    prior_information   (3, 3) float64    in map axes; all zero: none
+    start               (3,)   float64    pose of the previous scan
+    elapsed_s           float             since then; 0: the velocity is unchanged
     twist_gain          float             share of a change of the twist that is applied; 1: eq. 11
     field               LikelihoodField   the level
     settings            LmSettings
     most_steps          int               I_max
-    xy_base             (N, 2) float64    in: deskewed with twist; out: with the twist found
-    pose                (3,)   float64    in: where to start; out: where it ended
+    xy_base             (N, 2) float64    in: deskewed with twist; out: with the estimated twist
+    pose                (3,)   float64    in: initial; out: final
     twist               (3,)   float64    in and out: m/s forward, m/s left, rad/s
     H                   (3, 3) float64    out: Hessian of the points alone, where the last step began
-    Source: Li et al. 2016, algorithm 1: one damped step, new speed, deskew anew, until the step is small.
+    Source: Li et al. 2016, algorithm 1: one damped step, new velocity, deskew again, until the step is small.
     """
     damping = settings.first_damping
     before = twist.copy()

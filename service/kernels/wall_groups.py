@@ -1,4 +1,4 @@
-"""Which points lie on the same wall: all of them say one thing of where they were seen from."""
+"""Points of the same wall form a group: they are one observation of a pose."""
 
 import math
 
@@ -6,21 +6,21 @@ from service.kernels.arrays import Float64_1D, Float64_2D, Int64_1D
 from service.kernels.compiled import kernel
 from service.kernels.normals import ROUGH_WEIGHT
 
-ACROSS_M, ACROSS_SIGMAS = 0.06, 3.0  # how far off its line a point of a wall lies at most
+ACROSS_M, ACROSS_SIGMAS = 0.06, 3.0  # largest distance of a wall's point from its line
 MIN_WALL_COSINE = 0.97  # between the normal of a point and that of its wall
-REACHES_M = (1.0, 4.0, math.inf)  # about its first point, in which a wall is fitted, each from the one before
-THING_M = 0.3  # about its first point: rough points so near are one thing
+REACHES_M = (1.0, 4.0, math.inf)  # radii about its first point in which a wall is fitted, in turn
+THING_M = 0.3  # radius about its first point in which rough points are one object
 
 
 @kernel(Float64_2D, Float64_2D, Float64_1D, Int64_1D)
 def group_by_wall(xy, normals, sigma_m, group):
-    """Number the straight lines that points lie on, however far apart on them, and the things beside walls.
+    """Assign each point to a straight line, of any length, or to an object beside walls.
 
     xy        (N, 2) float64   m
-    normals   (N, 3) float64   as estimate_normals gives them
+    normals   (N, 3) float64   from estimate_normals
     sigma_m   (N,)   float64   noise of each point
     group     (N,)   int64     out: 0 and up
-    Returns how many there are.
+    Returns the number of groups.
     """
     count = xy.shape[0]
     for i in range(count):

@@ -8,7 +8,7 @@ from service.kernels.occupancy import Evidence, count_overlap
 from service.mapper.components import Overlap, Points
 from service.mapper.maps.occupancy import Canvas
 
-CELL_M = 0.10
+CELL_M = 0.10  # of the occupancy grid
 FREE_RANGE_M = 20.0  # length up to which beams clear cells
 # One hit makes a cell occupied, as in maps that store only walls. Misses of three scans clear a single hit,
 # those of 16 any number of hits.
