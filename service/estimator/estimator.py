@@ -18,7 +18,7 @@ from service.estimator.motion import Matrix, Measurement, Motion, Prediction, Re
 from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.estimator import predict_motion, take_match, tie_to_scale, transfer_into_map
+from service.kernels.estimator import add_scale_error, predict_motion, take_match, transfer_into_map
 from service.kernels.filter_state import (
     ACCELERATION,
     BIAS,
@@ -251,7 +251,7 @@ class Estimator:
         is_unwitnessed, self._is_unwitnessed = self._is_unwitnessed, False
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
-        is_measured = bool(state.said[3]) and max(state.noise.tolist()) <= FAULT_NOISE
+        is_measured = bool(state.increments[3]) and max(state.noise.tolist()) <= FAULT_NOISE
         self._consistent.watch(self._packed, scan_alone(is_measured, float(state.noise[0])))
         covariance = state.covariance
         local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
@@ -277,7 +277,7 @@ class Estimator:
 
     def _reckoned(self) -> Reckoned | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
-        x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self.filter.said.tolist()
+        x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self.filter.increments.tolist()
         if not is_said or self._elapsed_s <= 0.0:
             return None
         way, turns = self.filter.noise.tolist()
@@ -315,7 +315,7 @@ class Estimator:
                 measured.information,
                 self._settings,
             )
-        elif not state.said[3]:
+        elif not state.increments[3]:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
         return Motion(SE2(*state.pose.tolist()), self._twist(), self._consistent.of_pose(state))
 
@@ -361,13 +361,13 @@ class Estimator:
         twist = np.zeros(3)
         begin_twist(self._odometry.track, stamp_ns, self._settings, twist)
         state = self.filter
-        state.twist[:] = state.mean_twist[:] = state.tied_twist[:] = twist
+        state.twist[:] = state.mean_twist[:] = state.scale_twist[:] = twist
         covariance = state.covariance
         covariance[TWIST : TWIST + 3, :] = 0.0
         covariance[:, TWIST : TWIST + 3] = 0.0
         for k in range(3):
             covariance[TWIST + k, TWIST + k] = 0.1**2
-        tie_to_scale(covariance, twist, 1.0, 0.0)
+        add_scale_error(covariance, twist, 1.0, 0.0)
         self._begin_acceleration()
 
     def _begin_acceleration(self) -> None:

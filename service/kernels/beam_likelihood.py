@@ -34,13 +34,13 @@ WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map a
 POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of end points without a normal, kept in a grid
 # Densities of the end of a beam, 1/m: in known free space, by people, chairs and doors; on unknown ground,
 # where surfaces are smooth: a beam ends within 0.1 m (1 sigma) of its neighbour.
-IN_FREE, NOT_KNOWN = 0.01, 4.0
+FREE_DENSITY, UNKNOWN_DENSITY = 0.01, 4.0
 ON_WALL, ON_POINT = 0.8, 0.2  # shares of the beams that end on mapped surfaces
 AT_BACK, BACK_M, BACK_SIGMA_M = 1.5, 0.1, 0.03  # back of a wall: share, thickness of the wall, its sigma
 THROUGH_REACH_M = 0.07  # half length of a surfel in the test whether a beam passes through it
-MIN_OPEN = 0.02  # least probability that a wall was removed
-FULL_RATIO = 1.5  # nats: mean of beams that all end on walls
-AGAINST_RATIO = 0.5 * math.log(IN_FREE / NOT_KNOWN)  # nats: a beam below it contradicts the map
+MIN_REMOVED_PROBABILITY = 0.02  # least probability that a wall was removed
+MAX_LOG_RATIO = 1.5  # nats: mean of beams that all end on walls
+MIN_LOG_RATIO = 0.5 * math.log(FREE_DENSITY / UNKNOWN_DENSITY)  # nats: a beam below it contradicts the map
 
 
 class KnownGround(NamedTuple):
@@ -48,19 +48,18 @@ class KnownGround(NamedTuple):
 
     walls     SurfelGrid
     has_wall  (H, W) bool                   whether a cell of `walls` has a surfel, from its first tile on
-    looked    (capacity, T, T, 2) float32   beams of the map's own scans that passed through each surfel
+    through_count (capacity, T, T, 2) float32   beams of the map's own scans through each surfel
     ground    OccupancyGrid                 with cells of the size of those of `walls`
     free      int                           a cell with at most this evidence is free
     points    (H, W) uint8                  likelihood of an end point near those of the map, cells of
                                             POINT_CELL_M, by splat_points
     first_row, first_column   int           of the cell of the map that is points[0, 0]
-    asked     (capacity, T, T) int32        number of the last pose whose beams passed through a cell of
-                                            `walls`
+    visited   (capacity, T, T) int32        number of the last pose with beams through a cell of `walls`
     """
 
     walls: SurfelGrid
     has_wall: Bool_2D
-    looked: Float32_4D
+    through_count: Float32_4D
     ground: OccupancyGrid
     free: int
     points: UInt8_2D
@@ -70,7 +69,7 @@ class KnownGround(NamedTuple):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def goes_through(surfels, slot, row, column, side, u, v, du, dv):
+def passes_through(surfels, slot, row, column, side, u, v, du, dv):
     """Whether a beam passes through a surfel, from either side, and ends at least BEHIND_M behind it.
 
     u, v     float   start of the beam, m from the centre of the cell
@@ -91,14 +90,14 @@ def goes_through(surfels, slot, row, column, side, u, v, du, dv):
 
 
 @kernel(Float64_2D, Float64_1D, SurfelGrid, float, Float32_4D)
-def count_looks(ends, sensor, walls, weight, looked):
+def count_beams_through(ends, sensor, walls, weight, through_count):
     """Count the beams of one scan that pass through each surfel.
 
     ends     (N, 2) float64   m, frame of the map
     sensor   (2,)   float64   start of the beams
     walls    SurfelGrid
     weight   float            of each beam
-    looked   (capacity, T, T, 2) float32   in and out
+    through_count   (capacity, T, T, 2) float32   in and out
     """
     cell_m = walls.cell_m
     for i in range(ends.shape[0]):
@@ -115,8 +114,8 @@ def count_looks(ends, sensor, walls, weight, looked):
                 for side in range(2):
                     if walls.surfels[slot, r, q, side, COUNT] == 0.0:
                         break  # sides are filled in order
-                    if goes_through(walls.surfels, slot, r, q, side, u, v, du, dv):
-                        looked[slot, r, q, side] += np.float32(weight)
+                    if passes_through(walls.surfels, slot, r, q, side, u, v, du, dv):
+                        through_count[slot, r, q, side] += np.float32(weight)
             is_column = next_column < next_row
             column += step_column if is_column else 0
             row += 0 if is_column else step_row
@@ -156,14 +155,14 @@ def splat_points(xy, first_row, first_column, points):
 
 
 @inner_kernel
-def openness(u, v, du, dv, known, number):
+def log_removed_probability(u, v, du, dv, known, number):
     """Log-probability that the walls along a beam were removed; walls counted for this pose are skipped.
 
     u, v     float   start, m, frame of the map
     du, dv   float   from there to its end
     number   int     of the pose
     """
-    walls, looked, has_wall = known.walls, known.looked, known.has_wall
+    walls, through_count, has_wall = known.walls, known.through_count, known.has_wall
     cell_m = walls.cell_m
     first_row, first_column = (
         walls.tiles.origin[0] << TILE_BITS,
@@ -179,12 +178,12 @@ def openness(u, v, du, dv, known, number):
             slot = find_tile(walls.tiles, row >> TILE_BITS, column >> TILE_BITS)
             r, q = row & TILE_MASK, column & TILE_MASK
             if known.visited[slot, r, q] != number:
-                open_share = 1.0
+                removed_share = 1.0
                 for side in range(2):
                     hits = walls.surfels[slot, r, q, side, COUNT]
                     if hits == 0.0:
                         break
-                    if goes_through(
+                    if passes_through(
                         walls.surfels,
                         slot,
                         r,
@@ -195,11 +194,11 @@ def openness(u, v, du, dv, known, number):
                         du,
                         dv,
                     ):
-                        through = looked[slot, r, q, side]
-                        open_share = min(open_share, (through + 0.5) / (hits + through + 1.0))
-                if open_share < 1.0:
+                        through = through_count[slot, r, q, side]
+                        removed_share = min(removed_share, (through + 0.5) / (hits + through + 1.0))
+                if removed_share < 1.0:
                     known.visited[slot, r, q] = number
-                    total += math.log(max(open_share, MIN_OPEN))
+                    total += math.log(max(removed_share, MIN_REMOVED_PROBABILITY))
         is_column = next_column < next_row
         column += step_column if is_column else 0
         row += 0 if is_column else step_row
@@ -209,15 +208,15 @@ def openness(u, v, du, dv, known, number):
 
 
 @inner_kernel
-def density_of_ground(ground, free, x, y):
+def background_density(ground, free, x, y):
     """Density of beams that end off the walls of the map, 1/m; in free space its 3 x 3 cells are free."""
     column, row = math.floor(x / ground.cell_m), math.floor(y / ground.cell_m)
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
             evidence = evidence_at(ground, r, q)
             if evidence == 0 or evidence > free:
-                return NOT_KNOWN
-    return IN_FREE
+                return UNKNOWN_DENSITY
+    return FREE_DENSITY
 
 
 @inner_kernel
@@ -228,7 +227,7 @@ def weigh_ends(xy, normals, pose, known, at_end):
     normals   (N, 3) float64   of the walls there
     pose      (3,)   float64   of their frame in the map
     known     KnownGround
-    at_end    (N,)   float64   out, nats: about FULL_RATIO on a wall, 0 on unknown ground, negative in free
+    at_end    (N,)   float64   out, nats: about MAX_LOG_RATIO on a wall, 0 on unknown ground, negative in free
     space Source: Thrun, Burgard, Fox, Probabilistic Robotics, section 6.3 (beam model).
     """
     count = xy.shape[0]
@@ -242,7 +241,7 @@ def weigh_ends(xy, normals, pose, known, at_end):
     for i in range(count):
         x = pose[0] + c * xy[i, 0] - s * xy[i, 1]
         y = pose[1] + s * xy[i, 0] + c * xy[i, 1]
-        density = density_of_ground(known.ground, known.free, x, y)
+        density = background_density(known.ground, known.free, x, y)
         if front[i, 4] > 0.0:
             off_m = (x - front[i, 0]) * front[i, 2] + (y - front[i, 1]) * front[i, 3]
             density += on_wall * math.exp(-0.5 * (off_m / WALL_SIGMA_M) ** 2)
@@ -254,11 +253,11 @@ def weigh_ends(xy, normals, pose, known, at_end):
         column = math.floor(x / POINT_CELL_M) - known.first_column
         if 0 <= row < known.points.shape[0] and 0 <= column < known.points.shape[1]:
             density += on_point * known.points[row, column]
-        at_end[i] = math.log(density / NOT_KNOWN)
+        at_end[i] = math.log(density / UNKNOWN_DENSITY)
 
 
 @inner_kernel
-def weigh_ways(xy, sensors, pose, known, number, least, along_beam):
+def weigh_paths(xy, sensors, pose, known, number, least, along_beam):
     """Log-probability that the walls along each beam were removed; stops once the sum is below `least`.
 
     xy        (N, 2) float64   ends of the beams, m
@@ -279,7 +278,7 @@ def weigh_ways(xy, sensors, pose, known, number, least, along_beam):
         y = pose[1] + s * xy[i, 0] + c * xy[i, 1]
         u = pose[0] + c * sensors[i, 0] - s * sensors[i, 1]
         v = pose[1] + s * sensors[i, 0] + c * sensors[i, 1]
-        along_beam[i] = openness(u, v, x - u, y - v, known, number)
+        along_beam[i] = log_removed_probability(u, v, x - u, y - v, known, number)
         total += along_beam[i]
         if total < least:
             break

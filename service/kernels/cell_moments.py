@@ -18,7 +18,7 @@ from service.kernels.arrays import Float32_5D, Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.normals import (
     ANGLE_SIGMA_RAD,
-    MAX_ANGLE,
+    MAX_ANGLE_SIGMAS,
     MIN_COS_INCIDENCE,
     ROUGH_WEIGHT,
     THICK_SIGMAS,
@@ -154,8 +154,8 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
 
 @inner_kernel
 def is_known(across, expected, along, count):
-    """Whether the normal of a plane is known to MAX_ANGLE; arguments from normal_of."""
-    most_rad2 = (MAX_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    """Whether the normal of a plane is known to MAX_ANGLE_SIGMAS; arguments from normal_of."""
+    most_rad2 = (MAX_ANGLE_SIGMAS * ANGLE_SIGMA_RAD) ** 2
     return max(across, expected) <= most_rad2 * along * count
 
 

@@ -251,7 +251,7 @@ def blur_contour(nodes, reach, level, settings, cells):
 
 
 @inner_kernel
-def draw_hits(nodes, level, settings, cells):
+def mark_hits(nodes, level, settings, cells):
     """Mark the cells of points as HIT; on a traditional map every cell that the contour crosses.
 
     Without is_sub_cell their likelihood is 1, else that of the centre of the cell.
@@ -315,8 +315,8 @@ def blur_scan(xy_base, contour, pose, level, settings, cells):
                 nodes[node_count, 1] = uv[i, 1]
                 node_count += 1
             blur_contour(nodes[:node_count], reach, level, settings, cells)
-            draw_hits(uv[first : last + 1], level, settings, cells)
+            mark_hits(uv[first : last + 1], level, settings, cells)
         elif settings.uses_lone_points:
             blur_point(uv[first, 0], uv[first, 1], level, settings, cells)
-            draw_hits(uv[first : first + 1], level, settings, cells)
+            mark_hits(uv[first : first + 1], level, settings, cells)
         first = last + 1

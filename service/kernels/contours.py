@@ -46,13 +46,13 @@ def extract_contours(xy_base, longest_m, most_ratio, contour):
         contour[k + 1] = found
         at = k + 1
         while at + 1 < count and contour[at + 1] == ALONE:
-            if not _goes_on(step_m[at], step_m[at - 1], longest_m, most_ratio):
+            if not _may_continue(step_m[at], step_m[at - 1], longest_m, most_ratio):
                 break
             at += 1
             contour[at] = found
         at = k
         while at > 0 and contour[at - 1] == ALONE:
-            if not _goes_on(step_m[at - 1], step_m[at], longest_m, most_ratio):
+            if not _may_continue(step_m[at - 1], step_m[at], longest_m, most_ratio):
                 break
             at -= 1
             contour[at] = found
@@ -61,6 +61,6 @@ def extract_contours(xy_base, longest_m, most_ratio, contour):
 
 
 @inner_kernel
-def _goes_on(step_m, last_m, longest_m, most_ratio):
+def _may_continue(step_m, last_m, longest_m, most_ratio):
     """Whether a step may follow the last one of a contour; eq. 5."""
     return step_m <= longest_m and max(step_m, last_m) <= most_ratio * min(step_m, last_m)

@@ -33,17 +33,17 @@ from service.kernels.filter_state import (
 )
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
-from service.kernels.source_noise import learn_noise, motion_noise_over, widen_window
+from service.kernels.source_noise import extend_window, learn_noise, motion_noise_over
 from service.kernels.tracks import (
     LAG_WINDOW_NS,
     Track,
     acceleration_of,
     add_to_path,
     bridge_s3,
+    gyro_angle_at,
     last_at_or_before,
     mean_twist,
     odometry_at,
-    turned_to,
 )
 
 GYRO_SCALE = 0.005  # error of the gyro's scale
@@ -110,70 +110,72 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
     P = state.covariance
     last_ns = state.stamp_ns[0]
     dt = (stamp_ns - last_ns) * 1e-9
-    state.said[:] = 0.0
+    state.increments[:] = 0.0
     if dt <= 0.0:
         return
-    way = np.empty(3)
+    tangent = np.empty(3)
     step = np.empty(3)
-    accelerate(state, dt, settings, way)
-    exponential(way[0], way[1], way[2], step)
+    propagate(state, dt, settings, tangent)
+    exponential(tangent[0], tangent[1], tangent[2], step)
     correction = np.zeros(STATES)
     gain = np.empty(STATES)
     rows = np.zeros(STATES)
     turn = np.empty(2)
-    said = np.empty(3)
+    odometry_tangent = np.empty(3)
     change = np.empty(3)
-    tied = state.tied_twist
+    scale_twist = state.scale_twist
     new = 1.0 - math.exp(-dt / MEAN_S)
     of_step = 1.0 - math.exp(-((dt / MEAN_S) ** 2))
-    knows_turn = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
-    knows_way = odometry_step(state, odometry, last_ns, stamp_ns, settings, change)
-    knows_way = knows_way and max(state.noise[0], state.noise[1]) <= settings.fault_noise
-    if knows_way:
+    has_gyro = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
+    has_odometry = odometry_step(state, odometry, last_ns, stamp_ns, settings, change)
+    has_odometry = has_odometry and max(state.noise[0], state.noise[1]) <= settings.fault_noise
+    if has_odometry:
         # linearised at odometry's step: over a long gap the last speed is far from the truth
         for i in range(3):
-            step[i] = state.said[i]
+            step[i] = state.increments[i]
         # (rotations are not wrapped: a speed wrong by a turn per scan would remain)
-        logarithm(step, said)
+        logarithm(step, odometry_tangent)
         for i in range(3):
-            correction[STEP + i] = way[i] - said[i]
+            correction[STEP + i] = tangent[i] - odometry_tangent[i]
         change_of_speed(state, odometry, dt, of_step, settings, change)
-        tie_to_scale(P, tied, -1.0, dt)
-    if knows_turn:
-        state.said[6] = turn[0] - state.learnt[3] * dt
-        state.said[7] = turn[1]
+        add_scale_error(P, scale_twist, -1.0, dt)
+    if has_gyro:
+        state.increments[6] = turn[0] - state.learnt[3] * dt
+        state.increments[7] = turn[1]
         rows[STEP + 2] = 1.0
-        rows[TURN_SCALE] = dt * tied[2] if knows_way else 0.0
+        rows[TURN_SCALE] = dt * scale_twist[2] if has_odometry else 0.0
         rows[BIAS] = dt
-        residual = state.said[6] - (step[2] if knows_way else way[2])
+        residual = state.increments[6] - (step[2] if has_odometry else tangent[2])
         observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, CHI2_99_OF_1, correction)
-    if knows_way:
+    if has_odometry:
         for axis in range(2, -1, -1):
             rows[:] = 0.0
             rows[STEP + axis] = 1.0
             rows[LAG] = -change[axis]
-            variance = state.said[4] * state.noise[0] if axis < 2 else state.said[5] * state.noise[1]
+            variance = (
+                state.increments[4] * state.noise[0] if axis < 2 else state.increments[5] * state.noise[1]
+            )
             observe(P, rows, 0.0, variance, gain, CHI2_99_OF_3, correction)
         for i in range(3):
-            of_scale = tied[i] * correction[SCALE if i < 2 else TURN_SCALE]
+            of_scale = scale_twist[i] * correction[SCALE if i < 2 else TURN_SCALE]
             correction[TWIST + i] += of_scale
             correction[STEP + i] += dt * of_scale
             # over a long step the mean twist is outdated; the noise of a short step must not enter
-            newer = said[i] / dt - state.mean_twist[i]
-            tied[i] = state.mean_twist[i] + of_step * newer
+            newer = odometry_tangent[i] / dt - state.mean_twist[i]
+            scale_twist[i] = state.mean_twist[i] + of_step * newer
             state.mean_twist[i] += new * newer
-        tie_to_scale(P, tied, 1.0, dt)
+        add_scale_error(P, scale_twist, 1.0, dt)
     add_to_state(state, step, correction)
-    carry(P, step)
-    widen_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
+    add_step_error(P, step)
+    extend_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns[0] = stamp_ns
 
 
 @inner_kernel
-def accelerate(state, dt, settings, way):
+def propagate(state, dt, settings, tangent):
     """Propagate twist, acceleration and covariance by dt, and the covariance of the step; [3].
 
-    way   (3,) float64   out: tangent of the step, m, m, rad
+    tangent   (3,) float64   out: tangent of the step, m, m, rad
     """
     P = state.covariance
     over = transition_over(dt, settings.acceleration_s)
@@ -210,21 +212,21 @@ def accelerate(state, dt, settings, way):
         ):
             P[row, column] += q2 * noise
             P[column, row] += q2 * noise
-        way[i] = dt * state.twist[i] + over.to_step_s2 * state.acceleration[i]
+        tangent[i] = dt * state.twist[i] + over.to_step_s2 * state.acceleration[i]
         state.twist[i] += over.to_twist_s * state.acceleration[i]
         state.acceleration[i] *= over.kept
 
 
 @kernel(Float64_2D, Float64_1D, float, float)
-def tie_to_scale(P, tied, times, dt):
+def add_scale_error(P, scale_twist, times, dt):
     """Add `times` the effect of the scale error to the errors of twist and step; [25].
 
-    tied   (3,) float64   the twist that the scale error is multiplied by
+    scale_twist   (3,) float64   the twist that the scale error is multiplied by
     """
     for i in range(6):
         row = STEP + i  # and TWIST
         k = TURN_SCALE if i % 3 == 2 else SCALE
-        by = times * tied[i % 3] * (dt if i < 3 else 1.0)
+        by = times * scale_twist[i % 3] * (dt if i < 3 else 1.0)
         for j in range(STATES):
             P[row, j] += by * P[k, j]
         for j in range(STATES):
@@ -249,9 +251,9 @@ def change_of_speed(state, odometry, dt, of_step, settings, change):
         change[i] *= of_step
         if window_s > 0.0:
             seen = acceleration[i] * dt
-            said = state.said[4] * state.noise[0] if i < 2 else state.said[5] * state.noise[1]
+            variance = state.increments[4] * state.noise[0] if i < 2 else state.increments[5] * state.noise[1]
             noise = min(
-                2.0 * said * dt / window_s**3,
+                2.0 * variance * dt / window_s**3,
                 6.0 * state.covariance[LOCAL + i, LOCAL + i] * dt**2 / window_s**4,
             )
             least = MIN_CHANGE_SIGMAS**2 * noise
@@ -267,7 +269,7 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
     if end - first < 2 or gyro.stamp_ns[end - 1] <= last_ns or gyro.stamp_ns[first] > last_ns + GRACE_NS:
         return False
     dt = (stamp_ns - last_ns) * 1e-9
-    turn[0] = turned_to(gyro, stamp_ns) - turned_to(gyro, last_ns)
+    turn[0] = gyro_angle_at(gyro, stamp_ns) - gyro_angle_at(gyro, last_ns)
     beyond_s = max(0.0, (stamp_ns - gyro.stamp_ns[end - 1]) * 1e-9)
     turn[1] = settings.gyro_walk**2 * dt + (GYRO_SCALE * turn[0]) ** 2
     turn[1] += settings.turn_acceleration**2 * beyond_s**3 / 3.0
@@ -278,7 +280,7 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
 
 @inner_kernel
 def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
-    """Odometry's increment between two times into state.said; False where it was silent; [5].
+    """Odometry's increment between two times into state.increments; False where it was silent; [5].
 
     change   (3,) float64   out: change of odometry's mean speed
     """
@@ -300,13 +302,13 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, settings, after, scratch)
     mean_twist(odometry, last_ns + lag_ns, settings, twists[0])
     mean_twist(odometry, stamp_ns + lag_ns, settings, twists[1])
-    way = np.empty(3)
+    step = np.empty(3)
     last = state.last_odom
     if last[7] > 0.0:
         # continue from the pose used last, extrapolated or not: the steps then add up to odometry's motion
-        odometry_at(odometry, last_ns + np.int64(round(last[6] * 1e9)), settings, way, scratch)
-        between(way, before, way)
-        compose(last[:3], way, before)
+        odometry_at(odometry, last_ns + np.int64(round(last[6] * 1e9)), settings, step, scratch)
+        between(step, before, step)
+        compose(last[:3], step, before)
         for i in range(3):
             twists[0, i] = last[3 + i]
     for i in range(3):
@@ -314,12 +316,12 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
         last[3 + i] = twists[1, i]
     last[6] = lag_ns * 1e-9
     last[7] = 1.0
-    between(before, after, way)
-    logarithm(way, scratch)
+    between(before, after, step)
+    logarithm(step, scratch)
     scale = 1.0 + state.learnt[0]
-    exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.learnt[1]) * scratch[2], way)
-    d = math.hypot(way[0], way[1])
-    turned = abs(way[2])
+    exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.learnt[1]) * scratch[2], step)
+    d = math.hypot(step[0], step[1])
+    turned = abs(step[2])
     dt = (stamp_ns - last_ns) * 1e-9
     if stamp_ns - last_ns < LAG_WINDOW_NS:
         # not from the step itself: by chance a long step would weigh less than a short one
@@ -332,15 +334,15 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     square_m2 += settings.acceleration**2 * bridged + late_m**2
     square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
     square_rad2 += settings.resolution_rad**2 + settings.turn_acceleration**2 * bridged + late_rad**2
-    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # standstill, or dead odometry; [30]
+    if step[0] == 0.0 and step[1] == 0.0 and step[2] == 0.0:  # standstill, or dead odometry; [30]
         square_m2 += STANDING_M**2
         square_rad2 += STANDING_RAD**2
     for i in range(3):
-        state.said[i] = way[i]
+        state.increments[i] = step[i]
         change[i] = twists[1, i] - twists[0, i]
-    state.said[3] = 1.0
-    state.said[4] = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
-    state.said[5] = max(square_rad2, own_turn1 - own_turn0)
+    state.increments[3] = 1.0
+    state.increments[4] = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
+    state.increments[5] = max(square_rad2, own_turn1 - own_turn0)
     return True
 
 
@@ -357,13 +359,13 @@ def add_to_state(state, step, correction):
         state.learnt[i] += correction[SCALE + i]
     exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
     for k in (MAP, LOCAL):
-        move_axes(state.covariance, k, moved)
+        transform_pose_error(state.covariance, k, moved)
     compose(state.pose, moved, state.pose)
     compose(state.pose, step, state.pose)
 
 
 @inner_kernel
-def move_axes(P, k, step):
+def transform_pose_error(P, k, step):
     """Transform pose errors k to k + 2 to the axes of a base moved by a step: P <- F P F'; [4]."""
     c = math.cos(step[2])
     s = math.sin(step[2])
@@ -380,10 +382,10 @@ def move_axes(P, k, step):
 
 
 @inner_kernel
-def carry(P, step):
+def add_step_error(P, step):
     """Transform the pose errors to the new base, add the step's error and clear its rows; [4]."""
     for k in (MAP, LOCAL):
-        move_axes(P, k, step)
+        transform_pose_error(P, k, step)
         for i in range(3):
             for j in range(STATES):
                 P[k + i, j] += P[STEP + i, j]
@@ -413,7 +415,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     between(state.pose, pose, step)
     logarithm(step, moved)
     for k in (MAP, LOCAL):
-        move_axes(P, k, step)
+        transform_pose_error(P, k, step)
     prior = P[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3].copy()
     if prior_weight < 1.0:
         for i in range(3):
@@ -432,7 +434,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
         for j in range(3):
             for k in range(3):
                 gain[i, j] += P[i, LOCAL + k] * inverse[k, j]
-    lost = prior - local_covariance
+    removed = prior - local_covariance
     correction = np.zeros(STATES)
     for i in range(STATES):
         for j in range(3):
@@ -446,8 +448,8 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     for i in range(STATES):
         for j in range(3):
             for k in range(3):
-                taken[i, j] += used[i, k] * lost[k, j]
-                spent[i, j] += gain[i, k] * lost[k, j]
+                taken[i, j] += used[i, k] * removed[k, j]
+                spent[i, j] += gain[i, k] * removed[k, j]
     for i in range(STATES):
         for j in range(i + 1):
             total = 0.0

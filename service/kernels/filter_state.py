@@ -54,7 +54,7 @@ class Filter(NamedTuple):
     gyro_noise  (1,)     float64   the same of the gyro
     motion_noise (3,)    float64   the same of the acceleration, forward, left, rotation: 1 where odometry or
                                    gyro measures the motion
-    said        (8,)     float64   odometry's increment (3), whether there was one, its variances (2); the
+    increments  (8,)     float64   odometry's increment (3), whether there was one, its variances (2); the
                                    gyro's rotation less bias, its variance (0: none)
     last_odom   (8,)     float64   odometry at the newest pose: pose (3), mean speed up to then (3), lag in s
                                    used for both, whether there was one
@@ -63,7 +63,7 @@ class Filter(NamedTuple):
                                    whether it was complete; path length in m, time in s; twist then (3), its
                                    variances (3)
     mean_twist  (3,)     float64   of odometry, over the last half second
-    tied_twist  (3,)     float64   that the scale error is multiplied by
+    scale_twist (3,)     float64   that the scale error is multiplied by
     path        Track              poses at the last scans
     """
 
@@ -76,11 +76,11 @@ class Filter(NamedTuple):
     noise: Float64_1D
     gyro_noise: Float64_1D
     motion_noise: Float64_1D
-    said: Float64_1D
+    increments: Float64_1D
     last_odom: Float64_1D
     window: Float64_1D
     mean_twist: Float64_1D
-    tied_twist: Float64_1D
+    scale_twist: Float64_1D
     path: Track
 
 
@@ -97,7 +97,7 @@ class PackedFilter(NamedTuple):
 
 # Offsets in `numbers`; the poses of the path and the covariance follow.
 _POSE, _TWIST, _ACCELERATION, _LEARNT, _NOISE, _GYRO_NOISE, _MOTION_NOISE = 0, 3, 6, 9, 13, 15, 16
-_SAID, _LAST_ODOM, _WINDOW, _MEAN_TWIST, _TIED_TWIST, _PATH = 19, 27, 35, 55, 58, 61
+_INCREMENTS, _LAST_ODOM, _WINDOW, _MEAN_TWIST, _SCALE_TWIST, _PATH = 19, 27, 35, 55, 58, 61
 COVARIANCE = _PATH + 3 * PATH_POSES
 NUMBERS, STAMPS = COVARIANCE + STATES * STATES, 3 + PATH_POSES
 
@@ -114,12 +114,12 @@ def views_of(packed):
         numbers[COVARIANCE:].reshape((STATES, STATES)),
         numbers[_NOISE:_GYRO_NOISE],
         numbers[_GYRO_NOISE:_MOTION_NOISE],
-        numbers[_MOTION_NOISE:_SAID],
-        numbers[_SAID:_LAST_ODOM],
+        numbers[_MOTION_NOISE:_INCREMENTS],
+        numbers[_INCREMENTS:_LAST_ODOM],
         numbers[_LAST_ODOM:_WINDOW],
         numbers[_WINDOW:_MEAN_TWIST],
-        numbers[_MEAN_TWIST:_TIED_TWIST],
-        numbers[_TIED_TWIST:_PATH],
+        numbers[_MEAN_TWIST:_SCALE_TWIST],
+        numbers[_SCALE_TWIST:_PATH],
         Track(stamps[3:], numbers[_PATH:COVARIANCE].reshape((PATH_POSES, 3)), stamps[1:3]),
     )
 

@@ -51,16 +51,16 @@ def closest_points(xy, others, bearing_rad, most_m, partner):
         nearest = most_m * most_m
         partner[n] = -1
         right_open = left_open = True
-        asked = 0
-        while asked < count and (right_open or left_open):
+        compared = 0
+        while compared < count and (right_open or left_open):
             for side in range(2):
-                if not (right_open if side == 0 else left_open) or asked == count:
+                if not (right_open if side == 0 else left_open) or compared == count:
                     continue
                 at = right if side == 0 else left
                 off_x = others[at, 0] - x
                 off_y = others[at, 1] - y
                 square = off_x * off_x + off_y * off_y
-                asked += 1
+                compared += 1
                 if square < nearest:
                     nearest = square
                     partner[n] = at

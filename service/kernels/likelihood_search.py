@@ -225,7 +225,7 @@ def search_exhaustive(xy_base, layer, window):
 
 
 @seldom_kernel(Float64_2D, SearchWindow, float)
-def cells_asked(xy_base, window, cell_m):
+def cell_bounds(xy_base, window, cell_m):
     """Range of cells that the points can fall into: first and last row, first and last column."""
     nowhere = np.int64(2**62)
     first_row, last_row, first_column, last_column = nowhere, -nowhere, nowhere, -nowhere
@@ -262,12 +262,12 @@ def surface_moments(sums, best, temperature):
     """
     mean = np.zeros(3)
     square = np.zeros((3, 3))
-    whole = 0.0
+    total_weight = 0.0
     for k in range(sums.shape[0]):
         for j in range(sums.shape[1]):
             for i in range(sums.shape[2]):
                 p = math.exp((sums[k, j, i] - best) / temperature)
-                whole += p
+                total_weight += p
                 mean[0] += p * i
                 mean[1] += p * j
                 mean[2] += p * k
@@ -279,9 +279,9 @@ def surface_moments(sums, best, temperature):
                 square[2, 2] += p * k * k
     covariance = np.empty((3, 3))
     for a in range(3):
-        mean[a] /= whole
+        mean[a] /= total_weight
     for a in range(3):
         for b in range(a, 3):
-            covariance[a, b] = square[a, b] / whole - mean[a] * mean[b]
+            covariance[a, b] = square[a, b] / total_weight - mean[a] * mean[b]
             covariance[b, a] = covariance[a, b]
     return mean, covariance

@@ -57,7 +57,7 @@ def raise_cell(layer, changed, row, column, levels, ring_cells):
 
 
 @kernel(Float64_2D, Int32_1D, ByteLayer, UInt8_1D, UInt8_1D, int, Float64_1D)
-def draw_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
+def rasterise_scan(xy_map, beam, layer, changed, levels, ring_cells, join_m):
     """Rasterise a scan: a cell for each point, and a line between neighbouring beams that end close together.
 
     xy_map    (N, 2) float64   m, frame of the map, in beam order
@@ -154,7 +154,7 @@ def smooth_lines(xy_map, beam, join_m, half_m, smooth):
 
     xy_map   (N, 2) float64   m, in beam order
     beam     (N,)   int32
-    join_m   (N,)   float64   as in draw_scan: a longer step ends a line
+    join_m   (N,)   float64   as in rasterise_scan: a longer step ends a line
     half_m   float            reach
     smooth   (N, 2) float64   out
     """

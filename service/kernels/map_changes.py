@@ -80,7 +80,7 @@ def weigh_changes(xy_base, sensor_base, pose, farthest_m, votes, moment):
         if far_m > farthest_m:
             continue
         _weigh_end(math.floor(ends[i, 1]), math.floor(ends[i, 0]), votes, moment)
-        _weigh_way(u, v, ends[i, 0] - u, ends[i, 1] - v, far_m, votes, moment)
+        _weigh_path(u, v, ends[i, 0] - u, ends[i, 1] - v, far_m, votes, moment)
 
 
 @inner_kernel
@@ -106,7 +106,7 @@ def _weigh_end(row, column, votes, moment):
 
 
 @inner_kernel
-def _weigh_way(u, v, du, dv, far_m, votes, moment):
+def _weigh_path(u, v, du, dv, far_m, votes, moment):
     """Vote for free space along a beam, up to BEHIND_M before its end."""
     height, width = votes.stored.shape
     share = 1.0 - BEHIND_M / far_m if far_m > BEHIND_M else 0.0

@@ -159,7 +159,7 @@ def align_on_surfels(
     prior_information,
     grid,
     settings,
-    enough,
+    tolerance_factor,
     doubt_inlier_ratio,
     least_count,
     around,
@@ -176,7 +176,7 @@ def align_on_surfels(
     prior_information   (3, 3) float64     in the axes of the grid
     grid                SurfelGrid
     settings            MatchSettings
-    enough              float              factor on the convergence limits; 1 for a match in doubt
+    tolerance_factor              float              factor on the convergence limits; 1 for a match in doubt
     doubt_inlier_ratio  float              below this inlier ratio, or with a contradicted prediction, no step
                                            may raise the cost
     least_count         float              as in find_surfels_again
@@ -199,7 +199,7 @@ def align_on_surfels(
     count = xy_base.shape[0]
     found = np.empty((count, 6))
     evidence = np.empty((count, 7))
-    asked = np.empty(3)
+    evaluated = np.empty(3)
     moves = count > 0 and (returns.beam_time_s[0] != 0.0 or returns.beam_time_s[count - 1] != 0.0)
     used = 0
     inliers = 0
@@ -210,7 +210,7 @@ def align_on_surfels(
         if moves and 0 < k <= settings.deskew_rounds:
             learn_twist(prior, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
-        copy_vector(pose, asked)
+        copy_vector(pose, evaluated)
         find_surfels_again(
             xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, around, found
         )
@@ -232,7 +232,7 @@ def align_on_surfels(
                 for i in range(3):
                     pose[i] = last[i] + part * (pose[i] - last[i])
                 continue
-        is_stuck = halvings == MAX_HALVINGS
+        is_last = halvings == MAX_HALVINGS
         halvings = 0
         copy_vector(pose, last)
         scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
@@ -244,11 +244,11 @@ def align_on_surfels(
                     pose[j] - prior.pose[j] if j < 2 else wrap(pose[2] - prior.pose[2])
                 )
                 system[i, j] = information[i, j] + weight * prior_information[i, j]
-        if k == settings.iterations or is_stuck or not solve_3x3(system, total, step):
+        if k == settings.iterations or is_last or not solve_3x3(system, total, step):
             break
         for i in range(3):
             pose[i] -= step[i]
-        near = 1.0 if is_in_doubt else enough
+        near = 1.0 if is_in_doubt else tolerance_factor
         if (
             math.hypot(step[0], step[1]) < near * settings.settled_m
             and abs(step[2]) < near * settings.settled_rad
@@ -261,7 +261,7 @@ def align_on_surfels(
     cost = 0.0
     if inliers < doubt_inlier_ratio * used:
         cost = cost_at(
-            xy_base, normals, asked, prior, prior_information, grid, settings, least_count, around, found
+            xy_base, normals, evaluated, prior, prior_information, grid, settings, least_count, around, found
         )
     pose[2] = wrap(pose[2])
     return cost, used, inliers, weight

@@ -17,7 +17,7 @@ MAX_STEP_M, MAX_GROWTH = 1.0, 1.5
 IN_LINE_SIGMAS = 3.0  # gate for a point off the line of two others
 THICK_SIGMAS = 2.0  # gate of the scatter across a plane
 ANGLE_SIGMA_RAD = 0.1  # target sigma of a normal; the window grows until it is reached
-MAX_ANGLE = 2.0  # times the target sigma: a less certain normal is discarded
+MAX_ANGLE_SIGMAS = 2.0  # times the target sigma: a less certain normal is discarded
 MIN_COS_INCIDENCE = 0.05  # beams that graze more are not used
 ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
 # Beside an edge, where the window around a point contains two walls: a window on one side of the point.
@@ -26,7 +26,7 @@ MIN_REACH_M = 0.12  # shorter windows fit on the side of a door
 MIN_WIDTH_M = 0.6  # of a run with edges; a narrower one is a round object: a post, a trunk or a person
 MAX_SPACING_M = 0.1  # of its points: any three sparse points, each on another wall, form a plane
 MIN_COS_BESIDE_EDGE = 0.5  # of the incidence: points between two walls lie along the beams
-CLEAN = 1.0  # largest scatter across, over the expected
+MAX_CLEAN_SCATTER = 1.0  # largest scatter across, over the expected
 MIN_RUNS, MAX_BEAM_GAP = 30, 4  # runs of three beams for the range noise; largest beam step within a run
 
 
@@ -186,7 +186,7 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
     weight = ROUGH_WEIGHT
     aside_m = 0.0
     for side in range(reach, MIN_SIDE - 1, -1):
-        least = CLEAN
+        least = MAX_CLEAN_SCATTER
         for k in range(2):
             low = i - k * side
             high = low + side + 1
@@ -215,7 +215,7 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
                 ny = ey
                 weight = of_window
                 aside_m = aside
-        if least < CLEAN:
+        if least < MAX_CLEAN_SCATTER:
             break
     return nx, ny, weight, aside_m
 
@@ -225,7 +225,7 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
     """Unit normal (2,) of point i by the points low to high - 1, its weight, their scatter across over the
     expected, and the shift of point i along the wall, m; see estimate_normals.
     """
-    most_rad2 = (MAX_ANGLE * ANGLE_SIGMA_RAD) ** 2
+    most_rad2 = (MAX_ANGLE_SIGMAS * ANGLE_SIGMA_RAD) ** 2
     n = high - low
     nx = 1.0
     ny = 0.0

@@ -21,20 +21,20 @@ def missing_by_chance(range_m, beam, gap, least_step_m):
     gap            int            beams from one return to the next
     least_step_m   float          range step between two surfaces
     """
-    whole = lost = 0
+    present = missing = 0
     for i in range(1, range_m.shape[0]):
         if abs(range_m[i] - range_m[i - 1]) <= least_step_m:
-            whole += beam[i] - beam[i - 1] == gap
-            lost += beam[i] - beam[i - 1] == 2 * gap
-    if lost == 0:
+            present += beam[i] - beam[i - 1] == gap
+            missing += beam[i] - beam[i - 1] == 2 * gap
+    if missing == 0:
         return 0
-    probability = lost / (lost + whole)
+    probability = missing / (missing + present)
     # N p^n, the expected number of runs of n, is above a half up to this n.
-    return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if whole > 0 else range_m.shape[0]
+    return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if present > 0 else range_m.shape[0]
 
 
 @kernel(Float64_2D, Int32_1D, int, Float64_1D, float, float, float, float)
-def look_for_posts(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
+def may_be_posts(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
     """Whether points in narrow runs are at least `least_share` of all; and the longest chance gap.
 
     A run ends where more returns are missing than chance explains, or where the range steps. Rounding can

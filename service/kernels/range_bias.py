@@ -40,7 +40,7 @@ def bias_at(curve_m, node_m, range_m):
 
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, float, Float64_2D)
-def shorten_ranges(xy, sensor_xy_m, curve_m, node_m, shortened):
+def subtract_bias(xy, sensor_xy_m, curve_m, node_m, shortened):
     """Subtract the bias from points, each along its beam.
 
     xy             (N, 2) float64   m
@@ -90,7 +90,9 @@ def cosine_of_map(found, grid, laser):
     Float64_2D,
     Float64_1D,
 )
-def see_bias(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m, information, weighted_m):
+def bias_information(
+    xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m, information, weighted_m
+):
     """Information of a matched scan about the bias, at the nodes and constant, with the pose marginalised;
     [21].
 

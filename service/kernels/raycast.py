@@ -26,12 +26,12 @@ def _touches_cell(segment, left, bottom, cell_m):
     for axis in range(2):
         low = (left if axis == 0 else bottom) - BORDER_SLACK_M
         high = low + cell_m + 2.0 * BORDER_SLACK_M
-        start, way = segment[axis], segment[2 + axis] - segment[axis]
-        if abs(way) < 1e-12:
+        start, delta = segment[axis], segment[2 + axis] - segment[axis]
+        if abs(delta) < 1e-12:
             if start < low or start > high:
                 return False
             continue
-        t_a, t_b = (low - start) / way, (high - start) / way
+        t_a, t_b = (low - start) / delta, (high - start) / delta
         t_in, t_out = max(t_in, min(t_a, t_b)), min(t_out, max(t_a, t_b))
     return t_in <= t_out
 
@@ -108,11 +108,11 @@ def _disc_distance(x, y, c, s, time_s, disc):
 
 
 @inner_kernel
-def _clip(start, way, low, high, t_in, t_out):
-    """The part of [t_in, t_out] for which low <= start + t * way <= high."""
-    if abs(way) < 1e-12:
+def _clip(start, delta, low, high, t_in, t_out):
+    """The part of [t_in, t_out] for which low <= start + t * delta <= high."""
+    if abs(delta) < 1e-12:
         return (t_in, t_out) if low <= start <= high else (t_in, -1.0)
-    t_a, t_b = (low - start) / way, (high - start) / way
+    t_a, t_b = (low - start) / delta, (high - start) / delta
     return max(t_in, min(t_a, t_b)), min(t_out, max(t_a, t_b))
 
 

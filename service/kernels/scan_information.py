@@ -79,10 +79,12 @@ def scan_information(H, shared, evidence, chance_chi2, damping, information):
             whitened[i, j] = total
     if chance_chi2 > 0.0:
         for m in range(3):
-            said = whitened[m, m]
+            shared_mm = whitened[m, m]
             kept = 0.0
-            if said > 0.0:
-                kept = max(1.0 - chance_chi2 * chance_variance(evidence, inverse[m]) / (said * said), 0.0)
+            if shared_mm > 0.0:
+                kept = max(
+                    1.0 - chance_chi2 * chance_variance(evidence, inverse[m]) / (shared_mm * shared_mm), 0.0
+                )
             for i in range(3):
                 whitened[i, m] *= math.sqrt(kept)
                 whitened[m, i] *= math.sqrt(kept)

@@ -20,18 +20,18 @@ MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 
 
 @inner_kernel
-def widen_window(state, travel_m, dt):
+def extend_window(state, travel_m, dt):
     """Add the increments of the last step to the window."""
     w = state.window
-    if state.said[3] > 0.0:
-        compose(w[3:6], state.said[:3], w[3:6])
-        w[6] += state.said[4] + w[7] * (state.said[0] ** 2 + state.said[1] ** 2)
-        w[7] += state.said[5]
+    if state.increments[3] > 0.0:
+        compose(w[3:6], state.increments[:3], w[3:6])
+        w[6] += state.increments[4] + w[7] * (state.increments[0] ** 2 + state.increments[1] ** 2)
+        w[7] += state.increments[5]
     else:
         w[8] = 0.0
-    if state.said[7] > 0.0:
-        w[9] += state.said[6]
-        w[10] += state.said[7]
+    if state.increments[7] > 0.0:
+        w[9] += state.increments[6]
+        w[10] += state.increments[7]
     else:
         w[11] = 0.0
     w[12] += travel_m
@@ -75,14 +75,14 @@ def learn_noise(state, information, settings):
             between(w[3:6], step, off)
             weight = total = 0.0
             for axis in range(2):
-                known, squared = innovation(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
+                known, squared = noise_sample(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
                 weight += 0.5 * known
                 total += 0.5 * known * squared
             adapt(state.noise, 0, weight, total)
-            known, squared = innovation(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
+            known, squared = noise_sample(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
             adapt(state.noise, 1, known, known * squared)
         if w[11] > 0.0:
-            known, squared = innovation(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
+            known, squared = noise_sample(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
             adapt(state.gyro_noise, 0, known, known * squared)
     learn_motion(state, settings)
     begin_window(state)
@@ -123,7 +123,7 @@ def motion_noise_over(learnt, dt):
 
 
 @inner_kernel
-def innovation(off, model, noise, alone):
+def noise_sample(off, model, noise, alone):
     """Noise sample by an innovation of a source.
 
     off     m or rad by which the corrected pose is off from the source's increment

@@ -28,17 +28,17 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, slot_at
 
-CAME_INTO_FREE = np.uint16(1 << 15)  # flag above all path marks
+ENTERED_FREE = np.uint16(1 << 15)  # flag above all path marks
 
 
-class Sightings(NamedTuple):
+class Observations(NamedTuple):
     """Observations of key frames in the cells of a sub-map, in the slots of its surfels; 0: not observed.
 
     score     (capacity, T, T) int8     ticks; above 0: occupied, less the time in which beams passed through;
                                         below 0: free
     touched   (capacity, T, T) uint16   number of the key frame that observed the cell last
     since     (capacity, T, T, 2) uint16   path mark at which each of the cell's two surfels began, with the
-                                        flag CAME_INTO_FREE if the cell was free before
+                                        flag ENTERED_FREE if the cell was free before
     """
 
     score: Int8_3D
@@ -58,7 +58,7 @@ class StaticScoreSettings(NamedTuple):
 
 
 @njit(cache=True, nogil=True, inline="always")  # called, it costs a reference to its surfels for each cell
-def looks_through(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
+def passes_from_front(surfels, slot, row, column, reach_m, u, v, du, dv, behind_m):
     """Whether a beam passes through a surfel of a cell from its front and ends at least behind_m behind it.
 
     A beam that grazes a wall ends on it or before it, and does not pass through.
@@ -102,24 +102,32 @@ def placed(xy_base, pose):
 
 
 @kernel(
-    Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Sightings, StaticScoreSettings, np.uint16, int, np.uint16
+    Float64_2D,
+    Float64_2D,
+    Float64_1D,
+    SurfelGrid,
+    Observations,
+    StaticScoreSettings,
+    np.uint16,
+    int,
+    np.uint16,
 )
-def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks, mark):
+def count_hits(xy_base, normals, pose, grid, observations, settings, number, ticks, mark):
     """Count the cells with end points of a key frame; points in cells that were free until now get weight 0.
 
     xy_base     (N, 2) float64       m, base frame
     normals     (N, 3) float64       in and out: from estimate_normals
     pose        (3,)   float64       base in the frame of the grid
     grid        SurfelGrid           in and out; its index covers the points
-    sightings   Sightings            in and out
+    observations   Observations            in and out
     settings    StaticScoreSettings
     number      uint16               of the key frame; not that of the previous one, nor 0
     ticks       int                  since the previous one
-    mark        uint16               path mark, see Sightings.since
+    mark        uint16               path mark, see Observations.since
     """
-    score = sightings.score
-    touched = sightings.touched
-    since = sightings.since
+    score = observations.score
+    touched = observations.touched
+    since = observations.since
     cells_per_m = 1.0 / grid.cell_m
     c = math.cos(pose[2])
     s = math.sin(pose[2])
@@ -140,7 +148,7 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks,
             value = score[slot, r, q] + ticks
             if value > 0 and score[slot, r, q] <= 0:
                 value = 1
-                begun = mark + since[slot, r, q, 0] // CAME_INTO_FREE * CAME_INTO_FREE
+                begun = mark + since[slot, r, q, 0] // ENTERED_FREE * ENTERED_FREE
                 since[slot, r, q, 0] = since[slot, r, q, 1] = begun
             score[slot, r, q] = np.int8(min(value, settings.enough))
         if score[slot, r, q] <= 0:
@@ -150,13 +158,21 @@ def count_hits(xy_base, normals, pose, grid, sightings, settings, number, ticks,
         ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
         side = side_of(grid.surfels, slot, r, q, nx, ny)
         if side == 1 and grid.surfels[slot, r, q, 1, COUNT] == 0.0:
-            since[slot, r, q, 1] = mark + since[slot, r, q, 0] // CAME_INTO_FREE * CAME_INTO_FREE
+            since[slot, r, q, 1] = mark + since[slot, r, q, 0] // ENTERED_FREE * ENTERED_FREE
 
 
 @kernel(
-    Float64_2D, Float64_1D, Float64_1D, SurfelGrid, SurfelGrid, Sightings, StaticScoreSettings, np.uint16, int
+    Float64_2D,
+    Float64_1D,
+    Float64_1D,
+    SurfelGrid,
+    SurfelGrid,
+    Observations,
+    StaticScoreSettings,
+    np.uint16,
+    int,
 )
-def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, settings, number, ticks):
+def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, observations, settings, number, ticks):
     """Remove surfels that beams of a key frame pass through, and mark free cells.
 
     Cells with an end point of the key frame are unchanged, and so are cells without a tile. Arguments as in
@@ -165,9 +181,9 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
     sensor_xy_m   (2,) float64   start of the beams, m, base frame
     fine_grid     SurfelGrid     in and out: of the same points, PARTS x PARTS cells for each of the grid
     """
-    score = sightings.score  # hoisted, as in find_surfels
-    touched = sightings.touched
-    since = sightings.since
+    score = observations.score  # hoisted, as in find_surfels
+    touched = observations.touched
+    since = observations.since
     surfels = grid.surfels
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -199,16 +215,16 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, sightings, s
                 value = np.int64(score[slot, r, q])
                 if value <= 0:
                     touched[slot, r, q] = number
-                    since[slot, r, q, 0] = CAME_INTO_FREE
+                    since[slot, r, q, 0] = ENTERED_FREE
                     score[slot, r, q] = np.int8(max(value - ticks, -settings.free))
                 else:
                     u = x - (column + 0.5) * cell_m
                     v = y - (row + 0.5) * cell_m
-                    if looks_through(surfels, slot, r, q, 0.5 * cell_m, u, v, dx, dy, settings.behind_m):
+                    if passes_from_front(surfels, slot, r, q, 0.5 * cell_m, u, v, dx, dy, settings.behind_m):
                         touched[slot, r, q] = number
                         score[slot, r, q] = np.int8(max(value - ticks, 0))
                         if score[slot, r, q] == 0:
-                            since[slot, r, q, 0] = CAME_INTO_FREE
+                            since[slot, r, q, 0] = ENTERED_FREE
                             surfels[slot, r, q] = np.float32(0.0)
                             forget_part(fine_grid, row, column)
             if next_column < next_row:
@@ -235,7 +251,7 @@ def score_at(slots, first_row, first_column, score, row, column):
 
 
 @inner_kernel
-def most_around(slots, first_row, first_column, score, row, column):
+def max_score_around(slots, first_row, first_column, score, row, column):
     """Largest score of the 3 x 3 cells around a cell."""
     most = score_at(slots, first_row, first_column, score, row, column)
     for r in range(row - 1, row + 2):
@@ -244,8 +260,8 @@ def most_around(slots, first_row, first_column, score, row, column):
     return most
 
 
-@kernel(Float64_2D, Float64_1D, SurfelGrid, Sightings, StaticScoreSettings, Float64_2D)
-def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
+@kernel(Float64_2D, Float64_1D, SurfelGrid, Observations, StaticScoreSettings, Float64_2D)
+def weigh_static_score(xy_base, pose, grid, observations, settings, normals):
     """Weigh points by the static score of their cells, relative to the highest of the scan.
 
     An unobserved cell takes the highest score of its neighbours: a prediction that is off by a cell puts
@@ -255,19 +271,19 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
     xy_base     (N, 2) float64       m, base frame
     pose        (3,)   float64       base in the frame of the grid, as predicted
     grid        SurfelGrid
-    sightings   Sightings
+    observations   Observations
     settings    StaticScoreSettings
     normals     (N, 3) float64       in and out: weights from estimate_normals
     """
-    score = sightings.score
+    score = observations.score
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
     xy = placed(xy_base, pose)
     count = xy_base.shape[0]
-    stood = np.zeros(count, np.int64)
-    longest = 1
+    occupied_ticks = np.zeros(count, np.int64)
+    most_ticks = 1
     last_row = last_column = -(2**62)
     most = np.int64(0)
     for i in range(count):
@@ -280,14 +296,14 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
             last_column = column
             most = score_at(slots, first_row, first_column, score, row, column)
             if most == 0:
-                most = most_around(slots, first_row, first_column, score, row, column)
-        stood[i] = max(most, np.int64(0))
-        longest = max(longest, stood[i])
+                most = max_score_around(slots, first_row, first_column, score, row, column)
+        occupied_ticks[i] = max(most, np.int64(0))
+        most_ticks = max(most_ticks, occupied_ticks[i])
     before = after = 0.0
     for i in range(count):
         weight = normals[i, 2]
-        normals[i, 2] = weight * max(settings.least_weight, stood[i] / longest)
-        if stood[i] > 0:
+        normals[i, 2] = weight * max(settings.least_weight, occupied_ticks[i] / most_ticks)
+        if occupied_ticks[i] > 0:
             before += weight
             after += normals[i, 2]
     if after > 0.0:
@@ -297,33 +313,35 @@ def weigh_static_score(xy_base, pose, grid, sightings, settings, normals):
 
 
 @inner_kernel
-def stood_before(slots, first_row, first_column, sightings, row, column, side, latest):
+def exists_since(slots, first_row, first_column, observations, row, column, side, latest):
     """Whether a surfel of a cell exists since a path mark or before; slots as in slot_of."""
     slot = slot_of(slots, first_row, first_column, row, column)
     if slot == NO_TILE:
         return False
     r = row & TILE_MASK
     q = column & TILE_MASK
-    return sightings.score[slot, r, q] > 0 and sightings.since[slot, r, q, side] % CAME_INTO_FREE <= latest
+    return (
+        observations.score[slot, r, q] > 0 and observations.since[slot, r, q, side] % ENTERED_FREE <= latest
+    )
 
 
 @inner_kernel
-def stood_around(slots, first_row, first_column, sightings, row, column, latest):
+def any_exists_since(slots, first_row, first_column, observations, row, column, latest):
     """Whether any of the 3 x 3 cells around a cell has such a surfel."""
     for r in range(row - 1, row + 2):
         for q in range(column - 1, column + 2):
-            if stood_before(slots, first_row, first_column, sightings, r, q, 0, latest):
+            if exists_since(slots, first_row, first_column, observations, r, q, 0, latest):
                 return True
     return False
 
 
 @inner_kernel
-def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
+def passes_wall_since(x, y, dx, dy, grid, observations, latest, behind_m):
     """Whether a beam passes through a wall that exists since a path mark or before.
 
     x, y     float   start of the beam, m, frame of the grid
     dx, dy   float   from there to its end point, m
-    latest   int     mark; CAME_INTO_FREE: all walls
+    latest   int     mark; ENTERED_FREE: all walls
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -334,11 +352,11 @@ def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
         x * cells_per_m, y * cells_per_m, dx * cells_per_m, dy * cells_per_m
     )
     for _ in range(steps):
-        if stood_before(slots, first_row, first_column, sightings, row, column, 0, latest):
+        if exists_since(slots, first_row, first_column, observations, row, column, 0, latest):
             slot = slot_of(slots, first_row, first_column, row, column)
             u = x - (column + 0.5) * cell_m
             v = y - (row + 0.5) * cell_m
-            if looks_through(
+            if passes_from_front(
                 grid.surfels, slot, row & TILE_MASK, column & TILE_MASK, 0.5 * cell_m, u, v, dx, dy, behind_m
             ):
                 return True
@@ -351,8 +369,8 @@ def passes_through(x, y, dx, dy, grid, sightings, latest, behind_m):
     return False
 
 
-@kernel(Float64_2D, Float64_1D, Float64_2D, Float64_1D, SurfelGrid, Sightings, float)
-def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, behind_m):
+@kernel(Float64_2D, Float64_1D, Float64_2D, Float64_1D, SurfelGrid, Observations, float)
+def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations, behind_m):
     """Number of points in free space, and of points behind a wall on unknown ground.
 
     xy_base       (N, 2) float64   m, base frame
@@ -360,11 +378,11 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
     normals       (N, 3) float64   from estimate_normals; points of weight 0 are skipped
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
-    sightings     Sightings
-    behind_m      float            as in looks_through
+    observations     Observations
+    behind_m      float            as in passes_from_front
     Returns (in free space, behind a wall). Points with an occupied cell in their 3 x 3 cells are in neither.
     """
-    score = sightings.score
+    score = observations.score
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
@@ -380,24 +398,24 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, sightings, be
         dy = xy[i, 1] - y
         column = math.floor((x + dx) * cells_per_m)
         row = math.floor((y + dy) * cells_per_m)
-        if most_around(slots, first_row, first_column, score, row, column) > 0:
+        if max_score_around(slots, first_row, first_column, score, row, column) > 0:
             continue
         if score_at(slots, first_row, first_column, score, row, column) < 0:
             in_free += 1
             continue
-        behind += passes_through(x, y, dx, dy, grid, sightings, np.int64(CAME_INTO_FREE), behind_m)
+        behind += passes_wall_since(x, y, dx, dy, grid, observations, np.int64(ENTERED_FREE), behind_m)
     return in_free, behind
 
 
-@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Sightings, float, int, Float64_1D)
-def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, latest, residual_m):
+@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Observations, float, int, Float64_1D)
+def static_residuals(xy_base, normals, pose, grid, observations, least_cosine, latest, residual_m):
     """Distances of points from walls that exist since a path mark or before.
 
     xy_base       (N, 2) float64   m, base frame
     normals       (N, 3) float64   from estimate_normals; points of weight 0 are skipped
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
-    sightings     Sightings
+    observations     Observations
     least_cosine  float            as in find_surfels
     latest        int              mark
     residual_m    (N,)   float64   out: along the wall's normal; NaN without such a wall
@@ -420,12 +438,12 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
         nx = np.float32(c * normals[i, 0] - s * normals[i, 1])
         ny = np.float32(s * normals[i, 0] + c * normals[i, 1])
         # An object that came recently into the cell of a wall, or beside it, is not the wall.
-        reach = 0 if score_at(slots, first_row, first_column, sightings.score, row, column) > 0 else 1
-        stood = False
+        reach = 0 if score_at(slots, first_row, first_column, observations.score, row, column) > 0 else 1
+        is_static = False
         for r in range(row - reach, row + reach + 1):
             for q in range(column - reach, column + reach + 1):
                 slot = slot_of(slots, first_row, first_column, r, q)
-                if slot == NO_TILE or stood:
+                if slot == NO_TILE or is_static:
                     continue
                 v = r & TILE_MASK
                 u = q & TILE_MASK
@@ -433,21 +451,21 @@ def static_residuals(xy_base, normals, pose, grid, sightings, least_cosine, late
                 cosine = grid.surfels[slot, v, u, side, NORMAL_X] * nx
                 cosine += grid.surfels[slot, v, u, side, NORMAL_Y] * ny
                 if cosine >= least_cosine:
-                    stood = stood_before(slots, first_row, first_column, sightings, r, q, side, latest)
-        if stood:
+                    is_static = exists_since(slots, first_row, first_column, observations, r, q, side, latest)
+        if is_static:
             residual_m[i] = found[i, 2] * (xy[i, 0] - found[i, 0]) + found[i, 3] * (xy[i, 1] - found[i, 1])
 
 
-@kernel(Float64_2D, Float64_1D, SurfelGrid, Sightings, int, Bool_1D)
-def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
+@kernel(Float64_2D, Float64_1D, SurfelGrid, Observations, int, Bool_1D)
+def find_dynamic(xy_base, pose, grid, observations, latest, is_dynamic):
     """Mark points on dynamic objects: in free space, or in cells occupied only recently.
 
     xy_base     (N, 2) float64   m, base frame
     pose        (3,)   float64   base in the frame of the grid
     grid        SurfelGrid
-    sightings   Sightings
+    observations   Observations
     latest      int              path mark; cells occupied later are recent
-    is_moved    (N,)   bool      out; False beside an older wall
+    is_dynamic    (N,)   bool      out; False beside an older wall
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -455,29 +473,31 @@ def find_moved(xy_base, pose, grid, sightings, latest, is_moved):
     cells_per_m = 1.0 / grid.cell_m
     xy = placed(xy_base, pose)
     for i in range(xy_base.shape[0]):
-        is_moved[i] = False
+        is_dynamic[i] = False
         row = math.floor(xy[i, 1] * cells_per_m)
         column = math.floor(xy[i, 0] * cells_per_m)
         slot = slot_of(slots, first_row, first_column, row, column)
         if slot == NO_TILE:
             continue
-        score = sightings.score[slot, row & TILE_MASK, column & TILE_MASK]
-        since = sightings.since[slot, row & TILE_MASK, column & TILE_MASK, 0]
-        if score < 0 or (score > 0 and since >= CAME_INTO_FREE):
-            is_moved[i] = not stood_around(slots, first_row, first_column, sightings, row, column, latest)
+        score = observations.score[slot, row & TILE_MASK, column & TILE_MASK]
+        since = observations.since[slot, row & TILE_MASK, column & TILE_MASK, 0]
+        if score < 0 or (score > 0 and since >= ENTERED_FREE):
+            is_dynamic[i] = not any_exists_since(
+                slots, first_row, first_column, observations, row, column, latest
+            )
 
 
-@kernel(Float64_2D, Float64_1D, Float64_1D, SurfelGrid, Sightings, int, float)
-def count_through(xy_base, sensor_xy_m, pose, grid, sightings, latest, behind_m):
+@kernel(Float64_2D, Float64_1D, Float64_1D, SurfelGrid, Observations, int, float)
+def count_beams_through_walls(xy_base, sensor_xy_m, pose, grid, observations, latest, behind_m):
     """Number of beams that pass through a wall that exists since a path mark or before.
 
     xy_base       (N, 2) float64   m, base frame
     sensor_xy_m   (2,)   float64   start of the beams, m, base frame
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
-    sightings     Sightings
+    observations     Observations
     latest        int              mark
-    behind_m      float            as in looks_through
+    behind_m      float            as in passes_from_front
     """
     xy = placed(xy_base, pose)
     x, y = placed(sensor_xy_m.reshape(1, 2), pose)[0]
@@ -485,5 +505,5 @@ def count_through(xy_base, sensor_xy_m, pose, grid, sightings, latest, behind_m)
     for i in range(xy_base.shape[0]):
         dx = xy[i, 0] - x
         dy = xy[i, 1] - y
-        through += passes_through(x, y, dx, dy, grid, sightings, latest, behind_m)
+        through += passes_wall_since(x, y, dx, dy, grid, observations, latest, behind_m)
     return through

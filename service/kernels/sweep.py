@@ -8,7 +8,7 @@ from service.geometry.chi2 import CHI2_99_OF_1
 from service.kernels.acceleration import transition_over
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.estimator import GYRO_SCALE, move_axes
+from service.kernels.estimator import GYRO_SCALE, transform_pose_error
 from service.kernels.filter_state import (
     ACCELERATION,
     MAP,
@@ -19,7 +19,7 @@ from service.kernels.filter_state import (
     filter_in,
 )
 from service.kernels.se2 import between, compose, exponential
-from service.kernels.tracks import Track, odometry_at, turned_to
+from service.kernels.tracks import Track, gyro_angle_at, odometry_at
 
 
 @inner_kernel
@@ -91,29 +91,29 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
     at_ns = state.stamp_ns[0]
     lag_ns = np.int64(state.learnt[2] * 1e9)
     twist = state.twist
-    knows_way = covers(odometry, at_ns + lag_ns, begin_s, end_s)
-    knows_turn = covers(gyro, at_ns, begin_s, end_s)
-    if not (knows_way or knows_turn or np.any(state.acceleration != 0.0)):
+    has_odometry = covers(odometry, at_ns + lag_ns, begin_s, end_s)
+    has_gyro = covers(gyro, at_ns, begin_s, end_s)
+    if not (has_odometry or has_gyro or np.any(state.acceleration != 0.0)):
         return False
     step, rest = np.empty(3), np.empty(3)
     origin, pose, scratch = np.empty(3), np.empty(3), np.empty(3)
-    odometry_s = gyro_s = begun_rad = 0.0
-    if knows_way:
+    odometry_s = gyro_s = start_rad = 0.0
+    if has_odometry:
         odometry_at(odometry, at_ns + lag_ns, settings, origin, scratch)
         odometry_s = (odometry.stamp_ns[odometry.span[1] - 1] - at_ns - lag_ns) * 1e-9
-    if knows_turn:
-        begun_rad = turned_to(gyro, at_ns)
+    if has_gyro:
+        start_rad = gyro_angle_at(gyro, at_ns)
         gyro_s = (gyro.stamp_ns[gyro.span[1] - 1] - at_ns) * 1e-9
     speed = math.hypot(twist[0], twist[1])
     rate = abs(twist[2])
     count = deviation.shape[0]
     expected_at = np.empty((count, 3))
     off = np.zeros((count, 3))  # relative to expected_at
-    known, variance, said_rad = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
+    known, variance, odometry_rad = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
     for k in range(count):
         t = begin_s + (end_s - begin_s) * k / (count - 1)
         expected_step(state, t, settings, expected_at[k])
-        if not knows_way:
+        if not has_odometry:
             continue
         known[k] = min(t, odometry_s)
         odometry_at(odometry, at_ns + lag_ns + np.int64(known[k] * 1e9), settings, pose, scratch)
@@ -125,14 +125,14 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
         between(scratch, expected_at[k], rest)  # beyond the newest sample the predicted motion
         compose(step, rest, step)
         between(expected_at[k], step, off[k])
-        way_m, turn_rad = speed * abs(t), rate * abs(t)
-        of_way = settings.position_walk**2 * way_m + settings.resolution_m**2
-        variance[k, 0] = state.noise[0] * (of_way + (settings.jitter_s * speed) ** 2)
-        of_turn = settings.heading_walk**2 * way_m + settings.turn_walk**2 * turn_rad
-        of_turn += settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
-        variance[k, 1] = state.noise[1] * of_turn
-        said_rad[k] = off[k, 2]
-    if knows_way:
+        path_length_m, turn_rad = speed * abs(t), rate * abs(t)
+        distance_variance = settings.position_walk**2 * path_length_m + settings.resolution_m**2
+        variance[k, 0] = state.noise[0] * (distance_variance + (settings.jitter_s * speed) ** 2)
+        turn_variance = settings.heading_walk**2 * path_length_m + settings.turn_walk**2 * turn_rad
+        turn_variance += settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
+        variance[k, 1] = state.noise[1] * turn_variance
+        odometry_rad[k] = off[k, 2]
+    if has_odometry:
         for axis in range(3):
             # Empirical Bayes: the deviation beyond noise limits the prior variance (Efron, Morris 1973).
             part = 0.0
@@ -144,20 +144,20 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
             for k in range(count):
                 expected = part * expected_variance(state, axis, known[k], settings)
                 off[k, axis] *= gain_of(expected, off[k, axis], variance[k, axis // 2])
-    if knows_turn:
+    if has_gyro:
         for k in range(count):
             t = begin_s + (end_s - begin_s) * k / (count - 1)
             known_s = min(t, gyro_s)
-            turned = turned_to(gyro, at_ns + np.int64(known_s * 1e9)) - begun_rad
+            turned = gyro_angle_at(gyro, at_ns + np.int64(known_s * 1e9)) - start_rad
             to_step_s2 = transition_over(abs(known_s), settings.acceleration_s).to_step_s2
             turned -= (state.learnt[3] + twist[2]) * known_s + to_step_s2 * state.acceleration[2]
-            of_gyro = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * rate * known_s) ** 2
+            gyro_variance = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * rate * known_s) ** 2
             expected = expected_variance(state, 2, known_s, settings)
-            of_gyro *= state.gyro_noise[0]
-            kept = gain_of(expected, turned, of_gyro)
-            if knows_way:  # where gyro and odometry contradict each other, the gyro may be dead
-                apart = turned - said_rad[k]
-                both = of_gyro + variance[k, 1]
+            gyro_variance *= state.gyro_noise[0]
+            kept = gain_of(expected, turned, gyro_variance)
+            if has_odometry:  # where gyro and odometry contradict each other, the gyro may be dead
+                apart = turned - odometry_rad[k]
+                both = gyro_variance + variance[k, 1]
                 kept *= min(1.0, CHI2_99_OF_1 * both / max(apart * apart, 1e-12))
             off[k, 2] += kept * (turned - off[k, 2])
     for k in range(count):
@@ -191,7 +191,7 @@ def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance
     over = transition_over(abs(seconds), settings.acceleration_s)
     to_twist_s = math.copysign(over.to_twist_s, seconds)
     P = state.covariance.copy()
-    move_axes(P, MAP, step)
+    transform_pose_error(P, MAP, step)
     for i in range(3):
         twist[i] = state.twist[i] + to_twist_s * state.acceleration[i]
         for j in range(STATES):
@@ -205,7 +205,7 @@ def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance
 
 
 @kernel(Float64_1D, float, float, Float64_2D, Float64_2D)
-def bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw):
+def apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw):
     """Move each point by the base's deviation from constant twist at its time.
 
     beam_time_s    (N,)   float64   s, within begin_s to end_s

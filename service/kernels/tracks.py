@@ -196,7 +196,7 @@ def bridge_s3(since_s, gap_s):
 
 
 @inner_kernel
-def turned_to(track, stamp_ns):
+def gyro_angle_at(track, stamp_ns):
     """The gyro's angle at a time since the first sample; beyond the last one by its last rate."""
     row = last_at_or_before(track, stamp_ns)
     row = min(max(row, track.span[0]), track.span[1] - 2)

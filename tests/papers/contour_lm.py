@@ -19,7 +19,7 @@ from simulators.world import Plan, World, make_world
 from simulators.worlds import build_world
 from tests.papers.contour_maps import BEAMS, at_phase, grid, learn, offset_m, read
 from tests.papers.contour_people import crossing, crowd, protection
-from tests.papers.contour_pictures import draw_niches, draw_scan
+from tests.papers.contour_pictures import draw_niches, rasterise_scan
 from tests.papers.contour_search import starts
 from tests.papers.recorded import error_row, scored
 from tests.papers.report import Row, Section, seeds_text
@@ -152,7 +152,7 @@ def one_scan(seed: int) -> tuple[str, str]:
     cells = grid(window, 0.025)
     blurs = {"blurred across alone": config_of(traditional=True), "across and along": config_of()}
     maps = {name: read(learn(what, config, len(what.frames)), cells)[:, 0] for name, config in blurs.items()}
-    return draw_scan(points.xy_base, contour, maps, cells, 0.025, window)
+    return rasterise_scan(points.xy_base, contour, maps, cells, 0.025, window)
 
 
 def mapped(what: Drive, without_motion: bool = False, **settings: object) -> Run:

@@ -38,7 +38,7 @@ def _stacked(
     return save(figure, name, caption)
 
 
-def draw_scan(
+def rasterise_scan(
     xy_m: Array,
     contour: npt.NDArray[np.int32],
     maps: dict[str, Array],

@@ -14,7 +14,7 @@ from service.geometry.polygons import is_inside
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns
 from service.kernels.normals import range_noise
-from service.kernels.sweep import bend_returns
+from service.kernels.sweep import apply_deviation
 from service.mapper.components import Points
 
 NOISE_SCANS = 100  # over which the range noise of a laser is averaged
@@ -132,4 +132,4 @@ class DeskewByMotion(DeskewByTwist):
             return
         begin_s, end_s = float(beam_time_s[0]), float(beam_time_s[-1])
         if end_s > begin_s and (deviation := motion.deviation(begin_s, end_s)) is not None:
-            bend_returns(beam_time_s, begin_s, end_s, deviation, xy_raw)
+            apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw)

@@ -7,7 +7,7 @@ import numpy as np
 from service.geometry.poses import Floats
 from service.kernels.branch_and_bound import MaxPyramid, build_pyramid, search_branch_and_bound
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.likelihood_search import LikelihoodLayer, SearchResult, SearchWindow, cells_asked
+from service.kernels.likelihood_search import LikelihoodLayer, SearchResult, SearchWindow, cell_bounds
 
 MAX_LEVELS = 4  # of the pyramid: blocks of at most 8 x 8 candidates
 
@@ -37,7 +37,7 @@ def search_bounded(
 
     Score -inf and the centre where nothing reaches least_score.
     """
-    first_row, last_row, first_column, last_column = cells_asked(xy_base, window, layer.cell_m)
+    first_row, last_row, first_column, last_column = cell_bounds(xy_base, window, layer.cell_m)
     level_count = min((2 * window.half_x).bit_length() + 1, MAX_LEVELS)  # a top block covers the window
     shape = (level_count, last_row - first_row + 1, last_column - first_column + 1)
     pyramid = build_pyramid(layer, first_row, first_column, np.empty(shape, layer.cells.dtype))

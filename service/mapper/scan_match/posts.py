@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.posts import look_for_posts
+from service.kernels.posts import may_be_posts
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ def posts_of(points: Points) -> Posts | None:
     sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
     gap, step_rad = points.usual_gap, points.spacing_rad
     bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_POST_SHARE)
-    is_possible, most_missing = look_for_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
+    is_possible, most_missing = may_be_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
     if not is_possible:
         return None  # a test that is twenty times as fast and rejects nearly every scan
     away = points.xy_raw - sensor

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernels.match import MatchSettings
-from service.kernels.range_bias import see_bias, shorten_ranges
+from service.kernels.range_bias import bias_information, subtract_bias
 from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.scan_match.submaps import Submap
@@ -59,8 +59,8 @@ class RangeBias:
             learnt = self._learnt[points.scan.sensor] = _Learnt()
         xy_raw, xy_base = np.empty_like(points.xy_raw), np.empty_like(points.xy_base)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        shorten_ranges(points.xy_raw, sensor, learnt.curve_m, NODE_M, xy_raw)
-        shorten_ranges(points.xy_base, sensor, learnt.curve_m, NODE_M, xy_base)
+        subtract_bias(points.xy_raw, sensor, learnt.curve_m, NODE_M, xy_raw)
+        subtract_bias(points.xy_base, sensor, learnt.curve_m, NODE_M, xy_base)
         return Points(
             xy_base,
             xy_raw,
@@ -97,7 +97,9 @@ class RangeBias:
         information, weighted = np.empty((NODES + 1, NODES + 1)), np.empty(NODES + 1)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         grid = submap.grid()
-        see_bias(points.xy_base, normals, pose, sensor, laser, grid, settings, NODE_M, information, weighted)
+        bias_information(
+            points.xy_base, normals, pose, sensor, laser, grid, settings, NODE_M, information, weighted
+        )
         weighted -= information[:, NODES] * learnt.offset_left_m
         learnt.information += information / SCANS_WITH_SAME_ERRORS
         of_offset = np.zeros(NODES + 1)

@@ -11,11 +11,11 @@ from drivers.section import Section
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.static_score import (
-    Sightings,
+    Observations,
+    count_beams_through_walls,
     count_contradicting,
     count_hits,
-    count_through,
-    find_moved,
+    find_dynamic,
     remove_by_ray_cast,
     static_residuals,
     weigh_static_score,
@@ -51,7 +51,7 @@ GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on 
 NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a segment that begins at the pose
 MAX_MISSES = 3  # then another segment is begun
 STATIC_PATH_M = 1.0  # what is seen over so much of the path is static: no object moves along for longer
-MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below CAME_INTO_FREE
+MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below ENTERED_FREE
 MAX_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
@@ -101,7 +101,7 @@ class Submap:
             return normals
         weighed = normals.copy()
         weigh_static_score(
-            points.xy_base, pose, self.grid(), self._sightings(), self._dynamic_filter, weighed
+            points.xy_base, pose, self.grid(), self._observations(), self._dynamic_filter, weighed
         )
         return weighed
 
@@ -116,7 +116,7 @@ class Submap:
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         behind_m = self._dynamic_filter.behind_m
         in_free, behind = count_contradicting(
-            xy_base, sensor, normals, pose, self.grid(), self._sightings(), behind_m
+            xy_base, sensor, normals, pose, self.grid(), self._observations(), behind_m
         )
         return int(in_free), int(behind)
 
@@ -131,24 +131,26 @@ class Submap:
         A wall is static if it was seen over STATIC_PATH_M of the path.
         """
         residual_m = np.empty(len(xy_base))
-        grid, sightings = self.grid(), self._sightings()
+        grid, observations = self.grid(), self._observations()
         cosine, latest = MIN_NORMAL_COSINE, self._static_mark
-        static_residuals(xy_base, normals, pose, grid, sightings, cosine, latest, residual_m)
+        static_residuals(xy_base, normals, pose, grid, observations, cosine, latest, residual_m)
         return residual_m
 
     def moved(self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """(N,) whether points are in cells not occupied over STATIC_PATH_M of the path."""
-        is_moved = np.zeros(len(xy_base), np.bool_)
-        find_moved(xy_base, pose, self.grid(), self._sightings(), self._static_mark, is_moved)
-        return is_moved
+        is_dynamic = np.zeros(len(xy_base), np.bool_)
+        find_dynamic(xy_base, pose, self.grid(), self._observations(), self._static_mark, is_dynamic)
+        return is_dynamic
 
     def through_static(
         self, points: Points, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
     ) -> int:
         """Number of beams that pass through static walls."""
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        grid, sightings, behind_m = self.grid(), self._sightings(), self._dynamic_filter.behind_m
-        return int(count_through(xy_base, sensor, pose, grid, sightings, self._static_mark, behind_m))
+        grid, observations, behind_m = self.grid(), self._observations(), self._dynamic_filter.behind_m
+        return int(
+            count_beams_through_walls(xy_base, sensor, pose, grid, observations, self._static_mark, behind_m)
+        )
 
     @property
     def _static_mark(self) -> int:
@@ -201,12 +203,12 @@ class Submap:
         number = np.uint16(self.scan_count % MAX_NUMBER + 1)
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
         static = normals.copy()
-        settings, sightings = self._dynamic_filter, self._sightings()
+        settings, observations = self._dynamic_filter, self._observations()
         mark = np.uint16(_mark_at(self._path_m))
-        count_hits(points.xy_base, static, pose, grid, sightings, settings, number, ticks, mark)
+        count_hits(points.xy_base, static, pose, grid, observations, settings, number, ticks, mark)
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         remove_by_ray_cast(
-            points.xy_base, sensor, pose, grid, self.fine_grid(), sightings, settings, number, ticks
+            points.xy_base, sensor, pose, grid, self.fine_grid(), observations, settings, number, ticks
         )
         return static
 
@@ -222,21 +224,21 @@ class Submap:
         if enough == 0:
             return None
         rows, columns = np.nonzero(self._tiles.slots != NO_TILE)
-        score = self._sightings().score[self._tiles.slots[rows, columns]]
+        score = self._observations().score[self._tiles.slots[rows, columns]]
         tile, row, column = np.nonzero(score > 0)
         first_row, first_column = self._tiles.origin
         x_m = ((columns[tile] + first_column) * TILE_CELLS + column + 0.5) * cell_m
         y_m = ((rows[tile] + first_row) * TILE_CELLS + row + 0.5) * cell_m
         return Standing(np.column_stack((x_m, y_m)), score[tile, row, column] / enough, cell_m)
 
-    def _sightings(self) -> Sightings:
+    def _observations(self) -> Observations:
         _surfels, _field, score, touched, since = self._tiles.pool.arrays
-        return Sightings(score, touched, since)  # type: ignore[arg-type]
+        return Observations(score, touched, since)  # type: ignore[arg-type]
 
     def release(self) -> None:
-        """Release the tiles with cleared sightings: only surfels are cleared when a tile is taken again."""
+        """Release the tiles and clear their observations; a tile taken again clears only its surfels."""
         slots = self._tiles.slots[self._tiles.slots != NO_TILE]
-        for sighted in self._sightings():
+        for sighted in self._observations():
             sighted[slots] = 0
         self._tiles.release()
         self._fine_tiles.release()
@@ -264,7 +266,7 @@ class SurfelSubmaps:
             (
                 Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32),
                 Layer((TILE_CELLS, TILE_CELLS), np.float32),
-                # Sightings
+                # Observations
                 Layer((TILE_CELLS, TILE_CELLS), np.int8),
                 Layer((TILE_CELLS, TILE_CELLS), np.uint16),
                 Layer((TILE_CELLS, TILE_CELLS, 2), np.uint16),

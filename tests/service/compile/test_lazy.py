@@ -48,10 +48,10 @@ assert by_name.__module__ == "service.kernels.usual_gap"
 def test_a_kernel_that_is_imported_later_finds_those_that_waited_and_waits_for_nothing():
     run("""
 held["gap"](np.array([0, 2], np.int32))
-from service.kernels import likeliest_pose
+from service.kernels import maximum_likelihood_pose as by_maximum
 from numba.core.dispatcher import Dispatcher
-assert isinstance(likeliest_pose.copy_vector, Dispatcher) and isinstance(likeliest_pose.climb, Dispatcher)
-assert likeliest_pose.copy_vector is linear3.copy_vector
+assert isinstance(by_maximum.copy_vector, Dispatcher) and isinstance(by_maximum.hill_climb, Dispatcher)
+assert by_maximum.copy_vector is linear3.copy_vector
 """)
 
 
@@ -68,8 +68,8 @@ print(*(job.name for job in jobs_of_process()[0]))
 def test_who_imports_numba_otherwise_leaves_no_kernel_behind_that_cannot_be_called():
     run("""
 import numba
-from service.kernels import likeliest_pose  # it calls kernels of linear3, which wait by now
-assert linear3.copy_vector is likeliest_pose.copy_vector
+from service.kernels import maximum_likelihood_pose  # it calls kernels of linear3, which wait by now
+assert linear3.copy_vector is maximum_likelihood_pose.copy_vector
 assert not any(isinstance(kernel, WaitingKernel) for kernel in (linear3.copy_vector, usual_gap.usual_gap))
 """)
 

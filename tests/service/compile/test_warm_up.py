@@ -182,7 +182,7 @@ def test_a_process_that_compiles_ends_with_the_one_that_began_it():
 def test_a_process_takes_the_kernel_that_shares_most_with_what_it_has_compiled():
     mapping_config()
     jobs = {job.name: job for job in jobs_of_process()[0]}
-    names = ("match_scan", "predict_motion", "take_match", "see_bias")
+    names = ("match_scan", "predict_motion", "take_match", "bias_information")
     left = module._Left([jobs[name] for name in names])
     here: set[Dispatcher] = set()
     there: set[Dispatcher] = set()
@@ -190,7 +190,7 @@ def test_a_process_takes_the_kernel_that_shares_most_with_what_it_has_compiled()
     assert [job and job.name for job in taken] == [
         "match_scan",
         "predict_motion",
-        "see_bias",
+        "bias_information",
         "take_match",
         None,
     ]

@@ -5,21 +5,21 @@ import pytest
 
 from service.kernels import beam_likelihood
 from service.kernels.beam_likelihood import (
-    AGAINST_RATIO,
     AT_BACK,
-    FULL_RATIO,
-    IN_FREE,
-    MIN_OPEN,
-    NOT_KNOWN,
+    FREE_DENSITY,
+    MAX_LOG_RATIO,
+    MIN_LOG_RATIO,
+    MIN_REMOVED_PROBABILITY,
     ON_POINT,
     ON_WALL,
     POINT_CELL_M,
     POINT_REACH,
     POINT_SIGMA_M,
+    UNKNOWN_DENSITY,
     WALL_SIGMA_M,
     KnownGround,
     cells_with_walls,
-    count_looks,
+    count_beams_through,
     splat_points,
 )
 from service.kernels.occupancy import Evidence, trace_scan
@@ -29,7 +29,7 @@ from tests.service.kernels.occupancy_grids import empty_occupancy
 from tests.service.kernels.surfel_grids import empty_grid
 
 weigh_ends = from_python(beam_likelihood.weigh_ends)
-weigh_ways = from_python(beam_likelihood.weigh_ways)
+weigh_paths = from_python(beam_likelihood.weigh_paths)
 
 EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
 CELL_M = 0.1
@@ -39,7 +39,7 @@ FIRST = -200  # row and column of the cells of points: 10 m to each side
 
 
 def mapped(looked_through: bool = False) -> KnownGround:
-    """A wall across x = 3.05 m from y = -1.5 to 1.5 m, seen from the origin; and looked through later."""
+    """A wall across x = 3.05 m from y = -1.5 to 1.5 m, seen from the origin; later beams pass through it."""
     y = np.arange(-1.5, 1.5, 0.002)
     xy = np.column_stack((np.full(len(y), WALL_X_M), y))
     walls, ground = empty_grid(), empty_occupancy(CELL_M)
@@ -47,13 +47,15 @@ def mapped(looked_through: bool = False) -> KnownGround:
     trace_scan(xy, np.zeros(2), np.zeros(3), ground, EVIDENCE, 20.0, np.uint16(1))
     points = np.zeros((400, 400), np.uint8)
     splat_points(xy, FIRST, FIRST, points)
-    looked = np.zeros(walls.surfels.shape[:4], np.float32)
+    through_count = np.zeros(walls.surfels.shape[:4], np.float32)
     visited = np.zeros(walls.surfels.shape[:3], np.int32)
-    known = KnownGround(walls, cells_with_walls(walls), looked, ground, -10, points, FIRST, FIRST, visited)
+    known = KnownGround(
+        walls, cells_with_walls(walls), through_count, ground, -10, points, FIRST, FIRST, visited
+    )
     if looked_through:
         beyond = np.column_stack((np.full(401, 4.5), np.linspace(-2.0, 2.0, 401)))
         for _ in range(10):
-            count_looks(beyond, np.zeros(2), walls, 1.0, looked)
+            count_beams_through(beyond, np.zeros(2), walls, 1.0, through_count)
     return known
 
 
@@ -66,7 +68,7 @@ def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal
     normals = np.tile([*(np.array(normal) @ turn), 1.0], (len(here), 1))
     at_end, along_beam = np.empty(len(here)), np.empty(len(here))
     weigh_ends(here, normals, np.array(pose), known, at_end)
-    total = weigh_ways(here, sensors, np.array(pose), known, number, -math.inf, along_beam)
+    total = weigh_paths(here, sensors, np.array(pose), known, number, -math.inf, along_beam)
     assert total == pytest.approx(along_beam.sum())
     assert (along_beam <= 0.0).all()
     return at_end + along_beam
@@ -75,7 +77,7 @@ def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal
 def ratio_by_hand(off_m: float, ground: float, on_points: float) -> float:
     wall = ON_WALL * math.exp(-0.5 * (off_m / WALL_SIGMA_M) ** 2) / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
     points = ON_POINT * on_points / (math.sqrt(2.0 * math.pi) * POINT_SIGMA_M)
-    return math.log((ground + wall + points) / NOT_KNOWN)
+    return math.log((ground + wall + points) / UNKNOWN_DENSITY)
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.7, -0.4, 2.2)])
@@ -85,23 +87,25 @@ def test_a_beam_that_ends_on_a_wall_is_as_likely_as_its_noise_says(off_m, pose):
     end = WALL_X_M + off_m, 0.325
     cell = [math.floor(value / POINT_CELL_M) - FIRST for value in end]
     on_points = known.points[cell[1], cell[0]] / 255.0
-    assert ratios(end, known, pose)[0] == pytest.approx(ratio_by_hand(off_m, NOT_KNOWN, on_points), abs=0.02)
+    assert ratios(end, known, pose)[0] == pytest.approx(
+        ratio_by_hand(off_m, UNKNOWN_DENSITY, on_points), abs=0.02
+    )
 
 
 def test_a_map_that_knows_all_that_is_seen_gives_the_full_ratio():
     noise = np.random.default_rng(3).normal(0.0, 0.012, 300)
     ends = np.column_stack((WALL_X_M + noise, np.linspace(-1.2, 1.2, 300)))
-    assert ratios(ends, mapped()).mean() == pytest.approx(FULL_RATIO, abs=0.15)
+    assert ratios(ends, mapped()).mean() == pytest.approx(MAX_LOG_RATIO, abs=0.15)
 
 
 @pytest.mark.parametrize(
     ("end", "density"),
-    [((-2.0, 0.0), NOT_KNOWN), ((1.55, 0.05), IN_FREE), ((WALL_X_M - 0.1, 0.0), NOT_KNOWN)],
+    [((-2.0, 0.0), UNKNOWN_DENSITY), ((1.55, 0.05), FREE_DENSITY), ((WALL_X_M - 0.1, 0.0), UNKNOWN_DENSITY)],
 )
 def test_a_beam_that_ends_on_no_wall_is_as_likely_as_the_ground_says(end, density):
     ratio = ratios(end, mapped(), normal=(0.0, 1.0))[0]
-    assert ratio == pytest.approx(math.log(density / NOT_KNOWN), abs=0.1)
-    assert (ratio < AGAINST_RATIO) == (density == IN_FREE)
+    assert ratio == pytest.approx(math.log(density / UNKNOWN_DENSITY), abs=0.1)
+    assert (ratio < MIN_LOG_RATIO) == (density == FREE_DENSITY)
 
 
 def test_a_wall_seen_from_its_other_side_may_be_as_thick_as_walls_are():
@@ -109,13 +113,13 @@ def test_a_wall_seen_from_its_other_side_may_be_as_thick_as_walls_are():
     for thick_m, is_likely in ((0.02, True), (0.09, True), (0.45, False)):
         end = WALL_X_M + thick_m, 0.0
         ratio = ratios(end, known, sensor=(6.0, 0.0), normal=(1.0, 0.0))[0]
-        assert (ratio > math.log(1.0 + AT_BACK / NOT_KNOWN) - 0.1) == is_likely
+        assert (ratio > math.log(1.0 + AT_BACK / UNKNOWN_DENSITY) - 0.1) == is_likely
 
 
 @pytest.mark.parametrize(("sensor", "end"), [((0.0, 0.0), (4.5, 0.0)), ((6.0, 0.05), (-2.0, 0.05))])
 def test_no_beam_goes_through_a_wall_from_whichever_side(sensor, end):
     ratio = ratios(end, mapped(), sensor=sensor)[0]
-    assert ratio == pytest.approx(math.log(MIN_OPEN), abs=0.02)
+    assert ratio == pytest.approx(math.log(MIN_REMOVED_PROBABILITY), abs=0.02)
 
 
 def test_a_thing_that_is_gone_counts_once_however_many_beams_say_so():
@@ -139,8 +143,8 @@ def test_a_beam_past_the_end_of_a_wall_does_not_go_through_it():
 def test_looks_through_a_wall_are_counted_by_their_weight():
     known = mapped()
     ends = np.array([(4.5, 0.05), (3.2, 0.05), (2.0, 0.05)])  # behind it, too near behind it, before it
-    count_looks(ends, np.array([0.0, 0.05]), known.walls, 3.0, known.looked)
-    counted = known.looked[known.looked > 0.0]
+    count_beams_through(ends, np.array([0.0, 0.05]), known.walls, 3.0, known.through_count)
+    counted = known.through_count[known.through_count > 0.0]
     assert counted.tolist() == [3.0]
 
 
@@ -163,9 +167,9 @@ def test_ways_are_asked_no_further_than_they_can_matter():
     ends = np.column_stack((np.full(8, 4.5), np.linspace(-1.6, 1.6, 8)))
     along_beam, few = np.empty(8), np.empty(8)
     sensors, pose = np.zeros((8, 2)), np.zeros(3)
-    total = weigh_ways(ends, sensors, pose, known, 1, -math.inf, along_beam)
+    total = weigh_paths(ends, sensors, pose, known, 1, -math.inf, along_beam)
     assert (along_beam < 0.0).all()
-    assert weigh_ways(ends, sensors, pose, known, 2, total, few) == pytest.approx(total)
+    assert weigh_paths(ends, sensors, pose, known, 2, total, few) == pytest.approx(total)
     least = along_beam[:3].sum() + 1e-9
-    assert weigh_ways(ends, sensors, pose, known, 3, least, few) < least
+    assert weigh_paths(ends, sensors, pose, known, 3, least, few) < least
     np.testing.assert_allclose(few, [*along_beam[:3], 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -21,7 +21,7 @@ def place() -> CandidateSubmap:
 
 
 def contradicting(place: CandidateSubmap, xy, normals, sensor=SENSOR, behind_m=SETTINGS.behind_m):
-    return count_contradicting(xy, sensor, normals, POSE, place.grid, place.sightings, behind_m)
+    return count_contradicting(xy, sensor, normals, POSE, place.grid, place.observations, behind_m)
 
 
 def test_what_lies_behind_a_wall_on_ground_that_no_one_knows_is_behind(place: CandidateSubmap) -> None:

@@ -4,11 +4,11 @@ import numpy as np
 
 from service.kernels import tiles
 from service.kernels.static_score import (
-    Sightings,
+    Observations,
     StaticScoreSettings,
+    count_beams_through_walls,
     count_hits,
-    count_through,
-    find_moved,
+    find_dynamic,
     remove_by_ray_cast,
     static_residuals,
     weigh_static_score,
@@ -38,7 +38,7 @@ class CandidateSubmap:
         self.fine_grid: SurfelGrid = empty_grid(self.grid.cell_m / PARTS, tiles_each_way=4 * PARTS)
         shape = self.grid.field.shape
         marks = np.zeros(shape, np.uint16), np.zeros((*shape, 2), np.uint16)
-        self.sightings = Sightings(np.zeros(shape, np.int8), *marks)
+        self.observations = Observations(np.zeros(shape, np.int8), *marks)
         self.settings = settings
         self.number = 0
 
@@ -47,20 +47,20 @@ class CandidateSubmap:
         self.number += 1
         kept = normals.copy()
         numbers = np.uint16(self.number), np.int64(ticks)
-        count_hits(xy, kept, POSE, self.grid, self.sightings, self.settings, *numbers, np.uint16(mark))
+        count_hits(xy, kept, POSE, self.grid, self.observations, self.settings, *numbers, np.uint16(mark))
         grids = self.grid, self.fine_grid
-        remove_by_ray_cast(xy, SENSOR, POSE, *grids, self.sightings, self.settings, *numbers)
+        remove_by_ray_cast(xy, SENSOR, POSE, *grids, self.observations, self.settings, *numbers)
         for grid in grids:
             insert_surfels(xy, kept, POSE, grid, 1000.0, 1.0, np.zeros(2), -1)
         return kept[:, 2]
 
     def weights(self, xy: np.ndarray, normals: np.ndarray) -> np.ndarray:
         weighed = normals.copy()
-        weigh_static_score(xy, POSE, self.grid, self.sightings, self.settings, weighed)
+        weigh_static_score(xy, POSE, self.grid, self.observations, self.settings, weighed)
         return weighed[:, 2]
 
     def scores(self, xy: np.ndarray) -> np.ndarray:
-        return np.array([self.sightings.score[cell] for cell in cells_of(self.grid, xy)])
+        return np.array([self.observations.score[cell] for cell in cells_of(self.grid, xy)])
 
     def points_held(self, xy: np.ndarray) -> float:
         """By the surfels of the cells in which the points lie; finer cells hold as many."""
@@ -175,7 +175,7 @@ def test_new_things_weigh_less_beside_old_ones_only() -> None:
     for _ in range(11):  # the first of them finds cells that were free
         place.see(*old)
     for cell in cells_of(place.grid, new[0]):  # as if seen once, in view with the old
-        place.sightings.score[cell] = 1
+        place.observations.score[cell] = 1
     weights = place.weights(*both)
     of_old, of_new = weights[: len(old[0])], weights[len(old[0]) :]
     np.testing.assert_allclose(of_new / of_old[0], 0.1)
@@ -186,7 +186,7 @@ def test_new_things_weigh_less_beside_old_ones_only() -> None:
 def test_nothing_is_seen_where_no_tile_is() -> None:
     place = CandidateSubmap()
     place.see(*wall(12.0, 0.05))
-    assert np.count_nonzero(place.sightings.score < 0) < TILE_CELLS**2
+    assert np.count_nonzero(place.observations.score < 0) < TILE_CELLS**2
     assert (place.scores(wall(12.0, 0.05)[0]) == 1).all()
 
 
@@ -206,14 +206,14 @@ def test_each_point_is_weighed_by_its_own_cell() -> None:
 
 def residuals(place: CandidateSubmap, xy: np.ndarray, normals: np.ndarray, latest: int) -> np.ndarray:
     residual_m = np.empty(len(xy))
-    static_residuals(xy, normals, POSE, place.grid, place.sightings, 0.6, latest, residual_m)
+    static_residuals(xy, normals, POSE, place.grid, place.observations, 0.6, latest, residual_m)
     return residual_m
 
 
 def moved(place: CandidateSubmap, xy: np.ndarray, latest: int) -> np.ndarray:
-    is_moved = np.zeros(len(xy), np.bool_)
-    find_moved(xy, POSE, place.grid, place.sightings, latest, is_moved)
-    return is_moved
+    is_dynamic = np.zeros(len(xy), np.bool_)
+    find_dynamic(xy, POSE, place.grid, place.observations, latest, is_dynamic)
+    return is_dynamic
 
 
 def test_a_wall_is_static_from_the_mark_at_which_it_was_first_seen() -> None:
@@ -257,7 +257,7 @@ def test_beams_that_end_behind_a_static_wall_pass_through_it() -> None:
     for _ in range(10):
         place.see(*near, mark=7)
     through = [
-        count_through(xy, SENSOR, POSE, place.grid, place.sightings, latest, SETTINGS.behind_m)
+        count_beams_through_walls(xy, SENSOR, POSE, place.grid, place.observations, latest, SETTINGS.behind_m)
         for xy, latest in ((far[0], 7), (far[0], 6), (near[0], 7))
     ]
     assert through[0] >= 0.9 * len(far[0])

@@ -5,7 +5,7 @@ import pytest
 
 from service.kernels import line_likelihood
 from service.kernels.likelihood_search import LikelihoodLayer
-from service.kernels.line_likelihood import draw_scan, monte_carlo_search, smooth_lines
+from service.kernels.line_likelihood import monte_carlo_search, rasterise_scan, smooth_lines
 from service.kernels.tiles import TileIndex
 from tests.service.kernels.inner import from_python
 
@@ -32,7 +32,7 @@ def draw(
 ) -> None:
     beam = np.arange(len(xy), dtype=np.int32)
     changed = np.zeros(len(layer.cells), np.uint8)
-    draw_scan(np.array(xy), beam, layer, changed, LEVELS, ring_cells, np.full(len(xy), join_m))
+    rasterise_scan(np.array(xy), beam, layer, changed, LEVELS, ring_cells, np.full(len(xy), join_m))
     assert (changed > 0).tolist() == [bool(cells.any()) for cells in layer.cells]
 
 
@@ -74,7 +74,7 @@ def test_neighbours_are_joined_by_a_line_and_distant_ones_are_not() -> None:
     draw(joined, ends, join_m=1.2)
     draw(apart, ends, join_m=1.0)
     beams = np.array([0, 2], np.int32)  # the beam between had no return
-    draw_scan(np.array(ends), beams, broken, np.zeros(9, np.uint8), LEVELS, 1, np.full(2, 1.2))
+    rasterise_scan(np.array(ends), beams, broken, np.zeros(9, np.uint8), LEVELS, 1, np.full(2, 1.2))
     hits = np.argwhere(whole(joined) == 9)
     assert len(hits) == 11
     assert np.abs(np.diff(hits, axis=0)).max() == 1

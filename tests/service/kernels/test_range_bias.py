@@ -3,7 +3,7 @@ import pytest
 
 from service.kernels import range_bias
 from service.kernels.normals import estimate_normals
-from service.kernels.range_bias import see_bias, shorten_ranges
+from service.kernels.range_bias import bias_information, subtract_bias
 from service.kernels.surfels import LASERS, SurfelGrid, insert_surfels, shorten_surfels
 from tests.service.kernels.inner import from_python
 from tests.service.kernels.surfel_grids import empty_grid
@@ -26,7 +26,7 @@ def test_points_move_along_their_beams() -> None:
     sensor = np.array([0.2, -0.1])
     xy = sensor + np.array([[1.0, 0.0], [0.0, -2.0], [0.0, 0.0]])
     shortened = np.empty_like(xy)
-    shorten_ranges(xy, sensor, np.full(8, 0.03), 0.5, shortened)
+    subtract_bias(xy, sensor, np.full(8, 0.03), 0.5, shortened)
     np.testing.assert_allclose(shortened - sensor, [[0.97, 0.0], [0.0, -1.97], [0.0, 0.0]], atol=1e-12)
 
 
@@ -61,7 +61,7 @@ def seen_bias(grid: SurfelGrid, bias_m: np.ndarray, laser: int, rng: np.random.G
         xy, normals = seen_from(x_m, bias_m, rng)
         pose = np.array([x_m, 0.0, 0.0])
         one, of_one = np.empty((NODES + 1, NODES + 1)), np.empty(NODES + 1)
-        see_bias(xy, normals, pose, np.zeros(2), laser, grid, SETTINGS, NODE_M, one, of_one)
+        bias_information(xy, normals, pose, np.zeros(2), laser, grid, SETTINGS, NODE_M, one, of_one)
         np.testing.assert_allclose(one, one.T, atol=1e-6 * np.abs(one).max())
         assert np.linalg.eigvalsh(one)[0] > -1e-6 * np.abs(one).max()
         total, weighted = total + one, weighted + of_one

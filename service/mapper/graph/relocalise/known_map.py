@@ -10,14 +10,14 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels import occupancy
 from service.kernels.beam_likelihood import (
-    AGAINST_RATIO,
-    FULL_RATIO,
+    MAX_LOG_RATIO,
+    MIN_LOG_RATIO,
     POINT_CELL_M,
     POINT_REACH,
     WALL_SIGMA_M,
     KnownGround,
     cells_with_walls,
-    count_looks,
+    count_beams_through,
     splat_points,
 )
 from service.kernels.branch_and_bound import MaxPyramid, pool_levels, search_branch_and_bound
@@ -29,8 +29,8 @@ from service.kernels.facing_search import (
     search_facing,
     splat_facing,
 )
-from service.kernels.likeliest_pose import climb, evidence_of_beams
 from service.kernels.loops import splat_field
+from service.kernels.maximum_likelihood_pose import evidence_of_beams, hill_climb
 from service.kernels.occupancy import OccupancyGrid, trace_scan
 from service.kernels.surfels import SurfelGrid
 from service.kernels.tiles import NO_TILE
@@ -71,7 +71,7 @@ CLIMB_STEPS, MIN_CLIMB_STEP = (
 )  # m, m, rad of the first steps of a climb, and factor of the last
 ALONG_M, ALONG_STEP_M = 1.6, 0.1  # range along walls to each side of a place, and its steps
 ALONG_SHARE = 0.9  # of the inlier ratio at the place, for a place beside it
-ON_MAP_RATIO = 0.5 * FULL_RATIO  # nats: a beam above it ends on a mapped object
+ON_MAP_RATIO = 0.5 * MAX_LOG_RATIO  # nats: a beam above it ends on a mapped object
 # Limit of the evidence of one wall or object, nats. Buildings have straight walls on new ground, too, so all
 # beams on a wall give one measurement: its offset. Parallel walls are this far apart.
 WALLS_APART_M = 2.0
@@ -139,7 +139,7 @@ class KnownMap:
     def refine(self, seen: SeenCloud, aligned: Aligned) -> Aligned:
         """The pose of highest evidence near an alignment, which few walls alone do not determine."""
         pose = aligned.fit.pose.copy()
-        evidence, count = climb(
+        evidence, count = hill_climb(
             seen.cloud.xy,
             seen.cloud.normals,
             seen.sensors,
@@ -174,9 +174,9 @@ class KnownMap:
         shares = seen.shares
         evidence, at_end, along_beam = self._beam_evidence(seen, pose, least)
         merged = max(float(shares.sum()), 1e-9)
-        against = float(shares @ (at_end + along_beam < AGAINST_RATIO)) / merged
+        against = float(shares @ (at_end + along_beam < MIN_LOG_RATIO)) / merged
         on_map = float(shares @ (at_end > ON_MAP_RATIO)) / merged
-        return PlaceScore(evidence, max(0.0, FULL_RATIO * merged - evidence), against, on_map)
+        return PlaceScore(evidence, max(0.0, MAX_LOG_RATIO * merged - evidence), against, on_map)
 
     def structure(self, seen: SeenCloud, pose: Floats) -> float:
         """Log-likelihood ratio of a pose (3,) to an unmapped building, nats: each wall or object counts once,
@@ -302,10 +302,10 @@ def _known_ground_of(
     walls: SurfelGrid,
     ground: OccupancyGrid,
 ) -> KnownGround:
-    looked = np.zeros(walls.surfels.shape[:4], np.float32)
+    through_count = np.zeros(walls.surfels.shape[:4], np.float32)
     for number in range(0, len(known), TRACED_EVERY):
         sensor = _sensor_of(keyframes, int(known[number]))
-        count_looks(clouds[number].xy, sensor, walls, float(TRACED_EVERY), looked)
+        count_beams_through(clouds[number].xy, sensor, walls, float(TRACED_EVERY), through_count)
     xy = joined(clouds).xy
     low = np.floor(xy.min(axis=0) / POINT_CELL_M).astype(np.int64) - POINT_REACH
     high = np.floor(xy.max(axis=0) / POINT_CELL_M).astype(np.int64) + POINT_REACH + 1
@@ -315,7 +315,7 @@ def _known_ground_of(
     return KnownGround(
         walls,
         cells_with_walls(walls),
-        looked,
+        through_count,
         ground,
         SEEN_THROUGH_EVIDENCE,
         points,

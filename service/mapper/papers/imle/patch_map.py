@@ -17,7 +17,7 @@ from service.geometry.grid import TileRange
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
 from service.kernels.likelihood_search import LikelihoodLayer
-from service.kernels.line_likelihood import draw_scan, mark_patches, smooth_lines
+from service.kernels.line_likelihood import mark_patches, rasterise_scan, smooth_lines
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.known_ground import KnownGround
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
@@ -154,8 +154,10 @@ class PatchMap:
                 self._bring_in(key, drawn)
         self._use(drawn)
         changed = self._changed()
-        draw_scan(lines_map, points.beam, self.fine, changed, self.levels, self.config.ring_cells, join_m)
-        draw_scan(lines_map, points.beam, self.coarse, changed, self.levels, 1, join_m)
+        rasterise_scan(
+            lines_map, points.beam, self.fine, changed, self.levels, self.config.ring_cells, join_m
+        )
+        rasterise_scan(lines_map, points.beam, self.coarse, changed, self.levels, 1, join_m)
         self._ground.insert(points, pose)
         self.is_empty = False
         self._look_ahead(xy_map, near)

@@ -9,7 +9,7 @@ import pytest
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.kernels.beam_likelihood import FULL_RATIO
+from service.kernels.beam_likelihood import MAX_LOG_RATIO
 from service.kernels.loops import thin_points
 from service.kernels.normals import estimate_normals
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
@@ -158,7 +158,7 @@ def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
     assert score.against == pytest.approx(on_pillar.mean(), abs=0.03)
     count = len(cloud.xy)
     assert score.evidence / count == pytest.approx(1.55 - 7.3 * on_pillar.mean(), abs=0.15)
-    assert score.unexplained == pytest.approx(FULL_RATIO * count - score.evidence)
+    assert score.unexplained == pytest.approx(MAX_LOG_RATIO * count - score.evidence)
 
 
 def test_a_person_who_stood_there_when_the_map_was_made_hides_no_place():

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.likeliest_pose import climb, evidence_of_beams
+from service.kernels.maximum_likelihood_pose import evidence_of_beams, hill_climb
 from tests.service.kernels.test_beam_likelihood import mapped
 
 FIRST, LEAST = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0
@@ -29,7 +29,7 @@ def climbed(start, truth, shares, noise):
     known = mapped()
     xy, normals = seen_at(truth, noise)
     sensors, pose = np.zeros((120, 2)), np.array(start)
-    best, asked = climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
+    best, asked = hill_climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
     evidence, at_end, along_beam = asked_at(pose, xy, normals, shares, known, asked + 1)
     assert best == evidence == pytest.approx(float(shares @ at_end + along_beam.sum()))
     return pose, best, asked
@@ -59,7 +59,7 @@ def test_what_beams_go_through_counts_at_each_pose_again():
     xy, normals = seen_at((0.0, 0.0, 0.0), np.random.default_rng(1))
     xy[:, 0] += 1.0
     pose = np.zeros(3)
-    best, asked = climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
+    best, asked = hill_climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
     _, at_end, along_beam = asked_at(pose, xy, normals, np.ones(120), known, asked + 1)
     assert along_beam.sum() < -1.0
     assert best == pytest.approx(float(at_end.sum() + along_beam.sum()))
