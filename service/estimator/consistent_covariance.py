@@ -38,9 +38,9 @@ class ConsistentCovariance:
     ) -> None:
         """Propagate to the time of a scan; packed: the estimator's state, as of the scan before."""
         if self._packed is not None:
-            predict_motion(self.beside(packed), odometry, gyro, stamp_ns, settings)
+            predict_motion(self.view(packed), odometry, gyro, stamp_ns, settings)
 
-    def watch(self, packed: PackedFilter, is_scan_alone: bool) -> None:
+    def switch(self, packed: PackedFilter, is_scan_alone: bool) -> None:
         """Start, or stop and add to `packed` (as of the prediction) the excess of this covariance."""
         if is_scan_alone and self._packed is None:
             self._packed = PackedFilter(packed.numbers.copy(), packed.stamps.copy())
@@ -85,12 +85,12 @@ class ConsistentCovariance:
         if self._packed is not None:
             transfer_into_map(views_of(self._packed).covariance, share)
 
-    def of_pose(self, state: Filter) -> Matrix:
+    def pose_covariance(self, state: Filter) -> Matrix:
         """(3, 3) against the first scan, base axes."""
         chosen = state if self._packed is None else views_of(self._packed)
         return chosen.covariance[MAP_BLOCK, MAP_BLOCK].copy()
 
-    def beside(self, packed: PackedFilter) -> PackedFilter:
+    def view(self, packed: PackedFilter) -> PackedFilter:
         """The estimator's state with this covariance; read-only."""
         if self._packed is None:
             return packed

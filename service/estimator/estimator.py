@@ -14,7 +14,7 @@ from pydantic import Field
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
 from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
-from service.estimator.motion import Matrix, Measurement, Motion, Prediction, Reckoned, scan_alone
+from service.estimator.motion import Matrix, Measurement, Motion, OdometryIncrement, Prediction, scan_alone
 from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
@@ -57,7 +57,7 @@ MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry ha
 MIN_ELAPSED_S = 0.05  # stamps of a burst may be closer together than the samples were taken
 NODE_S = 0.01  # of a sweep, between two times at which the motion is evaluated
 MAX_NODES = 65
-TELL_AGAIN_NS = 10_000_000_000
+WARNING_INTERVAL_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry
 MIN_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
 
@@ -175,7 +175,7 @@ class Estimator:
         self._gyro_rate = 0.0
         self._jump_reported_ns = 0  # next warning at the earliest
         self._still = Standstill()
-        self._is_unwitnessed = False  # as in Standstill, since the last scan
+        self._is_unconfirmed_stop = False  # as in Standstill, since the last scan
         self._consistent = ConsistentCovariance()
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = MIN_SIGMA
@@ -201,14 +201,15 @@ class Estimator:
                 "odometry contradicts the scans (it says the same pose again and again while they move) and "
                 "is not used; is an encoder dead, does its driver repeat its last message?",
             )
-        way, turns = self.filter.noise.tolist()
+        distance, turns = self.filter.noise.tolist()
         gyro = float(self.filter.gyro_noise[0])
-        if max(way, turns) > FAULT_NOISE:
-            of = "distance" if way >= turns else "turns"
+        if max(distance, turns) > FAULT_NOISE:
+            source = "distance" if distance >= turns else "turns"
             return Reason(
                 "odometry_contradicts",
-                f"odometry contradicts the scans ({of} off by {math.sqrt(max(way, turns)):.0f} times the "
-                "noise of its model) and loses weight; do wheels slip, is a sign wrong, is an encoder dead?",
+                f"odometry contradicts the scans ({source} off by {math.sqrt(max(distance, turns)):.0f} "
+                "times the noise of its model) and loses weight; do wheels slip, is a sign wrong, is an "
+                "encoder dead?",
             )
         if gyro > FAULT_NOISE:
             return Reason(
@@ -248,11 +249,11 @@ class Estimator:
             window_ns = round(self._settings.speed_window_s * 1e9)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
                 self._begin_twist(stamp_ns)
-        is_unwitnessed, self._is_unwitnessed = self._is_unwitnessed, False
+        is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
         self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
         is_measured = bool(state.increments[3]) and max(state.noise.tolist()) <= FAULT_NOISE
-        self._consistent.watch(self._packed, scan_alone(is_measured, float(state.noise[0])))
+        self._consistent.switch(self._packed, scan_alone(is_measured, float(state.noise[0])))
         covariance = state.covariance
         local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
         gain = covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
@@ -260,7 +261,7 @@ class Estimator:
         return Prediction(
             pose_odom_base=SE2(x_m, y_m, theta_rad),
             twist_base=self._twist(),
-            covariance=self._consistent.of_pose(state),
+            covariance=self._consistent.pose_covariance(state),
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
@@ -269,25 +270,27 @@ class Estimator:
             is_measured=is_measured,
             odometry_noise=float(state.noise[0]),
             pause_s=pause_s,
-            is_unwitnessed=is_unwitnessed and pause_s > 0.0,
-            reckoned=self._reckoned(),
+            is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
+            increment=self._increment(),
             samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
             deviation=self._deviation,
         )
 
-    def _reckoned(self) -> Reckoned | None:
+    def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
-        x_m, y_m, turn_rad, is_said, way_m2, turn_rad2, gyro_rad, gyro_rad2 = self.filter.increments.tolist()
-        if not is_said or self._elapsed_s <= 0.0:
+        x_m, y_m, turn_rad, is_measured, distance_m2, turn_rad2, gyro_rad, gyro_rad2 = (
+            self.filter.increments.tolist()
+        )
+        if not is_measured or self._elapsed_s <= 0.0:
             return None
-        way, turns = self.filter.noise.tolist()
-        turn_rad2 *= max(turns, 1.0)
+        distance_noise, turn_noise = self.filter.noise.tolist()
+        turn_rad2 *= max(turn_noise, 1.0)
         if gyro_rad2 > 0.0:
             gyro_rad2 *= max(float(self.filter.gyro_noise[0]), 1.0)
             share = turn_rad2 / (turn_rad2 + gyro_rad2)
             turn_rad += share * wrap_angle(gyro_rad - turn_rad)
             turn_rad2 = share * gyro_rad2
-        return Reckoned(SE2(x_m, y_m, turn_rad), way_m2 * max(way, 1.0), turn_rad2)
+        return OdometryIncrement(SE2(x_m, y_m, turn_rad), distance_m2 * max(distance_noise, 1.0), turn_rad2)
 
     def _deviation(self, begin_s: float, end_s: float) -> Matrix | None:
         nodes = min(2 + int((end_s - begin_s) / NODE_S), MAX_NODES)
@@ -317,12 +320,12 @@ class Estimator:
             )
         elif not state.increments[3]:
             state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
-        return Motion(SE2(*state.pose.tolist()), self._twist(), self._consistent.of_pose(state))
+        return Motion(SE2(*state.pose.tolist()), self._twist(), self._consistent.pose_covariance(state))
 
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
         tracks = self._odometry.track, self._gyro.track
-        packed = self._consistent.beside(self._packed)
+        packed = self._consistent.view(self._packed)
         motion_at(packed, *tracks, seconds, self._settings, pose, twist, covariance)
         forward, left, turn = twist.tolist()
         if self._origin_ns == int(self.filter.stamp_ns[0]) + round(seconds * 1e9):
@@ -395,14 +398,14 @@ class Estimator:
         if last is not None:
             track = self._odometry.track
             if value[:3] == tuple(track.value[last, :3]):
-                if self._has_begun and self._still.says_nothing(
+                if self._has_begun and self._still.is_uninformative(
                     sample.stamp_ns, track, self.filter, self._elapsed_s
                 ):
-                    self._is_unwitnessed = self._still.is_unwitnessed
+                    self._is_unconfirmed_stop = self._still.is_unconfirmed_stop
                     return True
             else:
                 # The motion while odometry was stuck is unknown.
-                is_dead = self._still.is_stuck or self._still.is_unwitnessed
+                is_dead = self._still.is_stuck or self._still.is_unconfirmed_stop
                 if is_dead or self._has_restarted(sample, last):
                     self._begin_odometry()
                 self._still = Standstill(has_moved=True)
@@ -427,7 +430,7 @@ class Estimator:
         if jump_m <= MAX_SPEED_MPS * within_s and jump_rad <= MAX_TURN_RADPS * within_s:
             return False
         if sample.stamp_ns >= self._jump_reported_ns:
-            self._jump_reported_ns = sample.stamp_ns + TELL_AGAIN_NS
+            self._jump_reported_ns = sample.stamp_ns + WARNING_INTERVAL_NS
             log.warning(
                 "%s: odometry jumps by %.1f m and %.0f deg within %.3f s (expected at most %.0f m/s and "
                 "%.0f rad/s); it counts as begun anew. Has the base restarted?",

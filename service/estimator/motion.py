@@ -26,7 +26,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Reckoned:
+class OdometryIncrement:
     """Odometry increment since the last scan, its rotation fused with the gyro's."""
 
     pose: SE2  # of the base in that of the last scan
@@ -47,8 +47,8 @@ class Prediction(Motion):
     odometry_noise: float = 1.0  # learnt factor on the modelled variance of odometry's path length
     pause_s: float = 0.0  # longest time since the last scan without a measurement of the motion
     # Odometry stopped in that pause faster than a vehicle brakes: it may be towed, or wheels slip.
-    is_unwitnessed: bool = False
-    reckoned: Reckoned | None = None  # odometry and gyro alone; None: odometry was silent
+    is_unconfirmed_stop: bool = False
+    increment: OdometryIncrement | None = None  # odometry and gyro alone; None: odometry was silent
     samples_dropped: int = 0  # since the last prediction: too many waited for it
     # (begin_s, end_s) from the predicted time -> (K, 3) m, m, rad: measured deviation from the twist at K
     # evenly spaced times, see service/kernels/sweep.py; None: unknown. Valid until the next prediction.
@@ -59,9 +59,9 @@ class Prediction(Motion):
         """Whether only scans measure the motion; see scan_alone."""
         return scan_alone(self.is_measured, self.odometry_noise)
 
-    def less_known(self, more: Matrix) -> "Prediction":
+    def with_added_covariance(self, added: Matrix) -> "Prediction":
         """The prediction with a covariance (3, 3) added to the pose that is uncorrelated with the twist."""
-        covariance = self.local_covariance + more
+        covariance = self.local_covariance + added
         gain = self.twist_gain @ self.local_covariance @ np.linalg.inv(covariance)
         return replace(self, local_covariance=covariance, twist_gain=gain)
 

@@ -17,7 +17,7 @@ from service.kernels.filter_state import TWIST, Filter
 from service.kernels.tracks import Track
 
 # Speed at standstill, 1 sigma; a vehicle that moves is faster by so many sigmas.
-STANDING_SIGMA, DRIVES_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
+STANDSTILL_SIGMA, MOVING_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
 MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0  # of a vehicle that stops by itself
 # Odometry that stands so long, or so far, while the vehicle moves is stuck.
 STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
@@ -31,21 +31,21 @@ class _ImpossibleStop:
     speed_mps: float  # before; 0: the vehicle can have stopped from it
     turn_radps: float  # likewise
     pose: npt.NDArray[np.float64]  # (3,) at the last scan before
-    way_m: float  # path length from there to the stop, by odometry
+    path_length_m: float  # from there to the stop, by odometry
     turn_rad: float
 
 
 @dataclass(slots=True)
 class Standstill:
-    """Call `says_nothing` with each sample that repeats a pose; another pose begins a new Standstill."""
+    """Call `is_uninformative` with each sample that repeats a pose; another pose begins a new Standstill."""
 
     has_moved: bool = False  # at least once
     is_stuck: bool = False  # odometry stands while the vehicle moves
-    is_unwitnessed: bool = False  # odometry stopped faster than a vehicle brakes, and no scan confirms it
+    is_unconfirmed_stop: bool = False  # odometry stopped faster than a vehicle brakes; no scan confirms it
     _since_ns: int | None = None  # stamp of the first repeated sample
     _stop: _ImpossibleStop | None = None  # until a scan confirms it
 
-    def says_nothing(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
+    def is_uninformative(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
         """Whether such a sample is no evidence of standstill.
 
         track      of odometry, up to the sample that was used last
@@ -53,41 +53,41 @@ class Standstill:
         period_s   of the scans
         """
         scan_ns = int(state.stamp_ns[0])
-        is_unheard = stamp_ns - scan_ns > STUCK_NS
-        if is_unheard and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
+        is_scan_missing = stamp_ns - scan_ns > STUCK_NS
+        if is_scan_missing and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
             return False  # no scan is expected yet
         if self._since_ns is None:
             self._since_ns, self._stop = stamp_ns, _impossible_stop(stamp_ns, track, state)
-        if is_unheard:
-            self.is_unwitnessed = self._stop is not None
-            return self.is_unwitnessed
-        self.is_unwitnessed = False
-        if self._stop is not None and _went_on(self._stop, state):
+        if is_scan_missing:
+            self.is_unconfirmed_stop = self._stop is not None
+            return self.is_unconfirmed_stop
+        self.is_unconfirmed_stop = False
+        if self._stop is not None and _moved_farther(self._stop, state):
             self.is_stuck = True
-        if self._stop is not None and not _goes_on(self._stop, state):
+        if self._stop is not None and not _keeps_speed(self._stop, state):
             self._stop = None
-        if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or _drives(state)):
+        if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or _is_moving(state)):
             self.is_stuck = True
         return self.is_stuck or not self.has_moved or self._stop is not None
 
 
-def _drives(state: Filter) -> bool:
+def _is_moving(state: Filter) -> bool:
     """Whether the speed at the last scan differs significantly from zero."""
-    variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDING_SIGMA)
-    return bool(np.any(np.square(state.twist) > DRIVES_SIGMAS**2 * variance))
+    variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
+    return bool(np.any(np.square(state.twist) > MOVING_SIGMAS**2 * variance))
 
 
-def _goes_on(stop: _ImpossibleStop, state: Filter) -> bool:
+def _keeps_speed(stop: _ImpossibleStop, state: Filter) -> bool:
     """Whether the speed by the scans is closer to that before the stop than to zero."""
     forward, left, turn = state.twist.tolist()
-    drives = 2.0 * math.hypot(forward, left) > stop.speed_mps > 0.0
-    return drives or 2.0 * abs(turn) > stop.turn_radps > 0.0
+    keeps_speed = 2.0 * math.hypot(forward, left) > stop.speed_mps > 0.0
+    return keeps_speed or 2.0 * abs(turn) > stop.turn_radps > 0.0
 
 
-def _went_on(stop: _ImpossibleStop, state: Filter) -> bool:
+def _moved_farther(stop: _ImpossibleStop, state: Filter) -> bool:
     """Whether the scans moved farther since then than odometry reports."""
     x_m, y_m, theta_rad = poses.between(stop.pose, state.pose).tolist()
-    is_farther = math.hypot(x_m, y_m) > stop.way_m + STUCK_M
+    is_farther = math.hypot(x_m, y_m) > stop.path_length_m + STUCK_M
     return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
 
 
@@ -114,7 +114,7 @@ def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleS
             speed_mps=0.0 if brakes else speed_mps,
             turn_radps=0.0 if brakes_turn else turn_radps,
             pose=state.pose.copy(),
-            way_m=speed_mps * lead_s,
+            path_length_m=speed_mps * lead_s,
             turn_rad=turn_radps * lead_s,
         )
     return None

@@ -122,7 +122,7 @@ def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64])
 
 def is_motion_unmeasured(predicted: Prediction) -> bool:
     """Whether the motion since the last scan was not measured, so that the vehicle may be anywhere."""
-    return predicted.pause_s > MAX_UNMEASURED_S or predicted.is_unwitnessed
+    return predicted.pause_s > MAX_UNMEASURED_S or predicted.is_unconfirmed_stop
 
 
 def begun(points: Points, predicted: Prediction) -> Match:

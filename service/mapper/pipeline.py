@@ -214,9 +214,9 @@ class Mapper(Generic[ReadableMap]):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
-        looked_for = self._checks.where_to_compare(scan.sensor, at_ns, predicted)
-        if looked_for is not None:
-            return self._compared(points, at_ns, looked_for)
+        prior = self._checks.comparison_prior(scan.sensor, at_ns, predicted)
+        if prior is not None:
+            return self._compared(points, at_ns, prior)
         if is_motion_unmeasured(predicted) and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
@@ -271,11 +271,11 @@ class Mapper(Generic[ReadableMap]):
         self.counters["changed_cells_new"] = int(is_new.sum())
         self.counters["changed_cells_gone"] = int((~is_new).sum())
 
-    def _compared(self, points: Points, at_ns: int, looked_for: Prediction) -> MapperOutput:
+    def _compared(self, points: Points, at_ns: int, prior: Prediction) -> MapperOutput:
         """Output for a scan of a laser under test: aligned with the map, without effect on pose and map."""
-        match = self.components.matcher.compare(points, looked_for, self.components.local_map)
+        match = self.components.matcher.compare(points, prior, self.components.local_map)
         motion = self.components.motion_model.correct(None)
-        state = self._checks.compare(match, at_ns, looked_for, self._state)
+        state = self._checks.compare(match, at_ns, prior, self._state)
         return self._output(points.scan, at_ns, motion, state, match.inlier_ratio)
 
     def _output(

@@ -84,7 +84,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "returns missing by chance are no gaps beside posts",
         f"{METHOD}.posts",
-        {"look_for_posts": lambda *_: (True, 0)},
+        {"may_be_posts": lambda *_: (True, 0)},
     ),
     (
         "points moved along their walls ([24])",
@@ -104,7 +104,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "held near the prediction where the map alone draws it away ([33])",
         f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
-        {"_likelier": lambda _, aligned, attempt: aligned},
+        {"_more_likely": lambda _, aligned, attempt: aligned},
     ),
     (
         "part of the scene moves where odometry and static walls agree ([35])",
@@ -114,7 +114,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "odometry that stands counts only where a vehicle can stand ([30])",
         "service.estimator.standstill.Standstill",
-        {"says_nothing": lambda *_: False},
+        {"is_uninformative": lambda *_: False},
     ),
     (
         "bias of the ranges learnt ([21])",

@@ -43,23 +43,23 @@ class MountingCheck:
         """Start the comparison: another laser has begun the map."""
         self.is_right = False
 
-    def where_to_look(self, predicted: Prediction, late_s: float) -> Prediction:
+    def search_prior(self, predicted: Prediction, late_s: float) -> Prediction:
         """Pose and covariance of the search for its scan on the map. late_s: of its stamps."""
         forward_mps, left_mps, turn_radps = predicted.twist_base
         since = SE2.exp(late_s * forward_mps, late_s * left_mps, late_s * turn_radps)
         measured_at = predicted.pose_odom_base @ since.inverse()
         return replace(
-            predicted.less_known(SEARCHED),
+            predicted.with_added_covariance(SEARCHED),
             pose_odom_base=measured_at @ SE2.exp(*self._offset.tolist()),
         )
 
-    def add(self, looked_for: Prediction, measured: Measurement, advantage: float | None = None) -> None:
-        """Add a scan aligned with the map from `where_to_look`. advantage: as in Match.
+    def add(self, prior: Prediction, measured: Measurement, advantage: float | None = None) -> None:
+        """Add a scan aligned with the map from `search_prior`. advantage: as in Match.
 
         The joint pose is C I e from the prediction, with its covariance C, the scan's information I and the
         offset e of the scan alone; so I e is computed without inverting I.
         """
-        off = (looked_for.pose_odom_base.inverse() @ measured.pose_odom_base).log()
+        off = (prior.pose_odom_base.inverse() @ measured.pose_odom_base).log()
         self._information.append(measured.information / SCANS_WITH_SAME_ERRORS)
         self._weighed.append(np.linalg.inv(measured.covariance) @ off / SCANS_WITH_SAME_ERRORS)
         self._advantages.append(MIN_ADVANTAGE if advantage is None else advantage)
@@ -86,8 +86,8 @@ class MountingCheck:
 
     def _judge(self) -> None:
         # In directions without information the offset is unchanged.
-        further, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
-        self._offset = self._offset + further
+        correction, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
+        self._offset = self._offset + correction
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
         if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
             return

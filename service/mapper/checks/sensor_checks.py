@@ -79,7 +79,7 @@ class SensorChecks:
         )
         return Verdict("degraded" if self._confirmed_by_another(scan.sensor, at_ns) else "lost", reason)
 
-    def where_to_compare(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:
+    def comparison_prior(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:
         """Where to search a scan of a laser whose mounting or stamps are in doubt; None: it is mapped.
 
         Such a scan has no effect on pose and map.
@@ -89,15 +89,15 @@ class SensorChecks:
         if not mounting.fault and not (is_in_doubt and self._confirmed_by_another(sensor, at_ns)):
             return None
         self._counters[f"scans_compared_{sensor}"] += 1
-        return mounting.where_to_look(predicted, self._stamps.late_s(sensor))
+        return mounting.search_prior(predicted, self._stamps.late_s(sensor))
 
-    def compare(self, match: Match, at_ns: int, looked_for: Prediction, usual: Verdict) -> Verdict:
-        """Verdict on a scan matched from `where_to_compare`. usual: of the newest mapped scan."""
+    def compare(self, match: Match, at_ns: int, prior: Prediction, usual: Verdict) -> Verdict:
+        """Verdict on a scan matched from `comparison_prior`. usual: of the newest mapped scan."""
         sensor = match.points.scan.sensor
         mounting = self._lasers[sensor].mounting
         if match.measured is not None and match.state != "lost":
             self._stamps.add(sensor, at_ns, match.measured.pose_odom_base.theta_rad)
-            mounting.add(looked_for, match.measured, match.advantage)
+            mounting.add(prior, match.measured, match.advantage)
         elif match.is_contradicted:
             mounting.miss()
         fault = self._stamps.fault_of(sensor) or mounting.fault

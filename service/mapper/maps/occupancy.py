@@ -59,7 +59,7 @@ EVIDENCE = Evidence(
 FREE_EVIDENCE = 2 * EVIDENCE.miss  # two misses and no hit
 SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent at the limits of evidence
 NO_CELLS: Cells = np.zeros((0, 2), np.int64)
-DRAWN_AT_ONCE = 2  # older scans rendered with each new one after a correction
+RENDERED_AT_ONCE = 2  # older scans rendered with each new one after a correction
 
 
 class Canvas:
@@ -100,16 +100,16 @@ class Canvas:
             np.uint16(self._scan_number),
         )
 
-    def draw_again(self, items: Iterable[ToRender]) -> None:
-        for one in items:
-            match one:
+    def render_again(self, items: Iterable[ToRender]) -> None:
+        for item in items:
+            match item:
                 case ScanToRender():
-                    self.draw(one.xy_base.astype(np.float64), one.sensor_xy_m, one.pose_map_base)
+                    self.draw(item.xy_base.astype(np.float64), item.sensor_xy_m, item.pose_map_base)
                 case AreaToErase():
-                    inside = cells_inside(one.corners_map, self._cell_m)
-                    self._fill(_by_tile(inside), self._evidence.least if one.is_free else 0)
+                    inside = cells_inside(item.corners_map, self._cell_m)
+                    self._fill(_by_tile(inside), self._evidence.least if item.is_free else 0)
                 case WallToRender():
-                    self.set_walls(np.concatenate((self.wall_cells, cells_of_wall(one, self._cell_m))))
+                    self.set_walls(np.concatenate((self.wall_cells, cells_of_wall(item, self._cell_m))))
 
     @property
     def wall_cells(self) -> Cells:
@@ -120,7 +120,7 @@ class Canvas:
         """Make exactly these cells walls, whatever beams measure from now on."""
         self._walls = _by_tile(cells)
 
-    def stand_walls(self) -> None:
+    def restore_walls(self) -> None:
         """Restore walls that beams have weakened."""
         self._fill(self._walls, self._evidence.most)
 
@@ -164,7 +164,7 @@ class Canvas:
             )
         write_tiles(rendered_map.tile_row, rendered_map.tile_column, rendered_map.evidence, self.grid())
         self.set_walls(rendered_map.wall_cells)
-        self.stand_walls()
+        self.restore_walls()
 
     def replace_part(self, part: RenderedMap) -> None:
         """Replace only the cells of the part; no tile is created where both are empty."""
@@ -182,7 +182,7 @@ class Canvas:
                 now[slot][is_part] = evidence[is_part]
                 changed[slot] = 1
         self.set_walls(part.wall_cells)
-        self.stand_walls()
+        self.restore_walls()
 
     def grid(self) -> OccupancyGrid:
         evidence, touched, changed = self.pool.arrays
@@ -218,12 +218,12 @@ class OccupancyRenderer:
 
     def render(self, items: Iterable[ToRender]) -> RenderedMap:
         canvas = self.canvas()
-        canvas.draw_again(items)
-        canvas.stand_walls()
+        canvas.render_again(items)
+        canvas.restore_walls()
         return canvas.rendered_map()
 
     def render_part(self, items: Iterable[ToRender], corners_map: npt.NDArray[np.float64]) -> RenderedMap:
-        whole = self.render(items)
+        rendered = self.render(items)
         cells = cells_inside(corners_map, self.cell_m)
         low = cells.min(axis=0) >> GRID_TILE_BITS
         rows, columns = (cells.max(axis=0) >> GRID_TILE_BITS) - low + 1
@@ -232,11 +232,11 @@ class OccupancyRenderer:
         by_tile = inside.reshape(rows, GRID_TILE_CELLS, columns, GRID_TILE_CELLS).swapaxes(1, 2)
         row, column = np.nonzero(by_tile.any(axis=(2, 3)))
         evidence = np.zeros((rows, columns, GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8)
-        at = np.column_stack((whole.tile_row, whole.tile_column)) - low
+        at = np.column_stack((rendered.tile_row, rendered.tile_column)) - low
         is_near = ((at >= 0) & (at < (rows, columns))).all(axis=1)
-        evidence[tuple(at[is_near].T)] = whole.evidence[is_near]
+        evidence[tuple(at[is_near].T)] = rendered.evidence[is_near]
         return RenderedMap(
-            row + low[0], column + low[1], evidence[row, column], whole.wall_cells, by_tile[row, column]
+            row + low[0], column + low[1], evidence[row, column], rendered.wall_cells, by_tile[row, column]
         )
 
 
@@ -275,7 +275,7 @@ class OccupancyTiles:
         self._canvas = self.renderer.canvas()
         self._shown: dict[int, npt.NDArray[np.int8]] = {}  # by slot: the cells as last published
         self._version = 0
-        self._to_draw: deque[ScanToRender] = deque()
+        self._to_render: deque[ScanToRender] = deque()
         self._last: tuple[SE2, int] | None = None
 
     @property
@@ -283,8 +283,8 @@ class OccupancyTiles:
         return self._canvas.pool.used_count
 
     def insert(self, points: Points, pose_map_base: SE2) -> None:
-        self._canvas.draw_again(
-            [self._to_draw.popleft() for _ in range(min(DRAWN_AT_ONCE, len(self._to_draw)))]
+        self._canvas.render_again(
+            [self._to_render.popleft() for _ in range(min(RENDERED_AT_ONCE, len(self._to_render)))]
         )
         stamp_ns = points.scan.stamp_ns
         if len(points.xy_base) == 0 or not self._is_due(pose_map_base, stamp_ns):
@@ -299,14 +299,14 @@ class OccupancyTiles:
         The scans `since` are rendered with the next scans, a few with each, so that none is delayed.
         """
         if rendered_map.is_part is not None:
-            self._canvas.draw_again(self._to_draw)  # older than the part
+            self._canvas.render_again(self._to_render)  # older than the part
             self._canvas.replace_part(rendered_map)
         else:
             self._canvas.replace_by(rendered_map)
-        self._to_draw = deque(since)
+        self._to_render = deque(since)
 
     def changed_tiles(self, most: int | None = None) -> list[TileUpdate]:
-        self._canvas.stand_walls()
+        self._canvas.restore_walls()
         evidence, _touched, changed = self._canvas.pool.arrays
         updates: list[TileUpdate] = []
         for row, column, slot in self._canvas.tiles.tiles(changed):
@@ -328,7 +328,7 @@ class OccupancyTiles:
 
         Versions are serial numbers.
         """
-        self._canvas.stand_walls()
+        self._canvas.restore_walls()
         evidence, _touched, _changed = self._canvas.pool.arrays
         tiles: list[TileUpdate] = []
         for row, column, slot in self._canvas.tiles.tiles():

@@ -86,8 +86,8 @@ class TilePool:
         self.__init__(state["layers"], state["capacity"])  # type: ignore[misc]
         released, taken = state["counts"].tolist()
         self.make_room(taken)
-        for array, held in zip(self.arrays, state["arrays"], strict=True):
-            array[:taken] = held
+        for array, stored in zip(self.arrays, state["arrays"], strict=True):
+            array[:taken] = stored
         self.free[:released] = state["free"]
         self.counts[:] = state["counts"]
 

@@ -37,7 +37,7 @@ MIN_COVARIANCE = 1e-12 * np.eye(3)  # of a search: its pose is compared with the
 CONFIRM_S = 0.1  # from a result to the search that is to confirm it
 MAX_WIDENING = 16.0  # of the first window, after failed searches
 MAX_REST_S = 1.0  # wide searches take longer, so they rest longer
-STANDS = Reason(
+PREDICTION_KEPT = Reason(
     "prediction_stands",
     "the scan fits the map where the prediction puts it, and nowhere else in the window that was searched; "
     "the pose is the prediction. Drive on, to where more walls are in view",
@@ -141,11 +141,17 @@ class JudgedMatching:
             if is_doubtful and not self._is_confirmed(aligned, predicted):
                 return unmatched(points, predicted, UNCONFIRMED, verdict.inlier_ratio)
             return _matched(aligned, predicted, verdict)
-        stands = self._judged_as_predicted(points, predicted, local_map)
-        if stands.state != "lost":
-            return Match(predicted, points, stands.inlier_ratio, "degraded", stands.reason or STANDS)
+        as_predicted = self._judged_as_predicted(points, predicted, local_map)
+        if as_predicted.state != "lost":
+            return Match(
+                predicted,
+                points,
+                as_predicted.inlier_ratio,
+                "degraded",
+                as_predicted.reason or PREDICTION_KEPT,
+            )
         found = self._found(points, predicted, local_map, aligner, verdict.inlier_ratio)
-        reason = verdict.reason if verdict.state == "lost" else stands.reason
+        reason = verdict.reason if verdict.state == "lost" else as_predicted.reason
         return found or unmatched(points, predicted, reason, verdict.inlier_ratio)
 
     def _judged(

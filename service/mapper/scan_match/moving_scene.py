@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.estimator.estimator import EstimatorConfig
-from service.estimator.motion import Prediction, Reckoned
+from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
@@ -91,11 +91,11 @@ class Reckoning:
 
     def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
         """Add a scan and its matched pose; returns the conflict where the two paths disagree."""
-        self._silent_s = self._silent_s + predicted.elapsed_s if predicted.reckoned is None else 0.0
+        self._silent_s = self._silent_s + predicted.elapsed_s if predicted.increment is None else 0.0
         if self._silent_s > MAX_SILENT_S or not self._steps:
             self.restart(stamp_ns, matched)
             return None
-        steps, step = self._steps, predicted.reckoned or _by_speed(predicted)
+        steps, step = self._steps, predicted.increment or _by_speed(predicted)
         last = steps[-1]
         newest = _Step(
             stamp_ns,
@@ -113,18 +113,20 @@ class Reckoning:
         return _conflict(steps[0], newest)
 
 
-def _by_speed(predicted: Prediction) -> Reckoned:
+def _by_speed(predicted: Prediction) -> OdometryIncrement:
     """A step at constant velocity: between scans of two lasers there may be no sample of odometry."""
     elapsed_s = predicted.elapsed_s
     forward, left, turn = predicted.twist_base
-    way_m2, turn_rad2 = _walked(elapsed_s)
-    return Reckoned(SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), way_m2, turn_rad2)
+    way_m2, turn_rad2 = _velocity_variance(elapsed_s)
+    return OdometryIncrement(
+        SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), way_m2, turn_rad2
+    )
 
 
-def _walked(elapsed_s: float) -> tuple[float, float]:
+def _velocity_variance(elapsed_s: float) -> tuple[float, float]:
     """(m^2, rad^2) by which a vehicle may deviate from constant velocity."""
-    walked_s3 = elapsed_s**3 / 3.0
-    return USUAL.acceleration**2 * walked_s3, USUAL.turn_acceleration**2 * walked_s3
+    integrated_s3 = elapsed_s**3 / 3.0
+    return USUAL.acceleration**2 * integrated_s3, USUAL.turn_acceleration**2 * integrated_s3
 
 
 def _conflict(begin: _Step, end: _Step) -> Conflict | None:
@@ -156,21 +158,22 @@ def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.in
 
 
 def inertia_nats(
-    went_on: SE2, by_odometry: SE2, by_laser: SE2, elapsed_s: float, covariance: Matrix
+    constant_velocity: SE2, by_odometry: SE2, by_laser: SE2, elapsed_s: float, covariance: Matrix
 ) -> float:
     """Log-likelihood ratio of two steps by constant velocity, nats.
 
-    went_on       predicted pose at the velocity between the last matches
+    constant_velocity       predicted pose at the velocity between the last matches
     by_odometry   pose by odometry, from the last match; by_laser: by the scan
     elapsed_s     since the last match
     covariance    (3, 3) of the prediction, base axes
     """
-    way_m2, turn_rad2 = _walked(elapsed_s)
+    way_m2, turn_rad2 = _velocity_variance(elapsed_s)
     covariance = covariance + np.diag(
         [way_m2 + MATCH_SIGMA_M**2, way_m2 + MATCH_SIGMA_M**2, turn_rad2 + MATCH_SIGMA_RAD**2]
     )
     odometry_cost, laser_cost = (
-        student_cost(chi2_between(went_on, pose, covariance), STUDENT) for pose in (by_odometry, by_laser)
+        student_cost(chi2_between(constant_velocity, pose, covariance), STUDENT)
+        for pose in (by_odometry, by_laser)
     )
     return float(laser_cost - odometry_cost)
 
@@ -184,8 +187,8 @@ def _log_likelihood(residual_m: Matrix) -> Matrix:
 class MovingScene:
     """Monitors the matches and replaces those that moving objects have displaced.
 
-    align               (attempt, start (3,), sub-map, is_held) -> the match; with is_held the prior is
-                        Gaussian
+    align               (attempt, start (3,), sub-map, is_constrained) -> the match; is_constrained: the
+                        prior is Gaussian
     steady              the motion of the matches
     degraded_sigma_m    above this sigma a direction is unobservable
     """
@@ -257,14 +260,14 @@ class MovingScene:
 
         Moving objects may hide walls, but no beam passes through a wall.
         """
-        if attempt.predicted.reckoned is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+        if attempt.predicted.increment is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
             self._reckoning.forget()
             return None
         static, _share = self._align_static(attempt, attempt.prior, submap)
         pose, xy_base = static.result.pose, static.xy_base
         residual_m = submap.static_residuals(xy_base, attempt.normals, pose)
         on_walls = int((np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M).sum())
-        through = submap.through_static(attempt.points, xy_base, pose)
+        through = submap.beams_through_static(attempt.points, xy_base, pose)
         if (
             on_walls < MIN_CONFIRMING
             or on_walls < MIN_STATIC_AGREEMENT * (on_walls + through)
@@ -285,13 +288,13 @@ class MovingScene:
 
     def _inertia_nats(self, attempt: Attempt, by_laser: Aligned) -> float:
         """The part of inertia; 0 where the motion of the last matches is unknown."""
-        last, went_on = self._steady.last, self._steady.pose_at(attempt.stamp_ns)
+        last, constant_velocity = self._steady.last, self._steady.pose_at(attempt.stamp_ns)
         predicted = attempt.predicted
-        if last is None or went_on is None or not predicted.is_measured:
+        if last is None or constant_velocity is None or not predicted.is_measured:
             return 0.0
-        step = predicted.reckoned or _by_speed(predicted)
+        step = predicted.increment or _by_speed(predicted)
         poses = last @ step.pose, by_laser.pose
-        return inertia_nats(went_on, *poses, predicted.elapsed_s, attempt.prior.covariance)
+        return inertia_nats(constant_velocity, *poses, predicted.elapsed_s, attempt.prior.covariance)
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all points."""
@@ -337,8 +340,8 @@ class MovingScene:
 
         On unknown ground moving objects are not recognised by free space.
         """
-        whole = self._align(attempt, attempt.prior.pose, static.submap, False)
-        self._drag = self._drag @ (static.pose.inverse() @ whole.pose)
+        entire = self._align(attempt, attempt.prior.pose, static.submap, False)
+        self._drag = self._drag @ (static.pose.inverse() @ entire.pose)
         self._path_length_m += attempt.predicted.travel_m
         off_m, off_rad = math.hypot(self._drag.x_m, self._drag.y_m), abs(self._drag.theta_rad)
         scale = USUAL.odometry_scale_sigma * self._path_length_m

@@ -29,9 +29,9 @@ def _prior() -> npt.NDArray[np.float64]:
     prior = np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
     smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTH_NODES), 3))
     prior[:SMOOTH_NODES, :SMOOTH_NODES] += smooth @ smooth.T / SMOOTH_SIGMA_M**2
-    whole = np.diag(np.full(NODES + 1, OFFSET_SIGMA_M**-2))
-    whole[:NODES, :NODES] = prior
-    return whole
+    information = np.diag(np.full(NODES + 1, OFFSET_SIGMA_M**-2))
+    information[:NODES, :NODES] = prior
+    return information
 
 
 @dataclass(slots=True)

@@ -142,7 +142,7 @@ class Submap:
         find_dynamic(xy_base, pose, self.grid(), self._observations(), self._static_mark, is_dynamic)
         return is_dynamic
 
-    def through_static(
+    def beams_through_static(
         self, points: Points, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
     ) -> int:
         """Number of beams that pass through static walls."""
@@ -170,13 +170,13 @@ class Submap:
             self._path_m += math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
         self._last_pose = pose
         if self._dynamic_filter.enough > 0:
-            normals = self._sight(points, normals, pose_vector, grid)
+            normals = self._update_static_score(points, normals, pose_vector, grid)
         if posts is None:  # round objects have another normal from each side
             normals = self.narrow_walls.insert(points, normals, pose_vector)
         walls = [(points.xy_base, normals)]
         if posts is not None:
-            whole = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
-            walls.append((np.repeat(posts.xy_base, 2, axis=0), whole))
+            directions = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
+            walls.append((np.repeat(posts.xy_base, 2, axis=0), directions))
         point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         for surfels in (grid, self.fine_grid()):
@@ -192,7 +192,7 @@ class Submap:
         shorten_surfels(self.grid(), laser, step_m)
         shorten_surfels(self.fine_grid(), laser, step_m)
 
-    def _sight(
+    def _update_static_score(
         self,
         points: Points,
         normals: npt.NDArray[np.float64],
@@ -238,8 +238,8 @@ class Submap:
     def release(self) -> None:
         """Release the tiles and clear their observations; a tile taken again clears only its surfels."""
         slots = self._tiles.slots[self._tiles.slots != NO_TILE]
-        for sighted in self._observations():
-            sighted[slots] = 0
+        for array in self._observations():
+            array[slots] = 0
         self._tiles.release()
         self._fine_tiles.release()
         self.narrow_walls.release()

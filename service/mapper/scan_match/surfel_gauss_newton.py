@@ -186,8 +186,8 @@ class SurfelGaussNewton:
             return self._on_segment(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
             return self._as_match(static, attempt, static.state, static.reason)
-        aligned = self._likelier(self._align(attempt, attempt.prior.pose, submap), attempt)
-        aligned = self._searched(self._matched_as_if_driven_on(aligned, attempt), attempt)
+        aligned = self._more_likely(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             aligned = self._scene.judge(aligned, attempt)
             if aligned.is_moving is not None:
@@ -269,10 +269,12 @@ class SurfelGaussNewton:
         if offset_m:
             local_map.shorten(sensor, offset_m)
 
-    def _align(self, attempt: Attempt, start: Matrix, submap: Submap, is_held: bool = False) -> Aligned:
+    def _align(
+        self, attempt: Attempt, start: Matrix, submap: Submap, is_constrained: bool = False
+    ) -> Aligned:
         """The match on a sub-map from the initial pose `start`, and its judgement.
 
-        is_held: the prior is Gaussian, and contradictions by the map are evaluated.
+        is_constrained: the prior is Gaussian, and contradictions by the map are evaluated.
         """
         points = attempt.points
         xy_base, normals = points.xy_base.copy(), attempt.normals
@@ -293,22 +295,22 @@ class SurfelGaussNewton:
             submap.grid() if attempt.predicted.is_scan_alone else submap.fine_grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
-                repeats=max(1.0, SAME_WALL_M / _apart_m(attempt.predicted)),
+                repeats=max(1.0, SAME_WALL_M / _travel_m(attempt.predicted)),
                 chance_chi2=0.0 if attempt.predicted.is_scan_alone else chance_chi2,
                 information_chance_chi2=chance_chi2,
-                degrees_of_freedom=GAUSSIAN if is_held else STUDENT,
+                degrees_of_freedom=GAUSSIAN if is_constrained else STUDENT,
             ),
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
         )
         xy_base = xy_base[: len(points.xy_base)]
-        evidence = self._evidence(result, xy_base, attempt, submap, is_held)
+        evidence = self._evidence(result, xy_base, attempt, submap, is_constrained)
         return Aligned(
             result, xy_base, submap, *judge(evidence, self._config), is_contradicted=is_contradicted(evidence)
         )
 
     def _evidence(
-        self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap, is_asked: bool
+        self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap, is_checked: bool
     ) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = (
@@ -318,7 +320,7 @@ class SurfelGaussNewton:
         )
         in_free, behind = 0, 0
         doubt_ratio = max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio)
-        if is_asked or is_far or result.share < doubt_ratio:
+        if is_checked or is_far or result.share < doubt_ratio:
             in_free, behind = submap.contradicting(attempt.points, xy_base, attempt.normals, result.pose)
         return Evidence(
             used=result.used,
@@ -333,7 +335,7 @@ class SurfelGaussNewton:
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
 
-    def _likelier(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+    def _more_likely(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """The more likely of a match far from the prediction and the match near it; [33].
 
         Returns on unknown ground cost as much as contradicting ones. A scan with many of them would be
@@ -342,7 +344,7 @@ class SurfelGaussNewton:
         """
         if aligned.result.prior_weight >= MIN_PRIOR_WEIGHT:
             return aligned
-        near = self._align(attempt, attempt.prior.pose, aligned.submap, is_held=True)
+        near = self._align(attempt, attempt.prior.pose, aligned.submap, is_constrained=True)
         if near.is_contradicted or near.result.share > DOUBT_RATIO * aligned.result.share:
             return aligned
         pulled = np.linalg.solve(attempt.prior.covariance, _off(near.result.pose, attempt.prior))
@@ -353,7 +355,7 @@ class SurfelGaussNewton:
         )
         return near if cost_near + scan_cost < cost else aligned
 
-    def _matched_as_if_driven_on(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+    def _matched_at_constant_velocity(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """The match from the pose at constant velocity, if it has clearly more inliers: odometry may be dead.
 
         It is tried at a low inlier ratio; after a contradicted prediction always, and any gain is accepted.
@@ -364,10 +366,10 @@ class SurfelGaussNewton:
         start = self._steady.pose_at(attempt.stamp_ns)
         if start is None:
             return aligned
-        begun = np.array([start.x_m, start.y_m, start.theta_rad])
-        if _chi2(begun, attempt.prior) < JUMP_CHI2:
+        begin = np.array([start.x_m, start.y_m, start.theta_rad])
+        if _chi2(begin, attempt.prior) < JUMP_CHI2:
             return aligned  # the same initial pose
-        found = self._align(attempt, begun, aligned.submap)
+        found = self._align(attempt, begin, aligned.submap)
         gain = 0.0 if self._was_contradicted else GAIN
         return found if found.state != "lost" and found.result.share > share + gain else aligned
 
@@ -431,14 +433,14 @@ def _unmeasured(pause_s: float) -> Reason:
     )
 
 
-def _apart_m(predicted: Prediction) -> float:
+def _travel_m(predicted: Prediction) -> float:
     """Travel since the previous scan, m; at standstill SAME_WALL_M / MAX_REPEATS."""
     return max(predicted.travel_m, SAME_WALL_M / MAX_REPEATS)
 
 
 def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are subtracted from the information of a scan; [22]."""
-    return 2.0 * math.log(min(max(CHANCE_M / _apart_m(predicted), 1.0), MAX_CHANCE_SCANS))
+    return 2.0 * math.log(min(max(CHANCE_M / _travel_m(predicted), 1.0), MAX_CHANCE_SCANS))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
@@ -464,7 +466,7 @@ def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
                 [0.0, 0.0, 1.0],
             ]
         )
-        predicted = predicted.less_known(carry @ gap.covariance @ carry.T)
+        predicted = predicted.with_added_covariance(carry @ gap.covariance @ carry.T)
     return Prior(
         np.array([pose.x_m, pose.y_m, pose.theta_rad]),
         np.array(predicted.twist_base),

@@ -59,10 +59,10 @@ def test_what_is_handed_back_makes_no_pose_better_known() -> None:
     packed, beside = PackedFilter(np.zeros(NUMBERS), np.zeros(STAMPS, np.int64)), ConsistentCovariance()
     state = views_of(packed)
     state.covariance[MAP_BLOCK, MAP_BLOCK] = np.diag([1.0, 1.0, 1e-4])
-    beside.watch(packed, is_scan_alone=True)
+    beside.switch(packed, is_scan_alone=True)
     beside.widen(np.diag([3.0, 0.0, 0.0]))
     widen_pose(state, np.diag([0.0, 5.0, 0.0]))
-    beside.watch(packed, is_scan_alone=False)
+    beside.switch(packed, is_scan_alone=False)
     assert np.allclose(state.covariance[MAP_BLOCK, MAP_BLOCK], np.diag([4.0, 6.0, 1e-4]))
     assert np.linalg.eigvalsh(state.covariance).min() > -1e-12
 

@@ -124,7 +124,7 @@ def test_wheels_that_stand_at_once_while_no_scan_comes_measure_no_motion(
                 )
                 assert predicted.pause_s == pytest.approx(0.0 if is_known else 3.0, abs=0.05)
                 assert is_loose(sigmas_of(predicted.local_covariance)) != is_known
-                assert predicted.is_unwitnessed != is_known
+                assert predicted.is_unconfirmed_stop != is_known
             elif stamp_ms > 7100:
                 assert predicted.is_measured
                 assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
@@ -140,6 +140,6 @@ def test_where_scans_are_seconds_apart_wheels_are_believed_between_them() -> Non
         assert model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
         if stamp_ms % 2000 == 0:
             predicted = model.predict(stamp_ms * MS)
-            assert not predicted.is_unwitnessed
+            assert not predicted.is_unconfirmed_stop
             assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.05)
             model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))

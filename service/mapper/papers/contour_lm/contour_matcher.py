@@ -165,10 +165,10 @@ class ContourLm:
         half_steps = round(window_rad / config.step_rad)
         if half_cells == 0 and half_steps == 0:
             return pose
-        asked = thinned(xy_base, config.beams)
+        thin = thinned(xy_base, config.beams)
         window = SearchWindow(pose, half_cells, half_cells, half_steps, config.step_rad)
-        best, sums = search_exhaustive(asked, layer, window)
-        here = float(sums[half_steps, half_cells, half_cells]) / len(asked)
+        best, sums = search_exhaustive(thin, layer, window)
+        here = float(sums[half_steps, half_cells, half_cells]) / len(thin)
         found: Array = best.pose
         return found if best.score > here + config.least_gain else pose
 

@@ -122,7 +122,7 @@ class IcpThenSearch:
                 best = search_bounded(xy_base, layer, window)
                 self.evaluated += best.evaluated
             else:
-                best, _ = self._ask(xy_base, layer, window)
+                best, _ = self._evaluate(xy_base, layer, window)
             on_border = best.i in (0, 2 * window.half_x) or best.j in (0, 2 * window.half_y)
             if not on_border or self.window_m >= config.most_window_m:
                 return best
@@ -134,10 +134,12 @@ class IcpThenSearch:
         """The best within `half` cells and narrow_steps of a pose, and its covariance."""
         config = self._config
         window = SearchWindow(pose, half, half, config.narrow_steps, config.step_rad)
-        best, sums = self._ask(xy_base, layer, window)
+        best, sums = self._evaluate(xy_base, layer, window)
         return best, self._covariance(best, sums, window, layer)
 
-    def _ask(self, xy_base: Array, layer: LikelihoodLayer, window: SearchWindow) -> tuple[SearchResult, Sums]:
+    def _evaluate(
+        self, xy_base: Array, layer: LikelihoodLayer, window: SearchWindow
+    ) -> tuple[SearchResult, Sums]:
         best, sums = search_exhaustive(xy_base, layer, window)
         self.evaluated += best.evaluated
         return best, sums
@@ -146,7 +148,7 @@ class IcpThenSearch:
         """Sub-cell pose: the likelihood-weighted mean of the candidates around the best."""
         step_rad = self._config.step_rad / HEADING_STEPS_BETWEEN
         window = SearchWindow(best.pose, REFINE_CELLS, REFINE_CELLS, HEADING_STEPS_BETWEEN, step_rad)
-        best, sums = self._ask(xy_base, layer, window)
+        best, sums = self._evaluate(xy_base, layer, window)
         top = float(sums[best.k, best.j, best.i])
         mean, _ = surface_moments(sums, top, self._config.refine_scale / layer.scale)
         middle = np.array([window.half_x, window.half_y, window.half_theta])

@@ -74,13 +74,13 @@ class PatchMap:
         self.config = config
         self._new_store = new_store
         code = HIT_CODE[config.score]
-        self._offset, self._scale, whole = BACKGROUND, 0.1, HIT - BACKGROUND
+        self._offset, self._scale, full = BACKGROUND, 0.1, HIT - BACKGROUND
         values = [HIT - BACKGROUND, INNER - BACKGROUND, OUTER - BACKGROUND]
         if config.score == "product":
-            self._offset, whole = math.log(BACKGROUND), math.log(HIT / BACKGROUND)
-            self._scale = whole / code
+            self._offset, full = math.log(BACKGROUND), math.log(HIT / BACKGROUND)
+            self._scale = full / code
             values = [math.log(level / BACKGROUND) for level in (HIT, INNER, OUTER)]
-        self.levels = np.array([round(code * value / whole) for value in values], np.uint8)
+        self.levels = np.array([round(code * value / full) for value in values], np.uint8)
 
         self.start_over()
 
@@ -148,11 +148,11 @@ class PatchMap:
         self._last = pose
         join_m, lines_map = self._join_m(points), np.empty_like(xy_map)
         smooth_lines(xy_map, points.beam, join_m, self.config.smooth_m, lines_map)
-        drawn = self._touched(_along(lines_map, join_m, config.coarse_cell_m), 4 * config.coarse_cell_m)
-        for key in drawn:
+        touched = self._touched(_along(lines_map, join_m, config.coarse_cell_m), 4 * config.coarse_cell_m)
+        for key in touched:
             if key not in self._slots:
-                self._bring_in(key, drawn)
-        self._use(drawn)
+                self._bring_in(key, touched)
+        self._use(touched)
         changed = self._changed()
         rasterise_scan(
             lines_map, points.beam, self.fine, changed, self.levels, self.config.ring_cells, join_m

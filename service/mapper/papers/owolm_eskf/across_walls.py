@@ -50,9 +50,9 @@ def information_across(
     of_piece = np.sum(slopes * across, axis=1)[:, None] * across
     is_piece = (normals[:, 2] > ROUGH_WEIGHT) & ~(along_x | along_y)
     of_piece = _without_weak_direction(of_piece * is_piece[:, None], weights)
-    said = np.concatenate((values[:, :1], of_segment + of_piece), axis=1)
+    used = np.concatenate((values[:, :1], of_segment + of_piece), axis=1)
     information = np.empty((3, 3))
-    likelihood_normal_equations(points.xy_base, said, weights, pose, information, np.empty(3))
+    likelihood_normal_equations(points.xy_base, used, weights, pose, information, np.empty(3))
     return information
 
 
@@ -66,9 +66,9 @@ def information_of_dots(
     is_beside_x = along_x | _is_beside(xy[:, 1], segment[:, 0])
     is_beside_y = along_y | _is_beside(xy[:, 0], segment[:, 1])
     across = np.stack((along_y | ~is_beside_x, along_x | ~is_beside_y), axis=1)
-    said = np.concatenate((values[:, :1], values[:, 1:] * across), axis=1)
+    used = np.concatenate((values[:, :1], values[:, 1:] * across), axis=1)
     information = np.empty((3, 3))
-    likelihood_normal_equations(points.xy_base, said, weights, pose, information, np.empty(3))
+    likelihood_normal_equations(points.xy_base, used, weights, pose, information, np.empty(3))
     return information
 
 
@@ -80,18 +80,18 @@ def _is_beside(across_m: Array, segment: npt.NDArray[np.int32]) -> npt.NDArray[n
 
 
 def _without_weak_direction(slopes: Array, weights: Array) -> Array:
-    said, axes = np.linalg.eigh((weights[:, None] * slopes).T @ slopes)
-    if said[0] >= MIN_SHARE * said[1]:
+    information, axes = np.linalg.eigh((weights[:, None] * slopes).T @ slopes)
+    if information[0] >= MIN_SHARE * information[1]:
         return slopes
     (strong,) = _along_axes(axes[None, :, 1])
     kept: Array = slopes @ np.outer(strong, strong)
     return kept
 
 
-def _along_axes(ways: Array) -> Array:
+def _along_axes(directions: Array) -> Array:
     """Unit vectors (N, 2), those near an axis rotated onto it."""
-    angle = np.arctan2(ways[:, 1], ways[:, 0])
+    angle = np.arctan2(directions[:, 1], directions[:, 0])
     axis = np.round(angle / QUARTER_RAD)
     is_near = np.abs(angle - axis * QUARTER_RAD) < NEAR_AXIS_RAD
     turned = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])[axis.astype(np.int64) % 4]
-    return np.where(is_near[:, None], turned, ways)
+    return np.where(is_near[:, None], turned, directions)

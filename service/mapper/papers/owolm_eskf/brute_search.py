@@ -76,9 +76,9 @@ class BruteSearch:
         across = information_across(points, values, weights, segment, pose)
         sure = covariance = self._covariance(across, BLIND, theta_rad)
         if not predicted.is_confirmed:  # a single motion source may be wrong: isolated points count, too
-            said = information_of_dots(points, values, weights, segment, pose)
+            point_information = information_of_dots(points, values, weights, segment, pose)
             least = np.diag(1.0 / np.square([window_m, window_m, window_rad]))
-            covariance = self._covariance(said, least, theta_rad)
+            covariance = self._covariance(point_information, least, theta_rad)
         matched = local_map.pose_axes_odom.inverse() @ aligned
         information = inverse(covariance if is_found else sure)
         return Aligned(Measurement(matched, covariance, information, is_joined=False), points)
@@ -121,7 +121,7 @@ class BruteSearch:
             min(max(heading_rad, config.least_window_rad), config.most_window_rad),
         )
 
-    def _covariance(self, said: Array, least: Array, theta_rad: float) -> Array:
+    def _covariance(self, point_information: Array, least: Array, theta_rad: float) -> Array:
         """(3, 3) of x, y, theta in base axes, from the information of the points and a least information."""
-        information = said / self._config.covariance_scale + least
+        information = point_information / self._config.covariance_scale + least
         return in_base_axes(inverse(information), theta_rad) + self._floor

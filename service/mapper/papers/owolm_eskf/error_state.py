@@ -117,16 +117,16 @@ class ErrorStateFilter:
         turn = np.empty((3, 3))
         rotation_of(np.array([0.0, 0.0, step.theta_rad]), turn)
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        way = np.array([c * step.x_m - s * step.y_m, s * step.x_m + c * step.y_m, 0.0])
+        displacement = np.array([c * step.x_m - s * step.y_m, s * step.x_m + c * step.y_m, 0.0])
         self.rotation = turn @ before
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         arm = self.rotation @ self._arm_m
-        self.position_m = base + way + arm
+        self.position_m = base + displacement + arm
         speed = np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], 0.0])
         self.velocity_mps = speed + np.cross([0.0, 0.0, twist[2]], arm)
 
         transition = np.eye(STRAPDOWN_STATES)
-        swept = way + arm - before @ self._arm_m  # an error of heading rotates the path of the IMU
+        swept = displacement + arm - before @ self._arm_m  # an error of heading rotates the path of the IMU
         transition[VELOCITY:ATTITUDE, :] = 0.0
         if is_measured:
             transition[POSITION:VELOCITY, ATTITUDE:FORCE_BIAS] = -cross_matrix(swept)
@@ -152,7 +152,7 @@ class ErrorStateFilter:
         """(3, 3) of x, y, yaw of the base, in its own axes."""
         return self._of_base(self.covariance)
 
-    def doubt_pose(self, weight: float) -> None:
+    def scale_pose_information(self, weight: float) -> None:
         """Multiply the information of position and yaw by a weight below 1."""
         rows = np.ix_([POSITION, POSITION + 1, ATTITUDE + 2], [POSITION, POSITION + 1, ATTITUDE + 2])
         self.covariance[rows] *= 1.0 / weight

@@ -70,26 +70,26 @@ class FilterPair:
         """Apply a match: its information is that of walls, its covariance that of all points."""
         if measured.prior_weight < 1.0:
             for each in self.all:
-                each.doubt_pose(measured.prior_weight)
-        told, across = self.across.pose, _across(measured)  # told: as predicted
+                each.scale_pose_information(measured.prior_weight)
+        predicted, across = self.across.pose, _across(measured)
         self.is_fixed = sigmas_of(across)[0] <= FIXED_M
         before = self.across.pose_covariance()
         self.across.observe_pose(measured.pose_odom_base, across)
         if self.dots is None and sigmas_of(before)[0] > FIXED_M:
-            turn = _rotation(told.theta_rad)
+            turn = _rotation(predicted.theta_rad)
             self._drift += turn @ (before - self.across.pose_covariance())[:2, :2] @ turn.T
         if self.dots is not None:
             self.dots.observe_pose(measured.pose_odom_base, measured.covariance)
-            self._compare(told, self.dots)
+            self._compare(predicted, self.dots)
         elif not (self._is_confirmed or measured.is_joined) and self.is_fixed:
             self.dots = copy.deepcopy(self.across)
             self._begin_to_count()
 
-    def _compare(self, told: SE2, dots: ErrorStateFilter) -> None:
+    def _compare(self, predicted: SE2, dots: ErrorStateFilter) -> None:
         """Drop the filter of the points where the two contradict, unless odometry has the wrong sign."""
-        way, by_dots = self._counted[0].inverse() @ told, self._counted[1].inverse() @ dots.pose
-        backwards_m = self._backwards_m + _backwards_m(way, by_dots)
-        if math.hypot(way.x_m, way.y_m) >= STEP_M:
+        path, by_dots = self._counted[0].inverse() @ predicted, self._counted[1].inverse() @ dots.pose
+        backwards_m = self._backwards_m + _backwards_m(path, by_dots)
+        if math.hypot(path.x_m, path.y_m) >= STEP_M:
             self._backwards_m = backwards_m
             self._counted = self.across.pose, dots.pose
         covariance = self.across.pose_covariance() + MIN_COVARIANCE
@@ -108,12 +108,12 @@ class FilterPair:
         self._counted, self._backwards_m = (self.across.pose, self.best.pose), 0.0
 
 
-def _backwards_m(way: SE2, by_dots: SE2) -> float:
+def _backwards_m(path: SE2, by_dots: SE2) -> float:
     """Distance that the points' pose moved against a path; a small part is noise of a match."""
-    length_m = math.hypot(way.x_m, way.y_m)
+    length_m = math.hypot(path.x_m, path.y_m)
     if length_m == 0.0:
         return 0.0
-    along_m = (by_dots.x_m * way.x_m + by_dots.y_m * way.y_m) / length_m
+    along_m = (by_dots.x_m * path.x_m + by_dots.y_m * path.y_m) / length_m
     return -along_m if along_m < -0.5 * length_m else 0.0
 
 

@@ -197,13 +197,17 @@ class InertialMotion:
         self._rate, self._is_inertial = felt[-1, 3:], True
 
     def _move(
-        self, filter_: ErrorStateFilter, elapsed_s: float, way: SE2 | None, wheel_twist: Twist | None
+        self,
+        filter_: ErrorStateFilter,
+        elapsed_s: float,
+        step_by_odometry: SE2 | None,
+        wheel_twist: Twist | None,
     ) -> None:
         config = self._config
         guess = elapsed_s**2  # 0.5 a t^2 within the interval, and as much for the delay of the last speed
         self._turn = self._turn_radps if wheel_twist is None else wheel_twist[2]
-        if way is not None and wheel_twist is not None:
-            d, a = math.hypot(way.x_m, way.y_m), abs(way.theta_rad)
+        if step_by_odometry is not None and wheel_twist is not None:
+            d, a = math.hypot(step_by_odometry.x_m, step_by_odometry.y_m), abs(step_by_odometry.theta_rad)
             sigmas = (
                 config.position_sigma_m + config.position_sigma_per_m * d,
                 config.heading_sigma_rad
@@ -211,7 +215,7 @@ class InertialMotion:
                 + config.heading_sigma_per_m_rad * d,
                 config.wheel_speed_sigma_mps,
             )
-            filter_.move(way, elapsed_s, wheel_twist, np.array(sigmas), is_measured=True)
+            filter_.move(step_by_odometry, elapsed_s, wheel_twist, np.array(sigmas), is_measured=True)
             return
         twist = self._twist_of(filter_)
         step = SE2.exp(*(rate * elapsed_s for rate in twist))

@@ -14,7 +14,7 @@ from service.kernels.likelihood import LikelihoodField
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.papers.submap_graph.key_scan import DrawnScan, KeyScan
+from service.mapper.papers.submap_graph.key_scan import InsertedScan, KeyScan
 
 SAME_WALL_M = 0.10  # largest distance of a return from its wall
 POOL_TILES = 131_072  # 1.3 GB of address space; only touched pages take memory
@@ -55,7 +55,7 @@ class ClosedSubmap:
 
     number: int
     carried: int
-    scans: tuple[DrawnScan, ...]
+    scans: tuple[InsertedScan, ...]
     track: npt.NDArray[np.float64]
     config: CountedSubmapsConfig
 

@@ -34,7 +34,7 @@ class KeptScan:
     packed: bytes
 
     @classmethod
-    def of(cls, scan: "DrawnScan") -> "KeptScan":
+    def of(cls, scan: "InsertedScan") -> "KeptScan":
         away = scan.xy_base.astype(np.float64) - scan.sensor_xy_m
         ranges = np.rint(np.hypot(*away.T) / RANGE_STEP_M).astype(np.int32)
         bearings = np.rint(np.unwrap(np.arctan2(away[:, 1], away[:, 0])) / BEARING_STEP_RAD).astype(np.int32)
@@ -55,4 +55,4 @@ class KeptScan:
         return (away + self.sensor_xy_m).astype(np.float32)
 
 
-DrawnScan = KeyScan | KeptScan
+InsertedScan = KeyScan | KeptScan

@@ -87,10 +87,10 @@ class ParticleFilter:
         if is_found:
             local_map.gather(predicted.pose_odom_base)
             local_map.log_weights[:] = 0.0
-            way = SE2()
+            step = SE2()
         else:
-            way = self._last.inverse() @ predicted.pose_odom_base
-        self.move_particles(way, predicted.local_covariance, local_map)
+            step = self._last.inverse() @ predicted.pose_odom_base
+        self.move_particles(step, predicted.local_covariance, local_map)
         self._align_or_search(points, predicted, local_map)
         normalise_weights(local_map.log_weights, local_map.weights)
         return Aligned(self._mean(local_map), points)
@@ -109,13 +109,13 @@ class ParticleFilter:
         resample(local_map.weights, float(self._random.random()), chosen)
         local_map.take_over(chosen)
 
-    def move_particles(self, way: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
-        """Move each particle by a step, and by a sampled error where particles are drawn from the motion."""
-        step = np.array([way.x_m, way.y_m, way.theta_rad])
+    def move_particles(self, step: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
+        """Move each particle by a step, and by a sampled error if particles are sampled from the motion."""
+        vector = np.array([step.x_m, step.y_m, step.theta_rad])
         self._deviates = self._random.standard_normal((len(local_map.particles), 3))
         root = _root(covariance) if self._config.draw == "aligned" else np.zeros((3, 3))
         for particle, error in zip(local_map.particles, self._deviates @ root.T, strict=True):
-            particle.pose = se2.compose(se2.compose(particle.pose, step), error)
+            particle.pose = se2.compose(se2.compose(particle.pose, vector), error)
 
     def _align_or_search(self, points: Points, predicted: Prediction, local_map: CountedSubmaps) -> None:
         """Align each particle with its map.

@@ -28,14 +28,14 @@ def compare(
     check.begin()
     here = Prediction(SE2(1.0, 2.0, 0.3), (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
     for number, offset in enumerate(offsets):
-        looked_for = check.where_to_look(here, 0.0)
-        off = (looked_for.pose_odom_base.inverse() @ here.pose_odom_base @ offset).log()
+        prior = check.search_prior(here, 0.0)
+        off = (prior.pose_odom_base.inverse() @ here.pose_odom_base @ offset).log()
         information = seen @ np.linalg.inv(SIGMA @ SIGMA)
-        covariance = np.linalg.inv(information + np.linalg.inv(looked_for.local_covariance))
+        covariance = np.linalg.inv(information + np.linalg.inv(prior.local_covariance))
         found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
-        pose = looked_for.pose_odom_base @ SE2.exp(*found.tolist())
+        pose = prior.pose_odom_base @ SE2.exp(*found.tolist())
         advantage = advantages[min(number // BATCH, len(advantages) - 1)]
-        check.add(looked_for, Measurement(pose, covariance, information), advantage)
+        check.add(prior, Measurement(pose, covariance, information), advantage)
     return check
 
 

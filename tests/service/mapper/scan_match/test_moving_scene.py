@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import LaserScan
-from service.estimator.motion import Prediction, Reckoned
+from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.scan_match.moving_scene import Reckoning, evidence_nats, inertia_nats
@@ -24,9 +24,9 @@ STEP_M, STEP_NS = 0.04, 40_000_000
 
 
 def predicted(step: SE2 | None, elapsed_s: float = 0.04) -> Prediction:
-    reckoned = None if step is None else Reckoned(step, (0.02**2) * STEP_M, 1e-6)
+    increment = None if step is None else OdometryIncrement(step, (0.02**2) * STEP_M, 1e-6)
     no = np.eye(3)
-    return Prediction(SE2(), (1.0, 0.0, 0.0), no, no, no, elapsed_s, STEP_M, True, reckoned=reckoned)
+    return Prediction(SE2(), (1.0, 0.0, 0.0), no, no, no, elapsed_s, STEP_M, True, increment=increment)
 
 
 def conflict_of(matched_m: float, scans: int = 10) -> float | None:

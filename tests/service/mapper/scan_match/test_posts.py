@@ -125,7 +125,7 @@ def test_the_quick_look_at_a_scan_refuses_none_that_sees_posts_mostly(monkeypatc
             scans.append(points)
     quick = [posts_of(points) is not None for points in scans]
     quick_look = posts.may_be_posts
-    monkeypatch.setattr(posts, "look_for_posts", lambda *given: (True, quick_look(*given)[1]))
+    monkeypatch.setattr(posts, "may_be_posts", lambda *given: (True, quick_look(*given)[1]))
     assert quick == [posts_of(points) is not None for points in scans]
     assert 20 < sum(quick) < len(scans) - 20
 

@@ -30,7 +30,7 @@ from service.mapper.papers.submap_graph.graph.submap_match import (
     SubmapMatchConfig,
     WallPoints,
     about_origin,
-    draw_walls,
+    extract_walls,
     find,
     is_seen,
 )
@@ -39,7 +39,7 @@ from service.mapper.papers.submap_graph.graph.submap_realignment import (
     align_cloud,
     cloud_of,
 )
-from service.mapper.papers.submap_graph.key_scan import DrawnScan, KeptScan
+from service.mapper.papers.submap_graph.key_scan import InsertedScan, KeptScan
 from service.outputs import GraphPicture
 
 SURFEL_POINTS = 2000  # of a sub-map, aligned with the surfels of another
@@ -160,12 +160,12 @@ class _Landmark:
 
 @dataclass(slots=True, eq=False)
 class LandmarkBackEnd:
-    """BackEnd. Track points are in two frames: `drawn` in odom, with realigned scans; `poses` in map."""
+    """BackEnd. Track points are in two frames: `odom_poses` in odom, with realigned scans; `poses` in map."""
 
     config: LandmarkGraphConfig
     renderer: MapRenderer | None
     submaps: list[_Submap] = field(default_factory=list)
-    drawn: list[Floats] = field(default_factory=list)
+    odom_poses: list[Floats] = field(default_factory=list)
     poses: list[Floats] = field(default_factory=list)
     path_length_m: list[float] = field(default_factory=list)
     matches: list[_Match] = field(default_factory=list)
@@ -199,24 +199,24 @@ class LandmarkBackEnd:
         """Add a sub-map; returns whether landmarks were found in others."""
         begin_m = self.path_length_m[-1] if self.path_length_m else 0.0
         aligned = self.realignment.realign(closed)
-        scans: tuple[DrawnScan, ...] = tuple(KeptScan.of(scan) for scan in closed.scans[closed.carried :])
+        scans: tuple[InsertedScan, ...] = tuple(KeptScan.of(scan) for scan in closed.scans[closed.carried :])
         if closed.carried:  # shared with the previous sub-map: stored once
             scans = self.submaps[-1].closed.scans[-closed.carried :] + scans
         submap = _Submap(replace(aligned, scans=scans), closed.track[-1], begin_m, _corners(aligned))
         self.submaps.append(submap)
         for pose in aligned.track[submap.own]:
-            away_m = math.dist(pose[:2], self.drawn[-1][:2]) if self.drawn else 0.0
-            if not self.drawn:
+            away_m = math.dist(pose[:2], self.odom_poses[-1][:2]) if self.odom_poses else 0.0
+            if not self.odom_poses:
                 self._add_node(submap, pose, pose, 0.0)
             elif away_m >= self.config.node_spacing_m or not submap.nodes:
-                moved = se2.compose(self.poses[-1], se2.between(self.drawn[-1], pose))
+                moved = se2.compose(self.poses[-1], se2.between(self.odom_poses[-1], pose))
                 self._add_node(submap, pose, moved, self.path_length_m[-1] + away_m)
-            submap.behind.append(len(self.drawn) - 1)
+            submap.behind.append(len(self.odom_poses) - 1)
         return self._tie(len(self.submaps) - 1, widely=True)
 
-    def _add_node(self, submap: _Submap, drawn: Floats, pose: Floats, path_length_m: float) -> None:
-        submap.nodes.append(len(self.drawn))
-        self.drawn.append(drawn)
+    def _add_node(self, submap: _Submap, odom_poses: Floats, pose: Floats, path_length_m: float) -> None:
+        submap.nodes.append(len(self.odom_poses))
+        self.odom_poses.append(odom_poses)
         self.poses.append(pose)
         self.path_length_m.append(path_length_m)
 
@@ -268,7 +268,7 @@ class LandmarkBackEnd:
         """The walls of a sub-map, recomputed from its scans if not cached."""
         walls = self.walls.pop(number, None)
         if walls is None:
-            walls = draw_walls(self.submaps[number].closed, self.config.match)
+            walls = extract_walls(self.submaps[number].closed, self.config.match)
         self.walls[number] = walls
         if len(self.walls) > MAX_WALLS:
             del self.walls[next(iter(self.walls))]
@@ -309,9 +309,9 @@ class LandmarkBackEnd:
         a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
         new_node, old_node = mine[int(a)], theirs[int(b)]
         between = se2.between(poses[old_node], poses[new_node])
-        there = se2.compose(self.drawn[old_node], between)
+        there = se2.compose(self.odom_poses[old_node], between)
         origin = np.zeros(3)
-        return se2.compose(there, se2.between(self.drawn[new_node], origin))
+        return se2.compose(there, se2.between(self.odom_poses[new_node], origin))
 
     def _change_pairs(self, batch: Batch) -> None:
         if batch.what == "add" and batch.pair is not None:
@@ -331,11 +331,11 @@ class LandmarkBackEnd:
         """A point of the map in the frame of a sub-map, by its nearest track point."""
         nodes = self.submaps[submap].nodes
         node = min(nodes, key=lambda k: math.dist(self.poses[k][:2], xy_map))
-        return se2.points_from(self.drawn[node], se2.points_seen(self.poses[node], xy_map))
+        return se2.points_from(self.odom_poses[node], se2.points_seen(self.poses[node], xy_map))
 
     def _nearest(self, submap: int, xy: Floats) -> int:
         """The track point of a sub-map that is nearest to a point of its frame."""
-        return min(self.submaps[submap].nodes, key=lambda node: math.dist(self.drawn[node][:2], xy[:2]))
+        return min(self.submaps[submap].nodes, key=lambda node: math.dist(self.odom_poses[node][:2], xy[:2]))
 
     def _graph(self) -> PoseGraph:
         """The pose graph; after the track points one pose for each match: that of its landmarks' centre.
@@ -343,9 +343,9 @@ class LandmarkBackEnd:
         The landmarks are observed from there and from the new sub-map, so that the error of the match is
         common to all of them.
         """
-        drawn, poses = np.array(self.drawn), np.array(self.poses)
-        count = len(drawn)
-        measured = se2.between(drawn[:-1], drawn[1:])
+        odom_poses, poses = np.array(self.odom_poses), np.array(self.poses)
+        count = len(odom_poses)
+        measured = se2.between(odom_poses[:-1], odom_poses[1:])
         path_length_m = np.maximum(np.diff(self.path_length_m), 0.1)
         covariance = np.zeros((count - 1, 3, 3))
         covariance[:, 0, 0] = covariance[:, 1, 1] = self.config.drift_m_per_sqrt_m**2 * path_length_m
@@ -353,7 +353,7 @@ class LandmarkBackEnd:
         edges = Edges(np.arange(count - 1), np.arange(1, count), measured, covariance, np.zeros(count - 1))
         if self.matches:
             holds = np.array([self._nearest(match.submaps[1], match.there) for match in self.matches])
-            aligned = se2.between(drawn[holds], np.array([match.there for match in self.matches]))
+            aligned = se2.between(odom_poses[holds], np.array([match.there for match in self.matches]))
             known = np.array([match.covariance for match in self.matches])
             widths = np.full(len(holds), self.config.kernel_width)
             edges = edges.followed_by(Edges(holds, count + np.arange(len(holds)), aligned, known, widths))
@@ -366,7 +366,7 @@ class LandmarkBackEnd:
                     xy = se2.points_seen(self.matches[mark.match].middle, mark.xy[0])
                 else:
                     node = self._nearest(mark.submaps[side], mark.xy[side])
-                    xy = se2.points_seen(drawn[node], mark.xy[side])
+                    xy = se2.points_seen(odom_poses[node], mark.xy[side])
                 of.append(node)
                 seen.append(xy)
             guess.append(se2.points_from(poses[of[-1]], seen[-1]))
@@ -381,18 +381,18 @@ class LandmarkBackEnd:
         return PoseGraph(poses, edges, np.array(guess).reshape(-1, 2), sightings)
 
     def _solve(self) -> None:
-        if len(self.drawn) < 2:
+        if len(self.odom_poses) < 2:
             return
-        self.poses = list(solve(self._graph()).poses[: len(self.drawn)])
+        self.poses = list(solve(self._graph()).poses[: len(self.odom_poses)])
 
     def _key_poses(self) -> tuple[npt.NDArray[np.int64], Floats]:
         """Stamps and map poses of all key scans, interpolated between the track points on both sides."""
         closed = [submap.closed for submap in self.submaps]
         stamps = [scan.stamp_ns for one in closed for scan in one.scans[one.carried :]]
-        drawn = np.concatenate([one.track[one.carried :] for one in closed])
+        odom_poses = np.concatenate([one.track[one.carried :] for one in closed])
         before = np.array([node for submap in self.submaps for node in submap.behind], np.int64)
-        after = np.minimum(before + 1, len(self.drawn) - 1)
-        poses = _bent(np.array(self.poses), np.array(self.drawn), before, after, drawn)
+        after = np.minimum(before + 1, len(self.odom_poses) - 1)
+        poses = _bent(np.array(self.poses), np.array(self.odom_poses), before, after, odom_poses)
         return np.array(stamps, np.int64), poses
 
     def _result(self, fault: str, is_last: bool) -> Result:
@@ -402,12 +402,12 @@ class LandmarkBackEnd:
         stamps, poses = self._key_poses()
         map_odom = se2.compose(poses[-1], se2.between(self.submaps[-1].end_odom, np.zeros(3)))
         nodes = np.array(self.poses)
-        before = np.array(self.drawn) if self.rendered is None else self.rendered
+        before = np.array(self.odom_poses) if self.rendered is None else self.rendered
         moved_m = float(np.hypot(*(nodes[: len(before)] - before[: len(nodes)]).T[:2]).max())
         rendered_map = None
         if self.renderer is not None and moved_m > (0.0 if is_last else self.config.render_again_m):
             self.rendered = nodes
-            rendered_map = self.renderer.render(self._drawn(poses))
+            rendered_map = self.renderer.render(self._scans_to_render(poses))
         apart_m = [self._apart_m(mark) for mark in self.landmarks]
         residuals = {
             mark.pair: apart
@@ -425,8 +425,8 @@ class LandmarkBackEnd:
             math.sqrt(sum(apart * apart for apart in apart_m) / max(len(apart_m), 1)),
             rendered_map,
             fault,
-            to_g2o(self._graph()) if is_last and len(self.drawn) > 1 else "",
-            len(self.drawn),
+            to_g2o(self._graph()) if is_last and len(self.odom_poses) > 1 else "",
+            len(self.odom_poses),
             self._picture(int(stamps[-1])),
         )
 
@@ -435,7 +435,7 @@ class LandmarkBackEnd:
         nodes = np.array(self.poses)
         middle = [submap.nodes[len(submap.nodes) // 2] for submap in self.submaps]
         borders = [
-            se2.points_from(nodes[k], se2.points_seen(self.drawn[k], submap.border))
+            se2.points_from(nodes[k], se2.points_seen(self.odom_poses[k], submap.border))
             for k, submap in zip(middle, self.submaps, strict=True)
         ]
         ties = sorted(self.tried | {pair.submaps for pair in self.pairs})
@@ -443,7 +443,7 @@ class LandmarkBackEnd:
         none = np.empty((0, 2), np.int64)
         return draw(stamp_ns, nodes[:, :2], np.zeros(len(nodes), np.int64), links, none, borders)
 
-    def _drawn(self, poses: Floats) -> Sequence[ScanToRender]:
+    def _scans_to_render(self, poses: Floats) -> Sequence[ScanToRender]:
         scans = [scan for submap in self.submaps for scan in submap.closed.scans[submap.own]]
         return [
             ScanToRender(scan.xy_base, scan.sensor_xy_m, SE2(*pose.tolist()))
@@ -455,7 +455,9 @@ class LandmarkBackEnd:
         ends = []
         for side in (0, 1):
             node = self._nearest(mark.submaps[side], mark.xy[side])
-            ends.append(se2.points_from(self.poses[node], se2.points_seen(self.drawn[node], mark.xy[side])))
+            ends.append(
+                se2.points_from(self.poses[node], se2.points_seen(self.odom_poses[node], mark.xy[side]))
+            )
         return math.dist(*ends)
 
 

@@ -75,15 +75,15 @@ class Found:
     landmarks: Floats  # (K, 2) m, in the frame of the new one
 
 
-def draw_walls(closed: ClosedSubmap, match: SubmapMatchConfig) -> WallPoints:
+def extract_walls(closed: ClosedSubmap, match: SubmapMatchConfig) -> WallPoints:
     """Count the scans of a closed sub-map again along the best particle's path, and return its walls."""
     config = closed.config
     pool = CountedMap.new_pool(4096)
-    drawn = CountedMap(pool, config)
+    counted = CountedMap(pool, config)
     for scan, pose in zip(closed.scans, closed.track, strict=True):
-        drawn.insert(scan.xy_base.astype(np.float64), np.array(scan.sensor_xy_m), pose)
+        counted.insert(scan.xy_base.astype(np.float64), np.array(scan.sensor_xy_m), pose)
     hits, passes, field, _touched = pool.arrays
-    tiles = np.array(drawn.tiles(), np.int64)
+    tiles = np.array(counted.tiles(), np.int64)
     rows, columns, slots = tiles.T
     log_odds = hits[slots].astype(np.float64) * config.weights.hit
     log_odds += passes[slots].astype(np.float64) * config.weights.passed

@@ -14,7 +14,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import wrap_angle
 from service.mapper.graph.model.point_clouds import Fit, PointCloud, SurfelSet, cloud_with_noise, joined
 from service.mapper.papers.submap_graph.counted_submaps import ClosedSubmap
-from service.mapper.papers.submap_graph.key_scan import DrawnScan
+from service.mapper.papers.submap_graph.key_scan import InsertedScan
 from service.mapper.walls import walls_of
 
 # Sigma of a particle's step between key scans, m, m, rad: it fixes a scan along walls without information.
@@ -39,9 +39,9 @@ class SubmapRealignment:
             if k < closed.carried:
                 track[k] = self._before[scan.stamp_ns]
             elif self._last is not None:
-                drawn, aligned = self._last
+                by_particle, aligned = self._last
                 track[k] = self._aligned(
-                    map_, cloud, se2.compose(aligned, se2.between(drawn, closed.track[k]))
+                    map_, cloud, se2.compose(aligned, se2.between(by_particle, closed.track[k]))
                 )
             map_.insert(cloud.transformed(track[k]))
             self._last = closed.track[k], track[k]
@@ -59,7 +59,7 @@ class SubmapRealignment:
         return pose
 
 
-def cloud_of(scans: Sequence[DrawnScan], track: Floats) -> PointCloud:
+def cloud_of(scans: Sequence[InsertedScan], track: Floats) -> PointCloud:
     """Scans with their poses (K, 3) as one cloud, in the frame of the poses."""
     return joined([_cloud(scan).transformed(pose) for scan, pose in zip(scans, track, strict=True)])
 
@@ -77,6 +77,6 @@ def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_point
     return fit, se2.compose(fit.pose, -middle)
 
 
-def _cloud(scan: DrawnScan) -> PointCloud:
+def _cloud(scan: InsertedScan) -> PointCloud:
     xy = scan.xy_base.astype(np.float64)
     return cloud_with_noise(xy, walls_of(xy, scan.sensor_xy_m, scan.angle_step_rad, 0.01).normals)

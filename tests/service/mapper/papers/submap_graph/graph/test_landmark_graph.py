@@ -25,7 +25,7 @@ from service.mapper.papers.submap_graph.graph.landmark_back_end import (
     LandmarkGraphConfig,
 )
 from service.mapper.papers.submap_graph.graph.landmark_graph import LandmarkGraph
-from service.mapper.papers.submap_graph.graph.submap_match import about_origin, draw_walls, find
+from service.mapper.papers.submap_graph.graph.submap_match import about_origin, extract_walls, find
 from service.mapper.papers.submap_graph.graph.submap_realignment import SubmapRealignment
 from service.mapper.papers.submap_graph.key_scan import KeyScan
 from tests.service.mapper.drives import ROOM, cast
@@ -77,7 +77,7 @@ def furthest_m(found: np.ndarray, truth: np.ndarray) -> float:
 
 # D9, D10, D11
 def test_a_sub_map_is_found_in_another_with_landmarks_in_corners(trip) -> None:
-    first, second = (draw_walls(trip[0][k], CONFIG.match) for k in (0, 2))
+    first, second = (extract_walls(trip[0][k], CONFIG.match) for k in (0, 2))
     found = find(second, first, np.array([0.4, -0.3, 0.02]), (0.8, 0.1), CONFIG.match)
     assert found is not None
     np.testing.assert_allclose(
@@ -95,10 +95,10 @@ def test_a_sub_map_is_found_in_another_with_landmarks_in_corners(trip) -> None:
 
 
 def test_a_place_that_does_not_look_alike_is_not_found(trip) -> None:
-    room = draw_walls(trip[0][0], CONFIG.match)
+    room = extract_walls(trip[0][0], CONFIG.match)
     rng = np.random.default_rng(3)
     bush = KeyScan(1, rng.uniform(-3.0, 3.0, (361, 2)).astype(np.float32), (0.0, 0.0), STEP)
-    other = draw_walls(ClosedSubmap(1, 0, (bush,) * 4, np.zeros((4, 3)), MAPS), CONFIG.match)
+    other = extract_walls(ClosedSubmap(1, 0, (bush,) * 4, np.zeros((4, 3)), MAPS), CONFIG.match)
     assert find(other, room, np.zeros(3), (0.8, 0.1), CONFIG.match) is None
 
 
