@@ -26,7 +26,7 @@ from service.kernels.surfel_equations import surfel_cost, surfel_normal_equation
 from service.kernels.surfels import SurfelGrid, find_surfels_again, forget_around, nothing_around
 
 MAX_HALVINGS = 4  # of a step that raises the cost; [12]
-MIN_FINE_SHARE = 0.8  # inliers of half cells over those of whole cells; below it the whole cells decide; [32]
+MIN_FINE_SHARE = 0.8  # inliers of half cells over those of full cells; below it the full cells decide; [32]
 MIN_FINE_POINTS = 2.0  # points of this laser that a surfel of half cells stands for at least; [32]
 MIN_PRIOR_WEIGHT = 0.5  # of [12], at chi2 = 11, 99 % of three degrees of freedom: the prediction contradicts
 
@@ -275,7 +275,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     normals     (N, 3) float64     from estimate_normals, base frame
     prior       Prior
     start       (3,)   float64     initial pose: the prior's, or that of a search
-    grid        SurfelGrid         whole cells: they attract the scan first and give its inlier ratio
+    grid        SurfelGrid         full cells: they attract the scan first and give its inlier ratio
     fine_grid   SurfelGrid         half cells, or `grid` again: they refine the pose if at least
                                    MIN_FINE_SHARE of the inliers lies on their surfels of at least
                                    MIN_FINE_POINTS

@@ -24,7 +24,7 @@ SAME_WALL_COSINE = np.float32(0.7)  # between a point's normal and a surfel's; b
 SURFELS_AROUND = 18  # surfels in 3 x 3 cells
 NOWHERE = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # farther surfels are not averaged
-PARTS = 2  # cells of a finer grid along the edge of a whole cell; [32]
+PARTS = 2  # cells of a finer grid along the edge of a full cell; [32]
 # Position of a round wall between the plane through the mean of its surfels and their own planes; [28]
 ROUND_SHARE = 0.5 * (1.0 + 7.0 / (12.0 * REACH_CELLS * REACH_CELLS))
 
@@ -175,7 +175,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
 
 @inner_kernel
 def forget_part(fine_grid, row, column):
-    """Clear the surfels of the PARTS x PARTS finer cells within a whole cell."""
+    """Clear the surfels of the PARTS x PARTS finer cells within a full cell."""
     slots = fine_grid.tiles.slots
     first_row = fine_grid.tiles.origin[0]
     first_column = fine_grid.tiles.origin[1]
