@@ -21,7 +21,7 @@ class LosesTheSecond(InlineWorker):
         return Lost(None) if self.submitted == 2 else super().submit(batch)
 
 
-def test_what_goes_out_comes_back_in_order():
+def test_results_come_in_the_order_of_their_batches():
     jobs = BackgroundJobs(InlineWorker(Echo()))
     assert not jobs.ready
     for k in range(3):
@@ -31,7 +31,7 @@ def test_what_goes_out_comes_back_in_order():
     assert jobs.waiting == 0
 
 
-def test_after_a_loss_nothing_goes_out_any_more():
+def test_after_lost_work_no_batch_is_submitted():
     worker = LosesTheSecond(Echo())
     jobs = BackgroundJobs(worker)
     for k in range(3):

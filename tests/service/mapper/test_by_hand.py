@@ -28,7 +28,7 @@ def drawn() -> ByHand:
     return by_hand.with_point_pair((0, 2), np.array([(1.0, 0.0), (-9.0, 0.0)]))
 
 
-def test_drawings_stay_where_they_were_drawn_and_go_with_the_nearest_key_frame(drawn):
+def test_edits_keep_their_place_and_move_with_the_nearest_key_frame(drawn):
     wall, area = drawn.drawings(POSES)
     np.testing.assert_allclose(wall.corners_map, LINE, atol=1e-12)
     np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
@@ -39,7 +39,7 @@ def test_drawings_stay_where_they_were_drawn_and_go_with_the_nearest_key_frame(d
     np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
 
 
-def test_without_the_key_frame_of_a_drawing_the_next_one_keeps_it(drawn):
+def test_without_its_key_frame_an_edit_moves_to_the_next_one(drawn):
     left = np.array([True, True, False, True])
     cut = drawn.without_keyframes(left, POSES)
     wall, area = cut.drawings(POSES[left])
@@ -50,14 +50,14 @@ def test_without_the_key_frame_of_a_drawing_the_next_one_keeps_it(drawn):
     assert drawn.without_keyframes(np.array([True, False, True, True]), POSES).pair_ends.tolist() == [[0, 1]]
 
 
-def test_areas_come_behind_the_scans_they_were_erased_from_and_walls_at_last(drawn):
+def test_areas_follow_the_scans_they_were_erased_from_and_walls_come_last(drawn):
     drawn = replace(drawn, until=np.array([4, 2]))
     scans = [(k, ScanToRender(np.zeros((0, 2), np.float32), (0.0, 0.0), None)) for k in (0, 1, 3)]
     kinds = [type(one) for one in among_scans(scans, drawn, POSES)]
     assert kinds == [ScanToRender, ScanToRender, AreaToErase, ScanToRender, WallToRender]
 
 
-def test_a_wall_is_gone_where_an_area_was_erased_after_it_and_only_then(drawn):
+def test_an_area_erases_only_walls_drawn_before_it(drawn):
     (wall,) = walls_of(drawn.with_drawing(Drawing(DRAWN_WALL, 4, LINE), POSES), POSES)[1:]
     assert len(cells_of_wall(wall, 0.1)) > 20
     over = np.array([(8.0, 1.0), (10.0, 1.0), (10.0, 3.0), (8.0, 3.0)])
@@ -66,14 +66,14 @@ def test_a_wall_is_gone_where_an_area_was_erased_after_it_and_only_then(drawn):
     assert (columns.min(), columns.max()) == (100, 110)
 
 
-def test_it_is_stored_with_the_graph(drawn):
+def test_edits_are_stored_with_the_graph(drawn):
     graph = replace(graph_of(4), by_hand=drawn)
     back = from_arrays(small_arrays(graph), [packed_points(graph, 0, 4)]).by_hand
     for name, array in drawn.arrays().items():
         np.testing.assert_array_equal(back.arrays()[name], array, err_msg=name)
 
 
-def test_a_graph_of_before_holds_nothing_by_hand():
+def test_a_graph_of_format_2_has_no_edits():
     graph = graph_of(4)
     old = {name: array for name, array in small_arrays(graph).items() if not name.startswith("by_hand_")}
     assert len(from_arrays(old, [packed_points(graph, 0, 4)]).by_hand.kind) == 0
@@ -90,7 +90,7 @@ def test_a_graph_of_before_holds_nothing_by_hand():
         ("corner_xy", np.zeros((4, 2))),
     ],
 )
-def test_what_does_not_fit_the_graph_is_refused_by_name(drawn, name, wrong):
+def test_arrays_that_do_not_fit_the_graph_are_refused_by_name(drawn, name, wrong):
     graph = replace(graph_of(4), by_hand=replace(drawn, **{name: wrong}))
     with pytest.raises(SavedGraphError, match=f"by_hand_{name}"):
         graph.checked()

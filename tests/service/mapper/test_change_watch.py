@@ -61,7 +61,7 @@ def facts(room: Room) -> list[tuple[float, float]]:
     return sorted((round(float(x), 2), round(float(y), 2)) for x, y in room.changes().xy_map)
 
 
-def test_what_stands_in_free_ground_is_reported_once_it_was_seen_from_three_poses() -> None:
+def test_an_object_in_free_space_is_reported_after_three_poses() -> None:
     for poses, expected in ((2, []), (3, BOX)):
         room = Room()
         room.see_from(BOX, poses, scans=6, over_ms=1500.0)
@@ -70,14 +70,14 @@ def test_what_stands_in_free_ground_is_reported_once_it_was_seen_from_three_pose
 
 
 @pytest.mark.parametrize(("scans", "expected"), [(4, []), (5, BOX)])
-def test_five_scans_have_to_contradict(scans: int, expected: list) -> None:
+def test_five_scans_must_contradict_the_map(scans: int, expected: list) -> None:
     room = Room()
     room.see_from(BOX, 3, scans, over_ms=1500.0)
     assert facts(room) == expected
 
 
 @pytest.mark.parametrize(("over_ms", "expected"), [(990.0, []), (1000.0, BOX)])
-def test_a_second_has_to_pass_from_the_first_contradiction(over_ms: float, expected: list) -> None:
+def test_a_second_must_pass_since_the_first_contradiction(over_ms: float, expected: list) -> None:
     room = Room()
     room.see([(0.9, 0.9)], 0.3, -2000.0)  # a scan without one
     room.see_from(BOX, 3, scans=5, over_ms=over_ms)
@@ -85,7 +85,7 @@ def test_a_second_has_to_pass_from_the_first_contradiction(over_ms: float, expec
 
 
 @pytest.mark.parametrize(("every_ms", "scans"), [(100.0, 3), (200.0, 5)])
-def test_a_vehicle_that_stands_is_asked_five_times_a_second(every_ms: float, scans: int) -> None:
+def test_at_standstill_five_scans_a_second_are_evaluated(every_ms: float, scans: int) -> None:
     room = Room()
     room.see_from(BOX, 3, scans=9, over_ms=1600.0)
     for k in range(5):
@@ -94,7 +94,7 @@ def test_a_vehicle_that_stands_is_asked_five_times_a_second(every_ms: float, sca
 
 
 @pytest.mark.parametrize(("clear", "expected"), [(2, BOX), (3, [])])
-def test_four_scans_in_five_have_to_agree(clear: int, expected: list) -> None:
+def test_four_scans_of_five_must_agree(clear: int, expected: list) -> None:
     """8 that contradict and 2 that do not are 80 %; with 3 they are 73 %."""
     room = Room()
     room.see_from(BOX, 3, scans=8, over_ms=1600.0)
@@ -114,7 +114,7 @@ def test_four_scans_in_five_have_to_agree(clear: int, expected: list) -> None:
         ([*BOX, (2.05, 1.85)], BOX),  # one apart from four
     ],
 )
-def test_four_cells_have_to_hang_together(cells: list, expected: list | str, gone: bool) -> None:
+def test_four_cells_must_be_connected(cells: list, expected: list | str, gone: bool) -> None:
     room = Room(walls=tuple(cells)) if gone else Room()
     for k in range(8):
         pose_x_m = (0.3, 0.6, 0.9)[k % 3]
@@ -123,14 +123,14 @@ def test_four_cells_have_to_hang_together(cells: list, expected: list | str, gon
     assert (room.changes().is_new == (not gone)).all()
 
 
-def test_what_ends_beside_a_wall_of_the_map_is_that_wall() -> None:
+def test_a_return_beside_a_mapped_wall_belongs_to_it() -> None:
     room = Room(walls=tuple(BOX))
     room.see_from([(x - 0.1, y) for x, y in BOX], 3, scans=8, over_ms=1600.0)
     assert facts(room) == []
 
 
 @pytest.mark.parametrize(("times", "gone"), [(1.16, 0), (1.4, len(BOX))])
-def test_a_beam_that_ends_close_behind_a_wall_says_nothing_of_it(times: float, gone: int) -> None:
+def test_a_beam_that_ends_close_behind_a_wall_does_not_contradict_it(times: float, gone: int) -> None:
     """1.15 to 1.75 m ahead is the wall: the beams end 0.2 to 0.3 m behind it, then 0.5 to 0.7 m."""
     room = Room(walls=tuple(BOX))
     for k in range(8):
@@ -172,7 +172,7 @@ def in_groups(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.35, 0.6])
 @pytest.mark.parametrize("seed", range(4))
-def test_cells_are_reported_as_if_each_were_asked_by_itself(seed: int, share: float) -> None:
+def test_reported_cells_equal_those_of_a_reference_in_plain_loops(seed: int, share: float) -> None:
     """Groups of all shapes, also at the edges of the map; rows first."""
     watch, random = Room().watch, np.random.default_rng(seed)
     votes, shape = watch.votes, watch.votes.stored.shape

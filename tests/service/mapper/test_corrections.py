@@ -22,7 +22,7 @@ def test_without_corrections_poses_are_those_that_were_published():
     assert corrected([moved], []) == [moved.pose_map_base]
 
 
-def test_the_path_meets_the_corrected_scans_and_bends_evenly_between():
+def test_the_path_passes_the_corrected_scans_and_is_interpolated_between_them():
     start = Correction(2, SE2(0.2, 0.0, 0.0), SE2(0.2, 0.0, 0.0))
     end = Correction(8, SE2(0.8, 0.0, 0.0), SE2(0.8, 0.6, 0.0))
     poses = corrected(STRAIGHT, [start, end])
@@ -31,7 +31,7 @@ def test_the_path_meets_the_corrected_scans_and_bends_evenly_between():
     np.testing.assert_allclose(rises, [0.0] * 2 + [0.1] * 6 + [0.0] * 2, atol=1e-12)
 
 
-def test_what_was_driven_before_a_part_of_the_map_begins_does_not_bend_to_it():
+def test_poses_before_a_new_segment_are_not_interpolated_towards_it():
     start = Correction(2, SE2(0.2, 0.0, 0.0), SE2(0.2, 0.0, 0.0))
     carried_to = Correction(85, SE2(0.8, 0.0, 0.0), SE2(0.8, 30.0, 0.0), begins_segment=True)  # in its sweep
     outputs = [replace(of, stamp_ns=10 * of.stamp_ns) for of in STRAIGHT]

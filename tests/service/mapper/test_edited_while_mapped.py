@@ -125,7 +125,7 @@ def test_walls_are_gone_and_floor_that_beams_pass_over_stays_free(erased: Mapped
 
 
 @pytest.mark.parametrize(("becomes", "known"), [("unknown", set()), ("free", {3})])
-def test_the_area_is_unknown_or_free_where_that_is_asked(drove: Drive, becomes: str, known: set[int]):
+def test_the_area_is_unknown_or_free_as_requested(drove: Drive, becomes: str, known: set[int]):
     assert set(mapped(drove, erase(becomes)).cells(is_within=True).values()) == known
 
 
@@ -141,7 +141,7 @@ def test_the_mapping_goes_on_and_the_change_is_stored_with_the_map(
     assert erased.answers[0]["done"] == f"erased 8.00 m2 about (1.75, 0.00) m: {gone} points gone"
 
 
-def test_a_wall_is_drawn_and_both_changes_are_taken_back(drove: Drive, untouched: Mapped):
+def test_a_wall_is_drawn_and_both_changes_are_undone(drove: Drive, untouched: Mapped):
     walled = mapped(drove, {"what": "wall", "corners": LINE}).cells(is_within=True)
     assert sum(value == 97 for value in walled.values()) >= 20
     back = mapped(drove, erase(), {"what": "wall", "corners": LINE}, {"what": "undo"}, {"what": "undo"})
@@ -165,12 +165,12 @@ def test_a_wall_is_drawn_and_both_changes_are_taken_back(drove: Drive, untouched
         ({"who": "ada"}, "change: "),
     ],
 )
-def test_what_cannot_be_meant_is_refused_at_once(payload: dict[str, Any], words: str):
+def test_invalid_requests_are_refused_at_once(payload: dict[str, Any], words: str):
     with pytest.raises(GraphRequestError, match=words):
         new_session().request("edit_map", payload)
 
 
-def test_the_map_of_who_is_only_localised_is_not_changed(erased: Mapped, stored: SavedGraph):
+def test_a_map_that_is_only_localised_in_is_not_changed(erased: Mapped, stored: SavedGraph):
     begin = BeginIn(stored, rendered_of(erased.shown))
     mapper = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
     with pytest.raises(GraphRequestError, match="only localised"):
@@ -184,7 +184,7 @@ def test_before_the_first_scan_there_is_nothing_to_change():
     assert "nothing in the map yet" in session.take_edited()[0].error
 
 
-def test_a_loop_is_refused_while_the_vehicle_drives_on_and_the_pose_moves_by_what_it_bent():
+def test_a_loop_is_refused_while_driving_and_the_pose_loses_its_correction():
     session, asked_ns, taken_over_ns = new_session(), 0, 0
     before = after = None  # pose_map_odom at the request, and when it was taken over
     answer: dict[str, Any] = {}

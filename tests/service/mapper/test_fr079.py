@@ -96,7 +96,7 @@ def test_it_is_lost_for_a_scan_at_most(outputs: list[MapperOutput], expected: Ex
 
 
 @pytest.mark.soak
-def test_orthogonal_weights_hold_a_stretch_of_slow_scans_together(shared: Path) -> None:
+def test_orthogonal_weights_keep_slow_scans_aligned(shared: Path) -> None:
     """Rooms beside a corridor at 4 Hz: with scans entered too seldom, or furniture blurred too wide, it
     slips along the corridor by metres."""
     mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"laser": SE2()})

@@ -53,7 +53,7 @@ def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
 
 
 @pytest.mark.soak  # the whole ring; its first corner below
-def test_odometry_that_stands_still_is_left_out_once_a_turn_has_shown_it() -> None:
+def test_frozen_odometry_is_excluded_once_a_turn_reveals_it() -> None:
     """A dead encoder: the first turn on the spot says so, and the corridors are mapped without odometry."""
     trip = Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=10.0), None, Wheels())
     (made,) = trip.drives([1])
@@ -71,7 +71,7 @@ def test_odometry_that_stands_still_is_left_out_once_a_turn_has_shown_it() -> No
         ("ring", "dead after 20 s", 40.0, 1),
     ],
 )
-def test_odometry_that_is_dead_costs_no_place(place: str, fault: str, seconds: float, seed: int) -> None:
+def test_dead_odometry_does_not_lose_the_pose(place: str, fault: str, seconds: float, seed: int) -> None:
     """It says with all certainty that the vehicle stands, while that begins to turn or drives at 1.4 m/s; in
     a corridor nearly all of a scan lies on the map there, too.
     """
@@ -101,7 +101,7 @@ def diagnostics(done: Run) -> set[str]:
         (OdometrySample, frozen, {"odometry"}),
     ],
 )
-def test_a_sensor_that_lies_is_left_out_and_named(
+def test_an_inconsistent_sensor_is_excluded_and_named(
     honest: Drive, kind: type, lie: Callable[..., Frame] | None, blamed: set[str]
 ) -> None:
     done = driven(honest, kind, lie)

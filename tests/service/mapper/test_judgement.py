@@ -51,9 +51,7 @@ def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> 
         ({"prior": (0.05, 0.5)}, "lost"),
     ],
 )
-def test_odometry_carries_the_pose_onto_ground_of_which_nothing_is_known(
-    changes: dict[str, object], expected: str
-) -> None:
+def test_odometry_carries_the_pose_onto_unknown_ground(changes: dict[str, object], expected: str) -> None:
     unknown = replace(GOOD, on_map=0, in_free=0, behind=0)
     assert state(unknown, **changes) == expected
 
@@ -94,7 +92,7 @@ def test_a_handful_of_returns_confirms_no_place() -> None:
     assert reason.startswith("19 returns (expected at least 20)")
 
 
-def test_returns_where_nothing_stands_contradict_however_good_the_prediction() -> None:
+def test_returns_in_free_space_contradict_any_prediction() -> None:
     assert state(NEW_GROUND, in_free=60) == "lost"
     assert state(GOOD, on_map=240, in_free=200) == "ok"  # people close by
     assert state(GOOD, on_map=240, in_free=250) == "lost"
@@ -123,7 +121,7 @@ def test_a_match_far_from_the_prediction_needs_more() -> None:
         ((0.01, 0.36), "lost"),
     ],
 )
-def test_a_pose_that_is_known_badly_is_no_good_one(sigma: tuple[float, float], expected: str) -> None:
+def test_an_uncertain_pose_is_degraded_or_lost(sigma: tuple[float, float], expected: str) -> None:
     assert state(GOOD, sigma=sigma) == expected
 
 
@@ -139,7 +137,7 @@ def test_a_pose_that_is_known_badly_is_no_good_one(sigma: tuple[float, float], e
         ({"sigma": (1.4, 0.36)}, "lost"),
     ],
 )
-def test_along_walls_that_leave_it_open_a_position_that_odometry_knows_badly_is_not_lost(
+def test_an_uncertain_position_along_an_open_direction_is_not_lost(
     changes: dict[str, object], expected: str
 ) -> None:
     slipped = replace(GOOD, sigma=(1.4, 0.01), prior=(1.4, 0.01), weakest=(5.0, 0.0), behind=0, in_free=0)

@@ -25,7 +25,7 @@ def walked(steps: int, before: np.ndarray, step: SE2) -> np.ndarray:
     return covariance
 
 
-def test_what_a_step_adds_is_what_the_motion_model_put_in():
+def test_a_step_adds_the_covariance_of_the_motion_model():
     step = SE2(0.3, -0.1, 0.4)
     first = np.array([[0.05, 0.01, 0.003], [0.01, 0.02, -0.001], [0.003, -0.001, 0.004]])
     last = walked(1, first, step)
@@ -49,7 +49,7 @@ def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_path_
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_asked_with_every_scan_is_what_the_arrays_say(seed):
+def test_the_covariance_of_a_single_pose_equals_that_of_the_arrays(seed):
     """Whether motion has added something in all directions, or seems to have taken some."""
     random = np.random.default_rng(seed)
     roots = random.normal(size=(3, 40, 3, 3)) * (0.1, 0.1, 0.01)
@@ -62,7 +62,7 @@ def test_what_is_asked_with_every_scan_is_what_the_arrays_say(seed):
         np.testing.assert_allclose(known.covariance_at(motion), expected[k], rtol=0.0, atol=1e-12)
 
 
-def test_a_pose_that_has_drifted_is_not_ok_and_the_reason_tells_how_far():
+def test_a_drifted_pose_is_not_ok_and_the_reason_gives_its_sigma():
     assert drift_of(np.diag([0.9 * MAX_DRIFT_M, 0.1, 0.1]) ** 2) == ""
     assert "1.20 m and 5.7 deg" in drift_of(np.diag([0.1, 1.2, 0.1]) ** 2)
     assert "11.5 deg" in drift_of(np.diag([0.1, 0.1, 0.2]) ** 2)

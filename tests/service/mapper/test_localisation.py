@@ -48,7 +48,7 @@ def judged(
     return place, match.state, match.reason
 
 
-def test_a_scan_on_a_detached_map_that_was_found_has_the_pose_of_the_find_and_its_covariance():
+def test_a_scan_on_an_unconfirmed_segment_has_its_pose_and_covariance():
     place, *facts = judged(FOUND, "lost", "contradicted")
     assert facts == ["degraded", UNCONFIRMED_PLACE]
     assert place.pose_map_odom == OF_FIND
@@ -58,7 +58,7 @@ def test_a_scan_on_a_detached_map_that_was_found_has_the_pose_of_the_find_and_it
 @pytest.mark.parametrize(
     ("state", "segment", "measured"), [("lost", 1, MEASURED), ("lost", 2, None), ("ok", 2, MEASURED)]
 )
-def test_a_find_says_nothing_of_another_detached_map_of_a_scan_beside_it_and_of_one_on_the_map(
+def test_an_unconfirmed_place_affects_no_other_segment_no_unmatched_scan_and_none_on_the_map(
     state: State, segment: int, measured: Measurement | None
 ):
     place, *facts = judged(FOUND, state, "", segment, measured)
@@ -75,11 +75,11 @@ def test_a_find_says_nothing_of_another_detached_map_of_a_scan_beside_it_and_of_
         ("proven", ["ok", ""]),
     ],
 )
-def test_in_a_stored_map_only_a_proven_place_is_ok(placed: Placed, facts: list[str]):
+def test_in_a_stored_map_only_a_confirmed_place_is_ok(placed: Placed, facts: list[str]):
     assert list(judged(PlaceUpdate(placed), "ok")[1:]) == facts
 
 
-def test_who_is_lost_is_reported_between_which_places_and_that_the_pose_a_person_set_is_not_one():
+def test_a_lost_pose_is_reported_with_candidate_places_and_a_refused_pose():
     between = "about equally well at (1.0, 2.0) m (310 nats) and (-3.0, 4.0) m (305 nats)"
     between = f"the scans match the map {between}"
     alike = [PossiblePlace(1.0, 2.0, 310.0), PossiblePlace(-3.04, 4.0, 304.7)]
@@ -90,7 +90,7 @@ def test_who_is_lost_is_reported_between_which_places_and_that_the_pose_a_person
     assert judged(PlaceUpdate(pose_refused=(7.0, 8.0, 0.5)), "lost", "why")[2] == f"{refused}; why"
 
 
-def test_what_the_graph_has_decided_holds_until_it_says_else_or_ends():
+def test_the_place_by_the_graph_stays_until_its_next_result_or_its_end():
     place, *_ = judged(FOUND, "lost")
     lost = Match(MOTION, POINTS, 0.9, "lost", "why", measured=MEASURED)
     place.take(GraphUpdate({"loop_closures": 1}))

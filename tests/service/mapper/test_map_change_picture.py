@@ -34,7 +34,7 @@ def test_where_nothing_has_changed_the_picture_is_empty():
     assert changes([]).as_grid().cells.shape == (0, 0)
 
 
-def test_other_cells_or_another_change_of_them_say_something_else():
+def test_other_cells_or_another_change_of_them_differ():
     one = changes([(1, 1, True)])
     assert one.has_same_cells(changes([(1, 1, True)]))
     assert not one.has_same_cells(changes([(1, 1, False)]))

@@ -112,7 +112,7 @@ def test_what_was_moved_and_closed_is_found_and_nothing_else(before, after):
     assert (off_rim_m(gone, WAS, PALLET_M) >= NEAR_M).sum() == 0
 
 
-def test_who_finds_it_knows_its_place_as_well_as_if_nothing_had_changed(before, after):
+def test_changes_do_not_degrade_the_localisation(before, after):
     _, outputs, again, _ = after
     first = before[0]
     off_m = []

@@ -186,7 +186,7 @@ def test_without_wheels_the_base_is_taken_to_stand_in_a_pause():
 
 
 @pytest.mark.parametrize(("period_ns", "applied_at"), [(10, [5, 7]), (15, [4, 6]), (100, [3, 5])])
-def test_work_comes_in_a_fixed_time_after_it_went_out(
+def test_results_are_applied_a_fixed_time_after_submission(
     period_ns: int, applied_at: list[int], made: list[FakeMapper]
 ):
     mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after_ns=30)
@@ -197,7 +197,7 @@ def test_work_comes_in_a_fixed_time_after_it_went_out(
     assert graph.applied_at == applied_at
 
 
-def test_a_reset_ends_the_old_graph_and_what_it_had_out(made: list[FakeMapper]):
+def test_a_reset_closes_the_old_graph_and_its_jobs(made: list[FakeMapper]):
     mapper = MappingSession(lambda: made.append(FakeMapper()) or made[-1], ["front"], apply_after_ns=3)
     made[0].graph.waiting = 1
     mapper.process(scan(1))

@@ -117,7 +117,7 @@ def test_a_mode_that_cannot_be_is_refused(switched: Switched):
         only.graph.request("set_mode", {"mode": "mapping"})
 
 
-def test_a_map_that_was_loaded_is_localised_in_before_the_vehicle_is_found(drove: Drive, switched: Switched):
+def test_a_loaded_map_is_localised_in_before_the_vehicle_has_a_place(drove: Drive, switched: Switched):
     """As the page asks for it: the mode right after the map, with no scan between them."""
     begin = BeginIn(switched.stored, rendered_of(switched.shown))
     session = MappingSession(

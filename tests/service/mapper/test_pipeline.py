@@ -55,7 +55,7 @@ class TalkingGraph(NoGraph):
         return GraphUpdate({}, geo=self.reference)
 
 
-def test_where_the_map_lies_on_the_earth_stays_with_the_mapper_and_goes_out_with_each_pose():
+def test_the_geographic_reference_is_kept_and_published_with_each_pose():
     mapper: Mapper = build_mapper(mapping_config({"profile": "contour_lm"}), {"front": MOUNTING})
     mapper.components = replace(mapper.components, graph=TalkingGraph())
     frames = iter(drive(ROOM, standing, 0.6).frames)
@@ -77,7 +77,7 @@ class KnowingGraph(NoGraph):
         return GraphUpdate({}, known=KnownPose(SE2(), np.zeros((3, 3)), self.covariance))
 
 
-def test_how_well_a_pose_is_known_goes_on_from_what_the_graph_says_and_drift_is_not_ok():
+def test_the_covariance_grows_from_that_of_the_graph_and_drift_is_not_ok():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     mapper.components = replace(mapper.components, graph=KnowingGraph())
     frames = iter(drive(ROOM, standing, 0.6).frames)
@@ -122,7 +122,7 @@ def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> It
         yield output
 
 
-def test_nothing_is_rendered_while_lost_and_a_detached_map_is_mapped_apart():
+def test_nothing_is_rendered_while_lost_and_a_detached_segment_is_mapped_apart():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     outputs = carried_into_another_room(mapper)
     first = next(outputs)
@@ -152,7 +152,7 @@ class FindingGraph(NoGraph):
         return GraphUpdate({}, place=PlaceUpdate(unconfirmed_place=once))
 
 
-def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and_draws_nothing():
+def test_an_unconfirmed_segment_gives_a_degraded_pose_and_is_not_rendered():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     graph = FindingGraph(segment=1)
     mapper.components = replace(mapper.components, graph=graph)
@@ -174,7 +174,7 @@ def test_a_detached_map_that_was_found_once_gives_the_pose_which_is_degraded_and
     assert withdrawn.covariance[2, 2] != pytest.approx(output.covariance[2, 2])
 
 
-def test_where_another_detached_map_was_found_says_nothing_of_this_one():
+def test_the_place_of_another_segment_does_not_apply():
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     mapper.components = replace(mapper.components, graph=FindingGraph(segment=2))
     outputs = carried_into_another_room(mapper)
@@ -261,7 +261,7 @@ def test_a_laser_alone_needs_no_other_to_be_mapped():
     assert {output.state for frame, output in outputs if frame.stamp_ns > 1_900_000_000} == {"ok"}
 
 
-def test_a_laser_that_sits_wrong_is_not_mapped_when_the_others_fall_silent():
+def test_a_laser_with_a_wrong_mounting_is_not_mapped_when_the_others_fall_silent():
     """Nor when they come back: without a word of theirs its poses would be called `ok`, turned by 4 deg."""
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING, "rear": REAR @ SE2(0, 0, 0.07)})
     alone_ns, back_ns = 2_000_000_000, 2_560_000_000  # half a second of silence is not yet alone
@@ -291,7 +291,7 @@ def test_a_laser_that_hangs_is_named_while_another_sees_on():
     assert {("front", "ok", False), ("rear", "degraded", True)} == set(said)
 
 
-def test_a_laser_without_returns_contradicts_nothing_and_is_asked_for_its_window():
+def test_a_laser_without_returns_does_not_contradict_and_its_reason_names_the_window():
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
     said = set()
     for frame in two_lasers():

@@ -112,7 +112,7 @@ def test_a_vehicle_pushed_on_standing_wheels_is_followed() -> None:
     assert np.hypot(*errors(run(made.frames), made.truth)[-1, :2]) < 0.005
 
 
-def test_a_turn_that_no_one_announced_is_found_again(room_drive: Drive) -> None:
+def test_a_turn_without_a_prediction_is_recovered(room_drive: Drive) -> None:
     """Half a metre and half a radian from the prediction, where walls are no guide any more."""
     mapper = new_mapper()
     scans = [f for f in room_drive.frames if isinstance(f, LaserScan)][:30]
@@ -150,7 +150,7 @@ def test_motion_during_the_sweep_is_taken_out(room_drive: Drive, room_outputs: l
     assert skewed > 2.5 * deskewed
 
 
-def test_the_free_direction_of_a_corridor_follows_odometry() -> None:
+def test_the_open_direction_of_a_corridor_follows_odometry() -> None:
     corridor = drive(CORRIDOR, down_the_corridor, 6.0, wheel_scale=1.05)
     outputs = run(corridor.frames)
     away = errors(outputs, corridor.truth)
@@ -170,7 +170,7 @@ def test_the_free_direction_of_a_corridor_follows_odometry() -> None:
     assert grown == sorted(grown)
 
 
-def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
+def test_without_odometry_the_features_of_a_corridor_are_used() -> None:
     """A stop in the middle: a prediction that is only the last speed gone on would roll on.
 
     Over 120 seeds the worst is 0.19 m off on the way and 0.13 m at the end, the median 0.04 and 0.015 m.
@@ -191,7 +191,7 @@ def test_without_wheels_the_little_that_a_corridor_shows_is_used() -> None:
     assert max(farthest_m) < 0.2
 
 
-def test_covariance_is_sane_and_honest(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
+def test_the_covariance_bounds_the_error(room_drive: Drive, room_outputs: list[MapperOutput]) -> None:
     outputs = room_outputs
     away = errors(outputs, room_drive.truth)
     nees = []
@@ -357,7 +357,7 @@ OWN_KERNELS = {  # what no other profile calls
 
 
 @pytest.mark.parametrize("chosen", [in_soak("corridor"), "owolm_eskf"])
-def test_only_what_the_chosen_profile_stands_on_is_imported(chosen: str) -> None:
+def test_only_the_imports_of_the_chosen_profile_are_made(chosen: str) -> None:
     script = (
         "import sys, service.runtime.run, service.offline.replay.replay\n"
         "from service.geometry.se2 import SE2\n"
@@ -389,7 +389,7 @@ def test_a_component_that_is_not_there_is_refused_with_those_that_are() -> None:
         mapping_config({"components": {"matcher": "surfel_gaus"}})
 
 
-def test_a_matcher_that_cannot_read_the_local_map_is_refused_with_words(monkeypatch) -> None:
+def test_a_matcher_that_cannot_read_the_local_map_is_refused(monkeypatch) -> None:
     class RenderedMap: ...
 
     rendered_map = ComponentKind("rendered_map", NoSettings, lambda _, __: RenderedMap(), makes=RenderedMap)
@@ -430,7 +430,7 @@ def test_every_parameter_is_documented() -> None:
             assert f"`{key}`" in section, f"{slot}.{key} is missing in docs/mapping.md"
 
 
-def test_forty_settings_are_enough_and_each_says_when_to_touch_it() -> None:
+def test_there_are_at_most_forty_settings_each_with_advice() -> None:
     parameters = (ROOT / "docs/mapping.md").read_text().split("## Parameters")[1]
     rows = [re.split(r" *\| *", line)[1:-1] for line in parameters.splitlines() if line.startswith("| `")]
     touched = {name for names, _, _, when in rows if when for name in re.findall(r"`(\w+)`", names)}

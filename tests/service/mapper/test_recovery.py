@@ -103,6 +103,6 @@ def carried() -> tuple[Drive, int]:
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_a_vehicle_that_is_carried_off_is_found_again(profile: str, carried: tuple[Drive, int]) -> None:
+def test_a_carried_vehicle_is_relocalised(profile: str, carried: tuple[Drive, int]) -> None:
     what, carried_ns = carried
     check(outputs_of(profile, what.frames), what.truth, carried_ns, carried_ns)

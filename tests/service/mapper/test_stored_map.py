@@ -100,7 +100,7 @@ def continued(first, second) -> tuple[Began, FinishedGraph]:
     return began, began.mapper.finish()
 
 
-def test_a_vehicle_is_found_where_it_is_and_followed(first, second, localized):
+def test_a_vehicle_is_localised_and_tracked(first, second, localized):
     drove, outputs = first[0], localized.outputs
     assert outputs[0].state == "lost"
     placed = [output for output in outputs if output.state != "lost"]
@@ -110,12 +110,12 @@ def test_a_vehicle_is_found_where_it_is_and_followed(first, second, localized):
     assert max(off_m(drove, second, output) for output in placed) < 0.05
 
 
-def test_a_pose_that_is_known_is_not_set(localized):
+def test_a_known_pose_cannot_be_set(localized):
     with pytest.raises(GraphRequestError, match="the map confirms it"):
         localized.mapper.graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
 
 
-def test_who_is_only_localised_leaves_the_stored_map_as_it_is(first, before, localized):
+def test_localisation_does_not_change_the_stored_map(first, before, localized):
     _, begin = first
     saved = localized.mapper.finish().update.saved
     assert localized.mapper.changed_tiles() == []
@@ -126,7 +126,7 @@ def test_who_is_only_localised_leaves_the_stored_map_as_it_is(first, before, loc
     np.testing.assert_array_equal(saved.map[: len(begin.graph)], begin.graph.map)
 
 
-def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(first, second):
+def test_manual_edits_withstand_the_beams_of_a_later_session(first, second):
     """A wall across the way that the second session drives, and points that were erased elsewhere."""
     drove, begin = first
     at = SE2(*begin.graph.map[len(begin.graph) // 2].tolist())
@@ -147,7 +147,7 @@ def test_what_a_person_drew_holds_against_the_beams_of_a_session_that_goes_on(fi
     assert saved.by_hand.until.tolist() == [0, len(graph)]
 
 
-def test_no_one_is_found_by_what_was_erased(first, second):
+def test_erased_points_do_not_localise(first, second):
     _, begin = first
     everywhere = 100.0 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     graph, gone = with_area_erased(begin.graph, everywhere, "free")
@@ -164,7 +164,7 @@ def shown_at(tiles: list[TileUpdate], pose: SE2) -> int:
     return int(tile.cells[row % 64, column % 64])
 
 
-def test_a_session_may_begin_in_what_a_second_session_left(first, second, continued):
+def test_a_third_session_begins_in_the_map_of_the_second(first, second, continued):
     drove, begin = first
     saved = continued[1].update.saved
     assert saved is not None
@@ -174,7 +174,7 @@ def test_a_session_may_begin_in_what_a_second_session_left(first, second, contin
     assert off_m(drove, second, outputs[-1]) < 0.05
 
 
-def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
+def test_scans_outside_the_stored_map_stay_lost(first):
     _, begin = first
     elsewhere = through("library", 1.0, 1, laser=COARSE)
     outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
@@ -183,7 +183,7 @@ def test_what_is_nowhere_in_the_stored_map_stays_lost(first):
 
 
 @pytest.mark.usefixtures("few_candidates")
-def test_who_stands_where_no_map_is_keeps_no_more_the_longer_it_stands(first):
+def test_at_standstill_outside_the_map_memory_is_bounded(first):
     _, begin = first
     elsewhere = through("library", 30.0, 1, stand_s=50.0, laser=COARSE)
     mapper = new_mapper(begin)
@@ -195,7 +195,7 @@ def test_who_stands_where_no_map_is_keeps_no_more_the_longer_it_stands(first):
     assert np.diff(keyframes.stamps_ns[-2:]) == pytest.approx(8e9, abs=0.1e9)
 
 
-def test_a_person_may_say_where_the_vehicle_is(first, second):
+def test_the_operator_can_set_the_pose(first, second):
     drove, begin = first
     mapper = new_mapper(begin)
     frames = second.frames
@@ -208,7 +208,7 @@ def test_a_person_may_say_where_the_vehicle_is(first, second):
 
 
 @pytest.mark.usefixtures("few_candidates")
-def test_a_pose_that_does_not_fit_is_given_up_and_that_is_reported(first):
+def test_a_set_pose_that_does_not_fit_is_given_up_and_reported(first):
     """The vehicle stands in another building."""
     elsewhere = through("library", 3.5, 1, laser=COARSE)
     mapper = new_mapper(first[1])
@@ -225,7 +225,7 @@ def test_a_pose_that_does_not_fit_is_given_up_and_that_is_reported(first):
     assert mapper.pose_refused is None
 
 
-def test_who_is_found_elsewhere_than_set_is_reported_so(first, second):
+def test_a_place_other_than_the_set_pose_is_reported(first, second):
     drove, begin = first
     mapper = new_mapper(begin)
     true = drove.world_first.inverse() @ second.world_first
@@ -237,17 +237,17 @@ def test_who_is_found_elsewhere_than_set_is_reported_so(first, second):
     assert mapper.counters["set_pose_given_up"] == 1
 
 
-def test_a_pose_that_is_no_pose_is_refused_by_its_key(first):
+def test_an_invalid_pose_is_refused_by_its_key(first):
     with pytest.raises(GraphRequestError, match="theta_rad"):
         new_mapper(first[1]).graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": math.inf})
 
 
-def test_what_a_graph_does_not_do_is_refused_with_all_that_it_does(first):
+def test_an_unknown_request_is_refused_with_the_supported_ones(first):
     with pytest.raises(GraphRequestError, match="supports optimize, undo, checkpoint, set_pose"):
         new_mapper(first[1]).graph.request("add_landmark", {})
 
 
-def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_path(first, second, monkeypatch):
+def test_localisation_keeps_a_bounded_part_of_the_path(first, second, monkeypatch):
     monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", 16)
     drove, begin = first
     mapper = new_mapper(begin)
@@ -259,7 +259,7 @@ def test_who_is_only_localised_keeps_no_more_than_a_stretch_of_the_path(first, s
     assert off_m(drove, second, outputs[-1]) < 0.05
 
 
-def test_a_profile_that_cannot_says_so(first):
+def test_a_profile_without_stored_maps_is_refused(first):
     config = mapping_config({"profile": "contour_lm"})
     with pytest.raises(ValueError, match="contour_lm cannot begin in a stored map"):
         build_mapper(config, {"front": SE2()}, begin_in=first[1])
@@ -312,7 +312,7 @@ def test_frames_without_scans_change_nothing(first, second):
     assert len(saved) == len(first[1].graph)
 
 
-def test_a_place_that_the_map_contradicts_is_taken_back_and_found_again(first, second):
+def test_a_contradicted_place_is_revoked_and_found_again(first, second):
     """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     drove, begin = first
     mapper = new_mapper(begin)
@@ -341,7 +341,7 @@ def test_a_place_that_the_map_contradicts_is_taken_back_and_found_again(first, s
     assert off[-1] < 0.05
 
 
-def test_who_is_switched_on_where_the_map_knows_nothing_is_found_later(first, second):
+def test_a_vehicle_started_on_unmapped_ground_is_localised_later(first, second):
     """The first scans are of another building; what is seen then fits nothing of them, and is a new piece."""
     drove, begin = first
     elsewhere = through("library", 1.2, 1, laser=COARSE)

@@ -92,7 +92,7 @@ def test_tiles_of_retired_submaps_go_back_to_the_pool() -> None:
     assert max(counts[100:]) <= max(counts[:40])
 
 
-def test_a_lost_scan_begins_a_detached_map_that_a_fit_drops() -> None:
+def test_a_lost_scan_begins_a_detached_segment_that_a_fit_drops() -> None:
     chain = submaps()
     assert insert(chain, 0.0).segment == 0
     before, tiles = points_in(chain.matched_to), chain.tile_count
@@ -108,7 +108,7 @@ def test_a_lost_scan_begins_a_detached_map_that_a_fit_drops() -> None:
     assert chain.tile_count <= tiles + 6  # of the key frame at 1.2 m; those of the piece went back
 
 
-def test_what_is_lost_grows_the_detached_map_and_leaves_the_map_alone() -> None:
+def test_lost_scans_extend_the_detached_segment_only() -> None:
     chain = submaps()
     insert(chain, 0.0)
     before = points_in(chain.matched_to)
@@ -119,7 +119,7 @@ def test_what_is_lost_grows_the_detached_map_and_leaves_the_map_alone() -> None:
     assert points_in(chain.matched_to) == before
 
 
-def test_a_detached_map_is_matched_to_only_once_the_graph_has_joined_it() -> None:
+def test_a_detached_segment_is_the_map_only_once_the_graph_has_joined_it() -> None:
     chain = submaps()
     insert(chain, 0.0)
     insert(chain, 50.0, state="lost", is_matched=False)
@@ -137,7 +137,7 @@ def test_a_detached_map_is_matched_to_only_once_the_graph_has_joined_it() -> Non
     assert chain.matched_to is detached
 
 
-def test_scans_that_fit_neither_map_nor_detached_map_begin_another_one() -> None:
+def test_scans_that_fit_neither_map_nor_segment_begin_another_segment() -> None:
     chain = submaps()
     insert(chain, 0.0)
     segments = [insert(chain, 50.0, state="lost", is_matched=k == 1).segment for k in range(MAX_MISSES + 3)]
@@ -221,7 +221,7 @@ def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
     assert planar_share(0.03) > 0.6
 
 
-def test_a_scan_of_hardly_any_returns_begins_no_detached_map_and_none_that_follows_is_lost_by_it() -> None:
+def test_a_scan_of_hardly_any_returns_begins_no_segment_and_loses_no_later_scan() -> None:
     chain = submaps()
     room = square()
     chain.insert(room, match_at(SE2(), room))

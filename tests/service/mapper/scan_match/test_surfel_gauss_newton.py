@@ -108,7 +108,7 @@ def test_where_no_one_measured_the_motion_the_map_is_asked_again_when_the_graph_
     assert matcher.match(points, predicted(SE2()), chain).state == "ok"
 
 
-def test_without_a_graph_that_looks_for_detached_maps_the_map_is_asked_at_once() -> None:
+def test_without_a_graph_that_finds_segments_the_map_is_matched_at_once() -> None:
     chain, points = mapped(square()), square()
     chain.detach(5.0)
     chain.attach()
@@ -178,7 +178,7 @@ def lost_at(chain: SurfelSubmaps, matcher: SurfelGaussNewton, points: Points, st
     return result
 
 
-def test_what_is_lost_is_matched_to_the_detached_map_and_stays_lost() -> None:
+def test_lost_scans_are_matched_to_the_detached_segment_and_stay_lost() -> None:
     chain, matcher, far = mapped(square()), new_matcher(), square(3.0)
     assert lost_at(chain, matcher, far, predicted(SE2(50.0, 0.0, 0.0), is_measured=False)).measured is None
     result = lost_at(chain, matcher, far, predicted(SE2(50.03, 0.0, 0.01), is_measured=False))
@@ -191,7 +191,7 @@ def test_what_is_lost_is_matched_to_the_detached_map_and_stays_lost() -> None:
     assert (result.state, result.submap) == ("ok", 1)
 
 
-def test_back_on_the_map_the_gap_of_the_detached_map_is_reported() -> None:
+def test_back_on_the_map_the_gap_of_the_detached_segment_is_reported() -> None:
     """Through the piece the pose was known to 0.2 m only, which the estimator did not know."""
     chain, matcher = mapped(square()), new_matcher()
     lost_at(chain, matcher, square(8.0), predicted(SE2(0.2, 0.0, 0.0), sigma=0.2))

@@ -71,7 +71,7 @@ def test_of_an_erased_area_no_point_is_left_and_all_others_are(ring: SavedGraph)
     assert area.until == len(ring)
 
 
-def test_a_solution_of_what_is_solved_moves_nothing(ring: SavedGraph):
+def test_solving_a_solved_graph_moves_nothing(ring: SavedGraph):
     again = solved(ring, RENDERER)
     assert again.contradicted == 0
     assert again.moved_m.max() < 0.001
@@ -92,7 +92,7 @@ def test_a_cut_takes_the_key_frames_of_its_time_and_nothing_else(ring: SavedGrap
     assert after.moved_m.max() < 0.05
 
 
-def test_a_cut_that_tears_the_map_is_refused_and_says_which_parts(open_ring: SavedGraph):
+def test_a_cut_that_disconnects_the_map_is_refused_with_its_parts(open_ring: SavedGraph):
     with pytest.raises(
         EditError, match=r"2 parts .* by nothing: 40 key frames between .* from 4.60 s on. --bridge"
     ):
@@ -157,7 +157,7 @@ def test_a_pair_is_tied_to_the_passes_that_saw_its_points(open_ring: SavedGraph)
     np.testing.assert_allclose(seen, np.stack((of_first, of_second)), atol=1e-9)
 
 
-def test_a_pair_that_no_one_saw_is_refused(ring: SavedGraph):
+def test_a_pair_no_key_frame_saw_is_refused(ring: SavedGraph):
     nowhere = np.array([(100.0, 100.0), (101.0, 100.0)])
     with pytest.raises(EditError, match=r"the first point at \(100.00, 100.00\) m was seen by no key frame"):
         with_pair(ring, nowhere)
@@ -169,7 +169,7 @@ def test_a_pair_that_no_one_saw_is_refused(ring: SavedGraph):
         without_pair(ring, 0)
 
 
-def test_a_loop_is_taken_back_and_the_others_stay(ring: SavedGraph):
+def test_a_loop_is_removed_and_the_others_stay(ring: SavedGraph):
     less = without_loops(ring, [1])
     less.checked()
     np.testing.assert_array_equal(less.loop_ends, np.delete(ring.loop_ends, 1, axis=0))
@@ -180,7 +180,7 @@ def test_a_loop_is_taken_back_and_the_others_stay(ring: SavedGraph):
     np.testing.assert_array_equal(opened.graph.map, ring.map)  # with nothing to agree with, nothing moves
 
 
-def test_a_loop_that_alone_holds_a_detached_map_is_not_taken_back(ring: SavedGraph):
+def test_the_only_loop_of_a_segment_is_not_removed(ring: SavedGraph):
     segment = ring.segment.copy()
     segment[ROUND:] = 7
     torn = replace(ring, segment=segment)
@@ -188,7 +188,7 @@ def test_a_loop_that_alone_holds_a_detached_map_is_not_taken_back(ring: SavedGra
         without_loops(torn, range(len(ring.loop_ends)))
 
 
-def test_walls_and_areas_go_with_the_graph_when_it_is_bent(open_ring: SavedGraph):
+def test_walls_and_areas_move_with_the_solved_graph(open_ring: SavedGraph):
     k = 20 + ROUND
     wall = se2.points_from(open_ring.map[k], np.array([(1.0, 0.0), (1.0, 0.5)]))
     drawn = with_wall(open_ring, wall)

@@ -36,7 +36,7 @@ def away(a: SE2, b: np.ndarray) -> tuple[float, float]:
     return math.hypot(left.x_m, left.y_m), abs(left.theta_rad)
 
 
-def test_the_second_lands_where_it_lies_in_the_first(first, second):
+def test_the_second_map_gets_its_true_pose_in_the_first(first, second):
     (drove, a), (drove_later, b) = first, second
     merged = merge_graphs(a, b, None)
     assert merged.finds >= 3
@@ -52,7 +52,7 @@ def test_the_second_lands_where_it_lies_in_the_first(first, second):
     assert merged.residual_m.max() < 0.03
 
 
-def test_a_spot_that_a_person_names_does_instead_of_a_search(first, second):
+def test_a_given_pose_replaces_the_search(first, second):
     (drove, a), (drove_later, b) = first, second
     between = drove.world_first.inverse() @ drove_later.world_first
     given = np.array([between.x_m + 0.7, between.y_m, between.theta_rad + 0.05])
@@ -68,7 +68,7 @@ def test_maps_of_two_buildings_are_not_merged(first):
         merge_graphs(first[1], elsewhere, None)
 
 
-def test_loops_and_detached_maps_of_both_keep_their_key_frames(first, second):
+def test_loops_and_segments_of_both_keep_their_key_frames(first, second):
     a, b = first[1], second[1]
     both = together(a, b)
     both.checked()

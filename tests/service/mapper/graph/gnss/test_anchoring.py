@@ -69,7 +69,7 @@ def moved_m(a: Result, b: Result) -> float:
     )
 
 
-def test_fixes_bend_a_drifting_path_back_and_say_where_it_lies():
+def test_fixes_correct_a_drifting_path_and_give_its_reference():
     drive = outing(LONG_M, seed=1, turn_walk_rad=0.001)
     anchored, bare = (fed(what)[1][-1] for what in (drive, replace(drive, fixes=[])))
     assert bare.geo is None
@@ -123,7 +123,7 @@ def test_the_same_drive_gives_the_same_bits_and_a_pickled_back_end_too(drive: Ou
         {"latitude_deg": 60.161, "longitude_deg": 24.546},  # the receiver hangs
     ],
 )
-def test_fixes_that_say_nothing_change_nothing_to_the_last_bit(drive: Outing, bare: Result, useless):
+def test_uninformative_fixes_change_nothing_to_the_last_bit(drive: Outing, bare: Result, useless):
     result = fed(with_fixes(drive, lambda fix: replace(fix, **useless)))[1][-1]
     assert result.geo is None
     assert result.all == bare.all
@@ -184,7 +184,7 @@ def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing):
     assert moved_m(result, without(drive, hung)) < 0.3
 
 
-def test_fixes_that_have_nothing_to_do_with_the_path_give_no_reference(drive: Outing, bare: Result):
+def test_fixes_inconsistent_with_the_path_give_no_reference(drive: Outing, bare: Result):
     noise = np.random.default_rng(2)
     elsewhere = LocalFrame(60.161, 24.546, 51.7)
 

@@ -40,14 +40,14 @@ def test_a_third_that_lies_elsewhere_is_found_and_moves_nothing():
     assert off(found, way) < off(clean, way) + 0.5
 
 
-def test_a_stretch_that_is_off_by_no_more_than_each_may_be_is_found_as_a_whole():
+def test_an_interval_with_a_common_error_within_the_gate_is_rejected():
     way = half_circle()
     way.enu[20:30] += (4.5, 0.0)  # 2.2 sigma
     found = find_consensus(way)
     np.testing.assert_array_equal(np.flatnonzero(~found.is_accepted), np.arange(20, 30))
 
 
-def test_edges_of_fixes_pull_the_antenna_and_leave_the_heading_alone():
+def test_edges_of_fixes_constrain_the_antenna_and_not_the_heading():
     """Two poses 40 m apart, held by each other; fixes of their antennas turn both about what they see."""
     base = np.array([[0.0, 0.0, 0.1], [40.0, 0.0, 0.4]])
     antenna = np.array([[2.0, 1.0], [-1.0, 3.0]])

@@ -60,7 +60,7 @@ def test_a_fix_without_height_is_taken_at_the_height_of_the_one_before():
         ({"covariance": (70.0, 60.0, 0, 60.0, 70.0, 0, 0, 0, 1)}, "fixes_too_poor"),  # 11.4 m north-east
     ],
 )
-def test_what_is_wrong_with_a_fix_is_named(change, counter):
+def test_the_fault_of_a_fix_is_named(change, counter):
     track = FixTrack()
     assert track.add_fix(replace(GOOD, **change), (0.0, 0.0)) == counter
     track.add_scan(0, SE2(), 0)
@@ -83,7 +83,7 @@ def test_a_fix_as_old_as_the_one_before_and_one_of_another_receiver_are_named():
         [(100_000_000, -1), (200_000_000, -1)],  # no key frame yet
     ],
 )
-def test_a_fix_whose_motion_no_one_knows_is_counted(scans):
+def test_a_fix_in_a_scan_gap_is_counted(scans):
     track = FixTrack()
     track.add_fix(GOOD, (0.0, 0.0))
     for stamp_ns, keyframe in scans:

@@ -9,7 +9,7 @@ def found(path_length_m: float = 10.0) -> Placement:
     return placement
 
 
-def test_a_find_is_unproven_until_it_is_seen_from_elsewhere():
+def test_a_place_is_unproven_until_a_second_viewpoint():
     placement = found()
     assert placement.state == "unproven"
     placement.seen(10.0 + 0.9 * MIN_APART_M, agrees=True)
@@ -18,7 +18,7 @@ def test_a_find_is_unproven_until_it_is_seen_from_elsewhere():
     assert placement.state == "proven"
 
 
-def test_contradictions_in_a_row_take_a_find_back():
+def test_consecutive_contradictions_revoke_a_place():
     placement = found()
     for _ in range(MAX_CONTRADICTIONS - 1):
         assert not placement.seen(12.0, agrees=False)
@@ -32,7 +32,7 @@ def test_contradictions_in_a_row_take_a_find_back():
     assert not placement.seen(16.0, agrees=False)  # counted again
 
 
-def test_what_is_proven_stays_so():
+def test_a_proven_place_stays_proven():
     placement = found()
     placement.seen(20.0, agrees=True)
     for _ in range(5):

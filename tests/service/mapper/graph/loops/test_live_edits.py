@@ -94,7 +94,7 @@ def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_eac
 
 
 @pytest.mark.parametrize("is_bridged", [False, True])
-def test_a_cut_takes_points_and_loops_of_its_time_and_undo_gives_them_back(
+def test_a_cut_removes_points_and_loops_of_its_time_and_undo_restores_them(
     closed_ring: bytes, is_bridged: bool
 ):
     back_end = pickle.loads(closed_ring)
@@ -125,7 +125,7 @@ def shown(back_end: LoopBackEnd, kind: str) -> list[dict[str, Any]]:
     return [*map(dict, picture.evidence[kind])]
 
 
-def test_a_loop_is_refused_and_undo_gives_it_back(closed_ring: bytes):
+def test_a_loop_is_refused_and_undo_restores_it(closed_ring: bytes):
     back_end = pickle.loads(closed_ring)
     before = saved(back_end)
     worst = shown(back_end, "accepted")[0]
@@ -145,7 +145,7 @@ def test_a_loop_is_refused_and_undo_gives_it_back(closed_ring: bytes):
     assert worst["stamps_ns"] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
 
 
-def test_no_search_accepts_a_loop_that_says_the_same_as_one_that_a_person_took_back(closed_ring: bytes):
+def test_no_search_accepts_a_loop_consistent_with_one_the_operator_refused(closed_ring: bytes):
     back_end = pickle.loads(closed_ring)
     for loop in shown(back_end, "accepted"):
         assert not asked(back_end, what="refuse-loop", stamps_ns=loop["stamps_ns"])[1].error
@@ -172,7 +172,7 @@ def test_refused_loops_that_are_accepted_close_the_ring(open_ring: bytes):
     assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=accepted)[1].error
 
 
-def test_the_only_loop_that_says_where_a_part_of_the_map_lies_is_not_refused(closed_ring: bytes):
+def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: bytes):
     graph = saved(pickle.loads(closed_ring))
     graph = without_loops(graph, range(2, len(graph.loop_ends)))
     later = (np.arange(len(graph)) >= graph.loop_ends[:, 1].min()).astype(np.int64)
@@ -193,7 +193,7 @@ def test_loops_of_a_map_that_stays_as_it_is_are_not_undone(closed_ring: bytes):
     np.testing.assert_array_equal(saved(back_end).loop_ends, before.loop_ends)
 
 
-def test_without_a_bridge_odometry_yields_where_it_is_cut(open_ring: bytes):
+def test_without_a_bridge_the_cut_steps_are_unmeasured(open_ring: bytes):
     """Pairs ask for more than odometry errs by: it must give somewhere."""
 
     def given_m(is_bridged: bool) -> float:
@@ -230,7 +230,7 @@ def test_without_a_bridge_odometry_yields_where_it_is_cut(open_ring: bytes):
         ),
     ],
 )
-def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
+def test_an_impossible_change_is_refused_and_changes_nothing(
     open_ring: bytes, change: dict[str, Any], words: str
 ):
     back_end = pickle.loads(open_ring)
@@ -243,7 +243,7 @@ def test_what_cannot_be_done_is_answered_in_words_and_changes_nothing(
     np.testing.assert_array_equal(after.point_count, before.point_count)
 
 
-def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_kept(open_ring: bytes):
+def test_detached_key_frames_carry_no_edit_and_are_neither_cut_nor_stored(open_ring: bytes):
     """Some in the middle are of a piece whose place is not found: these are not stored."""
     back_end = pickle.loads(open_ring)
     for segment, after_ns in ((1, 10**12), (0, 2 * 10**12)):
@@ -262,7 +262,7 @@ def test_key_frames_of_an_unknown_place_hold_no_drawing_and_are_neither_cut_nor_
     assert "has not been placed" in switched.error
 
 
-def test_so_many_changes_can_be_taken_back(open_ring: bytes, monkeypatch: pytest.MonkeyPatch):
+def test_a_bounded_number_of_changes_can_be_undone(open_ring: bytes, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(live_edits, "MAX_UNDONE", 2)
     back_end = pickle.loads(open_ring)
     walls = [asked(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]

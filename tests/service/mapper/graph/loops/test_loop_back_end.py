@@ -63,7 +63,7 @@ def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
     return np.array(off)
 
 
-def test_a_ring_is_closed_and_the_path_bent_back(
+def test_a_ring_is_closed_and_the_path_corrected(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
     frames, truth = ring
@@ -82,7 +82,7 @@ def test_a_ring_is_closed_and_the_path_bent_back(
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
 
 
-def test_after_a_long_drive_the_finish_searches_where_no_loop_ties_it(
+def test_after_a_long_drive_the_finish_searches_where_no_loop_is(
     ring_fed: tuple[bytes, list[Result]], monkeypatch: pytest.MonkeyPatch
 ):
     """Else it takes longer the longer the drive was, and a service that ends does not wait for it."""
@@ -123,7 +123,7 @@ def test_a_closed_ring_is_known_better_than_the_path_that_led_to_it(ring: tuple[
         assert np.trace(one.covariance[:2, :2]) < 0.5 * np.trace(one.motion_covariance[:2, :2])
 
 
-def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_again(
+def test_loops_that_agree_with_the_map_are_accepted_without_rendering(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Else the live error grows lap by lap: no loop is off by what is worth a solution."""
@@ -136,7 +136,7 @@ def test_loops_that_agree_with_the_map_are_brought_in_without_drawing_it_again(
     assert all(result.known is None and result.rendered_map is None for result in solved)
 
 
-def test_the_graph_is_drawn_seldom_and_shows_what_holds_and_what_does_not(
+def test_the_picture_is_periodic_and_shows_accepted_and_refused_loops(
     ring_fed: tuple[bytes, list[Result]],
 ):
     back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
@@ -178,7 +178,7 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert longest_m < PICTURE_GAP_M
 
 
-def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):
+def test_localisation_drops_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):
     """However often a spot is passed: passes of the session go, and then nothing would be known there."""
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
     assert stored is not None
@@ -191,7 +191,7 @@ def test_who_is_only_localised_forgets_nothing_of_the_stored_map(ring_fed: tuple
     assert keyframes.has_points[: len(stored)].all()
 
 
-def test_who_is_lost_in_a_stored_map_keeps_what_it_saw_last(
+def test_a_lost_vehicle_in_a_stored_map_keeps_its_newest_key_frames(
     ring: tuple[list[KeyFrame], list[SE2]],
     ring_fed: tuple[bytes, list[Result]],
     monkeypatch: pytest.MonkeyPatch,
@@ -230,7 +230,7 @@ def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
     assert again.g2o == first.g2o
 
 
-def test_without_company_no_loop_is_believed(ring: tuple[list[KeyFrame], list[SE2]]):
+def test_a_single_loop_is_not_accepted(ring: tuple[list[KeyFrame], list[SE2]]):
     back_end, results = fed(ring[0], LoopsConfig(consensus_span_m=1000.0))
     assert {result.loops for result in results} == {0}
     assert back_end.work(Batch([], is_last=True)).loops == 0
@@ -251,7 +251,7 @@ def test_a_lap_that_ends_where_it_began_is_closed_where_the_path_is_known(is_kno
     assert bool(end_m < 0.03) is is_known, end_m
 
 
-def test_a_false_loop_that_the_rest_contradicts_is_dropped(
+def test_a_contradicted_false_loop_is_disabled(
     ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
 ):
     truth, back_end = ring[1], pickle.loads(ring_fed[0])
@@ -263,7 +263,7 @@ def test_a_false_loop_that_the_rest_contradicts_is_dropped(
     assert seam_m(list(finished.all), truth).max() < 0.02
 
 
-def test_who_undoes_the_last_loops_gets_the_path_before_them(ring_fed: tuple[bytes, list[Result]]):
+def test_undo_restores_the_path_before_the_newest_loops(ring_fed: tuple[bytes, list[Result]]):
     back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
     before = results[-1].loops
     undone = [back_end.work(Batch([], "undo")) for _ in range(before)]
@@ -274,7 +274,7 @@ def test_who_undoes_the_last_loops_gets_the_path_before_them(ring_fed: tuple[byt
 
 
 @pytest.mark.parametrize("says_so", [True, False])
-def test_behind_a_doubtful_match_loops_are_looked_for_farther_away(
+def test_after_a_poor_match_the_search_window_is_larger(
     ring: tuple[list[KeyFrame], list[SE2]], says_so: bool
 ):
     """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
@@ -309,7 +309,7 @@ def segment_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFram
     return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
 
 
-def test_a_detached_map_that_is_found_twice_four_metres_apart_is_joined(
+def test_a_segment_found_twice_four_metres_apart_is_joined(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]
@@ -333,7 +333,7 @@ def test_a_detached_map_that_is_found_twice_four_metres_apart_is_joined(
         assert abs(away.theta_rad) < 0.01
 
 
-def test_where_a_detached_map_was_found_is_reported_from_the_first_find_until_it_is_joined(
+def test_the_unconfirmed_place_is_reported_until_the_segment_is_joined(
     ring: tuple[list[KeyFrame], list[SE2]],
 ):
     known = ring[0][:SIDE]
@@ -353,7 +353,7 @@ def test_where_a_detached_map_was_found_is_reported_from_the_first_find_until_it
         assert 0.05 < math.sqrt(once.known.covariance[0, 0]) < 0.2
 
 
-def test_a_detached_map_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
+def test_a_segment_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
     """Standing, a room looks like any other of its kind."""
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)

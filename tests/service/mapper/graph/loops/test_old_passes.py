@@ -38,7 +38,7 @@ def driven(leads_to: Callable[[int], int]) -> tuple[KeyframeList, list[Loop]]:
     return keyframes, loops
 
 
-def test_the_passes_between_the_first_and_the_newest_are_taken_out():
+def test_passes_between_the_first_and_the_newest_are_removed():
     keyframes, loops = driven(lambda number: 0)
     passes = OldPasses(LoopsConfig(keep_passes=6), keyframes)
     passes.forget(loops)
@@ -57,7 +57,7 @@ def test_the_passes_between_the_first_and_the_newest_are_taken_out():
     assert passes.renumbering([]) is None  # nothing is looked back at twice
 
 
-def test_what_is_taken_out_goes_with_the_map_beside_it():
+def test_removed_key_frames_move_with_the_map_beside_them():
     """Also where that is taken out later itself."""
     keyframes, loops = driven(lambda number: 0)
     passes = OldPasses(LoopsConfig(keep_passes=6), keyframes)
@@ -87,7 +87,7 @@ def again(passes: OldPasses, keep: int) -> OldPasses:
     return passes
 
 
-def test_where_loops_do_not_lead_to_an_old_pass_it_only_loses_its_points():
+def test_an_old_pass_without_loops_only_loses_its_points():
     """It is all that says where the next ones lie: taken out, the map would hang on odometry."""
     keyframes, loops = driven(lambda number: number - 1)
     passes = OldPasses(LoopsConfig(keep_passes=6), keyframes)

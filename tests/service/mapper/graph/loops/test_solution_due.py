@@ -35,13 +35,13 @@ def loop(to: int, off_m: float) -> Loop:
 
 
 @pytest.mark.parametrize(("off_m", "is_news"), [(0.04, False), (0.06, True)])
-def test_one_loop_is_news_if_it_moves_the_map_visibly(off_m: float, is_news: bool) -> None:
+def test_one_loop_makes_a_solution_due_if_it_moves_the_map_visibly(off_m: float, is_news: bool) -> None:
     due = SolutionDue(LoopsConfig(), (COUNT - 20) * STEP_M)
     assert due.is_due(laps(), [loop(COUNT - 1, off_m)]) is is_news
     assert not due.is_due(laps(), [loop(COUNT - 40, off_m)])  # of long ago
 
 
-def test_loops_that_agree_are_brought_in_after_some_distance() -> None:
+def test_loops_that_agree_make_a_solution_due_after_some_distance() -> None:
     keyframes, agreeing = laps(), [loop(COUNT - 1, 0.001)]
     assert SolutionDue(LoopsConfig(), 0.0).is_due(keyframes, agreeing)
     due = SolutionDue(LoopsConfig(), 0.0)
@@ -50,7 +50,7 @@ def test_loops_that_agree_are_brought_in_after_some_distance() -> None:
 
 
 @pytest.mark.parametrize("moved", [(0.6 * RENDER_AT_M, 0.0, 0.0), (0.0, 0.0, -0.6 * RENDER_AT_M / LEVER_M)])
-def test_the_map_is_drawn_again_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
+def test_the_map_is_rendered_once_it_has_moved_visibly(moved: tuple[float, float, float]) -> None:
     before = laps().map.copy()
     after = before + np.array(moved)
     due = SolutionDue(LoopsConfig(), 0.0)

@@ -95,7 +95,7 @@ def found_m(keyframes: KeyframeList, last: int) -> float:
 BACK = range(106, 130, 4)  # key frames of the way back, from 28 m on, where a door lies within 5 m
 
 
-def test_points_on_ground_that_was_not_seen_would_drag_it_along(
+def test_unknown_ground_is_not_neutral_in_a_search(
     out_and_back: KeyframeList, monkeypatch: pytest.MonkeyPatch
 ):
     """Counted against a place, unknown ground puts the two passes on top of each other."""
@@ -104,7 +104,7 @@ def test_points_on_ground_that_was_not_seen_would_drag_it_along(
     assert max(map(abs, off_m)) > 0.1, off_m
 
 
-def test_along_a_bare_corridor_a_place_is_where_it_is_expected(in_a_bare_corridor: KeyframeList):
+def test_along_a_bare_corridor_the_expected_pose_applies(in_a_bare_corridor: KeyframeList):
     """Wherever a search has put it: the walls say how far across, nothing along, and that nothing is said."""
     for last in BACK:
         submap, cloud, true = places_of(in_a_bare_corridor, last)
@@ -117,7 +117,7 @@ def test_along_a_bare_corridor_a_place_is_where_it_is_expected(in_a_bare_corrido
         assert loop.covariance[0, 0] > 1.0, "the walls say how far along"
 
 
-def test_several_key_frames_that_see_one_wall_share_the_errors_of_its_surfels():
+def test_key_frames_of_one_wall_share_the_errors_of_its_surfels():
     side = np.linspace(-1.98, 1.98, 100)
     wall = np.column_stack((np.full(100, 2.05), side))
     once = cloud_with_noise(wall, np.tile([-1.0, 0.0, 1.0], (100, 1)))

@@ -50,7 +50,7 @@ def pairs_of(graph: PoseGraph, ends: list[tuple[int, int]], seed: int = 2) -> Po
 
 @pytest.mark.parametrize("loops", [[], [(3, 30)]])
 @pytest.mark.parametrize("pairs", [[(0, 39)], [(2, 25), (0, 20), (7, 39)]])
-def test_points_that_two_poses_saw_say_how_well_the_last_is_known(
+def test_shared_landmarks_give_the_covariance_of_the_last_pose(
     loops: list[tuple[int, int]], pairs: list[tuple[int, int]]
 ):
     graph = pairs_of(chain(loops), pairs)
@@ -59,7 +59,7 @@ def test_points_that_two_poses_saw_say_how_well_the_last_is_known(
     assert np.trace(expected) < 0.9 * np.trace(covariance_of(chain(loops), COUNT - 1))
 
 
-def test_a_loop_over_a_step_that_nothing_measures_says_how_well_the_pose_is_known():
+def test_a_loop_over_an_unmeasured_step_gives_the_covariance_of_the_pose():
     graph = chain([(5, 30)])
     graph.edges.covariance[:-1] = np.diag([1e-8, 1e-8, 1e-10])
     graph.edges.covariance[19] = np.diag([1e3, 1e3, 10.0])

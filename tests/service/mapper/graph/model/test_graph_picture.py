@@ -18,7 +18,7 @@ def test_a_long_path_is_thinned_and_keeps_its_end() -> None:
     assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
 
 
-def test_a_stretch_ends_at_another_detached_map_another_session_and_a_gap() -> None:
+def test_a_polyline_ends_at_another_segment_another_session_and_a_gap() -> None:
     path_length_m = np.array([0.0, 1.0, 2.0, 103.0, 104.0, 105.0, 106.0])
     segment = np.array([0, 0, 0, 0, 1, 1, 1])
     known = np.array([True, True, True, True, True, False, True])

@@ -72,7 +72,7 @@ def sigmas_mm(covariance: Floats) -> Floats:
     [{}, {"wide": (7, 8)}, {"wide": (4, 9, 14)}, {"doubtful": (5, 6, 11)}, {"wide": (7,), "doubtful": (7,)}],
     ids=str,
 )
-def test_without_a_loop_it_is_known_as_the_motion_model_says(odd: dict[str, Sequence[int]]) -> None:
+def test_without_a_loop_the_covariance_is_that_of_the_motion_model(odd: dict[str, Sequence[int]]) -> None:
     """Whatever happened on the way: the motion model has taken that in."""
     found = known(driven(**odd))
     np.testing.assert_allclose(
@@ -80,7 +80,7 @@ def test_without_a_loop_it_is_known_as_the_motion_model_says(odd: dict[str, Sequ
     )
 
 
-def test_in_a_detached_map_whose_place_is_not_known_the_newest_key_frame_before_it_counts() -> None:
+def test_in_a_detached_segment_the_newest_placed_key_frame_counts() -> None:
     """What odometry measured since comes on top of it."""
     keyframes = driven(segment=range(15, COUNT))
     found = known(keyframes)
@@ -90,7 +90,7 @@ def test_in_a_detached_map_whose_place_is_not_known_the_newest_key_frame_before_
     assert known_pose(keyframes, {0, 1}, graph_of(keyframes), 0).covariance[0, 0] > 100.0  # type: ignore[union-attr]
 
 
-def test_a_step_of_kilometres_in_one_direction_beside_millimetres_can_be_weighed() -> None:
+def test_a_step_with_sigmas_of_kilometres_and_millimetres_can_be_solved() -> None:
     keyframes = driven()
     for k, wide in enumerate(np.random.default_rng(1).normal(0.0, (1e5, 1e5, 300.0), (COUNT, 3))):
         keyframes.motion_covariance[k] += np.outer(wide, wide)

@@ -20,12 +20,12 @@ def kept_of(poses: list[SE2]) -> list[int]:
     return np.flatnonzero(keyframes.has_points).tolist()
 
 
-def test_of_a_vehicle_that_creeps_or_turns_one_of_each_step_keeps_its_points():
+def test_at_creep_or_turning_one_key_frame_of_each_step_keeps_its_points():
     assert kept_of([SE2(0.11 * k, 0.0, 0.0) for k in range(16)]) == [0, 3, 6, 9, 12, 13, 14, 15]
     assert kept_of([SE2(0.0, 0.0, 0.08 * k) for k in range(9)]) == [0, 2, 4, 6, 7, 8]
 
 
-def test_a_key_frame_back_in_a_map_is_placed_by_the_newest_of_that_map():
+def test_a_key_frame_back_in_a_segment_is_placed_by_its_newest_one():
     """Odometry jumps where a map that began apart is left for the one before."""
     keyframes, noise = KeyframeList(), np.random.default_rng(1)
     append(keyframes, WALLS, SE2(1.0, 0.0, 0.0), 0, noise)

@@ -38,18 +38,18 @@ def test_a_direction_that_no_wall_fixes_stays_open(direction_rad: float) -> None
     assert heading == pytest.approx(math.sqrt(0.001**2 + FLOOR[2, 2]), rel=0.01)
 
 
-def test_a_wall_at_the_end_counts_for_what_it_says() -> None:
+def test_a_wall_at_the_end_counts_with_its_information() -> None:
     along, across, _ = sigmas(corridor(0.3, 0.4), 0.3)
     assert along == pytest.approx(0.4, rel=0.01)
     assert across < 0.01
 
 
-def test_no_loop_is_surer_than_walls_and_sweeps_allow() -> None:
+def test_no_loop_is_more_certain_than_the_covariance_floor() -> None:
     along, across, heading = sigmas(1e12 * np.eye(3), 0.3, turned_rad=0.4)
     assert (along, across, heading) == pytest.approx(np.sqrt(np.diag(FLOOR)), rel=1e-3)
 
 
-def test_places_along_the_path_that_no_loop_ties() -> None:
+def test_positions_along_the_path_without_a_loop() -> None:
     at_m = np.arange(0.0, 20.0, 2.0)
     assert far_from_loops(at_m, np.array([15.0, 4.5]), 2.0).tolist() == [0.0, 2.0, 8.0, 10.0, 12.0, 18.0]
     assert far_from_loops(at_m, np.empty(0), 2.0).tolist() == at_m.tolist()

@@ -52,12 +52,12 @@ def check(found: Edges, into: Floats, out_of: Floats) -> None:
     np.testing.assert_allclose(found.covariance, expected)
 
 
-def test_where_it_says_nothing_they_are_given_a_wide_covariance() -> None:
+def test_without_a_motion_model_steps_have_a_wide_covariance() -> None:
     check(edges(is_lost=True, motion_covariance=None), LOST_COVARIANCE, LOST_COVARIANCE)
 
 
 @pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
-def test_steps_at_a_key_frame_that_hardly_lies_on_the_map_are_uncertain(score: float, added: float) -> None:
+def test_steps_at_a_key_frame_with_a_low_inlier_ratio_are_uncertain(score: float, added: float) -> None:
     """The others lie on it with 0.9, and 60 % of that is 0.54."""
     doubted = SOUND + added * np.diag([MAX_PREDICTION_VARIANCE[0], *MAX_PREDICTION_VARIANCE])
     check(edges(score=score), doubted, doubted)
@@ -71,7 +71,7 @@ def test_a_path_without_scans_is_uncertain_by_its_length_beyond_two_steps(
     check(edges(ahead_m), SOUND + sigma**2 * np.eye(3), SOUND)
 
 
-def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
+def test_unmatched_steps_have_the_covariance_of_the_motion_model() -> None:
     found = edges(by_motion=True, motion_covariance=None).covariance
     usual = np.diag(np.full(3, 1e-6)) + MIN_EDGE_COVARIANCE
     np.testing.assert_allclose(found[[0, -1]][:, 0, 0], usual[0, 0], rtol=1e-6)
@@ -79,7 +79,7 @@ def test_the_motion_model_says_how_well_a_step_is_known_where_it_can() -> None:
     np.testing.assert_allclose(found[ODD], SOUND)
 
 
-def test_no_one_knows_the_motion_into_another_map_and_back_it_is_counted_from_where_it_was_left() -> None:
+def test_a_step_into_a_new_segment_is_unknown_and_back_it_starts_where_the_segment_was_left() -> None:
     found = edges(segment=1)
     np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
     assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
@@ -97,7 +97,7 @@ def test_no_one_knows_the_motion_into_another_map_and_back_it_is_counted_from_wh
         ({"gap_s": 1.5, "motion_covariance": None}, False),
     ],
 )
-def test_into_another_map_dead_reckoning_knows_the_motion_where_no_one_can_have_carried_the_vehicle(
+def test_a_step_into_a_segment_without_a_scan_gap_has_the_covariance_of_dead_reckoning(
     odd: dict[str, Any], is_known: bool, by_motion: bool
 ) -> None:
     found = edges(by_motion=by_motion, segment=1, **odd).covariance[ODD - 1]
@@ -106,7 +106,7 @@ def test_into_another_map_dead_reckoning_knows_the_motion_where_no_one_can_have_
 
 
 @pytest.mark.parametrize("is_lost", [False, True])
-def test_a_doubtful_match_is_uncertain_beside_the_motion_model_too(is_lost: bool) -> None:
+def test_a_poor_match_is_uncertain_beside_the_motion_model_too(is_lost: bool) -> None:
     """What was not matched cannot be a wrong match: odometry alone says how well it is known."""
     odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
     added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance

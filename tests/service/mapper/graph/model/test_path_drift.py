@@ -63,7 +63,7 @@ def loop(x_m: float, y_m: float, theta_rad: float, of: int = 0) -> Loop:
     return Loop(of, STEPS, np.array([x_m, y_m, theta_rad]), SURE, 0.5)
 
 
-def test_a_loop_beyond_that_is_not_allowed_unless_no_one_knows_the_motion():
+def test_a_loop_beyond_the_drift_is_not_allowed_unless_a_step_is_unknown():
     off_m = 1.1 * np.sqrt(MAX_DRIFT_CHI2 * (STEPS * VARIANCE[0, 0] + (UNMODELLED_SHARE * 10.0) ** 2))
     assert straight().allows(loop(10.0 + 0.8 * off_m, 0.0, 0.0))
     assert not straight().allows(loop(10.0 + off_m, 0.0, 0.0))
@@ -71,7 +71,7 @@ def test_a_loop_beyond_that_is_not_allowed_unless_no_one_knows_the_motion():
 
 
 @pytest.mark.parametrize("odd", [{"lost": 20}, {"beside": (20, 21, 22)}], ids=["unseen", "beside"])
-def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_path(odd: dict[str, Any]):
+def test_a_similar_row_is_refused_where_the_path_was_poorly_matched(odd: dict[str, Any]):
     """At the end of a row of vines nothing may be seen for a scan, or a piece be begun and left again."""
     drift = straight(**odd)
     assert drift.chi2(loop(10.0, BESIDE_M, 0.0)) == pytest.approx(
@@ -80,13 +80,13 @@ def test_a_row_that_looks_like_another_is_refused_where_less_was_seen_on_the_pat
     assert not drift.allows(loop(10.0, 4.0 * BESIDE_M, 0.0))
 
 
-def test_no_one_knows_the_motion_from_a_detached_map_beside_it():
+def test_the_step_from_a_detached_segment_beside_the_path_is_unknown():
     drift = straight(beside=(20, 21, 22))
     assert drift.allows(loop(0.25 * (STEPS - 21), 4.0 * BESIDE_M, 0.0, of=21))
     assert not drift.allows(loop(0.25 * (STEPS - 19), 4.0 * BESIDE_M, 0.0, of=19))
 
 
-def test_a_loop_is_where_the_path_leads_if_that_is_known_well_and_says_so():
+def test_a_loop_is_confirmed_by_a_precise_path_that_agrees():
     sigma_m = np.hypot(np.sqrt(STEPS * VARIANCE[0, 0]), UNMODELLED_SHARE * 10.0)
     there, aside = loop(10.0 + 3.0 * sigma_m, 0.0, 0.0), loop(10.0 + 4.0 * sigma_m, 0.0, 0.0)
     assert straight().confirms(there)
@@ -97,14 +97,14 @@ def test_a_loop_is_where_the_path_leads_if_that_is_known_well_and_says_so():
     assert not straight(variance=doubtful).confirms(there)  # something alike may lie nearer
 
 
-def test_a_slip_that_no_one_noticed_does_not_keep_loops_away():
+def test_an_unnoticed_slip_does_not_prevent_loops():
     """A scan that was matched wrong leaves the covariance as small as it was."""
     sure = straight(variance=1e-4 * VARIANCE)
     assert sure.allows(loop(10.0 * 1.02, 0.0, 0.0))
     assert not sure.allows(loop(10.0 * 1.04, 0.0, 0.0))
 
 
-def test_a_slip_where_little_lay_on_the_map_does_not_keep_loops_away():
+def test_a_slip_at_a_poor_match_does_not_prevent_loops():
     """A turn onto new ground may be matched 0.3 rad off, with the covariance of a good match."""
     turned = loop(10.0, 0.0, 0.6)
     assert not straight().allows(turned)
@@ -112,7 +112,7 @@ def test_a_slip_where_little_lay_on_the_map_does_not_keep_loops_away():
 
 
 @pytest.mark.parametrize("is_known", [True, False])
-def test_an_aisle_that_looks_like_another_beside_it_is_not_taken_for_it(is_known: bool):
+def test_a_similar_aisle_beside_it_makes_no_loop(is_known: bool):
     """Where no one knows how well the way is known, the same scans close a loop."""
     aisle, _ = key_frames(0.5, turn_error_radpm=0.0)
     away = SE2(0.0, BESIDE_M, 0.0)

@@ -79,7 +79,7 @@ def test_odometry_and_landmark_terms_reach_the_least_squares_of_scipy():
     np.testing.assert_allclose(solution.poses[0], graph.poses[0], atol=1e-6)
 
 
-def test_a_false_edge_bends_nothing_if_it_is_robust():
+def test_a_false_robust_edge_moves_nothing():
     graph, truth = ring(40, noise=0.1)
     edges = graph.edges
     false = np.array([[0.0, 0.0, 0.0]])  # pose 20 is 20 m from pose 0
@@ -100,7 +100,7 @@ def test_a_false_edge_bends_nothing_if_it_is_robust():
 
 
 @pytest.mark.parametrize("near_m", [0.0, 0.3, 0.99])
-def test_a_landmark_at_a_pose_itself_holds_it_as_well(near_m: float):
+def test_a_landmark_at_a_pose_itself_constrains_it_as_well(near_m: float):
     """A bearing to a point at no distance means nothing; x and y do."""
     poses = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 1.0]])
     point = se2.points_from(poses[1], np.array([near_m, 0.0]))
@@ -141,7 +141,7 @@ def test_covariance_of_a_chain_adds_up():
     np.testing.assert_allclose(found[2, 2], 2e-4, rtol=1e-4)
 
 
-def test_groups_that_hang_together_by_nothing_stay_where_they_were():
+def test_disconnected_groups_stay_at_the_first_guess():
     graph, _ = ring(12)
     edges = graph.edges
     keep = np.array([k for k in range(12) if k not in (5, 11)])  # two arcs: 0 to 5 and 6 to 11
@@ -180,7 +180,7 @@ def changed(graph: PoseGraph, **changes: np.ndarray) -> PoseGraph:
     return PoseGraph(changes.get("poses", graph.poses), Edges(**fields), landmarks)
 
 
-def test_what_cannot_be_a_graph_is_named():
+def test_an_invalid_graph_is_refused_by_name():
     graph, _ = ring(4)
     wrong = graph.edges.covariance.copy()
     wrong[2, 0, 0] = -1.0
@@ -214,7 +214,7 @@ def test_two_processes_give_the_same_bits(capsys: pytest.CaptureFixture[str]):
     assert len(other.strip()) == 64
 
 
-def test_g2o_text_holds_what_is_measured():
+def test_g2o_text_has_all_measurements():
     graph, truth = ring(3)
     graph = with_landmarks(graph, truth, np.array([[3.0, 4.0]]))
     lines = to_g2o(graph, truth).splitlines()

@@ -9,7 +9,7 @@ from service.mapper.graph.relocalise.place_search import find_places
 from tests.service.mapper.graph.relocalise.test_known_map import STOOD, append, room, rooms
 
 
-def test_who_stands_and_looks_again_has_no_more_evidence_than_before():
+def test_standing_still_adds_no_evidence():
     keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
     walls = room(0.0, with_pillar=True)
     own = [append(keyframes, walls, STOOD, 1, noise) for _ in range(4)]
@@ -21,7 +21,7 @@ def test_who_stands_and_looks_again_has_no_more_evidence_than_before():
     assert evidence[1] == pytest.approx(evidence[0], rel=0.25)
 
 
-def test_walls_are_weighed_from_as_far_as_a_heading_is_known():
+def test_walls_count_up_to_the_evidence_range():
     keyframes, noise = KeyframeList(), np.random.default_rng(1)
     walls = [
         (EVIDENCE_RANGE_M - 1.0, -9.0, EVIDENCE_RANGE_M - 1.0, 0.0),

@@ -28,7 +28,7 @@ VAGUE = OdometryPrior(np.zeros(3), np.diag([9.0, 9.0, 1.0]), 100.0)
         (None, 0.0, False),
     ],
 )
-def test_where_dead_reckoning_leads_the_vehicle_may_be_unless_what_is_seen_contradicts(
+def test_dead_reckoning_is_possible_unless_the_query_contradicts_it(
     prior: OdometryPrior | None, evidence: float, may_be_there: bool
 ) -> None:
     search = DetachedSearch(LoopsConfig(), KeyframeList())
@@ -39,7 +39,7 @@ def test_where_dead_reckoning_leads_the_vehicle_may_be_unless_what_is_seen_contr
 
 
 @pytest.mark.parametrize("is_disputed", [False, True])
-def test_a_find_that_dead_reckoning_disputes_is_kept_for_the_next_one_and_not_reported(
+def test_a_place_disputed_by_dead_reckoning_is_kept_but_not_reported(
     is_disputed: bool,
 ) -> None:
     keyframes = SimpleNamespace(odom=np.zeros((1, 3)), motion_covariance=np.eye(3)[None])
@@ -91,7 +91,7 @@ def searched(known: Walls, seen: Walls) -> DetachedSearch:
     return search
 
 
-def test_walls_as_stand_in_any_wing_of_a_building_say_too_little_to_be_found_by() -> None:
+def test_walls_common_to_all_wings_do_not_localise() -> None:
     """All of what is seen lies on the map, and may be another junction of bare corridors."""
     search = searched(junction(False), junction(False, at_m=100.0))
     assert search.unconfirmed_place is None
@@ -101,7 +101,7 @@ def test_walls_as_stand_in_any_wing_of_a_building_say_too_little_to_be_found_by(
     assert 5.0 < possible.nats < possible.least
 
 
-def test_a_junction_with_things_in_it_is_found() -> None:
+def test_a_junction_with_objects_is_found() -> None:
     search = searched(junction(True), junction(True, at_m=100.0))
     found = search.unconfirmed_place
     assert found is not None
@@ -110,7 +110,7 @@ def test_a_junction_with_things_in_it_is_found() -> None:
     assert (at.x_m, at.y_m) == pytest.approx((IN_JUNCTION.x_m, IN_JUNCTION.y_m), abs=0.02)
 
 
-def test_ground_that_the_map_does_not_know_is_no_reason_against_a_place() -> None:
+def test_unknown_ground_does_not_contradict_a_place() -> None:
     """Half of what is seen is new: a piece that comes from new ground onto the map is found on its border."""
     new = [(-15.0, 1.0, -6.5, 4.0), (-6.5, 4.0, -5.5, 4.0), (-5.5, 4.0, -5.5, 1.0), (-5.5, 1.0, -1.0, 1.0)]
     seen = [wall for wall in junction(True) if wall != JUNCTION[4]] + new
@@ -119,7 +119,7 @@ def test_ground_that_the_map_does_not_know_is_no_reason_against_a_place() -> Non
 
 
 @pytest.mark.parametrize("gap_s", [0.5, 15.0])
-def test_who_drove_on_is_not_looked_for_in_a_room_that_dead_reckoning_rules_out(gap_s: float) -> None:
+def test_after_driving_on_rooms_out_of_reach_are_not_searched(gap_s: float) -> None:
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     mapped = np.arange(keyframes.count)
     append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise, gap_s=gap_s)
@@ -129,7 +129,7 @@ def test_who_drove_on_is_not_looked_for_in_a_room_that_dead_reckoning_rules_out(
     assert (search.unconfirmed_place is None) == (gap_s > MAX_SCAN_GAP_S)
 
 
-def test_of_a_large_map_as_much_is_searched_as_of_a_small_one() -> None:
+def test_the_searched_area_is_independent_of_the_map_size() -> None:
     keyframes, noise = KeyframeList(), np.random.default_rng(5)
     for x_m in np.arange(0.0, 400.0, 5.0):
         append(keyframes, [(x_m, 2.0, x_m + 1.0, 2.0)], SE2(float(x_m), 0.0, 0.0), 0, noise)

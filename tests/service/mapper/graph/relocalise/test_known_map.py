@@ -93,7 +93,7 @@ def looked_for(keyframes: KeyframeList, own: int) -> tuple[DetachedSearch, tuple
 
 
 @pytest.mark.parametrize("stands_in_second", [False, True])
-def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_second):
+def test_a_pillar_in_either_room_distinguishes_them(stands_in_second):
     """Seen where the map knows that nothing stands; or looked through where the map has it."""
     for pillar_in_second in (False, True):
         keyframes, noise = rooms(not pillar_in_second, pillar_in_second)
@@ -111,7 +111,7 @@ def test_a_pillar_tells_two_rooms_apart_whichever_of_them_has_it(stands_in_secon
         assert search.evidence_margin(in_the_other) < -MIN_MARGIN_NATS
 
 
-def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_reported():
+def test_two_similar_rooms_are_both_candidates_and_none_is_accepted():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     search, best = looked_for(keyframes, append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise))
     assert best is None
@@ -121,7 +121,7 @@ def test_of_two_rooms_that_are_alike_none_is_taken_and_both_are_reported():
 
 
 @pytest.mark.parametrize("stands_in_second", [False, True])
-def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_known_in_part(stands_in_second):
+def test_a_fully_mapped_room_does_not_win_against_a_partly_mapped_one(stands_in_second):
     """What the map does not know of the second may look as in the first."""
     noise, keyframes = np.random.default_rng(5), KeyframeList()
     for at_m, walls in ((0.0, room(0.0, with_pillar=False)), (APART_M, room(APART_M, with_pillar=False)[:5])):
@@ -138,14 +138,14 @@ def test_a_room_that_is_known_whole_does_not_win_against_one_like_it_that_is_kno
     assert search.evidence_margin(np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])) > MIN_MARGIN_NATS
 
 
-def test_what_the_map_does_not_know_at_all_is_found_nowhere():
+def test_an_unmapped_room_is_not_found():
     keyframes, noise = rooms(pillar_in_first=True, pillar_in_second=False)
     hall = [(-9.0, -8.0, 9.0, -8.0), (9.0, -8.0, 9.0, 8.0), (9.0, 8.0, -9.0, 8.0), (-9.0, 8.0, -9.0, -8.0)]
     _, best = looked_for(keyframes, append(keyframes, hall, SE2(0.5, 0.3, 0.4), 1, noise))
     assert best is None
 
 
-def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
+def test_a_pillar_seen_in_free_space_contradicts_a_place():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     own = append(keyframes, room(0.0, with_pillar=True), STOOD, 1, noise)
     known_map = KnownMap(keyframes, np.arange(own))
@@ -161,7 +161,7 @@ def test_a_pillar_that_is_seen_where_nothing_stands_counts_against_a_place():
     assert score.unexplained == pytest.approx(MAX_LOG_RATIO * count - score.evidence)
 
 
-def test_a_person_who_stood_there_when_the_map_was_made_hides_no_place():
+def test_a_mapped_person_does_not_exclude_a_place():
     """What is left of him lies around the sensor: each beam goes through it."""
     noise, keyframes = np.random.default_rng(5), KeyframeList()
     for at_m in (0.0, APART_M):
@@ -177,7 +177,7 @@ def test_a_person_who_stood_there_when_the_map_was_made_hides_no_place():
     assert math.hypot(away[0], away[1]) < 0.02
 
 
-def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_other():
+def test_unexplained_evidence_raises_the_required_margin():
     keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
     search = DetachedSearch(LoopsConfig(), keyframes)
     loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
@@ -201,7 +201,7 @@ def test_a_place_that_leaves_much_unexplained_must_be_much_likelier_than_every_o
     assert best_of(60.0, 0.0, beside_m=0.05) is not None
 
 
-def test_after_an_unmeasured_motion_a_place_must_beat_new_ground_and_dead_reckoning_counts() -> None:
+def test_after_unmeasured_motion_a_place_must_exceed_new_ground_and_the_prior_counts() -> None:
     keyframes, _ = rooms(pillar_in_first=False, pillar_in_second=False)
     search = DetachedSearch(LoopsConfig(), keyframes)
     loop = loop_of(0, 1, np.zeros(3), np.eye(3), 0.9, 100, 0.0)
@@ -253,7 +253,7 @@ def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
     assert (np.hypot(away[:, 0], away[:, 1]) + np.abs(away[:, 2])).min() < 0.3
 
 
-def test_walls_speak_for_a_place_once_each_however_many_beams_end_on_them():
+def test_each_wall_counts_once_however_many_beams_end_on_it():
     keyframes, noise = rooms(pillar_in_first=False, pillar_in_second=False)
     mapped = np.arange(keyframes.count)
     truth = np.array([STOOD.x_m, STOOD.y_m, STOOD.theta_rad])

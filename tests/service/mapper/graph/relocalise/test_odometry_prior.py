@@ -19,7 +19,7 @@ COVARIANCE = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.003], [0.0, 0.003, 0.00
 REGION = 2.0 * math.pi * 300.0
 
 
-def test_a_place_where_dead_reckoning_leads_is_likelier_by_how_well_that_is_known() -> None:
+def test_the_prior_at_dead_reckoning_grows_with_its_precision() -> None:
     """A normal distribution in base axes, by scipy, mixed with one that is level over all of the map."""
     prior = OdometryPrior(AT, COVARIANCE, REGION)
     for away in (np.zeros(3), np.array([0.1, -0.05, 0.03]), np.array([0.0, 5.0, 0.0])):
@@ -31,14 +31,14 @@ def test_a_place_where_dead_reckoning_leads_is_likelier_by_how_well_that_is_know
         assert prior.nats(se2.compose(AT, away)) == pytest.approx(expected, abs=1e-9)
 
 
-def test_dead_reckoning_explains_a_place_within_chance_and_none_where_it_knows_little() -> None:
+def test_dead_reckoning_explains_a_place_within_its_gate_and_none_if_vague() -> None:
     prior = OdometryPrior(AT, COVARIANCE, REGION)
     assert prior.explains(se2.compose(AT, np.array([0.1, 0.1, 0.05])))
     assert not prior.explains(se2.compose(AT, np.array([0.0, 1.0, 0.0])))
     assert not OdometryPrior(AT, 100.0 * np.eye(3), REGION).explains(AT)
 
 
-def test_a_fit_and_dead_reckoning_together_are_the_least_squares_of_both() -> None:
+def test_a_fit_fused_with_dead_reckoning_is_the_least_squares_of_both() -> None:
     """Along a corridor the walls say nothing: there dead reckoning says where, across it the walls do."""
     prior = OdometryPrior(AT, COVARIANCE, REGION)
     fit_at = AT + np.array([0.2, 0.02, 0.01])

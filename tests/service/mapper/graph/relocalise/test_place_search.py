@@ -52,14 +52,14 @@ def looked_for(walls: Walls, pose: SE2) -> tuple[DetachedSearch, tuple[np.ndarra
     return search, search.best_of(search.places_of([own], own, known))
 
 
-def test_along_walls_that_say_nothing_no_place_is_taken():
+def test_along_bare_walls_no_place_is_accepted():
     """Each cell of a block of the search fits as well as the one that it gives."""
     search, best = looked_for(corridor(), SE2(33.0, 0.3, 0.2))
     assert best is None
     assert len(search.possible) == 2
 
 
-def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_tells():
+def test_places_beside_are_found_along_bare_walls_and_none_beside_a_niche():
     pose = SE2(33.0, 0.3, 0.2)
     for niches, are_there_others in (((), True), ((34.0, 35.9), False)):
         walls = corridor(niches)
@@ -76,7 +76,7 @@ def test_beside_a_place_others_are_found_along_the_walls_and_none_where_a_niche_
         assert any(0.1 < abs(at[0] - best.fit.pose[0]) < 1.65 for at in rivals) == are_there_others
 
 
-def test_a_niche_tells_where_along_a_corridor():
+def test_a_niche_fixes_the_position_along_a_corridor():
     pose = SE2(33.0, 0.3, 0.2)
     _, best = looked_for(corridor((13.0, 34.0, 35.9)), pose)
     assert best is not None
@@ -85,7 +85,7 @@ def test_a_niche_tells_where_along_a_corridor():
     assert math.hypot(away[0], away[1]) < 0.03
 
 
-def test_two_niches_that_are_alike_are_reported_both():
+def test_two_similar_niches_are_both_candidates():
     search, best = looked_for(corridor((13.0, 47.0)), SE2(12.0, 0.3, 0.2))
     assert best is None
     x_m, other_m = sorted(at.x_m for at in search.possible)

@@ -63,7 +63,7 @@ def states_after(
 
 
 @pytest.mark.parametrize(("world", "at_s"), [("office", 10), in_soak("library", 22)])
-def test_who_drove_on_is_found_where_odometry_leads_on_ground_that_is_known_in_part(world, at_s):
+def test_after_driving_on_the_place_is_found_by_odometry_on_partly_known_ground(world, at_s):
     made = silent(through(world, at_s + 6.5, 2), at_s * S, PAUSE_NS)
     states, off_m, since_s, reasons = states_after(made, at_s * S)
     assert states[0] == "lost"
@@ -74,7 +74,7 @@ def test_who_drove_on_is_found_where_odometry_leads_on_ground_that_is_known_in_p
 
 
 @pytest.mark.parametrize(("world", "at_s"), [("office", 10), in_soak("library", 22)])
-def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(world, at_s):
+def test_a_vehicle_carried_to_similar_walls_is_never_ok_at_a_wrong_place(world, at_s):
     made = carried_on(through(world, at_s + 5.8, 2), at_s * S, PAUSE_NS)
     states, off_m, _, reasons = states_after(made, at_s * S)
     assert off_m[0] > 3.0
@@ -82,7 +82,7 @@ def test_who_was_carried_to_walls_that_look_alike_is_never_ok_in_a_wrong_place(w
     assert not any(state != "lost" and off > 0.3 for state, off in zip(states, off_m, strict=True))
 
 
-def test_who_was_carried_back_is_reported_where_it_is_and_ok_once_that_is_confirmed():
+def test_a_vehicle_carried_back_is_localised_and_ok_once_confirmed():
     made, again = drives(WORLDS["office"](), LASER, 22.0, [2, 3], Wheels())
     carried = carried_back(made, again, 22 * S, PAUSE_NS, 14 * S, 6 * S)
     states, off_m, since_s, reasons = states_after(carried, 22 * S)
@@ -100,7 +100,7 @@ def driven_on() -> Drive:
     return silent(through("library", 27.8, 2), 22 * S, PAUSE_NS)
 
 
-def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once(driven_on: Drive):
+def test_without_a_searching_graph_the_map_is_matched_at_once(driven_on: Drive):
     states, off_m, since_s, _ = states_after(
         driven_on, 22 * S, mapping_config({"components": {"graph": "no_graph"}})
     )
@@ -109,7 +109,7 @@ def test_where_no_graph_looks_for_the_place_the_map_is_asked_at_once(driven_on: 
     assert off_m.max() < 0.05
 
 
-def test_a_graph_whose_worker_dies_while_a_place_is_looked_for_leaves_no_vehicle_lost(driven_on: Drive):
+def test_a_worker_that_dies_during_a_search_does_not_leave_the_vehicle_lost(driven_on: Drive):
     states, off_m, _, _ = states_after(driven_on, 22 * S, dies_at_ns=24 * S)
     assert states[:1] == ["lost"]  # the first scan goes out, and no answer comes
     assert "lost" not in states[3:]
