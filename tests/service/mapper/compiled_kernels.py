@@ -1,9 +1,9 @@
 """Warm up, map a drive, print as JSON how many kernels numba compiled, and how many signatures each has.
 
-With the argument `live` as the live service does: the graph's back end works elsewhere. A map that it has
-drawn then replaces the shown one; with `localizing`, scans are compared with it besides.
+With the argument `live` as the live service: the graph's back end runs in another process, and a map that it
+rendered replaces the shown one; with `localizing` scans are also compared with it.
 
-In a process of its own, because other tests call kernels in their own ways.
+In a process of its own, because other tests call kernels with other types.
 """
 
 import importlib

@@ -157,7 +157,7 @@ def drive(
 
 
 def eased(time_s: float) -> float:
-    """Time that stands still for 0.4 s and then takes a second to run at full speed."""
+    """Time that is constant for 0.4 s and then takes a second to reach full speed."""
     since_s = max(time_s - 0.4, 0.0)
     return since_s**2 / 2.0 if since_s < 1.0 else since_s - 0.5
 

@@ -17,7 +17,7 @@ MAPPED_S = 30.0
 
 
 def through(world: str, seconds: float, seed: int, stand_s: float = 0.5, laser: Laser = LASER) -> Drive:
-    """The way of a world from its start on, or from a later moment where stand_s is below 0."""
+    """The path of a world from its start on, or from a later moment where stand_s is below 0."""
     return drive(WORLDS[world](), laser, seconds, seed, Wheels(), stand_s=stand_s)
 
 

@@ -1,4 +1,4 @@
-"""What a person drew goes with what is around it."""
+"""Manual edits move with the map around them."""
 
 from dataclasses import replace
 

@@ -27,7 +27,7 @@ BOX = [(2.05, 1.25), (2.05, 1.35), (2.05, 1.45), (2.05, 1.55)]  # middles of fou
 
 @dataclass
 class Room:
-    """Free, with a wall of the stored map where `walls` says: cells of 0.1 m, m."""
+    """Free space with walls of the stored map: cells of 0.1 m, in m."""
 
     walls: tuple[tuple[float, float], ...] = ()
 
@@ -107,7 +107,7 @@ def test_four_scans_of_five_must_agree(clear: int, expected: list) -> None:
 @pytest.mark.parametrize(
     ("cells", "expected"),
     [
-        (BOX[:3], []),  # the rim of something that stands where it was
+        (BOX[:3], []),  # the edge of an unchanged object
         (BOX, BOX),
         ([(1.95, 1.15), (2.05, 1.25), (2.15, 1.35), (2.25, 1.45)], "all"),  # by corners
         ([*BOX[:3], (2.05, 1.75), (2.05, 1.85), (2.05, 1.95)], []),  # two threes are no six
@@ -140,7 +140,7 @@ def test_a_beam_that_ends_close_behind_a_wall_does_not_contradict_it(times: floa
 
 
 def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:
-    """Row and column, asked one by one."""
+    """Row and column, evaluated one by one."""
     votes = watch.votes
     return {
         at
@@ -154,7 +154,7 @@ def sure_cells(watch: ChangeWatch, is_new: bool) -> set[tuple[int, int]]:
 
 
 def in_groups(cells: set[tuple[int, int]]) -> set[tuple[int, int]]:
-    """Without those that hang together with too few others, found from cell to cell."""
+    """Without groups of too few connected cells, by flood fill."""
     kept: set[tuple[int, int]] = set()
     left = set(cells)
     while left:

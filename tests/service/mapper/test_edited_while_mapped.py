@@ -30,7 +30,7 @@ Cells = dict[tuple[int, int], int]  # row and column of those that are known: pe
 
 @dataclass
 class Mapped:
-    """A drive with changes on its way: what came of it, and what was shown when the last was taken over."""
+    """A drive with changes during it: their answers, and the shown map when the last one was applied."""
 
     outputs: list[MapperOutput]
     shown: list[TileUpdate]
@@ -56,7 +56,7 @@ def new_session() -> MappingSession:
 
 
 def mapped(drove: Drive, *changes: dict[str, Any], shown_ns: int = 0) -> Mapped:
-    """Asked for the changes at EDITED_NS. shown_ns: where there are none, after that moment."""
+    """Requests the changes at EDITED_NS. shown_ns: without changes, the moment of the shown map."""
     session, outputs, answers = new_session(), [], []
     shown: list[TileUpdate] = []
     taken_over_ns = 0
@@ -186,7 +186,7 @@ def test_before_the_first_scan_there_is_nothing_to_change():
 
 def test_a_loop_is_refused_while_driving_and_the_pose_loses_its_correction():
     session, asked_ns, taken_over_ns = new_session(), 0, 0
-    before = after = None  # pose_map_odom at the request, and when it was taken over
+    before = after = None  # pose_map_odom at the request, and after it was applied
     answer: dict[str, Any] = {}
     for frame in through("office", 60.0, 3).frames:
         if isinstance(frame, LaserScan) and frame.stamp_ns > LOOPED_NS and not asked_ns:

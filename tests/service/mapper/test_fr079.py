@@ -1,7 +1,7 @@
 """The front end on a real building: Freiburg 079, against the relations of Kuemmerle et al. 2009.
 
-The first third of it; `make soak` has the whole, `make bench` the same recording without odometry, with scans
-left out and with wrong odometry.
+The first third of it; `make soak` maps all of it, `make bench` the same recording without odometry, with
+scans left out and with wrong odometry.
 """
 
 import math

@@ -1,6 +1,6 @@
-"""Laps without end: memory, time a scan, error and sigma stay as they are.
+"""Unlimited laps: memory, time per scan, error and sigma stay constant.
 
-`CORRIDOR_SOAK_HOURS` simulated hours a world (10); a shorter run is judged in the same way.
+`CORRIDOR_SOAK_HOURS` simulated hours per world (10); a shorter run is judged in the same manner.
 """
 
 import gc
@@ -22,7 +22,7 @@ from simulators.worlds import build_world
 from tests.simulated import FORWARD, Laser, scans_at
 
 HOURS = float(os.environ.get("CORRIDOR_SOAK_HOURS", "10"))
-LASER = Laser(LMS100, 541, 50.0, -135.0, 0.5, every=5)  # ten scans a second: half a metre of way at most
+LASER = Laser(LMS100, 541, 50.0, -135.0, 0.5, every=5)  # ten scans a second: at most half a metre apart
 WINDOWS = 10  # the run is divided into; the first two are the map's, whose laps are new
 SETTLED = 2
 

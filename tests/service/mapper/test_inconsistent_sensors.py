@@ -52,9 +52,9 @@ def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
     return run(mapping_config(), replace(drive, frames=frames))
 
 
-@pytest.mark.soak  # the whole ring; its first corner below
+@pytest.mark.soak  # the entire ring; its first corner below
 def test_frozen_odometry_is_excluded_once_a_turn_reveals_it() -> None:
-    """A dead encoder: the first turn on the spot says so, and the corridors are mapped without odometry."""
+    """A dead encoder: the first turn on the spot reveals it, and the rest is mapped without odometry."""
     trip = Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=10.0), None, Wheels())
     (made,) = trip.drives([1])
     done = driven(made, OdometrySample, frozen)
@@ -72,7 +72,7 @@ def test_frozen_odometry_is_excluded_once_a_turn_reveals_it() -> None:
     ],
 )
 def test_dead_odometry_does_not_lose_the_pose(place: str, fault: str, seconds: float, seed: int) -> None:
-    """It says with all certainty that the vehicle stands, while that begins to turn or drives at 1.4 m/s; in
+    """It reports a standstill with full certainty, while the vehicle begins to turn or drives at 1.4 m/s; in
     a corridor nearly all of a scan lies on the map there, too.
     """
     laser = replace(LMS100_50HZ, rate_hz=10.0)
@@ -84,7 +84,7 @@ def test_dead_odometry_does_not_lose_the_pose(place: str, fault: str, seconds: f
 
 
 def diagnostics(done: Run) -> set[str]:
-    """Who contradicts the scans, or odometry's direction where that is off by about 180 deg."""
+    """The sensors that contradict the scans, or the direction of odometry if it is off by about 180 deg."""
     reasons = {output.reason for output in done.outputs}
     turned = {"direction" for one in reasons if re.match("by odometry the vehicle drives 1(79|80)", one)}
     return turned | {one.split(" contradict")[0] for one in reasons if "contradict" in one}
@@ -109,6 +109,6 @@ def test_an_inconsistent_sensor_is_excluded_and_named(
     assert "lost" not in {output.state for output in done.outputs}
     # Odometry that runs backwards shifts the map before it is refused: 42, 41, 31 mm (seeds 1 to 3).
     assert done.position_rmse_m < (0.05 if kind is OdometrySample else 0.03)
-    # A gyro that is upside down bends three scans of the first turn, until it is refused; its heading is
+    # A gyro that is upside down distorts three scans of the first turn, until it is refused; its heading is
     # 0.34 to 0.37 deg off (seeds 1 to 6), without one 0.02 to 0.03.
     assert np.degrees(done.heading_rmse_rad) < (0.4 if lie is upside_down else 0.2)

@@ -29,7 +29,7 @@ def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> 
     assert state(NEW_GROUND, is_measured=False) == "lost"
     assert state(NEW_GROUND, prior=(0.6, 0.01)) == "lost"
     assert state(NEW_GROUND, prior=(0.05, 0.5)) == "lost"
-    assert state(NEW_GROUND, on_map=5, in_free=0) == "lost"  # what lies behind walls is not counted
+    assert state(NEW_GROUND, on_map=5, in_free=0) == "lost"  # returns behind walls are not counted
 
 
 @pytest.mark.parametrize(

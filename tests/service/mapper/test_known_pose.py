@@ -1,4 +1,4 @@
-"""How well a pose is known in the map, from what a graph says of a key frame on."""
+"""Covariance of a pose in the map, from a key frame corrected by a graph."""
 
 import math
 
@@ -50,7 +50,7 @@ def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_path_
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_covariance_of_a_single_pose_equals_that_of_the_arrays(seed):
-    """Whether motion has added something in all directions, or seems to have taken some."""
+    """Whether motion has added covariance in all directions, or seems to have reduced some."""
     random = np.random.default_rng(seed)
     roots = random.normal(size=(3, 40, 3, 3)) * (0.1, 0.1, 0.01)
     before, after, by_graph = roots @ np.swapaxes(roots, -1, -2)

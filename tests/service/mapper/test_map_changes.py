@@ -1,4 +1,4 @@
-"""A pallet was moved and a doorway closed since the office was mapped: found there, and nowhere else."""
+"""A pallet was moved and a doorway closed since the office was mapped: reported there, and only there."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def peopled(plan: Plan) -> World:
 
 
 def replace_start(known: World):
-    """The drive of the office as it lies in the plan."""
+    """The drive of the office in the coordinates of the plan."""
     return known.drive.seen_from(START.inverse())
 
 

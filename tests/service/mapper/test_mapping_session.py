@@ -15,7 +15,7 @@ from tests.service.offline.replay.test_replay import room_scan
 
 
 class FakeGraph(NoGraph):
-    """Hands out no work but what a test says."""
+    """Submits the jobs that a test sets."""
 
     def __init__(self) -> None:
         self.applied_at: list[int] = []

@@ -118,7 +118,7 @@ def test_a_mode_that_cannot_be_is_refused(switched: Switched):
 
 
 def test_a_loaded_map_is_localised_in_before_the_vehicle_has_a_place(drove: Drive, switched: Switched):
-    """As the page asks for it: the mode right after the map, with no scan between them."""
+    """As the page requests it: the mode right after the map, with no scan between them."""
     begin = BeginIn(switched.stored, rendered_of(switched.shown))
     session = MappingSession(
         lambda: build_mapper(mapping_config(), {"front": FORWARD}, begin_in=begin), ["front"], None

@@ -44,7 +44,7 @@ def test_samples_that_are_dropped_while_no_scan_comes_are_counted(is_paused, mon
 
 
 class TalkingGraph(NoGraph):
-    """Names a counter for each fix, and tells where the map lies when it is asked."""
+    """Names a counter for each fix, and returns a geographic reference on request."""
 
     reference = GeoReference(LocalFrame(60.1, 24.5, 51.0), SE2(1.0, 2.0, 0.5), 0.7, 0.01, 40)
 
@@ -100,7 +100,7 @@ def last_step(mapper: Mapper) -> object:
 
 
 def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> Iterator[MapperOutput]:
-    """The vehicle is said to stand still. What comes out in the other room, where one scan may be noise."""
+    """Odometry reports a standstill. The outputs in the other room, where one scan may be noise."""
     here = drive(ROOM, standing, 1.2)
     other = [tuple(2.5 * v for v in wall) for wall in ROOM[:6]]
     there = drive(other, lambda t: SE2(3.0, 3.0, 2.0), 1.2)
@@ -129,7 +129,7 @@ def test_nothing_is_rendered_while_lost_and_a_detached_segment_is_mapped_apart()
     states = [first.state, *(output.state for output in outputs)]
     assert states.count("lost") == len(states) > 10
     assert mapper.changed_tiles() == []
-    assert last_step(mapper) is None  # no step from there to here tells a mounting
+    assert last_step(mapper) is None  # no step from there to here reveals a mounting
     local_map = mapper.components.local_map
     assert local_map.detached is not None
     assert local_map.detached.scan_count > 5
@@ -137,7 +137,7 @@ def test_nothing_is_rendered_while_lost_and_a_detached_segment_is_mapped_apart()
 
 
 class FindingGraph(NoGraph):
-    """Says where a piece lies, by one find."""
+    """Reports an unconfirmed place of a segment."""
 
     pose_map_odom, covariance = SE2(5.0, -2.0, 0.7), np.diag([0.02, 0.02, 0.001])
 
@@ -165,8 +165,8 @@ def test_an_unconfirmed_segment_gives_a_degraded_pose_and_is_not_rendered():
         assert output.pose_map_odom == graph.pose_map_odom
         assert graph.covariance[2, 2] < output.covariance[2, 2] < 2.0 * graph.covariance[2, 2]
     assert mapper.changed_tiles() == []
-    assert next(outputs).state == "lost"  # this scan lies nowhere, not in the piece either
-    graph.segment = None  # the find was wrong
+    assert next(outputs).state == "lost"  # this scan matches nowhere, not in the segment either
+    graph.segment = None  # the place was wrong
     mapper.apply_result()
     withdrawn = next(outputs)
     assert (withdrawn.state, withdrawn.pose_map_odom) == ("lost", SE2())
@@ -262,7 +262,7 @@ def test_a_laser_alone_needs_no_other_to_be_mapped():
 
 
 def test_a_laser_with_a_wrong_mounting_is_not_mapped_when_the_others_fall_silent():
-    """Nor when they come back: without a word of theirs its poses would be called `ok`, turned by 4 deg."""
+    """Nor when they come back: without them its poses would be called `ok`, turned by 4 deg."""
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING, "rear": REAR @ SE2(0, 0, 0.07)})
     alone_ns, back_ns = 2_000_000_000, 2_560_000_000  # half a second of silence is not yet alone
     states: dict[str, set[str]] = {"silent": set(), "alone": set()}
@@ -275,7 +275,7 @@ def test_a_laser_with_a_wrong_mounting_is_not_mapped_when_the_others_fall_silent
         elif output is not None and alone_ns < frame.stamp_ns < alone_ns + 450_000_000:
             states["silent"].add(output.state)
     assert states == {"silent": {"degraded"}, "alone": {"lost"}}
-    assert "rear" not in mapper.components.local_map._last_of  # nothing of it stands in the map
+    assert "rear" not in mapper.components.local_map._last_of  # it is not in the map
 
 
 def test_a_laser_that_hangs_is_named_while_another_sees_on():

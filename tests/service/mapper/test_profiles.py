@@ -1,4 +1,4 @@
-"""The default profile as a whole, on drives whose truth is known."""
+"""The default profile on drives with known truth."""
 
 import json
 import math
@@ -96,7 +96,7 @@ def test_a_drive_round_a_room_is_followed_to_millimetres(
 
 
 def test_a_vehicle_pushed_on_standing_wheels_is_followed() -> None:
-    """Towed, lifted, or sliding: the wheels say that it stands, the walls that it does not."""
+    """Towed, lifted, or sliding: the wheels report a standstill, the walls contradict it."""
     made = drive(ROOM, round_the_room, 6.0)
     first = next(f for f in made.frames if isinstance(f, OdometrySample))
     stuck = [
@@ -155,7 +155,7 @@ def test_the_open_direction_of_a_corridor_follows_odometry() -> None:
     outputs = run(corridor.frames)
     away = errors(outputs, corridor.truth)
     path_length_m = 5.08
-    # What the wheels say, less the little that noise of the normals holds back.
+    # The distance of the wheels, less a small share by noise of the normals.
     assert away[-1, 0] == pytest.approx(0.05 * path_length_m, abs=0.06)
     assert np.abs(away[:, 1]).max() < 0.02
     assert np.degrees(np.abs(away[:, 2]).max()) < 0.15
@@ -171,9 +171,9 @@ def test_the_open_direction_of_a_corridor_follows_odometry() -> None:
 
 
 def test_without_odometry_the_features_of_a_corridor_are_used() -> None:
-    """A stop in the middle: a prediction that is only the last speed gone on would roll on.
+    """A stop in the middle: a prediction by the last speed alone would continue.
 
-    Over 120 seeds the worst is 0.19 m off on the way and 0.13 m at the end, the median 0.04 and 0.015 m.
+    Over 120 seeds the worst is 0.19 m off along the path and 0.13 m at the end, the median 0.04 and 0.015 m.
     """
 
     def stopping(time_s: float) -> SE2:

@@ -1,4 +1,4 @@
-"""Every profile of a paper says when it has lost its place, and comes back on ground that it knows."""
+"""Every profile of a paper reports when it is lost, and recovers on known ground."""
 
 import math
 from dataclasses import replace
@@ -71,7 +71,7 @@ def test_three_seconds_of_noise_are_lost_and_the_drive_goes_on(profile: str, noi
 
 
 def carried_off(time_s: float) -> SE2:
-    """Stands for a moment and drives on, three metres from where the drive before ended."""
+    """Stationary for a moment, then a drive that begins three metres from the end of the drive before."""
     return SE2(-1.6, -1.0, 2.2) @ SE2(0.5 * eased(time_s), 0.0, 0.0)
 
 

@@ -34,13 +34,13 @@ def first() -> tuple[Drive, BeginIn]:
 
 @pytest.fixture(scope="module")
 def second() -> Drive:
-    """The same way from LATER_S on, with another noise."""
+    """The same path from LATER_S on, with other noise."""
     return through("office", SECONDS, 4, stand_s=-LATER_S)
 
 
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For who is lost all along: what becomes of it does not depend on how many places are looked at."""
+    """For a vehicle that stays lost: the result does not depend on the number of candidates."""
     monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)
 
 
@@ -127,7 +127,7 @@ def test_localisation_does_not_change_the_stored_map(first, before, localized):
 
 
 def test_manual_edits_withstand_the_beams_of_a_later_session(first, second):
-    """A wall across the way that the second session drives, and points that were erased elsewhere."""
+    """A wall across the path of the second session, and points that were erased elsewhere."""
     drove, begin = first
     at = SE2(*begin.graph.map[len(begin.graph) // 2].tolist())
     line = np.array([(pose.x_m, pose.y_m) for pose in (at @ SE2(0.0, -0.4), at @ SE2(0.0, 0.4))])
@@ -209,7 +209,7 @@ def test_the_operator_can_set_the_pose(first, second):
 
 @pytest.mark.usefixtures("few_candidates")
 def test_a_set_pose_that_does_not_fit_is_given_up_and_reported(first):
-    """The vehicle stands in another building."""
+    """The vehicle is in another building."""
     elsewhere = through("library", 3.5, 1, laser=COARSE)
     mapper = new_mapper(first[1])
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
@@ -313,7 +313,7 @@ def test_frames_without_scans_change_nothing(first, second):
 
 
 def test_a_contradicted_place_is_revoked_and_found_again(first, second):
-    """The first find is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
+    """The first place is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     drove, begin = first
     mapper = new_mapper(begin)
     detached = back_end_of(mapper).detached_search
@@ -336,13 +336,13 @@ def test_a_contradicted_place_is_revoked_and_found_again(first, second):
     assert off[placed] > 2.0
     assert states[placed] == "degraded"  # one look is no proof
     assert not any(state == "ok" and away > 0.3 for state, away in zip(states, off, strict=True))
-    assert "lost" in states[placed:]  # it was taken back
+    assert "lost" in states[placed:]  # it was revoked
     assert states[-1] != "lost"
     assert off[-1] < 0.05
 
 
 def test_a_vehicle_started_on_unmapped_ground_is_localised_later(first, second):
-    """The first scans are of another building; what is seen then fits nothing of them, and is a new piece."""
+    """The first scans are of another building; later scans match none of them, and begin a segment."""
     drove, begin = first
     elsewhere = through("library", 1.2, 1, laser=COARSE)
     later_ns = 1_700_000_000

@@ -19,7 +19,7 @@ S = 1_000_000_000
 
 
 class DeadWorker(InlineWorker):
-    """Does no work any more as soon as it is asked to die."""
+    """Stops working when a test ends it."""
 
     is_dead = False
 

@@ -1,4 +1,4 @@
-"""What a person changes in a stored graph: a ring of corridors, driven one and a half times."""
+"""Manual changes of a stored graph: a ring of corridors, driven one and a half times."""
 
 from dataclasses import replace
 
@@ -50,7 +50,7 @@ def ring() -> SavedGraph:
 
 @pytest.fixture(scope="module")
 def open_ring() -> SavedGraph:
-    """The same, and no loop was accepted: the second round lies beside the first."""
+    """The same without accepted loops: the second round is offset from the first."""
     return saved_of(1.4, LoopsConfig(consensus_span_m=1000.0))
 
 
@@ -78,7 +78,7 @@ def test_solving_a_solved_graph_moves_nothing(ring: SavedGraph):
 
 
 def test_a_cut_takes_the_key_frames_of_its_time_and_nothing_else(ring: SavedGraph):
-    """Both ends were seen by the other pass, so loops hold what is left together."""
+    """The other pass saw both ends, so loops connect the rest."""
     first, last = ROUND // 4, ROUND // 4 + 10
     cut = without_time(ring, first * TENTH_NS, (last - 1) * TENTH_NS, is_bridged=False)
     cut.checked()
@@ -118,7 +118,7 @@ def test_a_cut_of_nothing_or_of_all_is_refused(ring: SavedGraph):
 
 
 def test_pairs_close_a_ring_that_no_loop_has_closed(open_ring: SavedGraph):
-    """A person points at three things in both passes; after that these lie on each other."""
+    """The operator marks three points in both passes; afterwards they coincide."""
     graph = open_ring
     truth = key_frames(1.4)[1]
     spots = (8, 30, 52)

@@ -27,7 +27,7 @@ def first() -> tuple[Drive, SavedGraph]:
 
 @pytest.fixture(scope="module")
 def second() -> tuple[Drive, SavedGraph]:
-    """It begins where the first is half-way, and goes on where that has not been."""
+    """It begins half-way along the first drive and continues beyond it."""
     return mapped(through("office", 20.0, 4, stand_s=-12.0))
 
 

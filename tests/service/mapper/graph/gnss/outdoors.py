@@ -106,7 +106,7 @@ def with_fixes(drive: Outing, change: Callable[[GnssFix], GnssFix]) -> Outing:
 
 
 def errors_m(result: Result, drive: Outing) -> np.ndarray:
-    """(N,) how far each key frame's geo-referenced place lies off where it was on the earth."""
+    """(N,) m from each key frame's geo-referenced position to its true one."""
     assert result.geo is not None
     start = SE2(0.0, 0.0, YAW_RAD)
     off = []

@@ -56,7 +56,7 @@ def places(result: Result) -> np.ndarray:
 
 
 def moved_m(a: Result, b: Result) -> float:
-    """Most that a key frame lies elsewhere in the map or on the earth."""
+    """Largest difference of a key frame's position in the map or on the earth."""
     assert a.geo is not None
     assert b.geo is not None
     on_earth = [
@@ -120,7 +120,7 @@ def test_the_same_drive_gives_the_same_bits_and_a_pickled_back_end_too(drive: Ou
         {"covariance": (0.0,) * 9},
         {"covariance": (math.nan,) * 9},
         {"covariance": (400.0, 0, 0, 0, 400.0, 0, 0, 0, 900.0)},
-        {"latitude_deg": 60.161, "longitude_deg": 24.546},  # the receiver hangs
+        {"latitude_deg": 60.161, "longitude_deg": 24.546},  # frozen receiver
     ],
 )
 def test_uninformative_fixes_change_nothing_to_the_last_bit(drive: Outing, bare: Result, useless):

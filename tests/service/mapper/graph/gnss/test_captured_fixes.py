@@ -1,4 +1,4 @@
-"""Fixes that an MTi-G-710 sent while it stood, 3 s in three files, through all that stands before a map."""
+"""Fixes of a stationary MTi-G-710, 3 s in three files, through all stages before the map."""
 
 from pathlib import Path
 
@@ -69,7 +69,7 @@ def ended(found: list[GnssFix], speed_mps: float) -> Result:
 
 @pytest.mark.parametrize("speed_mps", [0.0, 12.0])
 def test_fixes_of_a_unit_that_stood_move_no_map(shared: Path, speed_mps):
-    """Neither that of a vehicle that stands, nor of one that drove 59 m: they contradict it."""
+    """Neither that of a stationary vehicle, nor of one that drove 59 m: they contradict it."""
     result, bare = ended(captured(shared), speed_mps), ended([], speed_mps)
     assert result.geo is None
     assert [c.pose_map_base for c in result.all] == [c.pose_map_base for c in bare.all]

@@ -13,7 +13,7 @@ ANTENNA = np.array([-0.4, 0.3])
 
 
 def half_circle(count: int = 60) -> FixPath:
-    """Way of 300 m, exact; fixes of 2 m that err by 0.5 m."""
+    """Exact path of 300 m; fixes of sigma 2 m with errors of 0.5 m."""
     theta = np.linspace(0.0, math.pi, count)
     odom = np.column_stack((95.0 * np.sin(theta), 95.0 * (1.0 - np.cos(theta)), theta))
     antenna = np.tile(ANTENNA, (count, 1))
@@ -48,7 +48,7 @@ def test_an_interval_with_a_common_error_within_the_gate_is_rejected():
 
 
 def test_edges_of_fixes_constrain_the_antenna_and_not_the_heading():
-    """Two poses 40 m apart, held by each other; fixes of their antennas turn both about what they see."""
+    """Two poses 40 m apart with an edge between them; fixes of their antennas rotate both."""
     base = np.array([[0.0, 0.0, 0.1], [40.0, 0.0, 0.4]])
     antenna = np.array([[2.0, 1.0], [-1.0, 3.0]])
     truth = se2.compose(np.array([5.0, 6.0, 0.3]), base)

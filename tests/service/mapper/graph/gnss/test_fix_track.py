@@ -1,4 +1,4 @@
-"""Fixes on the way: what is wrong with one is named, and what is right lies where the base was then."""
+"""Fixes along the path: the fault of a bad one is named, a good one gets the pose of its moment."""
 
 import math
 from dataclasses import replace
@@ -78,7 +78,7 @@ def test_a_fix_as_old_as_the_one_before_and_one_of_another_receiver_are_named():
 @pytest.mark.parametrize(
     "scans",
     [
-        [(0, 0), (1_100_000_000, 1)],  # a gap in which no one knows the way
+        [(0, 0), (1_100_000_000, 1)],  # a scan gap
         [(160_000_000, 0), (200_000_000, 0)],  # the drive began later
         [(100_000_000, -1), (200_000_000, -1)],  # no key frame yet
     ],

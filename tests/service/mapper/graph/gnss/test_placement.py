@@ -1,4 +1,4 @@
-"""When the place of a session in a stored map counts as proven, and when it is taken back."""
+"""When the place of a session in a stored map is proven, and when it is revoked."""
 
 from service.mapper.graph.loops.stored_graph import MAX_CONTRADICTIONS, MIN_APART_M, Placement
 
@@ -22,7 +22,7 @@ def test_consecutive_contradictions_revoke_a_place():
     placement = found()
     for _ in range(MAX_CONTRADICTIONS - 1):
         assert not placement.seen(12.0, agrees=False)
-    placement.seen(12.0, agrees=True)  # people stood around, say
+    placement.seen(12.0, agrees=True)  # people nearby, for example
     for _ in range(MAX_CONTRADICTIONS - 1):
         assert not placement.seen(13.0, agrees=False)
     assert placement.seen(14.0, agrees=False)

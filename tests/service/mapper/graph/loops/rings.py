@@ -31,7 +31,7 @@ RING = [
 
 
 def round_the_ring(path_length_m: float) -> SE2:
-    """Where the base is after so much way: straight between the corners, turning within a metre of them."""
+    """Pose of the base at a path length: straight between the corners, turning within a metre of them."""
     corners = [(0.0, 0.0), (LENGTH_M, 0.0), (LENGTH_M, WIDTH_M), (0.0, WIDTH_M)]
     sides = [LENGTH_M, WIDTH_M, LENGTH_M, WIDTH_M]
     turns, left_m = divmod(path_length_m, sum(sides))

@@ -34,7 +34,7 @@ def fed(config: LoopsConfig) -> bytes:
 
 @pytest.fixture(scope="module")
 def open_ring() -> bytes:
-    """No loop was accepted: the second round lies beside the first."""
+    """Without accepted loops: the second round is offset from the first."""
     return fed(LoopsConfig(consensus_span_m=1000.0))
 
 
@@ -244,7 +244,7 @@ def test_an_impossible_change_is_refused_and_changes_nothing(
 
 
 def test_detached_key_frames_carry_no_edit_and_are_neither_cut_nor_stored(open_ring: bytes):
-    """Some in the middle are of a piece whose place is not found: these are not stored."""
+    """Some in the middle are of a detached segment: these are not stored."""
     back_end = pickle.loads(open_ring)
     for segment, after_ns in ((1, 10**12), (0, 2 * 10**12)):
         frames = [replace(f, segment=segment, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]

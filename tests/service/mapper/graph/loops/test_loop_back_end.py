@@ -1,4 +1,4 @@
-"""Loops in a ring of corridors: found, accepted in company or where the way leads, taken back when wrong."""
+"""Loops in a ring of corridors: found, accepted by consensus or odometry, disabled when wrong."""
 
 import math
 import pickle
@@ -41,7 +41,7 @@ def fed(
 
 @pytest.fixture(scope="module")
 def ring_fed(ring: tuple[list[KeyFrame], list[SE2]]) -> tuple[bytes, list[Result]]:
-    """A back end that has all of the ring, for each test to load a copy of its own; and what it said."""
+    """A back end with all of the ring, pickled for each test to load a copy; and its results."""
     back_end, results = fed(ring[0])
     return pickle.dumps(back_end), results
 
@@ -52,7 +52,7 @@ def errors_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
 
 
 def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
-    """How far the second round lies off the first, seen from there."""
+    """Offset of the second round from the first."""
     off = []
     round_frames = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
     for k in range(20, len(truth) - round_frames - 5, 5):
@@ -90,7 +90,7 @@ def test_after_a_long_drive_the_finish_searches_where_no_loop_is(
     search = LoopBackEnd._search
 
     def count(self: LoopBackEnd, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
-        if window is not None:  # by the finish, and not on the way
+        if window is not None:  # by the final search
             searched.append(last)
         return search(self, last, window)
 
@@ -107,7 +107,7 @@ def test_after_a_long_drive_the_finish_searches_where_no_loop_is(
 
 
 def test_a_closed_ring_is_known_better_than_the_path_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):
-    """Also where the motion model said how far each step may have erred."""
+    """Also with step covariances of the motion model."""
     variance = np.array([1e-4, 1e-4, 4e-5])
     by_motion, frames = np.zeros((3, 3)), []
     for before, frame in pairwise([ring[0][0], *ring[0]]):
@@ -169,7 +169,7 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert keyframes.has_points.sum() < 2.7 * a_round
     stamps_ns = [frame.stamp_ns for frame in frames]
     assert set(stamps_ns[: a_round - 20] + stamps_ns[-a_round:]) <= set(keyframes.stamps_ns)
-    assert (np.diff([result.loops for result in results]) >= 0).all()  # those taken out count, too
+    assert (np.diff([result.loops for result in results]) >= 0).all()  # including removed ones
     finished = back_end.work(Batch([], is_last=True))
     assert [correction.stamp_ns for correction in finished.all] == stamps_ns
     assert seam_m(list(finished.all), truth).max() < 0.02
@@ -196,8 +196,8 @@ def test_a_lost_vehicle_in_a_stored_map_keeps_its_newest_key_frames(
     ring_fed: tuple[bytes, list[Result]],
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """Of what fits nowhere; of the way before it keeps the poses."""
-    monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)  # it takes as long as it is looked for
+    """Of scans that match nowhere; of the path before it keeps the poses."""
+    monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)  # limits the search time
     most = 2 * BATCH
     monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", most)
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
@@ -293,7 +293,7 @@ def test_after_a_poor_match_the_search_window_is_larger(
 
 
 def moved(frame: KeyFrame, by: SE2, segment: int, later_ns: int) -> KeyFrame:
-    """The same key frame, in the odom of a piece that began elsewhere."""
+    """The same key frame, in the odom of a segment that began elsewhere."""
     return replace(
         frame, stamp_ns=frame.stamp_ns + later_ns, pose_odom_base=by @ frame.pose_odom_base, segment=segment
     )
@@ -304,7 +304,7 @@ SIDE = round(LENGTH_M / STEP_M)  # key frames along the first side
 
 
 def segment_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFrame]:
-    """The frames as a piece whose odom says that it lies elsewhere."""
+    """The frames as a segment with another odom."""
     later_ns = known[-1].stamp_ns + 10**8
     return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
 
@@ -354,7 +354,7 @@ def test_the_unconfirmed_place_is_reported_until_the_segment_is_joined(
 
 
 def test_a_segment_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
-    """Standing, a room looks like any other of its kind."""
+    """From one viewpoint a room looks like any other of its kind."""
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
     back_end.work(Batch(known))

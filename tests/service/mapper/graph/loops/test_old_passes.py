@@ -25,7 +25,7 @@ def driven(leads_to: Callable[[int], int]) -> tuple[KeyframeList, list[Loop]]:
     keyframes = KeyframeList()
     points = ThinnedScan(np.ones((3, 2), np.float32), np.ones((3, 3), np.float32), (0.0, 0.0))
     for k in range(PASSES * LONG):
-        # Each pass but the first lies nearer to the next one than to the first.
+        # Each pass but the first is closer to the next one than to the first.
         aside_m = 0.01 * (k // LONG) if k >= LONG else -0.1
         pose = SE2(0.3 * (k % LONG), aside_m, 0.0)
         frame = KeyFrame(k, pose, np.eye(3) * 1e-4, 0, 0.9, False, points.xy_base, (0.0, 0.0), 0.01)
@@ -54,11 +54,11 @@ def test_passes_between_the_first_and_the_newest_are_removed():
     assert [keyframes.stamps_ns[loop.to] for loop in left] == [one.to for one in loops if one.to not in gone]
     assert passes.removed_count == len(gone)
     passes.forget(left)
-    assert passes.renumbering([]) is None  # nothing is looked back at twice
+    assert passes.renumbering([]) is None  # no key frame is checked twice
 
 
 def test_removed_key_frames_move_with_the_map_beside_them():
-    """Also where that is taken out later itself."""
+    """Also if their reference is removed later."""
     keyframes, loops = driven(lambda number: 0)
     passes = OldPasses(LoopsConfig(keep_passes=6), keyframes)
     before = keyframes.map.copy()
@@ -82,13 +82,13 @@ def test_removed_key_frames_move_with_the_map_beside_them():
 
 
 def again(passes: OldPasses, keep: int) -> OldPasses:
-    """It looks back at all once more, with fewer passes to be kept."""
+    """Check all key frames again, with fewer passes to be kept."""
     passes._config, passes._checked_count = LoopsConfig(keep_passes=keep), 0
     return passes
 
 
 def test_an_old_pass_without_loops_only_loses_its_points():
-    """It is all that says where the next ones lie: taken out, the map would hang on odometry."""
+    """It alone ties the next ones: without it the map would depend on odometry."""
     keyframes, loops = driven(lambda number: number - 1)
     passes = OldPasses(LoopsConfig(keep_passes=6), keyframes)
     passes.forget(loops)

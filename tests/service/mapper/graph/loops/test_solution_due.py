@@ -1,4 +1,4 @@
-"""When the graph is solved, and when the map is drawn again: laps of a round, each of which drifts a bit."""
+"""When the graph is solved and the map rendered: laps of a round with a small drift each."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def laps() -> KeyframeList:
 
 
 def loop(to: int, off_m: float) -> Loop:
-    """To the lap before, the key frame `to` seen so far beside where it lies."""
+    """To the lap before, with a residual of so much."""
     return Loop(to - LAP, to, np.array([0.0, off_m, 0.0]), FLOOR, 0.9)
 
 

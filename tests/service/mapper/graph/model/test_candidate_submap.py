@@ -1,4 +1,4 @@
-"""A stretch of the way is found again where it is, also where the two passes saw different ground."""
+"""A sub-map is found at its true pose, also where the two passes saw different ground."""
 
 import math
 
@@ -73,7 +73,7 @@ def in_a_bare_corridor() -> KeyframeList:
 
 
 def places_of(keyframes: KeyframeList, last: int) -> tuple[CandidateSubmap, PointCloud, Floats]:
-    """The way out, the 5 m of the way back up to a key frame, and where they lie in it."""
+    """The outward path, the last 5 m of the return path up to a key frame, and the pose of these."""
     reach = round(5.0 / STEP_M)
     reference = last - reach // 2
     outward = np.arange(keyframes.count // 2)
@@ -92,7 +92,7 @@ def found_m(keyframes: KeyframeList, last: int) -> float:
     return float(submap.align(cloud, pose).pose[0] - true[0])
 
 
-BACK = range(106, 130, 4)  # key frames of the way back, from 28 m on, where a door lies within 5 m
+BACK = range(106, 130, 4)  # key frames of the return path, from 28 m on, with a door within 5 m
 
 
 def test_unknown_ground_is_not_neutral_in_a_search(
@@ -105,7 +105,7 @@ def test_unknown_ground_is_not_neutral_in_a_search(
 
 
 def test_along_a_bare_corridor_the_expected_pose_applies(in_a_bare_corridor: KeyframeList):
-    """Wherever a search has put it: the walls say how far across, nothing along, and that nothing is said."""
+    """Wherever a search has put it: the walls fix it across, nothing along, and the covariance shows that."""
     for last in BACK:
         submap, cloud, true = places_of(in_a_bare_corridor, last)
         expected = true + np.array([OFF_M, 0.01, 0.002])

@@ -11,7 +11,7 @@ COUNT = 40
 
 
 def chain(loops: list[tuple[int, int]], seed: int = 1) -> PoseGraph:
-    """A winding way whose edges all fit, with covariances of any shape."""
+    """A winding path with consistent edges and covariances of any shape."""
     random = np.random.default_rng(seed)
     poses = np.zeros((COUNT, 3))
     for k in range(1, COUNT):
@@ -64,7 +64,7 @@ def test_a_loop_over_an_unmeasured_step_gives_the_covariance_of_the_pose():
     graph.edges.covariance[:-1] = np.diag([1e-8, 1e-8, 1e-10])
     graph.edges.covariance[19] = np.diag([1e3, 1e3, 10.0])
     graph.edges.covariance[-1] = np.diag([1e-4, 1e-4, 1e-6])
-    with pytest.raises(GraphError):  # at a pose that no loop holds
+    with pytest.raises(GraphError):  # at a pose without a loop
         solve(PoseGraph(graph.poses, rows(graph.edges, list(range(COUNT - 1)))), covariances_of=[COUNT - 1])
     found = covariance_of(graph, COUNT - 1)
     heading_m2 = 1e-6 * ((graph.poses[-1, :2] - graph.poses[30, :2]) ** 2).sum()

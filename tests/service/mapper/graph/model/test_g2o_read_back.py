@@ -67,7 +67,7 @@ def test_a_bearing_and_a_range_weigh_a_point_as_its_covariance_does(tmp_path):
 
 
 def test_errors_are_those_of_the_exponential_map_as_in_gtsam_and_not_of_g2o(tmp_path):
-    """An edge that is off by 1 rad tells them apart: docs/exporting.md says which is which."""
+    """An edge with a residual of 1 rad distinguishes them: docs/exporting.md lists which is which."""
     measured, found = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     edges = Edges(np.array([0]), np.array([1]), measured, np.eye(3)[None] * 0.01, np.zeros(1))
     path = tmp_path / "graph.g2o"

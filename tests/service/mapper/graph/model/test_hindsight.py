@@ -1,4 +1,4 @@
-"""How well the newest key frame is known, of a drive in a curve, by what its motion model says on the way."""
+"""Covariance of the newest key frame of a curved drive, by the motion model's covariances along it."""
 
 from collections.abc import Sequence
 
@@ -73,7 +73,7 @@ def sigmas_mm(covariance: Floats) -> Floats:
     ids=str,
 )
 def test_without_a_loop_the_covariance_is_that_of_the_motion_model(odd: dict[str, Sequence[int]]) -> None:
-    """Whatever happened on the way: the motion model has taken that in."""
+    """Whatever happened along the path: the motion model includes it."""
     found = known(driven(**odd))
     np.testing.assert_allclose(
         sigmas_mm(found.covariance), sigmas_mm(found.motion_covariance), rtol=0.01, atol=0.5

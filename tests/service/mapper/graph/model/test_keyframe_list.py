@@ -12,7 +12,7 @@ WALLS = [(-3.0, -3.0, 3.0, -3.0), (3.0, -3.0, 3.0, 3.0), (3.0, 3.0, -3.0, 3.0), 
 
 
 def kept_of(poses: list[SE2]) -> list[int]:
-    """Which key frames of a piece that is looked for keep their points."""
+    """Key frames of a detached segment that keep their points."""
     keyframes, noise = KeyframeList(), np.random.default_rng(1)
     for pose in poses:
         append(keyframes, WALLS, pose, 1, noise)

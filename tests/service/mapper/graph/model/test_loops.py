@@ -22,7 +22,7 @@ def sigmas(
 
 
 def corridor(direction_rad: float, along_sigma_m: float) -> np.ndarray:
-    """Walls on both sides, and what holds along them."""
+    """Information of walls on both sides, and of the direction along them."""
     turn = np.eye(3)
     turn[:2, 0] = math.cos(direction_rad), math.sin(direction_rad)
     turn[:2, 1] = -math.sin(direction_rad), math.cos(direction_rad)

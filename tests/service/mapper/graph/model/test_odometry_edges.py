@@ -82,7 +82,7 @@ def test_unmatched_steps_have_the_covariance_of_the_motion_model() -> None:
 def test_a_step_into_a_new_segment_is_unknown_and_back_it_starts_where_the_segment_was_left() -> None:
     found = edges(segment=1)
     np.testing.assert_allclose(found.covariance[ODD - 1], UNKNOWN_COVARIANCE)
-    assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the piece: from before it
+    assert (found.of[ODD - 1], found.of[ODD]) == (ODD - 1, ODD - 1)  # out of the segment: from before it
     np.testing.assert_allclose(found.measured[ODD], [2.0 * STEP_M, 0.0, 0.0])
     np.testing.assert_allclose(found.covariance[ODD], SOUND)
 
@@ -107,7 +107,7 @@ def test_a_step_into_a_segment_without_a_scan_gap_has_the_covariance_of_dead_rec
 
 @pytest.mark.parametrize("is_lost", [False, True])
 def test_a_poor_match_is_uncertain_beside_the_motion_model_too(is_lost: bool) -> None:
-    """What was not matched cannot be a wrong match: odometry alone says how well it is known."""
+    """An unmatched step has no wrong match: it has the covariance of odometry alone."""
     odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
     added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance
     expected = np.zeros((COUNT - 1, 3, 3))

@@ -1,4 +1,4 @@
-"""Whether a loop lies where the way between its ends can have drifted to."""
+"""Whether a loop is within the drift of the path between its ends."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,8 +36,8 @@ def straight(
     beside: Sequence[int] = (),
     doubtful: int | None = None,
 ) -> PathDrift:
-    """Ten metres ahead, each step known as well as the one before; key frames `beside` are another piece,
-    and of `doubtful` little lies on the map.
+    """Ten metres ahead, with equal steps; key frames `beside` are another segment, and `doubtful` ones have a
+    low inlier ratio.
     """
     back_end = LoopBackEnd(LoopsConfig(), None)
     frames = [
@@ -72,7 +72,7 @@ def test_a_loop_beyond_the_drift_is_not_allowed_unless_a_step_is_unknown():
 
 @pytest.mark.parametrize("odd", [{"lost": 20}, {"beside": (20, 21, 22)}], ids=["unseen", "beside"])
 def test_a_similar_row_is_refused_where_the_path_was_poorly_matched(odd: dict[str, Any]):
-    """At the end of a row of vines nothing may be seen for a scan, or a piece be begun and left again."""
+    """At the end of a row of vines a scan may see nothing, or a segment may begin and end."""
     drift = straight(**odd)
     assert drift.chi2(loop(10.0, BESIDE_M, 0.0)) == pytest.approx(
         straight().chi2(loop(10.0, BESIDE_M, 0.0)), rel=0.05
@@ -113,7 +113,7 @@ def test_a_slip_at_a_poor_match_does_not_prevent_loops():
 
 @pytest.mark.parametrize("is_known", [True, False])
 def test_a_similar_aisle_beside_it_makes_no_loop(is_known: bool):
-    """Where no one knows how well the way is known, the same scans close a loop."""
+    """Without a covariance of the path the same scans close a loop."""
     aisle, _ = key_frames(0.5, turn_error_radpm=0.0)
     away = SE2(0.0, BESIDE_M, 0.0)
     like = [

@@ -1,4 +1,4 @@
-"""What is reported of a piece that was found once."""
+"""What is reported of a segment after one search result."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ VAGUE = OdometryPrior(np.zeros(3), np.diag([9.0, 9.0, 1.0]), 100.0)
 @pytest.mark.parametrize(
     ("prior", "evidence", "may_be_there"),
     [
-        (KNOWN, 0.0, True),  # new ground: nothing seen speaks for or against
+        (KNOWN, 0.0, True),  # new ground: no evidence
         (KNOWN, -0.9 * MIN_MARGIN_NATS, True),
         (KNOWN, -1.1 * MIN_MARGIN_NATS, False),
         (VAGUE, 0.0, False),
@@ -92,7 +92,7 @@ def searched(known: Walls, seen: Walls) -> DetachedSearch:
 
 
 def test_walls_common_to_all_wings_do_not_localise() -> None:
-    """All of what is seen lies on the map, and may be another junction of bare corridors."""
+    """The entire query lies on the map, and may be another junction of bare corridors."""
     search = searched(junction(False), junction(False, at_m=100.0))
     assert search.unconfirmed_place is None
     (possible,) = search.possible
@@ -111,7 +111,7 @@ def test_a_junction_with_objects_is_found() -> None:
 
 
 def test_unknown_ground_does_not_contradict_a_place() -> None:
-    """Half of what is seen is new: a piece that comes from new ground onto the map is found on its border."""
+    """Half of the query is new: a segment that comes from new ground is found at the border of the map."""
     new = [(-15.0, 1.0, -6.5, 4.0), (-6.5, 4.0, -5.5, 4.0), (-5.5, 4.0, -5.5, 1.0), (-5.5, 1.0, -1.0, 1.0)]
     seen = [wall for wall in junction(True) if wall != JUNCTION[4]] + new
     search = searched(junction(True), [(x0 + 100.0, y0, x1 + 100.0, y1) for x0, y0, x1, y1 in seen])

@@ -1,4 +1,4 @@
-"""Two rooms that differ by a pillar: which of them a scan was taken in, and when no one can tell."""
+"""Two rooms that differ by a pillar: in which of them a scan was taken, and when that is ambiguous."""
 
 import math
 from itertools import pairwise
@@ -51,7 +51,8 @@ def append(
     odom: SE2 | None = None,
     **motion: Any,
 ) -> int:
-    """A key frame of what is seen from a pose; its number. odom: where it is said to be, if not there.
+    """Append a key frame with the walls visible from a pose; its index. odom: its odometry pose, if
+    different.
 
     motion   further fields of the key frame
     """
@@ -75,7 +76,7 @@ def append(
 
 
 def rooms(pillar_in_first: bool, pillar_in_second: bool) -> tuple[KeyframeList, np.random.Generator]:
-    """A way through each of the two, both known."""
+    """A path through each of the two, both in the map."""
     noise, keyframes = np.random.default_rng(5), KeyframeList()
     for at_m, with_pillar in ((0.0, pillar_in_first), (APART_M, pillar_in_second)):
         for x_m in np.arange(1.0, 5.5, 0.3):
@@ -94,7 +95,7 @@ def looked_for(keyframes: KeyframeList, own: int) -> tuple[DetachedSearch, tuple
 
 @pytest.mark.parametrize("stands_in_second", [False, True])
 def test_a_pillar_in_either_room_distinguishes_them(stands_in_second):
-    """Seen where the map knows that nothing stands; or looked through where the map has it."""
+    """Seen in free space of the map; or missing where the map has it."""
     for pillar_in_second in (False, True):
         keyframes, noise = rooms(not pillar_in_second, pillar_in_second)
         at_m = APART_M if stands_in_second else 0.0
@@ -162,7 +163,7 @@ def test_a_pillar_seen_in_free_space_contradicts_a_place():
 
 
 def test_a_mapped_person_does_not_exclude_a_place():
-    """What is left of him lies around the sensor: each beam goes through it."""
+    """The mapped person is around the sensor: each beam passes through."""
     noise, keyframes = np.random.default_rng(5), KeyframeList()
     for at_m in (0.0, APART_M):
         for x_m in np.arange(1.0, 5.5, 0.3):
@@ -222,9 +223,9 @@ def test_after_unmeasured_motion_a_place_must_exceed_new_ground_and_the_prior_co
     led, elsewhere = 1.01 * MIN_MARGIN_NATS, 1.01 * (MIN_MARGIN_NATS + UNEXPLAINED_SHARE * 200.0)
     assert best_of(0.98 * led, 0.05) is None  # new ground may look so, too
     assert best_of(led, 0.05) is not None
-    assert best_of(led, 5.0) is None  # carried: what is not explained speaks against it
+    assert best_of(led, 5.0) is None  # carried: unexplained evidence counts against it
     assert best_of(elsewhere, 5.0) is not None
-    # Against a rival what dead reckoning says of both places counts, too.
+    # The prior counts at both places.
     ahead = prior.nats(np.array([0.05, 0.0, 0.0])) - prior.nats(np.array([9.0, 0.0, 0.0]))
     assert ahead > 10.0
     assert best_of(200.0, 0.05, rival=199.0 + ahead - MIN_MARGIN_NATS) is not None
@@ -232,8 +233,8 @@ def test_after_unmeasured_motion_a_place_must_exceed_new_ground_and_the_prior_co
 
 
 def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
-    """Who stands there sees the wall from its back, and through the door the room that the map holds; a hall
-    elsewhere looks more like what he sees.
+    """From there the back of the wall is visible, and through the door the mapped room; a hall elsewhere
+    looks more like it.
     """
     first = [(0.0, 0.0), (7.0, 0.0), (7.0, 3.0), (5.5, 3.0), (5.5, 4.0), (0.0, 4.0), (0.0, 0.0)]
     next_to_it = [(4.2, 4.1), (9.0, 4.1), (9.0, 9.0), (-1.0, 9.0), (-1.0, 4.1), (2.8, 4.1)]
@@ -261,6 +262,6 @@ def test_each_wall_counts_once_however_many_beams_end_on_it():
     known_map = KnownMap(keyframes, mapped)
     without, with_pillar = (known_map.structure(seen_cloud(keyframes, [k], k), truth) for k in own)
     assert 5.0 * MAX_NATS_PER_WALL < without < 13.0 * MAX_NATS_PER_WALL  # six walls, and stray points
-    assert with_pillar < without - MAX_NATS_PER_WALL  # two sides of it are seen where nothing stood
+    assert with_pillar < without - MAX_NATS_PER_WALL  # two sides of it are seen in free space
     elsewhere = known_map.structure(seen_cloud(keyframes, own[:1], own[0]), truth + np.array([0.5, 0.3, 0.0]))
     assert elsewhere < 0.0

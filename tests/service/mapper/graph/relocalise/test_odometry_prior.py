@@ -1,4 +1,4 @@
-"""Where a vehicle may be after a way that no one measured."""
+"""Prior of a vehicle's place after an unmeasured motion."""
 
 import math
 
@@ -39,7 +39,7 @@ def test_dead_reckoning_explains_a_place_within_its_gate_and_none_if_vague() -> 
 
 
 def test_a_fit_fused_with_dead_reckoning_is_the_least_squares_of_both() -> None:
-    """Along a corridor the walls say nothing: there dead reckoning says where, across it the walls do."""
+    """Along a corridor dead reckoning fixes the position, across it the walls do."""
     prior = OdometryPrior(AT, COVARIANCE, REGION)
     fit_at = AT + np.array([0.2, 0.02, 0.01])
     information = np.diag([1e-6, 1e6, 1e6])  # axes of the map
