@@ -220,7 +220,7 @@ class SurfelGaussNewton:
         detached = self._align(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost":
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
-        reason = reason.reworded(f"{reason}; a detached map begins here until its place is found")
+        reason = reason.reworded(f"{reason}; a detached segment begins here until its place is found")
         return self._as_match(detached, attempt, "lost", reason)
 
     def _is_found(self, aligned: Aligned, attempt: Attempt) -> bool:

@@ -69,7 +69,7 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
 
 
 def stretches(graph: SavedGraph) -> list[dict[str, Any]]:
-    """From when to when each session or detached map lasts, also in s after the first key frame."""
+    """Begin and end of each session and segment, also in s after the first key frame."""
     first_ns = int(graph.stamp_ns.min())
     facts = []
     for segment in dict.fromkeys(graph.segment.tolist()):  # in the order driven

@@ -33,7 +33,7 @@ def _taken_standing(monkeypatch: pytest.MonkeyPatch) -> None:
 def insert(
     chain: SurfelSubmaps, x_m: float, state: State = "ok", theta_rad: float = 0.0, is_matched: bool = True
 ) -> MapChange:
-    """is_matched: of a lost scan, to the detached piece."""
+    """is_matched: of a lost scan, to the detached segment."""
     points, pose = square(), SE2(x_m, 0.0, theta_rad)
     measured = Measurement(pose, np.eye(3), np.eye(3)) if is_matched else None
     return chain.insert(points, replace(match_at(pose, points, state), measured=measured))

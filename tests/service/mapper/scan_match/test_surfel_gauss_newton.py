@@ -183,7 +183,7 @@ def test_lost_scans_are_matched_to_the_detached_segment_and_stay_lost() -> None:
     assert lost_at(chain, matcher, far, predicted(SE2(50.0, 0.0, 0.0), is_measured=False)).measured is None
     result = lost_at(chain, matcher, far, predicted(SE2(50.03, 0.0, 0.01), is_measured=False))
     assert (result.state, result.submap) == ("lost", 1)
-    assert "a detached map begins here" in result.reason
+    assert "a detached segment begins here" in result.reason
     assert isinstance(result.measured, Measurement)
     assert abs(result.measured.pose_odom_base.x_m - 50.0) < 1e-3
     chain.join(1)
