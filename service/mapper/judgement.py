@@ -30,9 +30,7 @@ JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: gate between match and
 GAP_S = 2.5  # without a scan: then a loose prediction counts as a gap of the path
 MAX_BLANK_S = GAP_S  # without a scan that has returns: then the pose is lost
 UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 100.0, math.pi  # a larger sigma is reported as not known
-MAX_UNMEASURED_S = (
-    4.0  # without a measurement of motion: long enough to lift the vehicle, carry it and set it down
-)
+MAX_UNMEASURED_S = 4.0  # without a measurement of motion: long enough to carry the vehicle elsewhere
 RECOVERY_HINT = "Drive back to mapped ground, or set the pose"  # what to do when the vehicle is lost
 # Reasons about one scan on the map that do not name the laser themselves.
 OF_SCAN: frozenset[ReasonId] = frozenset(
@@ -62,7 +60,7 @@ class Evidence:
     prior       (m, rad) of the prediction alone
     is_measured wheels or an IMU measured the motion since the last scan
     is_far      the match is outside the gate of the prediction, or the prediction is loose, or odometry was
-                missing for longer than MAX_UNMEASURED_S
+                missing for longer than GAP_S
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
     behind      returns clearly behind walls of the map, on unknown ground; None: not counted

@@ -29,10 +29,7 @@ FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a tilted vehic
 MIN_FIXES = 6  # accepted ones for a reference
 MIN_ACCEPTED_SHARE = 0.5  # accepted, of the kept fixes: with fewer there is no consensus
 MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the path was too short for a heading of the map
-NEW_FIXES_FOR_CONSENSUS = (
-    5,
-    0.05,
-)  # new fixes, and share of them, after which the consensus is computed again
+NEW_FIXES_FOR_CONSENSUS = 5, 0.05  # number, and share of all, after which it is computed again
 MAX_S = 10.0  # weight limit of a fix after a pause
 NEWEST_FIXES = 40  # fixes by which the map's position is checked
 SOLVE_AT_M = 0.5  # their mean residual, and one sigma, that makes a solution worth while

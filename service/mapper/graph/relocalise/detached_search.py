@@ -46,10 +46,8 @@ MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
 # service.kernels.beam_likelihood); plus a share of its unexplained evidence, since then the true place may
 # fit worse than one that looks alike.
 MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
-MAX_ODOMETRY_ERROR_M, MAX_ODOMETRY_ERROR_SHARE = (
-    4.0,
-    0.2,
-)  # drift of dead reckoning without a scan gap, and per m of a segment
+# Of dead reckoning without a scan gap, and per m of a segment.
+MAX_ODOMETRY_ERROR_M, MAX_ODOMETRY_ERROR_SHARE = 4.0, 0.2
 SEARCH_GRID_M = 10.0  # grid of the search area's centre
 MIN_APART_M = 4.0  # between two results that confirm each other: from one viewpoint rooms may look alike
 # Probability that any of the searched places fits as well by chance, if the vehicle is on unmapped ground.
@@ -107,11 +105,8 @@ class DetachedSearch:
 
     def search_near(self, pose_map_base: Floats) -> None:
         """Search first around the pose set by the operator, (3,) m, m, rad."""
-        self._operator_pose, self._operator_pose_odom, self._attempts_left = (
-            pose_map_base,
-            None,
-            SET_POSE_ATTEMPTS,
-        )
+        self._operator_pose, self._operator_pose_odom = pose_map_base, None
+        self._attempts_left = SET_POSE_ATTEMPTS
         self.pose_refused = None
 
     def make_ready(self, known: npt.NDArray[np.int64]) -> None:
@@ -169,9 +164,8 @@ class DetachedSearch:
             self._hypothesis is not None
             and keyframes.path_length_m[-1] - self._hypothesis.path_length_m >= MIN_APART_M
         ):
-            from_m = (
-                self._hypothesis.path_length_m + 0.5 * MIN_APART_M
-            )  # without key frames of the first result
+            # Without key frames of the first result.
+            from_m = self._hypothesis.path_length_m + 0.5 * MIN_APART_M
         own = own[keyframes.path_length_m[own] >= from_m][-MAX_QUERY:]
         if not len(own) or not len(known):
             return None
@@ -188,10 +182,8 @@ class DetachedSearch:
             return None
         at, loop = best
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
-        path_length_m, is_disputed = (
-            float(keyframes.path_length_m[reference]),
-            self._allows_dead_reckoning(prior),
-        )
+        path_length_m = float(keyframes.path_length_m[reference])
+        is_disputed = self._allows_dead_reckoning(prior)
         is_second = prior is not None and prior.explains(at)
         old = self._hypothesis
         agrees = old is not None and is_same_place(

@@ -65,10 +65,8 @@ MAX_SCORE_DEFICIT = 0.2  # to the best score, for a candidate
 MAX_CANDIDATES = 240
 REFINE_WINDOW = (0.3, 0.03, 0.006)  # m, rad around a candidate; step in rad
 REFINING_POINTS = 150
-CLIMB_STEPS, MIN_CLIMB_STEP = (
-    np.array([0.06, 0.06, 0.012]),
-    1.0 / 16.0,
-)  # m, m, rad of the first steps of a climb, and factor of the last
+# m, m, rad of the first steps of a climb, and factor of the last ones.
+CLIMB_STEPS, MIN_CLIMB_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0
 ALONG_M, ALONG_STEP_M = 1.6, 0.1  # range along walls to each side of a place, and its steps
 ALONG_SHARE = 0.9  # of the inlier ratio at the place, for a place beside it
 ON_MAP_RATIO = 0.5 * MAX_LOG_RATIO  # nats: a beam above it ends on a mapped object

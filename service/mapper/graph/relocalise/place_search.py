@@ -16,10 +16,7 @@ SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses that count as equal
 MAX_REFINED = 12  # places per search
 REFINE_MARGIN_NATS = 100.0  # a place this far below the best is not refined
 PRUNE_MARGIN_NATS = 250.0  # nor is its evidence computed to the end: the upper bound stands for it
-MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = (
-    8,
-    4,
-)  # places per round to search beside along walls, and neighbours of each
+MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = 8, 4  # places slid along walls per round, neighbours of each
 MAX_ROUNDS = 3  # or until the best place stays the best
 
 
