@@ -66,7 +66,7 @@ def known_part(picture: Picture, margin: int = MARGIN) -> Picture:
     )
 
 
-def annotated(picture: Picture, ways: Sequence[Floats] = ()) -> Picture:
+def annotated(picture: Picture, paths: Sequence[Floats] = ()) -> Picture:
     """The part of a map that is known, with marks; to be written with PALETTE.
 
     ways    (N, 2) m in the map each, N > 0: where the base was, in the order driven. A line each
@@ -84,8 +84,8 @@ def annotated(picture: Picture, ways: Sequence[Floats] = ()) -> Picture:
         return row, np.floor((x_m - x_min_m) / cell_m).astype(np.int64)
 
     marks = []
-    for way in ways:
-        row, column = pixels_of(*_line(way, cell_m / 2.0).T)
+    for path in paths:
+        row, column = pixels_of(*_line(path, cell_m / 2.0).T)
         marks.append(_Mark(WAY, np.concatenate((row, row + 1)), np.concatenate((column, column))))
     for colour, end in ((AXIS_X, (AXIS_M, 0.0)), (AXIS_Y, (0.0, AXIS_M))):
         row, column = pixels_of(*_line(np.array([(0.0, 0.0), end]), cell_m / 2.0).T)
@@ -143,9 +143,9 @@ def _cut(picture: Picture, first_row: int, rows: int, first_column: int, width: 
 def _line(points: npt.NDArray[np.float64], step_m: float) -> npt.NDArray[np.float64]:
     """(M, 2) points along a polyline, at most step_m apart."""
     length_m = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
-    way_m = np.concatenate(([0.0], np.cumsum(length_m)))
-    at = np.linspace(0.0, way_m[-1], max(math.ceil(way_m[-1] / step_m), 1) + 1)
-    return np.column_stack([np.interp(at, way_m, points[:, k]) for k in (0, 1)])
+    path_length_m = np.concatenate(([0.0], np.cumsum(length_m)))
+    at = np.linspace(0.0, path_length_m[-1], max(math.ceil(path_length_m[-1] / step_m), 1) + 1)
+    return np.column_stack([np.interp(at, path_length_m, points[:, k]) for k in (0, 1)])
 
 
 def _scale_bar(rows: int, width: int, cell_m: float) -> list[_Mark]:

@@ -32,7 +32,7 @@ from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.arrays import read_arrays, write_arrays
 from service.mapstore.edits import Edit, Version, kept_for_ever
 from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
-from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, ways_of, write_graph
+from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, segment_paths, write_graph
 from service.mapstore.links import CURRENT, UNFINISHED, point, point_for_others, point_to_current
 from service.mapstore.manifest import check_files, read_manifest, write_manifest
 from service.mapstore.picture import Picture, picture_of_tiles
@@ -94,7 +94,7 @@ def save_map(
             names += link_graph(graph, new)
         elif graph is not None:
             names += write_graph(new, graph, folder / _name(max(_versions(folder), default=0)))
-        write_png(new / "map.png", annotated(picture, ways_of(new)), PALETTE)
+        write_png(new / "map.png", annotated(picture, segment_paths(new)), PALETTE)
         return names
 
     return _publish(folder, write, saved_ns, dict(about or {}), edit)

@@ -61,15 +61,13 @@ def write_graph(
     return [GRAPH_FILE, *names]
 
 
-def ways_of(folder: Path) -> list[Floats]:
-    """(N, 2) m in the map each: the key frames of each stretch of the path that odometry ties together, in
-    the order driven; none where the folder holds no graph.
-    """
+def segment_paths(folder: Path) -> list[Floats]:
+    """(N, 2) m in the map each: the key frames of each segment, in order; empty without a graph."""
     if not (folder / GRAPH_FILE).exists():
         return []
     arrays = read_arrays(folder / GRAPH_FILE)
     xy, segment = arrays["map"][:, :2], arrays["piece"]
-    return [way for way in np.split(xy, np.flatnonzero(np.diff(segment)) + 1) if len(way)]
+    return [one for one in np.split(xy, np.flatnonzero(np.diff(segment)) + 1) if len(one)]
 
 
 class GraphFolder:

@@ -17,7 +17,7 @@ from tests.simulated import LMS100_50HZ, UTM30LX_40HZ
 
 LMS100_25HZ = replace(LMS100_50HZ, rate_hz=25.0)
 FAST_MALL = partial(mall, Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2))
-MALL_WAY_M = 1500.0
+MALL_PATH_LENGTH_M = 1500.0
 
 # world, longest ATE in mm
 BUILDINGS = (
@@ -100,12 +100,12 @@ def ring(seeds: Sequence[int]) -> Section:
 
 def big_mall(seeds: Sequence[int]) -> Section:
     world: Callable[[], World] = FAST_MALL
-    seconds = seconds_for(world(), MALL_WAY_M)
+    seconds = seconds_for(world(), MALL_PATH_LENGTH_M)
     errors = errors_of(Trip(world, LMS100_25HZ, seconds), seeds)
     return Section(
         "A mall of 12 000 m2 at 3 m/s",
-        f"The first {MALL_WAY_M:.0f} m of a drive through every aisle, {seconds:.0f} s, LMS-100 at 25 Hz, "
-        "people walking.",
+        f"The first {MALL_PATH_LENGTH_M:.0f} m of a drive through every aisle, {seconds:.0f} s, LMS-100 at "
+        "25 Hz, people walking.",
         [
             Row("", "ATE after the finish", errors.finished_mm, "mm", at_most=50.0, digits=1),
             Row("", "live, as is, RMS", errors.as_is_mm, "mm", at_most=100.0, digits=1),
@@ -116,17 +116,17 @@ def big_mall(seeds: Sequence[int]) -> Section:
     )
 
 
-def seconds_for(world: World, way_m: float) -> float:
+def seconds_for(world: World, path_length_m: float) -> float:
     """How long the drive takes to come so far."""
-    low_s, high_s = 0.0, 2.0 * world.drive.duration_s * max(1.0, way_m / world.drive.length_m)
+    low_s, high_s = 0.0, 2.0 * world.drive.duration_s * max(1.0, path_length_m / world.drive.length_m)
     while high_s - low_s > 0.1:
         middle_s = (low_s + high_s) / 2.0
-        if _way_m(world, middle_s) < way_m:
+        if _path_length_m(world, middle_s) < path_length_m:
             low_s = middle_s
         else:
             high_s = middle_s
     return high_s
 
 
-def _way_m(world: World, time_s: float) -> float:
+def _path_length_m(world: World, time_s: float) -> float:
     return float(world.drive.travel(np.array([time_s]))[0, 0])

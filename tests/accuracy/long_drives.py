@@ -187,9 +187,9 @@ def laps_run(seed: int, seconds: float) -> Laps:
     return laps_of(done, world.drive.travel(since_s)[:, 0], plain.drive.length_m)
 
 
-def laps_of(done: Run, way_m: npt.NDArray[np.float64], lap_m: float) -> Laps:
-    """way_m is (N,), driven until each output; what is left of a lap at the end belongs to the one before."""
-    lap = np.minimum(way_m // lap_m, max(way_m[-1] // lap_m - 1.0, 0.0)).astype(int)
+def laps_of(done: Run, path_length_m: npt.NDArray[np.float64], lap_m: float) -> Laps:
+    """path_length_m: (N,) up to each output; an incomplete last lap belongs to the one before."""
+    lap = np.minimum(path_length_m // lap_m, max(path_length_m[-1] // lap_m - 1.0, 0.0)).astype(int)
     square_m = (done.errors[:, :2] ** 2).sum(axis=1)
     sigma_m = np.array([np.sqrt(np.linalg.eigvalsh(o.covariance[:2, :2])[1]) for o in done.outputs])
     is_corrected = [a.pose_map_odom != b.pose_map_odom for a, b in pairwise(done.outputs)]

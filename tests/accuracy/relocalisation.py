@@ -24,21 +24,21 @@ from service.recording.mcap_source import open_session
 from simulators.trajectory import Pause, plan_drive
 from simulators.world import World
 from simulators.worlds import WORLDS
-from tests.accuracy.buildings import FAST_MALL, LMS100_25HZ, MALL_WAY_M, seconds_for
+from tests.accuracy.buildings import FAST_MALL, LMS100_25HZ, MALL_PATH_LENGTH_M, seconds_for
 from tests.papers.report import Row, Section
 from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ, Laser, Wheels, begun_at, drive, heading_rad
 
 PLACES = 100  # of each kind, over all seeds; of each recording
 CLEARANCE_M = 0.4  # of a place from every wall
-ON_WAY_M = 2.0  # from a key frame of the map: as near the way was driven
+ON_PATH_M = 2.0  # from a key frame of the map
 STAND_S, MOVE_S = 1.0, 8.0
 RIGHT_M, RIGHT_DEG = 0.10, 1.0
 BUILDINGS: Mapping[str, tuple[Callable[[], World], Laser, float | None]] = {
     "office": (WORLDS["office"], LMS100_50HZ, None),
     "library": (WORLDS["library"], LMS100_50HZ, None),
     "floor": (WORLDS["floor"], LMS100_50HZ, None),
-    "mall": (FAST_MALL, LMS100_25HZ, MALL_WAY_M),
+    "mall": (FAST_MALL, LMS100_25HZ, MALL_PATH_LENGTH_M),
 }
 HALVES = ("fr079", "intel", "wean1")
 
@@ -132,15 +132,15 @@ class Looks:
 def relocalisation(seeds: Sequence[int]) -> Section:
     rows = []
     for name in BUILDINGS:
-        on_way, off_way, moving = Looks(), Looks(), Looks()
+        on_path, off_path, moving = Looks(), Looks(), Looks()
         for seed in seeds:
             for looks, found in zip(
-                (on_way, off_way, moving), in_building(name, seed, PLACES // len(seeds)), strict=True
+                (on_path, off_path, moving), in_building(name, seed, PLACES // len(seeds)), strict=True
             ):
                 looks.all += found
             gc.collect()
-        rows += on_way.rows(name, f"standing within {ON_WAY_M:.0f} m of the way")
-        rows += off_way.rows(name, "standing farther off", "the map has a part of what is seen from there")
+        rows += on_path.rows(name, f"standing within {ON_PATH_M:.0f} m of the path")
+        rows += off_path.rows(name, "standing farther off", "the map has a part of what is seen from there")
         rows += moving.rows(name, "driving on")
     for name in HALVES:
         if (SHARED / "datasets" / name).exists():
@@ -148,10 +148,10 @@ def relocalisation(seeds: Sequence[int]) -> Section:
     return Section(
         "Switched on in a stored map",
         f"The map of one drive of each seed. Places of the known free ground, at least {CLEARANCE_M} m from "
-        f"walls, at any heading, standing for {STAND_S:.0f} s: within {ON_WAY_M:.0f} m of where the map was "
+        f"walls, at any heading, standing for {STAND_S:.0f} s: within {ON_PATH_M:.0f} m of where the map was "
         f"driven, and farther off, in rooms that were passed and not entered; and moments of the mapped "
         f"drive, driving on for {MOVE_S:.0f} s with another noise. Of recordings, moments of the second half "
-        f"in the map of the first, within {ON_WAY_M:.0f} m of its way; the truth is the map of the whole. "
+        f"in the map of the first, within {ON_PATH_M:.0f} m of its path; the truth is the full map. "
         f"Right: at the end within {RIGHT_M} m and {RIGHT_DEG:.0f} deg of where the nearest key frame of the "
         "map has the place; wrong: placed, and farther off. What is neither stays lost. Alike: the two "
         f"likeliest places are within {MIN_MARGIN_NATS:.0f} nats, the true one is one of them, and the "
@@ -164,12 +164,12 @@ def relocalisation(seeds: Sequence[int]) -> Section:
 
 def in_building(name: str, seed: int, count: int) -> tuple[list[Look], list[Look], list[Look]]:
     """Standing on the way, standing off it, driving on."""
-    make, laser, way_m = BUILDINGS[name]
+    make, laser, path_length_m = BUILDINGS[name]
     plain = make()
     world = begun_at(plain, heading_rad(seed))
     seconds = world.drive.duration_s
-    if way_m is not None:
-        seconds += seconds_for(plain, way_m) - plain.drive.duration_s
+    if path_length_m is not None:
+        seconds += seconds_for(plain, path_length_m) - plain.drive.duration_s
     known, first = stored(world, laser, seconds, seed)
     standing: list[list[Look]] = []
     for number, of_kind in enumerate(places(world, known, first, seed, count)):
@@ -200,7 +200,7 @@ def in_second_half(name: str, count: int) -> list[Look]:
         for k in scans[len(scans) // 2 :]
         if frames[k].stamp_ns in whole
         and frames[k].stamp_ns + MOVE_S * 1e9 < frames[scans[-1]].stamp_ns
-        and known.away_m(whole[frames[k].stamp_ns]).min() < ON_WAY_M
+        and known.away_m(whole[frames[k].stamp_ns]).min() < ON_PATH_M
     ]
     chosen = (
         [starts[k] for k in np.unique(np.linspace(0, len(starts) - 1, count).astype(int))] if starts else []
@@ -242,7 +242,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
     far: list[SE2] = []
     for k in random.permutation(len(x_m)).tolist():
         at = SE2(float(x_m[k]), float(y_m[k]), float(random.uniform(-math.pi, math.pi)))
-        kind = near if known.away_m(np.array([at.x_m, at.y_m, 0.0])).min() < ON_WAY_M else far
+        kind = near if known.away_m(np.array([at.x_m, at.y_m, 0.0])).min() < ON_PATH_M else far
         if len(kind) < count and _clearance_m(world, first @ at) >= CLEARANCE_M:
             kind.append(first @ at)
         if len(near) == count and len(far) == count:

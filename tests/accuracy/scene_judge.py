@@ -100,10 +100,10 @@ def judge(
     is_within = (off_m <= WITHIN_M) & (normed(errors, outputs) <= NORMED)
     is_beyond = (off_m > WITHIN_M) & (normed(errors, outputs) > NORMED)
     is_fault = (stamp_ns >= from_ns) & (stamp_ns < to_ns)
-    way_m = np.r_[0.0, np.cumsum([_way_m(a, b) for a, b in pairwise(truth)])]
+    path_length_m = np.r_[0.0, np.cumsum([_path_length_m(a, b) for a, b in pairwise(truth)])]
     begun = max(int(np.searchsorted(stamp_ns, from_ns)) - 1, 0)
     over = min(int(np.searchsorted(stamp_ns, to_ns)), len(stamp_ns) - 1)
-    since_m = way_m - way_m[begun]
+    since_m = path_length_m - path_length_m[begun]
     return Verdict(
         scans=len(outputs),
         ok_off=int(np.sum(is_ok & (off_m > WRONG_M))),
@@ -143,12 +143,12 @@ def trace(
     return lines
 
 
-def _way_m(a: SE2, b: SE2) -> float:
+def _path_length_m(a: SE2, b: SE2) -> float:
     return math.hypot(b.x_m - a.x_m, b.y_m - a.y_m)
 
 
-def _percent(off_m: float, way_m: float) -> float:
-    return 100.0 * off_m / way_m if way_m > 0.0 else math.nan
+def _percent(off_m: float, path_length_m: float) -> float:
+    return 100.0 * off_m / path_length_m if path_length_m > 0.0 else math.nan
 
 
 def _right_after_s(stamp_ns: npt.NDArray[np.int64], is_right: npt.NDArray[np.bool_], to_ns: int) -> float:

@@ -31,8 +31,10 @@ def _by_odometry(end_m: float) -> Truth:
 
     def of(frames: list[Frame]) -> Callable[[int], SE2]:
         samples = [frame for frame in frames if isinstance(frame, OdometrySample)]
-        stamp_ns, way_m = np.array([(sample.stamp_ns, sample.x_m) for sample in samples]).T
-        return lambda at_ns: SE2(float(np.interp(at_ns, stamp_ns, way_m) * end_m / way_m[-1]), 0.0, 0.0)
+        stamp_ns, path_length_m = np.array([(sample.stamp_ns, sample.x_m) for sample in samples]).T
+        return lambda at_ns: SE2(
+            float(np.interp(at_ns, stamp_ns, path_length_m) * end_m / path_length_m[-1]), 0.0, 0.0
+        )
 
     return of
 

@@ -104,9 +104,9 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
                 outputs = run(mapping_config(), made, mountings=mountings).outputs
                 is_reported = np.array([output.reason.startswith(BY_ODOMETRY) for output in outputs])
                 xy = np.array([(one.pose_map_base.x_m, one.pose_map_base.y_m) for one in outputs])
-                way_m = np.r_[0.0, np.hypot(*np.diff(xy, axis=0).T).cumsum()]
+                path_length_m = np.r_[0.0, np.hypot(*np.diff(xy, axis=0).T).cumsum()]
                 facts.append(100.0 * float(is_reported.mean()))
-                first_m.append(float(way_m[is_reported.argmax()]) if is_reported.any() else math.nan)
+                first_m.append(float(path_length_m[is_reported.argmax()]) if is_reported.any() else math.nan)
             is_wrong = off != SE2()
             bounds = {"at_least": 50.0} if is_wrong else {"at_most": 0.0}
             case = f"{place}, {what}"

@@ -20,7 +20,7 @@ from tests.system.machine import FakeVehicle, LiveService
 
 DOMAIN = 7
 STAND_S, DRIVE_S = 25.0, 12.0
-MIN_WAY_M = 1.0
+MIN_PATH_LENGTH_M = 1.0
 ALIKE_M = 0.005
 
 
@@ -88,11 +88,13 @@ def _compare(ours: dict[bytes, SE2], theirs: dict[bytes, SE2]) -> str:
     """Raises InteropError where they are not alike."""
     pairs = [(ours[scan], pose) for scan, pose in theirs.items() if scan in ours]
     off_m = np.array([math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) for a, b in pairs])
-    way_m = sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for (a, _), (b, _) in pairwise(pairs))
+    path_length_m = sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for (a, _), (b, _) in pairwise(pairs))
     rmse_m = float(np.sqrt((off_m**2).mean())) if pairs else math.nan
-    if not (rmse_m < ALIKE_M and way_m > MIN_WAY_M):
-        raise InteropError(f"{len(pairs)} scans over {way_m:.1f} m, poses {1000 * rmse_m:.1f} mm apart")
+    if not (rmse_m < ALIKE_M and path_length_m > MIN_PATH_LENGTH_M):
+        raise InteropError(
+            f"{len(pairs)} scans over {path_length_m:.1f} m, poses {1000 * rmse_m:.1f} mm apart"
+        )
     return (
-        f"{len(pairs)} scans over {way_m:.1f} m, poses {1000 * rmse_m:.1f} mm (RMS; at most "
+        f"{len(pairs)} scans over {path_length_m:.1f} m, poses {1000 * rmse_m:.1f} mm (RMS; at most "
         f"{1000 * off_m.max():.1f} mm) from those of the same scans by our driver"
     )

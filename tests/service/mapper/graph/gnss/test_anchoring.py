@@ -26,13 +26,13 @@ from tests.service.mapper.graph.gnss.outdoors import (
 )
 from tests.soaked import in_soak
 
-WAY_M = 450.0
+PATH_LENGTH_M = 450.0
 LONG_M = 700.0  # on which drift is more than fixes err by
 
 
 @pytest.fixture(scope="module")
 def drive() -> Outing:
-    return outing(WAY_M, seed=1, turn_walk_rad=0.001)
+    return outing(PATH_LENGTH_M, seed=1, turn_walk_rad=0.001)
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_a_jump_and_a_swapped_sign_move_nothing(drive: Outing, fault, wrong):
 def hidden() -> Result:
     """A minute without fixes."""
     outage = GnssModel(outages=[(200.0, 260.0)])
-    return fed(outing(WAY_M, 1, outage, turn_walk_rad=0.001))[1][-1]
+    return fed(outing(PATH_LENGTH_M, 1, outage, turn_walk_rad=0.001))[1][-1]
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def hidden() -> Result:
 def test_a_minute_of_reflections_moves_nothing(direction_rad, size_m, hidden: Result):
     off = size_m * math.cos(direction_rad), size_m * math.sin(direction_rad)
     model = GnssModel(reflections=[Reflection(200.0, 260.0, *off)])
-    reflected = outing(WAY_M, 1, model, turn_walk_rad=0.001)
+    reflected = outing(PATH_LENGTH_M, 1, model, turn_walk_rad=0.001)
     result = fed(reflected)[1][-1]
     assert result.fixes["fixes_contradicting"] >= 15
     assert moved_m(result, hidden) < 0.2
