@@ -53,6 +53,30 @@ ReasonId = Literal[
     "laser_stamps",
 ]
 
+# Why a status of health is not `ok` besides; docs/operations.md has a table of them.
+HealthReasonId = Literal[
+    # mapping
+    "paused",
+    "no_scan",
+    "no_pose",
+    "overloaded",
+    "no_loops",
+    "mapper_restarted",
+    # a sensor
+    "link_down",
+    "no_frame",
+    "frames_stopped",
+    "frames_late",
+    # clock
+    "clock_stepped",
+]
+
+# The row of the manual that explains each: page#anchor.
+REASON_PLACES: Mapping[str, str] = {
+    **{reason: f"mapping.md#{reason}" for reason in get_args(ReasonId) if reason},
+    **{reason: f"operations.md#{reason}" for reason in get_args(HealthReasonId)},
+}
+
 
 class Reason(str):
     """Why a scan is not `ok`, for people and for programs: a sentence with its figures, and its `id`, which

@@ -2,10 +2,12 @@
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 from drivers.link import LinkHealth
 from service.encoding import ERROR, LEVEL_OF_STATE, OK, STALE, WARNING, Message, Status, encode_diagnostics
 from service.mapper.profiles import MappingConfig
+from service.outputs import HealthReasonId, ReasonId
 from service.publishing.commands import CommandDispatcher
 from service.runtime.gnss_health import GnssHealth
 from service.runtime.intake import Intake
@@ -58,21 +60,24 @@ class SensorHealth:
             self._first = (link.frames, link.last_frame_ns)
         rate_hz = self._frames.read(link.frames, now_ns)
         level, words = _LEVEL_OF_LINK[link.state], link.status or link.state
+        reason: HealthReasonId | Literal[""] = ""
         silent_s = max(now_ns - link.last_frame_ns, 0) / 1e9
         if link.state == "down":
+            reason = "link_down"
             words = f"{link.name}: {link.last_error} (expected frames); {_CHECK}"
         elif link.state != "streaming":
+            reason = "no_frame"
             words = (
                 f"{link.name}: {words}, no frame yet (expected within {_seconds(FIRST_POSE_NS)}); {_CHECK}"
             )
         elif now_ns - link.last_frame_ns > STALE_AFTER_NS:
-            level = STALE
+            level, reason = STALE, "frames_stopped"
             words = (
                 f"{link.name}: no frame for {silent_s:.1f} s (expected one each "
                 f"{_seconds(STALE_AFTER_NS)} at least); {_CHECK}"
             )
         elif link.delay_ns > LATE_NS:
-            level = WARNING
+            level, reason = WARNING, "frames_late"
             words = (
                 f"{link.name}: frames arrive {link.delay_ns / 1e9:.1f} s after they were measured (expected "
                 f"at most {_seconds(LATE_NS)}), too old to be mapped. Is its link, or this computer, slow?"
@@ -81,6 +86,7 @@ class SensorHealth:
         values = {
             "state": link.state,
             "status": link.status,
+            "reason_id": reason,
             "rate_hz": f"{rate_hz:.1f}",
             "kilobytes_per_s": f"{self._bytes.read(link.bytes_read, now_ns) / 1e3:.1f}",
             "frames": str(link.frames),
@@ -234,13 +240,9 @@ class HealthReport:
             percentiles = histogram.percentiles().as_dict()
             values |= {f"{name}_{percentile}": f"{ms:.3f}" for percentile, ms in percentiles.items()}
         if self._intake.paused:
-            values["state"] = "paused"
-            return Status(
-                "mapping",
-                WARNING,
-                "paused by a command; scans are recorded, not mapped. Resume maps again",
-                values,
-            )
+            values |= {"state": "paused", "reason_id": "paused"}
+            words = "paused by a command; scans are recorded, not mapped. Resume maps again"
+            return Status("mapping", WARNING, words, values)
         if outputs.graph_fault:
             values["graph_fault"] = outputs.graph_fault
         if last is None:
@@ -253,12 +255,14 @@ class HealthReport:
             since_ns = max(self._began_ns, outputs.last_ns)  # the latter where the map was reset
             level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
             why = self._why_unmapped() if lasers else ""
+            values["reason_id"] = "no_scan"
             return Status("mapping", level, ": ".join(filter(None, (words, why))), values)
         age_s = max(self._now_ns - outputs.last_ns, 0) / 1e9
-        values |= {"state": last.state, "reason_id": last.reason.id}
+        reason: ReasonId | HealthReasonId = last.reason.id
+        values |= {"state": last.state, "reason_id": reason}
         values |= {"inlier_ratio": f"{last.inlier_ratio:.3f}", "age_s": f"{age_s:.2f}"}
         if self._now_ns - outputs.last_ns > POSE_STALE_NS:
-            values["state"] = "stale"
+            values |= {"state": "stale", "reason_id": "no_pose"}
             expected = f"expected one each {_seconds(POSE_STALE_NS)} at least"
             words = f"no pose for {age_s:.1f} s ({expected}): {self._why_unmapped()}"
             return Status("mapping", ERROR, words, values)
@@ -266,23 +270,21 @@ class HealthReport:
         if overload := outputs.overload():
             values["state"] = "lost" if last.state == "lost" else "overloaded"
             words = overload if last.state == "ok" else f"{words}; {overload}"
+            values["reason_id"] = reason or "overloaded"
             return Status("mapping", max(level, WARNING), words, values)
         if level == OK and outputs.graph_fault:
-            level = WARNING
+            level, reason = WARNING, "no_loops"
             words = (
                 f"no loops are closed (expected where a place is seen again): {outputs.graph_fault}; the map "
                 "may drift. Start the service again when the vehicle can wait"
             )
         if level == OK and len(self._restarted_ns) > MAX_RESTARTS:
-            level, words = (
-                WARNING,
-                (
-                    f"the mapper was restarted {len(self._restarted_ns)} times in the last minute (expected "
-                    f"at most {MAX_RESTARTS}); at the last time its process {outputs.restart_reason}; "
-                    f"{_RESTART}"
-                ),
+            level, reason = WARNING, "mapper_restarted"
+            words = (
+                f"the mapper was restarted {len(self._restarted_ns)} times in the last minute (expected "
+                f"at most {MAX_RESTARTS}); at the last time its process {outputs.restart_reason}; {_RESTART}"
             )
-        return Status("mapping", level, words, values)
+        return Status("mapping", level, words, values | {"reason_id": reason})
 
     def _why_unmapped(self) -> str:
         """Why no pose comes, and what to do."""
@@ -333,7 +335,7 @@ class HealthReport:
             f"the wall clock stepped by {step_s:+.3f} s since start (expected none); stamps keep to the time "
             "of the start. Start the service again to take the new one"
         )
-        return Status("clock", WARNING, words, values)
+        return Status("clock", WARNING, words, values | {"reason_id": "clock_stepped"})
 
     def _commands(self) -> Status:
         """Counts of marks, pauses ... since the start."""

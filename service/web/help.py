@@ -12,6 +12,7 @@ from aiohttp import web
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
+from service.outputs import REASON_PLACES
 from service.resources import DOCS
 
 INDEX = "README.md"
@@ -60,6 +61,7 @@ class Manual:
 
     def add_to(self, app: web.Application) -> None:
         app.router.add_get("/help", _to_contents)
+        app.router.add_get("/help/reason/{reason}", _to_reason)
         app.router.add_get("/help/{name:.*}", self._answer)
 
     async def _answer(self, request: web.Request) -> web.Response:
@@ -83,6 +85,7 @@ class Manual:
             if heading.type == "heading_open":
                 title = title or _plain(inline)
                 heading.attrSet("id", anchor_of(inline.content))
+        _mark_reasons(tokens)
         for token in tokens:
             token.children = self._with_links(name, token.children or [])
         body = self._markdown.renderer.render(tokens, self._markdown.options, {})
@@ -117,6 +120,21 @@ class Manual:
 
 async def _to_contents(request: web.Request) -> web.Response:
     raise web.HTTPFound("/help/")
+
+
+async def _to_reason(request: web.Request) -> web.Response:
+    """A page that is open may have a reason of another version of the service."""
+    raise web.HTTPFound(f"/help/{REASON_PLACES.get(request.match_info['reason'], 'operations.md#health')}")
+
+
+def _mark_reasons(tokens: list[Token]) -> None:
+    """Rows of tables of reason ids get these as their ids."""
+    is_of_reasons = False
+    for row, _, cell in zip(tokens, tokens[1:], tokens[2:], strict=False):
+        if row.type == "tr_open":
+            is_of_reasons = cell.content == "reason id" or (is_of_reasons and cell.content.startswith("`"))
+            if is_of_reasons and cell.content != "reason id":
+                row.attrSet("id", cell.content.strip("`"))
 
 
 def anchor_of(heading: str) -> str:

@@ -113,13 +113,14 @@ def event(text: str, seconds: float) -> Message:
 def statuses(state: str = "ok", reason: str = "") -> Sequence[Status]:
     level = {"ok": 0, "degraded": 1, "lost": 2, "paused": 1}[state]
     sensor = {"state": "streaming", "rate_hz": "50.0", "age_s": "0.02", "dropped": "0", "frames": "512"}
+    down = {"state": "down", "rate_hz": "0.0", "reason_id": "link_down"}
     mapping = {"state": state, "inlier_ratio": "0.930", "scan_rate_hz": "50.0", "scans_dropped": "3",
                "scan_cpu_ms_p50": "0.912", "scans": "18808"}  # fmt: skip
     recording = {"state": "recording", "file": "/tmp/veh1_20260101T000000Z_0001.mcap", "messages": "12345",
                  "free_gb": "41.2"}  # fmt: skip
     return [
         Status("sensor/front", 0, "ok", {**sensor, "device_clock_s": "8130", "clock_sigma_ms": "0.21"}),
-        Status("sensor/rear", 2, "no route to 192.168.0.10", {**sensor, "state": "down", "rate_hz": "0.0"}),
+        Status("sensor/rear", 2, "no route to 192.168.0.10", {**sensor, **down}),
         Status("mapping", level, reason or state, mapping),
         Status("map", 0, "ok", {"folder": "/tmp/map", "saved_version": "7"}),
         Status("recording", 0, "recording", recording),

@@ -254,6 +254,7 @@ class ReplayPage:
                 f"{counted(int(values['loop_closures']), 'loop')} closed"
             )
             return Status("mapping", OK, words, values | {"state": "finished"})
+        values["reason_id"] = self._output.reason.id
         return Status("mapping", LEVEL_OF_STATE[state], self._output.reason or state, values)
 
     def _replay_status(self, session: Session) -> Status:

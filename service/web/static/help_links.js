@@ -8,8 +8,15 @@ export const PAGES = {
   commands: "commands.md", gnss: "gnss.md", timing: "importing.md#recordings-whose-times-are-wrong", replay: "operator.md#replays", tiles: "maps.md",
 };
 
-/** Address of the page for a status, by its name; all others are listed in one table. */
-export const helpAddress = (status) => `/help/${PAGES[status.split("/")[0]] ?? "operations.md#health"}`;
+/** Address of what explains a status: its reason where it has one, else the page by its name; all others are listed in one table. */
+export const helpAddress = (status, reason = "") =>
+  reason ? `/help/reason/${encodeURIComponent(reason)}` : `/help/${PAGES[status.split("/")[0]] ?? "operations.md#health"}`;
 
 /** Opens apart: the map stays as it is. */
 export const helpLink = (status) => element("a", { href: helpAddress(status), target: "_blank", className: "help", "aria-label": `Manual: ${status}` }, "Manual");
+
+/** Let a link lead to the reason why that status is not well. */
+export function explain(link, { name, values }) {
+  const address = helpAddress(name, values.reason_id);
+  if (link.getAttribute("href") !== address) link.href = address;
+}

@@ -3,7 +3,7 @@
 import { card, element, Facts, setText } from "./dom.js";
 import { eventLines } from "./events.js";
 import { deviationsInMap, wrapAngle } from "./geometry.js";
-import { helpLink } from "./help_links.js";
+import { explain, helpLink } from "./help_links.js";
 import { PolarView } from "./polar.js";
 import { clockTime, degrees, deviceClock, duration, figure, fixed } from "./format.js";
 
@@ -13,6 +13,9 @@ const COLUMNS = [["Sensor", ""], ["Hz", "frames a second"], ["Age s", "since the
   ["Clock", "what the device's clock says: time since power-up, or since it last began at 0, or the year it was set to"]];
 const MAX_EVENTS = 60;
 const MAX_SIGMA_MS = 5; // of a clock that is known
+
+/** Whether a vehicle of its own is shown: a stored map has none, a fleet has several. */
+export const hasOwnPose = ({ statuses }) => !["stored", "fleet"].includes(statuses.find(({ name }) => name === "mapping")?.values.state);
 
 export class Information {
   constructor(root, colourOf) {
@@ -89,8 +92,9 @@ export class Information {
     this.#recording(byName.get("recording"), byName.get("map"), health.stamp_s);
     this.#parts(health.statuses);
     // A replay, a stored map and a fleet have no devices.
-    const hasDevices = !byName.has("replay") && !["stored", "fleet"].includes(byName.get("mapping")?.values.state);
+    const hasPose = hasOwnPose(health), hasDevices = hasPose && !byName.has("replay");
     for (const { node } of [this.sensors, this.recording, this.events]) node.hidden = !hasDevices;
+    this.pose.node.hidden = this.mapping.aside.hidden = !hasPose;
   }
 
   /** A moment of the past: what had happened by then. */
@@ -118,6 +122,7 @@ export class Information {
     const { values } = mapping, isLive = "scan_rate_hz" in values;
     setText(this.mapping.aside, `for ${duration(now_s - mapping.since_s)}`);
     this.manual.hidden = mapping.level === 0;
+    explain(this.manual, mapping);
     setText(this.words, mapping.message === "ok" ? "Everything is well." : mapping.message);
     this.pose.set({
       "Agreement with the map": figure(values.inlier_ratio && 100 * values.inlier_ratio, 0, " %"),
@@ -156,8 +161,9 @@ export class Information {
         values.dropped ?? "\u2013", deviceClock(values.device_clock_s)];
       figures.forEach((text, i) => setText(row.cells[i], text));
       row.words.hidden = status.level === 0;
-      setText(row.words.firstChild, `${status.message} (for ${duration(health.stamp_s - status.since_s)})`);
-      row.details.put([status.message, clockWords(values)].filter(Boolean).join("\n"), values);
+      explain(row.manual, status);
+      setText(row.text, `${status.message} (for ${duration(health.stamp_s - status.since_s)})`);
+      row.details.put([status.message, clockWords(values)].filter(Boolean).join("\n"), status);
     }
     setText(this.sensors.aside, `${streaming} of ${sensors.length} well`);
   }
@@ -168,9 +174,10 @@ export class Information {
       const dot = element("span", { className: "dot" }), swatch = element("span", { className: "swatch" });
       const details = new Details(COLUMNS.length, `sensor/${name}`, dot, name, swatch);
       const cells = COLUMNS.slice(1).map(() => element("td"));
-      const words = element("tr", { className: "words", hidden: true }, element("td", { colSpan: COLUMNS.length }));
+      const text = element("span"), manual = helpLink(`sensor/${name}`);
+      const words = element("tr", { className: "words", hidden: true }, element("td", { colSpan: COLUMNS.length }, text, " ", manual));
       this.rows.append(element("tr", {}, element("td", {}, details.button), ...cells), words, details.row);
-      row = { dot, swatch, cells, words, details };
+      row = { dot, swatch, cells, words, text, manual, details };
       this.sensorRows.set(name, row);
     }
     return row;
@@ -196,7 +203,7 @@ export class Information {
       const row = this.parts.get(status.name) ?? this.#partRow(status.name);
       row.dot.dataset.level = LEVELS[status.level];
       setText(row.words, status.message);
-      row.details.put("", status.values);
+      row.details.put("", status);
     }
   }
 
@@ -221,11 +228,13 @@ class Details {
     this.text = "";
     this.button = element("button", { type: "button", className: "name", "aria-expanded": "false", onclick: () => this.#toggle() }, ...name);
     this.words = element("p");
-    this.row = element("tr", { className: "words details", hidden: true }, element("td", { colSpan: columns }, this.words, helpLink(status)));
+    this.manual = helpLink(status);
+    this.row = element("tr", { className: "words details", hidden: true }, element("td", { colSpan: columns }, this.words, this.manual));
   }
 
-  put(message, values) {
-    this.text = [message, ...Object.entries(values).filter(([, text]) => text !== "").map(([key, text]) => `${key}: ${text}`)].filter(Boolean).join("\n");
+  put(message, status) {
+    explain(this.manual, status);
+    this.text = [message, ...Object.entries(status.values).filter(([, text]) => text !== "").map(([key, text]) => `${key}: ${text}`)].filter(Boolean).join("\n");
     if (!this.row.hidden) setText(this.words, this.text);
   }
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.link import LinkHealth
 from service.encoding import ERROR, OK, STALE, WARNING, Status, decode_diagnostics
-from service.outputs import NO_REASON, Reason
+from service.outputs import NO_REASON, REASON_PLACES, Reason
 from service.runtime.health import HealthReport, SensorHealth
 from service.runtime.mapper_messages import Mapped
 from service.runtime.metrics import LatencyHistogram
@@ -77,8 +77,15 @@ def report(*links: LinkHealth) -> Report:
     )
 
 
+def is_explained(facts: Status) -> bool:
+    """Whether the manual explains why it is not ok."""
+    is_own = facts.name in ("mapping", "clock") or facts.name.startswith("sensor/")
+    return not is_own or facts.level == OK or facts.values["reason_id"] in REASON_PLACES
+
+
 def status(made: HealthReport, name: str, now_ns: int = 11 * S) -> Any:
     made.update(now_ns, 0)
+    assert all(map(is_explained, made.statuses))
     return next(status for status in made.statuses if status.name == name)
 
 
@@ -103,6 +110,7 @@ def test_a_sensor_says_in_words_how_it_is(link: LinkHealth, level: int, words: s
     assert facts.level == level
     assert facts.message.startswith(words)
     assert level == OK or NAMES_ALL.search(facts.message)
+    assert is_explained(facts)
 
 
 def test_rates_drops_offset_counters_and_identity_are_reported():
@@ -231,8 +239,7 @@ def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
 
     def reported_at(seconds: int, restarts: int) -> tuple[int, str]:
         outputs.restarts, outputs.last_ns = restarts, seconds * S
-        made.update(seconds * S, 0)
-        facts = next(status for status in made.statuses if status.name == "mapping")
+        facts = status(made, "mapping", seconds * S)
         return facts.level, facts.message
 
     assert reported_at(11, 1) == (OK, "ok")

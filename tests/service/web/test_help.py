@@ -3,6 +3,7 @@
 from html.parser import HTMLParser
 from posixpath import dirname, join, normpath
 
+from service.outputs import REASON_PLACES
 from service.web.help import INDEX, Manual
 from tests.service.web.conftest import talk
 
@@ -41,6 +42,15 @@ def test_every_link_and_picture_of_every_page_is_served():
     assert count > 300
 
 
+def test_every_reason_has_a_row_of_the_manual():
+    manual = Manual()
+    rows = {page: Found(manual.render(page)).ids for page in ("mapping.md", "operations.md")}
+    assert len(REASON_PLACES) > 40
+    for reason, place in REASON_PLACES.items():
+        page, _, anchor = place.partition("#")
+        assert anchor in rows[page], f"{reason}: docs/{page} has no row of it in a table of reason ids"
+
+
 def test_html_in_a_page_is_shown_as_text_and_links_that_lead_elsewhere_are_plain(tmp_path):
     (tmp_path / "README.md").write_text(
         "# A <b>page</b>\n\n<script>alert(1)</script> [out](../secret.md) [js](javascript:alert(1)) "
@@ -63,8 +73,14 @@ def test_only_files_of_the_manual_are_served(serve):
         for path in (*THERE, *NOT_THERE):
             async with client.session.get(f"{client.address}{path}") as response:
                 facts[path] = response.status, response.content_type
+        for reason in ("drift", "unheard-of"):
+            there = f"{client.address}help/reason/{reason}"
+            async with client.session.get(there, allow_redirects=False) as response:
+                facts[reason] = response.headers["Location"]
 
     talk(server, look)
     assert [facts[path][0] for path in THERE] == [200] * len(THERE)
     assert facts["help/images/rerun.png"][1] == "image/png"
+    assert facts["drift"] == "/help/mapping.md#drift"
+    assert facts["unheard-of"] == "/help/operations.md#health"
     assert [facts[path][0] for path in NOT_THERE] == [404] * len(NOT_THERE)
