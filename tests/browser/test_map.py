@@ -8,7 +8,7 @@ from selenium.webdriver.common.keys import Keys
 from service.encoding import decode_pose, encode_graph, encode_grid, encode_pose
 from service.outputs import NO_GRAPH, OCCUPIED, GraphPicture, Grid, TileUpdate
 from tests.browser.conftest import DESKTOP
-from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, stamp
+from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, Scene, stamp
 
 WALL, FREE, GROUND = [11, 18, 32], [255, 255, 255], [228, 232, 238]  # of the light theme
 
@@ -223,6 +223,23 @@ def test_all_shows_all_of_the_map(still, scene):
     seen, bounds = still.run("return corridor.view.camera.seen"), still.report()["bounds"]
     assert all(seen[low] < bounds[low] for low in ("x_min_m", "y_min_m"))
     assert all(seen[high] > bounds[high] for high in ("x_max_m", "y_max_m"))
+
+
+def test_a_map_that_is_still_coming_is_all_in_view_until_somebody_moves_it(page, serve, store):
+    scene = Scene(half_x_m=30.0, store=store)
+    first, *others = scene.tiles()
+    store.update([first])
+    page.open(serve().address)
+    page.wait_for("return corridor.report().tiles === 1")
+    store.update(others[:-1])
+    page.wait_for("return corridor.report().tiles === arguments[0]", len(others))
+    seen, bounds = page.run("return [corridor.view.camera.seen, corridor.view.tiles.bounds]")
+    assert all(seen[f"{axis}_min_m"] <= bounds[f"{axis}_min_m"] for axis in "xy")
+    assert all(seen[f"{axis}_max_m"] >= bounds[f"{axis}_max_m"] for axis in "xy")
+    page.look_at(1.0, 2.0, 50.0)
+    store.update(others[-1:])
+    page.wait_for("return corridor.report().tiles === arguments[0]", 1 + len(others))
+    assert page.run("const {x_m, y_m, scale} = corridor.view.camera; return [x_m, y_m, scale]") == [1, 2, 50]
 
 
 def test_a_reset_clears_map_and_path(page, scene, live):

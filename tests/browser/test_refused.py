@@ -128,7 +128,10 @@ def test_a_result_shows_no_empty_card_and_no_area_without_content(page, opened, 
     )
     assert all(count > 1 for _, count in page.run(titles))
     assert [title for title, _ in page.run(titles)] == ["Access"]
-    assert not page.element("tab-resources").is_displayed()
+    for area in ("resources", "history"):
+        assert not page.element(f"tab-{area}").is_displayed()
+    page.choose("information")
+    assert page.texts("#information dl:not([hidden]) dt") == []  # of a pose
     assert not any(silent(page).values())
     assert page.texts(".notice") == []
     assert page.faults() == []

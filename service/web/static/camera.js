@@ -50,6 +50,11 @@ export class Camera {
     context.setTransform(c, -s, -s, -c, e, f);
   }
 
+  /** What it looks at, to be compared. */
+  get place() {
+    return [this.x_m, this.y_m, this.scale, this.rotation_rad].join();
+  }
+
   panBy(dx, dy) {
     const [x_m, y_m] = this.toMap(this.width / 2 - dx, this.height / 2 - dy);
     this.x_m = x_m;

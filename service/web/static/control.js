@@ -82,7 +82,7 @@ export class Control {
     setText(this.accessWords, may
       ? "Unlocked: this page may give commands."
       : this.connection.role ? "This token is that of a viewer: you may look."
-      : "You may look. To give commands, enter the token of the service: `corridor demo` prints it, `corridor run` says at its start in which file it is.");
+      : "You may look. To give commands, enter the token of the service: the command corridor demo prints it, corridor run says at its start in which file it is.");
     this.tokenForm.hidden = may;
     const hasGraph = [GRAPH_PROFILE, ""].includes(this.profile.profile);
     const noPose = !hasGraph ? `The profile ${this.profile.profile} takes no pose; ${GRAPH_PROFILE} does.`

@@ -9,7 +9,7 @@ import { drawCrossHair } from "./edit_tools.js";
 import { FleetLayer } from "./fleet_layer.js";
 import { Gestures } from "./gestures.js";
 import { History } from "./history.js";
-import { Information, LEVELS } from "./information.js";
+import { hasOwnPose, Information, LEVELS } from "./information.js";
 import { drawCompass, drawMetres, drawScale, northOf, savePicture } from "./map_frame.js";
 import { MapView } from "./map_view.js";
 import { setUpPast } from "./past.js";
@@ -93,6 +93,7 @@ const connection = new Connection({
     replay.putHealth(message);
     edit.putHealth(message);
     resources.putHealth(message);
+    byId("tab-history").hidden = !hasOwnPose(message);
     view.isHeld = replay.state === "paused";
     showState();
   },

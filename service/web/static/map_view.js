@@ -49,7 +49,7 @@ export class MapView {
     this.other = null; // {tiles, share}: another version of the map, drawn in that share of the width
     this.follows = true;
     this.isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
-    this.isFitted = false; // until then the first tiles are brought into view
+    this.whole = null; // the camera as it last showed all; null: nothing is shown yet
     this.poseArrived_ms = -Infinity;
     this.moment = null; // of a past that is looked at: {at_s, path}
     this.frames = 0;
@@ -110,7 +110,7 @@ export class MapView {
     this.layers.change = false;
     this.path = [];
     this.moment = null;
-    this.isFitted = false;
+    this.whole = null;
     this.invalidate();
   }
 
@@ -119,7 +119,8 @@ export class MapView {
       this.tiles.put(ix, iy, edge, cell_m, cells);
       this.change.put(ix, iy, edge, cell_m, cells);
     }
-    if (!this.isFitted && (this.track.last === null || this.moment)) this.#showAll(); // to be followed all the same when it comes
+    const isUntouched = this.whole === null || this.whole === this.camera.place;
+    if (isUntouched && (this.track.last === null || this.moment)) this.#showAll(); // a vehicle is followed all the same when it comes
     this.invalidate();
   }
 
@@ -155,7 +156,7 @@ export class MapView {
       this.path = this.path.filter((metres, i) => i % 4 < 2 || Number.isNaN(metres));
     }
     if (this.follows) this.camera.centreOn(pose.x_m, pose.y_m);
-    this.isFitted = true;
+    this.whole = ""; // what is shown goes by the vehicle
     this.invalidate();
   }
 
@@ -215,8 +216,8 @@ export class MapView {
       bounds.y_min_m = Math.min(bounds.y_min_m, pose.y_m);
       bounds.y_max_m = Math.max(bounds.y_max_m, pose.y_m);
     }
-    this.isFitted = true;
     this.camera.fit(bounds);
+    this.whole = this.camera.place;
     this.invalidate();
     return true;
   }
