@@ -27,6 +27,7 @@ def main() -> int:
         reading,
         replaying,
         scans,
+        secured,
         site,
         start_up,
     )
@@ -40,6 +41,7 @@ def main() -> int:
         "fleet": fleet.measure,
         "site": site.measure,
         "start-up": start_up.measure,
+        "secured": secured.measure,
         "live": live.measure,
         "accuracy": lambda: accuracy.measure(
             parsed.scenario, range(parsed.first_seed, parsed.first_seed + parsed.seeds)
