@@ -117,7 +117,7 @@ class RenderedMap:
     tile_column: npt.NDArray[np.int64]  # (T,)
     evidence: npt.NDArray[np.int8]  # (T, W, W) log-odds steps of the free-space map
     wall_cells: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    # (K, 2) row and column of the cells of walls drawn by the operator: no beam clears them
+    # (K, 2) row and column of the cells of manual walls: no beam clears them
     is_part: npt.NDArray[np.bool_] | None = None  # (T, W, W) cells that are replaced; None: all of the map
 
 
@@ -140,7 +140,7 @@ class AreaToErase:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallToRender:
-    """A wall drawn by the operator; beams do not clear it."""
+    """A manual wall; beams do not clear it."""
 
     corners_map: npt.NDArray[np.float64]  # (C, 2) m in the map, a polyline
     erased_map: Sequence[npt.NDArray[np.float64]] = ()  # (C, 2) m each: areas erased later

@@ -63,7 +63,7 @@ class SavedGraph:
     loop_measured: Floats  # (L, 3) the second seen from the first
     loop_covariance: Floats  # (L, 3, 3) in the axes of the second
     loop_score: Floats  # (L,) inlier ratio
-    loop_points: npt.NDArray[np.int64]  # (L,) asked; 0: not known
+    loop_points: npt.NDArray[np.int64]  # (L,) evaluated; 0: not known
     loop_against: Floats  # (L,) share of them in free space; NaN: not known
     refused: RefusedLoops = field(default_factory=RefusedLoops)
     by_hand: ByHand = field(default_factory=ByHand)

@@ -34,7 +34,7 @@ class Mapped:
 
     outputs: list[MapperOutput]
     shown: list[TileUpdate]
-    taken_over_ns: int  # after the request
+    applied_ns: int  # after the request
     answers: list[dict[str, Any]]
     session: MappingSession
 
@@ -55,15 +55,15 @@ def new_session() -> MappingSession:
     return MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"])
 
 
-def mapped(drove: Drive, *changes: dict[str, Any], shown_ns: int = 0) -> Mapped:
+def mapped(drive: Drive, *changes: dict[str, Any], shown_ns: int = 0) -> Mapped:
     """Requests the changes at EDITED_NS. shown_ns: without changes, the moment of the shown map."""
     session, outputs, answers = new_session(), [], []
     shown: list[TileUpdate] = []
-    taken_over_ns = 0
-    asked = False
-    for frame in drove.frames:
-        if isinstance(frame, LaserScan) and frame.stamp_ns >= EDITED_NS and not asked:
-            asked = True
+    applied_ns = 0
+    is_requested = False
+    for frame in drive.frames:
+        if isinstance(frame, LaserScan) and frame.stamp_ns >= EDITED_NS and not is_requested:
+            is_requested = True
             for change in changes:
                 assert session.request("edit_map", {"change": change}) is None
         output = session.process(frame)
@@ -73,8 +73,8 @@ def mapped(drove: Drive, *changes: dict[str, Any], shown_ns: int = 0) -> Mapped:
         answers += [dict(one.reply) for one in session.take_edited()]
         after_ns = frame.stamp_ns - EDITED_NS
         if not shown and (len(answers) == len(changes) if changes else after_ns >= shown_ns):
-            taken_over_ns, shown = after_ns, session.tiles()
-    return Mapped(outputs, shown, taken_over_ns, answers, session)
+            applied_ns, shown = after_ns, session.tiles()
+    return Mapped(outputs, shown, applied_ns, answers, session)
 
 
 def erase(becomes: str = "as_seen") -> dict[str, Any]:
@@ -82,13 +82,13 @@ def erase(becomes: str = "as_seen") -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def drove() -> Drive:
+def drive() -> Drive:
     return through("office", SECONDS, 3)
 
 
 @pytest.fixture(scope="module")
-def erased(drove: Drive) -> Mapped:
-    return mapped(drove, erase())
+def erased(drive: Drive) -> Mapped:
+    return mapped(drive, erase())
 
 
 @pytest.fixture(scope="module")
@@ -99,13 +99,13 @@ def stored(erased: Mapped) -> SavedGraph:
 
 
 @pytest.fixture(scope="module")
-def untouched(drove: Drive, erased: Mapped) -> Mapped:
+def untouched(drive: Drive, erased: Mapped) -> Mapped:
     """The same drive without a change, shown at the same moment."""
-    return mapped(drove, shown_ns=erased.taken_over_ns)
+    return mapped(drive, shown_ns=erased.applied_ns)
 
 
 def test_poses_and_states_are_those_of_the_drive_without_the_change(erased: Mapped, untouched: Mapped):
-    assert erased.taken_over_ns < TAKEN_OVER_NS
+    assert erased.applied_ns < TAKEN_OVER_NS
     for one, other in zip(erased.outputs, untouched.outputs, strict=True):
         assert one.pose_map_base == other.pose_map_base
         assert (one.state, one.reason) == (other.state, other.reason) == ("ok", other.reason)
@@ -125,8 +125,8 @@ def test_walls_are_gone_and_floor_that_beams_pass_over_stays_free(erased: Mapped
 
 
 @pytest.mark.parametrize(("becomes", "known"), [("unknown", set()), ("free", {3})])
-def test_the_area_is_unknown_or_free_as_requested(drove: Drive, becomes: str, known: set[int]):
-    assert set(mapped(drove, erase(becomes)).cells(is_within=True).values()) == known
+def test_the_area_is_unknown_or_free_as_requested(drive: Drive, becomes: str, known: set[int]):
+    assert set(mapped(drive, erase(becomes)).cells(is_within=True).values()) == known
 
 
 def test_the_mapping_goes_on_and_the_change_is_stored_with_the_map(
@@ -141,10 +141,10 @@ def test_the_mapping_goes_on_and_the_change_is_stored_with_the_map(
     assert erased.answers[0]["done"] == f"erased 8.00 m2 about (1.75, 0.00) m: {gone} points gone"
 
 
-def test_a_wall_is_drawn_and_both_changes_are_undone(drove: Drive, untouched: Mapped):
-    walled = mapped(drove, {"what": "wall", "corners": LINE}).cells(is_within=True)
+def test_a_wall_is_drawn_and_both_changes_are_undone(drive: Drive, untouched: Mapped):
+    walled = mapped(drive, {"what": "wall", "corners": LINE}).cells(is_within=True)
     assert sum(value == 97 for value in walled.values()) >= 20
-    back = mapped(drove, erase(), {"what": "wall", "corners": LINE}, {"what": "undo"}, {"what": "undo"})
+    back = mapped(drive, erase(), {"what": "wall", "corners": LINE}, {"what": "undo"}, {"what": "undo"})
     assert [answer["done"].split()[0] for answer in back.answers] == ["erased", "drew", "took", "took"]
     before, after = untouched.cells(is_within=True), back.cells(is_within=True)
     walls = {place for place, value in before.items() if value > WALL}
@@ -185,7 +185,7 @@ def test_before_the_first_scan_there_is_nothing_to_change():
 
 
 def test_a_loop_is_refused_while_driving_and_the_pose_loses_its_correction():
-    session, asked_ns, taken_over_ns = new_session(), 0, 0
+    session, asked_ns, applied_ns = new_session(), 0, 0
     before = after = None  # pose_map_odom at the request, and after it was applied
     answer: dict[str, Any] = {}
     for frame in through("office", 60.0, 3).frames:
@@ -202,11 +202,11 @@ def test_a_loop_is_refused_while_driving_and_the_pose_loses_its_correction():
         if asked_ns and not answer:
             before = before or output.pose_map_odom
             for one in session.take_edited():
-                answer, taken_over_ns = dict(one.reply), frame.stamp_ns - asked_ns
+                answer, applied_ns = dict(one.reply), frame.stamp_ns - asked_ns
         elif answer:
             after = after or output.pose_map_odom
     assert answer["done"].startswith("took back the loop from key frame")
-    assert 0 < taken_over_ns < TAKEN_OVER_NS
+    assert 0 < applied_ns < TAKEN_OVER_NS
     assert before is not None
     assert after is not None
     moved_m = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m)

@@ -39,13 +39,16 @@ def frames(ride: Ride, seconds: float) -> Iterator[Frame]:
     """One at a time, as none is kept: wheels before each scan, of 1 % a root metre, and the scan."""
     source = LaserTruth(ride, LASER.name, LASER.mounting, LASER.model, 1)
     noise = noise_of(1, "wheels", 0)
-    believed, before = SE2(), ride.pose(0)
+    odometry_pose, before = SE2(), ride.pose(0)
     for stamp_ns in range(0, round(seconds * 1e9), LASER.every * LASER.period_ns):
         now = ride.pose(stamp_ns)
-        way = (before.inverse() @ now).log()
-        sigma = 0.01 * np.sqrt(abs(way[0])) * noise.standard_normal(2)
-        believed, before = believed @ SE2.exp(way[0] + sigma[0], way[1], way[2] + 0.5 * sigma[1]), now
-        yield OdometrySample("base", stamp_ns, stamp_ns, *astuple(believed), (0.0, 0.0, 0.0), (0.0,) * 9)
+        path = (before.inverse() @ now).log()
+        sigma = 0.01 * np.sqrt(abs(path[0])) * noise.standard_normal(2)
+        odometry_pose, before = (
+            odometry_pose @ SE2.exp(path[0] + sigma[0], path[1], path[2] + 0.5 * sigma[1]),
+            now,
+        )
+        yield OdometrySample("base", stamp_ns, stamp_ns, *astuple(odometry_pose), (0.0, 0.0, 0.0), (0.0,) * 9)
         yield from scans_at(source, LASER, stamp_ns, [1])
 
 

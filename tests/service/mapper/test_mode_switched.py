@@ -37,16 +37,16 @@ def stored_now(session: MappingSession) -> int:
 
 
 @pytest.fixture(scope="module")
-def drove() -> Drive:
+def drive() -> Drive:
     return through("office", SECONDS, 3)
 
 
 @pytest.fixture(scope="module")
-def switched(drove: Drive) -> Switched:
+def switched(drive: Drive) -> Switched:
     session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"], None)
     outputs, answers = [], []
     due = [(HELD_NS, "localization"), (MAPPED_NS, "mapping")]
-    for frame in drove.frames:
+    for frame in drive.frames:
         if due and isinstance(frame, LaserScan) and frame.stamp_ns >= due[0][0]:
             stored = stored_now(session)
             assert session.request("set_mode", {"mode": due.pop(0)[1]}) is None
@@ -67,8 +67,8 @@ def cells(tiles: list[TileUpdate]) -> dict[tuple[int, int], bytes]:
 
 
 def test_the_map_stays_as_it_is_until_it_is_mapped_again(switched: Switched):
-    (_, held, before, stored_before), (_, mapped, after, stored_after) = switched.answers
-    assert (held["mode"], mapped["mode"]) == ("localization", "mapping")
+    (_, localizing, before, stored_before), (_, mapped, after, stored_after) = switched.answers
+    assert (localizing["mode"], mapped["mode"]) == ("localization", "mapping")
     assert cells(before) == cells(after)
     assert stored_before == stored_after > 10
     assert cells(switched.shown) != cells(after)
@@ -76,19 +76,19 @@ def test_the_map_stays_as_it_is_until_it_is_mapped_again(switched: Switched):
     switched.stored.checked()
 
 
-def test_the_vehicle_is_localised_all_along_and_no_pose_jumps(drove: Drive, switched: Switched):
+def test_the_vehicle_is_localised_all_along_and_no_pose_jumps(drive: Drive, switched: Switched):
     assert {output.state for output in switched.outputs} == {"ok"}
     map_odom = np.array([(o.pose_map_odom.x_m, o.pose_map_odom.y_m) for o in switched.outputs])
     assert np.hypot(*np.diff(map_odom, axis=0).T).max() < 0.01
     for output in switched.outputs:
-        true = drove.truth[output.stamp_ns]
+        true = drive.truth[output.stamp_ns]
         off_m = math.hypot(output.pose_map_base.x_m - true.x_m, output.pose_map_base.y_m - true.y_m)
         assert off_m < 0.05
 
 
-def test_a_change_asked_for_before_the_switch_to_localisation_is_applied_is_refused(drove: Drive):
+def test_a_change_asked_for_before_the_switch_to_localisation_is_applied_is_refused(drive: Drive):
     session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"], None)
-    for frame in drove.frames[:50]:
+    for frame in drive.frames[:50]:
         session.process(frame)
     wall = {"what": "wall", "corners": [(0.5, 0.2), (1.5, 0.2)]}
     session.request("set_mode", {"mode": "localization"})
@@ -117,7 +117,7 @@ def test_a_mode_that_cannot_be_is_refused(switched: Switched):
         only.graph.request("set_mode", {"mode": "mapping"})
 
 
-def test_a_loaded_map_is_localised_in_before_the_vehicle_has_a_place(drove: Drive, switched: Switched):
+def test_a_loaded_map_is_localised_in_before_the_vehicle_has_a_place(drive: Drive, switched: Switched):
     """As the page requests it: the mode right after the map, with no scan between them."""
     begin = BeginIn(switched.stored, rendered_of(switched.shown))
     session = MappingSession(
@@ -128,7 +128,7 @@ def test_a_loaded_map_is_localised_in_before_the_vehicle_has_a_place(drove: Driv
     assert session.take_edited()[0].reply["mode"] == "localization"
     assert session.is_localizing
     states = []
-    for frame in drove.frames:
+    for frame in drive.frames:
         if (output := session.process(frame)) is not None:
             states.append(output.state)
         while session.work_ready:

@@ -280,27 +280,27 @@ def test_a_laser_with_a_wrong_mounting_is_not_mapped_when_the_others_fall_silent
 
 def test_a_laser_that_hangs_is_named_while_another_sees_on():
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
-    held, said = None, []
+    frozen, reported = None, []
     for frame in two_lasers():
         if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > 1_700_000_000:
-            held = held or frame
-            frame = replace(frame, range_m=held.range_m)
+            frozen = frozen or frame
+            frame = replace(frame, range_m=frozen.range_m)
         output = mapper.process(frame)
         if output is not None and frame.stamp_ns > 2_000_000_000:
-            said.append((frame.sensor, output.state, "has the laser stopped measuring" in output.reason))
-    assert {("front", "ok", False), ("rear", "degraded", True)} == set(said)
+            reported.append((frame.sensor, output.state, "has the laser stopped measuring" in output.reason))
+    assert {("front", "ok", False), ("rear", "degraded", True)} == set(reported)
 
 
 def test_a_laser_without_returns_does_not_contradict_and_its_reason_names_the_window():
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
-    said = set()
+    reported = set()
     for frame in two_lasers():
         if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > 1_700_000_000:
             frame = replace(frame, range_m=np.full_like(frame.range_m, np.nan))
         output = mapper.process(frame)
         if output is not None and frame.stamp_ns > 1_800_000_000:
-            said.add((frame.sensor, output.state, output.reason))
-    assert said == {
+            reported.add((frame.sensor, output.state, output.reason))
+    assert reported == {
         ("front", "ok", ""),
         (
             "rear",
@@ -324,15 +324,17 @@ def test_a_laser_whose_stamps_are_late_is_named_and_no_longer_mapped_beside_the_
     front = [f for f in drive(ROOM, swinging, seconds).frames if f.stamp_ns < alone_ns]
     seen_late = drive(ROOM, lambda t_s: swinging(t_s - late_ns * 1e-9), seconds, mounting=REAR).frames
     rear = [replace(frame, sensor="rear") for frame in seen_late if isinstance(frame, LaserScan)]
-    said: dict[str, set[tuple[str, str, str]]] = {"both": set(), "alone": set()}
+    reported: dict[str, set[tuple[str, str, str]]] = {"both": set(), "alone": set()}
     for frame in sorted([*front, *rear], key=lambda frame: (frame.arrived_ns, isinstance(frame, LaserScan))):
         output = mapper.process(frame)
         if output is None or frame.stamp_ns < 5_000_000_000:
             continue
         when = "both" if frame.stamp_ns < alone_ns else "alone"
         if when == "both" or frame.stamp_ns > alone_ns + 700_000_000:
-            said[when].add((frame.sensor, output.state, re.sub(r"\b(79|80|81) ms.*", "80 ms", output.reason)))
-    assert said == {
+            reported[when].add(
+                (frame.sensor, output.state, re.sub(r"\b(79|80|81) ms.*", "80 ms", output.reason))
+            )
+    assert reported == {
         "both": {("front", "ok", ""), ("rear", "degraded", "rear has stamps that are 80 ms")},
         "alone": {("rear", "ok", "")},
     }

@@ -101,13 +101,13 @@ def continued(first, second) -> tuple[Began, FinishedGraph]:
 
 
 def test_a_vehicle_is_localised_and_tracked(first, second, localized):
-    drove, outputs = first[0], localized.outputs
+    first_drive, outputs = first[0], localized.outputs
     assert outputs[0].state == "lost"
     placed = [output for output in outputs if output.state != "lost"]
     assert 1e-9 * (placed[0].stamp_ns - outputs[0].stamp_ns) < 1.0
     assert placed[0].reason == UNPROVEN  # seen from one spot: rooms look alike
     assert placed[-1].state == "ok"
-    assert max(off_m(drove, second, output) for output in placed) < 0.05
+    assert max(off_m(first_drive, second, output) for output in placed) < 0.05
 
 
 def test_a_known_pose_cannot_be_set(localized):
@@ -128,7 +128,7 @@ def test_localisation_does_not_change_the_stored_map(first, before, localized):
 
 def test_manual_edits_withstand_the_beams_of_a_later_session(first, second):
     """A wall across the path of the second session, and points that were erased elsewhere."""
-    drove, begin = first
+    first_drive, begin = first
     at = SE2(*begin.graph.map[len(begin.graph) // 2].tolist())
     line = np.array([(pose.x_m, pose.y_m) for pose in (at @ SE2(0.0, -0.4), at @ SE2(0.0, 0.4))])
     area = begin.graph.map[5, :2] + np.array([(-1.5, -1.5), (1.5, -1.5), (1.5, 1.5), (-1.5, 1.5)])
@@ -138,7 +138,7 @@ def test_manual_edits_withstand_the_beams_of_a_later_session(first, second):
     mapper = new_mapper(BeginIn(graph, shown), "mapping")
     outputs = list(outputs_of(mapper, second.frames))
     assert outputs[-1].state == "ok"
-    assert off_m(drove, second, outputs[-1]) < 0.05
+    assert off_m(first_drive, second, outputs[-1]) < 0.05
     assert shown_at(mapper.tiles(), at) == 97
     saved = mapper.finish().update.saved
     assert shown_at(mapper.tiles(), at) == 97
@@ -165,13 +165,13 @@ def shown_at(tiles: list[TileUpdate], pose: SE2) -> int:
 
 
 def test_a_third_session_begins_in_the_map_of_the_second(first, second, continued):
-    drove, begin = first
+    first_drive, begin = first
     saved = continued[1].update.saved
     assert saved is not None
     again = BeginIn(saved, begin.shown)
     outputs = list(outputs_of(new_mapper(again), second.frames))
     assert outputs[-1].state == "ok"
-    assert off_m(drove, second, outputs[-1]) < 0.05
+    assert off_m(first_drive, second, outputs[-1]) < 0.05
 
 
 def test_scans_outside_the_stored_map_stay_lost(first):
@@ -196,15 +196,15 @@ def test_at_standstill_outside_the_map_memory_is_bounded(first):
 
 
 def test_the_operator_can_set_the_pose(first, second):
-    drove, begin = first
+    first_drive, begin = first
     mapper = new_mapper(begin)
     frames = second.frames
-    true = drove.world_first.inverse() @ second.world_first
+    true = first_drive.world_first.inverse() @ second.world_first
     mapper.graph.request("set_pose", {"x_m": true.x_m + 0.5, "y_m": true.y_m, "theta_rad": true.theta_rad})
     few = [frame for frame in frames if frame.stamp_ns < 200_000_000]
     last = list(outputs_of(mapper, few))[-1]
     assert last.state == "degraded"
-    assert off_m(drove, second, last) < 0.05
+    assert off_m(first_drive, second, last) < 0.05
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -226,13 +226,13 @@ def test_a_set_pose_that_does_not_fit_is_given_up_and_reported(first):
 
 
 def test_a_place_other_than_the_set_pose_is_reported(first, second):
-    drove, begin = first
+    first_drive, begin = first
     mapper = new_mapper(begin)
-    true = drove.world_first.inverse() @ second.world_first
+    true = first_drive.world_first.inverse() @ second.world_first
     away = (true.x_m - 8.0, true.y_m + 3.0, 2.0)
     mapper.graph.request("set_pose", dict(zip(("x_m", "y_m", "theta_rad"), away, strict=True)))
     last = list(outputs_of(mapper, second.frames))[-1]
-    assert off_m(drove, second, last) < 0.05
+    assert off_m(first_drive, second, last) < 0.05
     assert last.reason == ""
     assert mapper.counters["set_pose_given_up"] == 1
 
@@ -249,14 +249,14 @@ def test_an_unknown_request_is_refused_with_the_supported_ones(first):
 
 def test_localisation_keeps_a_bounded_part_of_the_path(first, second, monkeypatch):
     monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", 16)
-    drove, begin = first
+    first_drive, begin = first
     mapper = new_mapper(begin)
     outputs = list(outputs_of(mapper, second.frames))
     saved = mapper.finish().update.saved
     assert saved is not None
     assert len(saved) <= len(begin.graph) + 16
     assert outputs[-1].state == "ok"
-    assert off_m(drove, second, outputs[-1]) < 0.05
+    assert off_m(first_drive, second, outputs[-1]) < 0.05
 
 
 def test_a_profile_without_stored_maps_is_refused(first):
@@ -314,7 +314,7 @@ def test_frames_without_scans_change_nothing(first, second):
 
 def test_a_contradicted_place_is_revoked_and_found_again(first, second):
     """The first place is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
-    drove, begin = first
+    first_drive, begin = first
     mapper = new_mapper(begin)
     detached = back_end_of(mapper).detached_search
     best_of, wrongly = detached.best_of, []
@@ -331,7 +331,7 @@ def test_a_contradicted_place_is_revoked_and_found_again(first, second):
     detached.best_of = find_wrongly
     outputs = list(outputs_of(mapper, second.frames))
     states = [output.state for output in outputs]
-    off = [off_m(drove, second, output) for output in outputs]
+    off = [off_m(first_drive, second, output) for output in outputs]
     placed = next(k for k, state in enumerate(states) if state != "lost")
     assert off[placed] > 2.0
     assert states[placed] == "degraded"  # one look is no proof
@@ -343,7 +343,7 @@ def test_a_contradicted_place_is_revoked_and_found_again(first, second):
 
 def test_a_vehicle_started_on_unmapped_ground_is_localised_later(first, second):
     """The first scans are of another building; later scans match none of them, and begin a segment."""
-    drove, begin = first
+    first_drive, begin = first
     elsewhere = through("library", 1.2, 1, laser=COARSE)
     later_ns = 1_700_000_000
     frames = [frame for frame in elsewhere.frames if isinstance(frame, LaserScan)]
@@ -353,7 +353,7 @@ def test_a_vehicle_started_on_unmapped_ground_is_localised_later(first, second):
     ]
     outputs = list(outputs_of(new_mapper(begin), frames))
     last = outputs[-1]
-    true = drove.world_first.inverse() @ second.world_first @ second.truth[last.stamp_ns - later_ns]
+    true = first_drive.world_first.inverse() @ second.world_first @ second.truth[last.stamp_ns - later_ns]
     away = true.inverse() @ last.pose_map_base
     # `ok` as soon as it is confirmed; far from the last loop the pose may be uncertain again
     assert "ok" in {output.state for output in outputs}

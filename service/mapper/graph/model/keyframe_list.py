@@ -278,7 +278,7 @@ class KeyframeList:
             self.forget(int(k))
 
     def forget_stationary(self, most: int, config: LoopsConfig) -> None:
-        """Remove the points of the key frame before the newest `most`, if the vehicle stood still.
+        """Remove the points of the key frame before the newest `most`, if the vehicle was stationary.
 
         In a detached segment key frames are taken at standstill, too.
         """

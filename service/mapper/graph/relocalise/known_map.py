@@ -1,4 +1,4 @@
-"""The known map as a whole for place recognition: candidate poses and their evidence."""
+"""The known map for place recognition: candidate poses of a query, and their evidence."""
 
 import math
 from dataclasses import dataclass

@@ -37,7 +37,7 @@ def away(a: SE2, b: np.ndarray) -> tuple[float, float]:
 
 
 def test_the_second_map_gets_its_true_pose_in_the_first(first, second):
-    (drove, a), (drove_later, b) = first, second
+    (first_drive, a), (second_drive, b) = first, second
     merged = merge_graphs(a, b, None)
     assert merged.finds >= 3
     saved = merged.result.saved
@@ -45,7 +45,7 @@ def test_the_second_map_gets_its_true_pose_in_the_first(first, second):
     assert len(saved) == len(a) + len(b)
     for k in range(0, len(b), 7):
         stamp_ns = int(b.stamp_ns[k])
-        true = drove.world_first.inverse() @ drove_later.world_first @ drove_later.at(stamp_ns)
+        true = first_drive.world_first.inverse() @ second_drive.world_first @ second_drive.at(stamp_ns)
         off_m, off_rad = away(true, saved.map[len(a) + k])
         assert off_m < 0.04
         assert off_rad < 0.01
@@ -53,8 +53,8 @@ def test_the_second_map_gets_its_true_pose_in_the_first(first, second):
 
 
 def test_a_given_pose_replaces_the_search(first, second):
-    (drove, a), (drove_later, b) = first, second
-    between = drove.world_first.inverse() @ drove_later.world_first
+    (first_drive, a), (second_drive, b) = first, second
+    between = first_drive.world_first.inverse() @ second_drive.world_first
     given = np.array([between.x_m + 0.7, between.y_m, between.theta_rad + 0.05])
     merged = merge_graphs(a, b, None, given)
     assert isinstance(merged.result.saved, SavedGraph)

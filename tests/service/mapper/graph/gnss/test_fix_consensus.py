@@ -24,26 +24,26 @@ def half_circle(count: int = 60) -> FixPath:
     return FixPath(odom, step, 95.0 * theta, antenna, enu, covariance, np.full(count, 12.0))
 
 
-def off(consensus, way: FixPath) -> float:
+def off(consensus, path: FixPath) -> float:
     """Of where the antenna should be, at most, m."""
-    points = se2.points_from(way.odom, way.antenna)
+    points = se2.points_from(path.odom, path.antenna)
     there = se2.points_seen(consensus.pose_odom_enu, points) - se2.points_seen(POSE_ODOM_ENU, points)
     return float(np.hypot(*there.T).max())
 
 
 def test_a_third_that_lies_elsewhere_is_found_and_moves_nothing():
-    way = half_circle()
-    clean = find_consensus(way)
-    way.enu[20:40] += (9.0, -5.0)
-    found = find_consensus(way)
+    path = half_circle()
+    clean = find_consensus(path)
+    path.enu[20:40] += (9.0, -5.0)
+    found = find_consensus(path)
     np.testing.assert_array_equal(np.flatnonzero(~found.is_accepted), np.arange(20, 40))
-    assert off(found, way) < off(clean, way) + 0.5
+    assert off(found, path) < off(clean, path) + 0.5
 
 
 def test_an_interval_with_a_common_error_within_the_gate_is_rejected():
-    way = half_circle()
-    way.enu[20:30] += (4.5, 0.0)  # 2.2 sigma
-    found = find_consensus(way)
+    path = half_circle()
+    path.enu[20:30] += (4.5, 0.0)  # 2.2 sigma
+    found = find_consensus(path)
     np.testing.assert_array_equal(np.flatnonzero(~found.is_accepted), np.arange(20, 30))
 
 

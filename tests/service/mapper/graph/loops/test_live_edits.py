@@ -43,7 +43,7 @@ def closed_ring() -> bytes:
     return fed(LoopsConfig())
 
 
-def asked(back_end: LoopBackEnd, **change: Any) -> tuple[Result, EditAnswer]:
+def edited(back_end: LoopBackEnd, **change: Any) -> tuple[Result, EditAnswer]:
     result = back_end.work(
         Batch([], "edit_map", change=EDIT_MAP.validate_json(json.dumps({"change": change})).change)
     )
@@ -74,23 +74,23 @@ def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_eac
     back_end = pickle.loads(open_ring)
     before = saved(back_end)
     assert seam_m(before, TRUTH).min() > 0.5
-    result, answer = asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
+    result, answer = edited(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
     assert answer.reply["done"].startswith("pairs 0 to 2; key frames moved by up to ")
     assert [pair["apart_mm"] < 50.0 for pair in answer.reply["pairs"]] == [True] * 3
     assert answer.reply["moved_m"] > 0.5
     assert result.newest
     assert result.rendered_map is not None
     assert seam_m(saved(back_end), TRUTH).max() < 0.1
-    _, answer = asked(back_end, what="remove-pair", pair=1)
+    _, answer = edited(back_end, what="remove-pair", pair=1)
     assert len(answer.reply["pairs"]) == 2
     at_s = SPOTS[0] / 10.0
-    _, answer = asked(back_end, what="cut", from_s=at_s - 0.05, to_s=at_s + 0.05, bridge=True)
+    _, answer = edited(back_end, what="cut", from_s=at_s - 0.05, to_s=at_s + 0.05, bridge=True)
     assert len(answer.reply["pairs"]) == 1
     for count in (2, 3, 0):
-        _, answer = asked(back_end, what="undo")
+        _, answer = edited(back_end, what="undo")
         assert len(answer.reply["pairs"]) == count
     np.testing.assert_allclose(saved(back_end).map, before.map, atol=2e-3)
-    assert "left to take back" in asked(back_end, what="undo")[1].error
+    assert "left to take back" in edited(back_end, what="undo")[1].error
 
 
 @pytest.mark.parametrize("is_bridged", [False, True])
@@ -104,13 +104,13 @@ def test_a_cut_removes_points_and_loops_of_its_time_and_undo_restores_them(
     span = {"what": "cut", "from_s": ends[0][1] / 10.0 - 0.2, "to_s": ends[0][1] / 10.0 + 0.2}
     is_cut = np.abs(np.arange(len(before)) - ends[0][1]) <= 2
     touched = int(is_cut[np.array(ends)].any(axis=1).sum())
-    _, answer = asked(back_end, **span, bridge=is_bridged)
+    _, answer = edited(back_end, **span, bridge=is_bridged)
     gone = f"{touched} loop{'s' * (touched > 1)}"
     assert answer.reply["done"].startswith(f"cut 5 key frames out, and {gone} with them")
     less = saved(back_end)
     np.testing.assert_array_equal(less.point_count == 0, is_cut)
     assert len(less.loop_ends) == len(ends) - touched
-    asked(back_end, what="undo")
+    edited(back_end, what="undo")
     again = saved(back_end)
     np.testing.assert_array_equal(again.point_count, before.point_count)
     np.testing.assert_array_equal(again.is_lost, before.is_lost)
@@ -133,14 +133,14 @@ def test_a_loop_is_refused_and_undo_restores_it(closed_ring: bytes):
     assert 0.0 < worst["sigma_mm"] < 500.0
     assert worst["way_m"] > 10.0
     change = {"what": "refuse-loop", "stamps_ns": worst["stamps_ns"]}
-    result, answer = asked(back_end, **change)
+    result, answer = edited(back_end, **change)
     assert answer.reply["done"].startswith("took back the loop from key frame ")
     assert result.rendered_map is not None
     (found,) = [loop for loop in shown(back_end, "refused") if loop["stamps_ns"] == worst["stamps_ns"]]
     assert found["why"] == "refused by the operator"
-    assert "no accepted loop joins" in asked(back_end, **change)[1].error
+    assert "no accepted loop joins" in edited(back_end, **change)[1].error
     assert len(saved(back_end).loop_ends) == len(before.loop_ends) - 1
-    asked(back_end, what="undo")
+    edited(back_end, what="undo")
     assert sorted(saved(back_end).loop_ends.tolist()) == sorted(before.loop_ends.tolist())
     assert worst["stamps_ns"] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
 
@@ -148,7 +148,7 @@ def test_a_loop_is_refused_and_undo_restores_it(closed_ring: bytes):
 def test_no_search_accepts_a_loop_consistent_with_one_the_operator_refused(closed_ring: bytes):
     back_end = pickle.loads(closed_ring)
     for loop in shown(back_end, "accepted"):
-        assert not asked(back_end, what="refuse-loop", stamps_ns=loop["stamps_ns"])[1].error
+        assert not edited(back_end, what="refuse-loop", stamps_ns=loop["stamps_ns"])[1].error
     finished = back_end.work(Batch([], is_last=True)).saved
     assert isinstance(finished, SavedGraph)
     assert len(finished.loop_ends) == 0
@@ -163,13 +163,13 @@ def test_refused_loops_that_are_accepted_close_the_ring(open_ring: bytes):
         loop["keyframes"][1]: loop["stamps_ns"] for loop in refused if loop["why"].startswith("no other")
     }
     for number, to in enumerate(sorted(apart)[::3][:4]):
-        _, answer = asked(back_end, what="accept-loop", stamps_ns=apart[to])
+        _, answer = edited(back_end, what="accept-loop", stamps_ns=apart[to])
         assert f"as pairs {2 * number}, {2 * number + 1}" in answer.reply["done"]
     assert seam_m(saved(back_end), TRUTH).max() < 0.15
     assert apart[to] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
-    assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=apart[to])[1].error
+    assert "no refused loop joins" in edited(back_end, what="accept-loop", stamps_ns=apart[to])[1].error
     accepted = ("0", "100000000")
-    assert "no refused loop joins" in asked(back_end, what="accept-loop", stamps_ns=accepted)[1].error
+    assert "no refused loop joins" in edited(back_end, what="accept-loop", stamps_ns=accepted)[1].error
 
 
 def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: bytes):
@@ -178,8 +178,8 @@ def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: bytes):
     later = (np.arange(len(graph)) >= graph.loop_ends[:, 1].min()).astype(np.int64)
     back_end = LoopBackEnd(LoopsConfig(), RENDERER, replace(graph, segment=later))
     first, second = shown(back_end, "accepted")
-    assert not asked(back_end, what="refuse-loop", stamps_ns=first["stamps_ns"])[1].error
-    _, answer = asked(back_end, what="refuse-loop", stamps_ns=second["stamps_ns"])
+    assert not edited(back_end, what="refuse-loop", stamps_ns=first["stamps_ns"])[1].error
+    _, answer = edited(back_end, what="refuse-loop", stamps_ns=second["stamps_ns"])
     assert "join it by a pair of points first" in answer.error
     assert [loop["stamps_ns"] for loop in shown(back_end, "accepted")] == [second["stamps_ns"]]
 
@@ -198,8 +198,8 @@ def test_without_a_bridge_the_cut_steps_are_unmeasured(open_ring: bytes):
 
     def given_m(is_bridged: bool) -> float:
         back_end = pickle.loads(open_ring)
-        asked(back_end, **CUT, bridge=is_bridged)
-        asked(back_end, what="add-pair", pairs=pairs_of_both_rounds(saved(back_end), off_m=0.5))
+        edited(back_end, **CUT, bridge=is_bridged)
+        edited(back_end, what="add-pair", pairs=pairs_of_both_rounds(saved(back_end), off_m=0.5))
         graph = saved(back_end)
         over_cut = slice(39, 46), slice(40, 47)
         driven, lies = (se2.between(*(of[part] for part in over_cut)) for of in (graph.odom, graph.map))
@@ -235,7 +235,7 @@ def test_an_impossible_change_is_refused_and_changes_nothing(
 ):
     back_end = pickle.loads(open_ring)
     before = saved(back_end)
-    result, answer = asked(back_end, **change)
+    result, answer = edited(back_end, **change)
     assert words in answer.error
     assert result.rendered_map is None
     after = saved(back_end)
@@ -250,13 +250,15 @@ def test_detached_key_frames_carry_no_edit_and_are_neither_cut_nor_stored(open_r
         frames = [replace(f, segment=segment, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]
         back_end.work(Batch(frames))
     corners = back_end.keyframes.map[[len(FRAMES) + 1, -1], :2]
-    asked(back_end, what="wall", corners=[*map(tuple, corners.tolist())])
+    edited(back_end, what="wall", corners=[*map(tuple, corners.tolist())])
     assert len(FRAMES) + 1 not in back_end.keyframes.by_hand.corner_keyframe
     graph = saved(back_end)
     assert len(graph) == len(FRAMES) + 3
     assert graph.by_hand.corner_keyframe[1] == len(graph) - 1
     np.testing.assert_allclose(graph.by_hand.drawings(graph.map)[0].corners_map, corners, atol=1e-9)
-    assert asked(back_end, what="cut", from_s=900.0, to_s=1100.0)[1].error == "no key frame lies in that time"
+    assert (
+        edited(back_end, what="cut", from_s=900.0, to_s=1100.0)[1].error == "no key frame lies in that time"
+    )
     switched = back_end.work(Batch([], "set_mode", is_localizing=True)).edited
     assert switched is not None
     assert "has not been placed" in switched.error
@@ -265,5 +267,5 @@ def test_detached_key_frames_carry_no_edit_and_are_neither_cut_nor_stored(open_r
 def test_a_bounded_number_of_changes_can_be_undone(open_ring: bytes, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(live_edits, "MAX_UNDONE", 2)
     back_end = pickle.loads(open_ring)
-    walls = [asked(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]
+    walls = [edited(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]
     assert [answer.reply["undoable"] for answer in walls] == [1, 2, 2]

@@ -148,8 +148,8 @@ def test_the_picture_is_periodic_and_shows_accepted_and_refused_loops(
     last = back_end.work(Batch([], is_last=True)).picture
     assert last is not None
     keyframes = back_end.keyframes
-    (way,) = last.paths
-    np.testing.assert_array_equal(way, keyframes.map[:, :2].astype(np.float32))
+    (path,) = last.paths
+    np.testing.assert_array_equal(path, keyframes.map[:, :2].astype(np.float32))
     assert len(last.accepted) == len(back_end.loops) > 3
     loop = back_end.loops[0]
     np.testing.assert_array_equal(last.accepted[0], keyframes.map[[loop.of, loop.to], :2].astype(np.float32))
@@ -174,7 +174,7 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert [correction.stamp_ns for correction in finished.all] == stamps_ns
     assert seam_m(list(finished.all), truth).max() < 0.02
     assert finished.picture is not None
-    longest_m = max(np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) for way in finished.picture.paths)
+    longest_m = max(np.hypot(*np.diff(path, axis=0).T).max(initial=0.0) for path in finished.picture.paths)
     assert longest_m < PICTURE_GAP_M
 
 

@@ -123,10 +123,10 @@ def test_key_frames_of_one_wall_share_the_errors_of_its_surfels():
     once = cloud_with_noise(wall, np.tile([-1.0, 0.0, 1.0], (100, 1)))
     surfels, origin = SurfelSet(once), np.zeros(3)
 
-    def said(cloud: PointCloud) -> float:
+    def information_along(cloud: PointCloud) -> float:
         return float(surfels.align(cloud, origin).information[0, 0])
 
     often = joined([once] * 16)
-    assert said(often) > 8.0 * said(once)
+    assert information_along(often) > 8.0 * information_along(once)
     shared = surfels.align_with_shared_errors(often, origin, 0.0)
-    assert shared.information[0, 0] < 3.0 * said(once)
+    assert shared.information[0, 0] < 3.0 * information_along(once)

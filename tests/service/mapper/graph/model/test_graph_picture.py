@@ -11,9 +11,9 @@ def test_a_long_path_is_thinned_and_keeps_its_end() -> None:
     count = 10 * MAX_KEYFRAMES + 1
     xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))
     loops = np.column_stack((np.arange(2000), np.arange(2000) + 3000))
-    (way,) = (picture := draw(1, xy, np.zeros(count, np.int64), loops, NONE)).paths
-    assert MAX_KEYFRAMES / 2 < len(way) <= MAX_KEYFRAMES + 1
-    assert way[-1].tolist() == [count - 1, 0.0]
+    (path,) = (picture := draw(1, xy, np.zeros(count, np.int64), loops, NONE)).paths
+    assert MAX_KEYFRAMES / 2 < len(path) <= MAX_KEYFRAMES + 1
+    assert path[-1].tolist() == [count - 1, 0.0]
     assert len(picture.accepted) == MAX_LOOPS
     assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
 
@@ -45,7 +45,7 @@ def test_a_stored_graph_shows_its_key_frames_and_its_loops() -> None:
                              np.zeros(2), np.zeros(2, np.int64)),
     )  # fmt: skip
     picture = draw_saved(graph.checked())
-    assert [way.tolist() for way in picture.paths] == [[[0, 1], [3, 4], [6, 7]]]
+    assert [path.tolist() for path in picture.paths] == [[[0, 1], [3, 4], [6, 7]]]
     assert picture.accepted.tolist() == [[[0, 1], [6, 7]]]
     assert picture.refused.tolist() == [[[3, 4], [6, 7]]]
     assert (picture.stamp_ns, len(picture.borders)) == (8, 0)
