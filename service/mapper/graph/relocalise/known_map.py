@@ -61,7 +61,7 @@ MAP_SEARCH_POINTS = 80
 # Likelihood of a point on unobserved ground, as at the back of a wall: neutral. A point in free space has 0.
 MAP_UNKNOWN_LIKELIHOOD = 0.5
 MIN_PLACE_SCORE = 0.45  # least mean likelihood of the points
-MAX_SCORE_DEFICIT = 0.2  # to the best score, for a candidate
+MAX_SCORE_DEFICIT = 0.2  # of a candidate, below the best score
 MAX_CANDIDATES = 240
 REFINE_WINDOW = (0.3, 0.03, 0.006)  # m, rad around a candidate; step in rad
 REFINING_POINTS = 150

@@ -15,9 +15,9 @@ SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses in one room
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses that count as equal
 MAX_REFINED = 12  # places per search
 REFINE_MARGIN_NATS = 100.0  # a place this far below the best is not refined
-PRUNE_MARGIN_NATS = 250.0  # nor is its evidence computed to the end: the upper bound stands for it
+PRUNE_MARGIN_NATS = 250.0  # this far below the best, the evidence is only an upper bound
 MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = 8, 4  # places slid along walls per round, neighbours of each
-MAX_ROUNDS = 3  # or until the best place stays the best
+MAX_ROUNDS = 3  # of sliding; ends earlier once the best place stays
 
 
 def find_places(
