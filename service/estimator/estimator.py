@@ -122,11 +122,11 @@ class _Samples:
         self.track.value[end] = value
         self.track.span[1] = end + 1
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Drop all samples."""
         self.track.span[0] = self.track.span[1]
 
-    def forget_before(self, stamp_ns: int) -> None:
+    def drop_before(self, stamp_ns: int) -> None:
         """Drop the samples before a time, except two: a speed needs a pair."""
         first, end = self.track.span.tolist()
         if end - first <= 2 or self.track.stamp_ns[first + 2] >= stamp_ns:
@@ -250,8 +250,8 @@ class Estimator:
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
                 self._begin_twist(stamp_ns)
         is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
-        self._odometry.forget_before(stamp_ns - KEEP_BEFORE_NS)
-        self._gyro.forget_before(stamp_ns - KEEP_BEFORE_NS)
+        self._odometry.drop_before(stamp_ns - KEEP_BEFORE_NS)
+        self._gyro.drop_before(stamp_ns - KEEP_BEFORE_NS)
         is_measured = bool(state.increments[3]) and max(state.noise.tolist()) <= FAULT_NOISE
         self._consistent.switch(self._packed, scan_alone(is_measured, float(state.noise[0])))
         covariance = state.covariance
@@ -414,7 +414,7 @@ class Estimator:
 
     def _begin_odometry(self) -> None:
         """Drop odometry's samples: the motion since the last one is unknown."""
-        self._odometry.forget()
+        self._odometry.clear()
         self.filter.last_odom[7] = 0.0
 
     def _has_restarted(self, sample: OdometrySample, last: int) -> bool:

@@ -116,7 +116,7 @@ def raise_cell(level, row, column, value, cells):
 
 
 @kernel(LikelihoodLevel, ScanCells)
-def forget_scan(level, cells):
+def clear_scan(level, cells):
     """Clear the marks of a scan in the map and empty its list."""
     for k in range(min(cells.rows[0], cells.value.shape[0])):
         level.mark[cells.place[k, 0], cells.place[k, 1] & TILE_MASK, cells.place[k, 2] & TILE_MASK] = 0

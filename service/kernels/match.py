@@ -23,7 +23,7 @@ from service.kernels.pose_information import (
 )
 from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_cost, surfel_normal_equations
-from service.kernels.surfels import SurfelGrid, find_surfels_again, forget_around, nothing_around
+from service.kernels.surfels import SurfelGrid, clear_cache, empty_cache, find_surfels_cached
 
 MAX_HALVINGS = 4  # of a step that raises the cost; [12]
 MIN_FINE_SHARE = 0.8  # inliers of half cells over those of full cells; below it the full cells decide; [32]
@@ -140,12 +140,12 @@ _student_cost = inner_kernel(student_cost)
 
 
 @inner_kernel
-def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, least_count, around, found):
+def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, least_count, cache, found):
     """Half the cost of points and prior at a pose, [12]; arguments as those of align_on_surfels.
 
     found   (N, 6) float64   out: from find_surfels, there
     """
-    find_surfels_again(xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, around, found)
+    find_surfels_cached(xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, cache, found)
     cost = surfel_cost(xy_base, normals, found, pose, 1.5 * grid.cell_m, settings)
     chi2 = prior_chi2_at(pose, prior.pose, prior_information)
     return cost + _student_cost(chi2, settings.degrees_of_freedom)
@@ -162,7 +162,7 @@ def align_on_surfels(
     tolerance_factor,
     doubt_inlier_ratio,
     least_count,
-    around,
+    cache,
     xy_base,
     pose,
     information,
@@ -179,8 +179,8 @@ def align_on_surfels(
     tolerance_factor              float              factor on the convergence limits; 1 for a match in doubt
     doubt_inlier_ratio  float              below this inlier ratio, or with a contradicted prediction, no step
                                            may raise the cost
-    least_count         float              as in find_surfels_again
-    around              Around             in and out: results of previous searches
+    least_count         float              as in find_surfels_cached
+    cache               SurfelCache        in and out: results of previous searches
     xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     pose                (3,)   float64     in: initial; out: final
     information         (3, 3) float64     out: of the scan alone, in the axes of the grid
@@ -211,8 +211,8 @@ def align_on_surfels(
             learn_twist(prior, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, evaluated)
-        find_surfels_again(
-            xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, around, found
+        find_surfels_cached(
+            xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, cache, found
         )
         used, inliers = surfel_normal_equations(
             xy_base, normals, found, pose, settings, H, shared, g, evidence
@@ -221,10 +221,10 @@ def align_on_surfels(
         is_in_doubt = inliers < doubt_inlier_ratio * used or weight_here < MIN_PRIOR_WEIGHT
         if is_in_doubt and 0 < k < settings.iterations and halvings < MAX_HALVINGS:
             before = cost_at(
-                xy_base, normals, last, prior, prior_information, grid, settings, least_count, around, found
+                xy_base, normals, last, prior, prior_information, grid, settings, least_count, cache, found
             )
             after = cost_at(
-                xy_base, normals, pose, prior, prior_information, grid, settings, least_count, around, found
+                xy_base, normals, pose, prior, prior_information, grid, settings, least_count, cache, found
             )
             if after > before:
                 halvings += 1
@@ -261,7 +261,7 @@ def align_on_surfels(
     cost = 0.0
     if inliers < doubt_inlier_ratio * used:
         cost = cost_at(
-            xy_base, normals, evaluated, prior, prior_information, grid, settings, least_count, around, found
+            xy_base, normals, evaluated, prior, prior_information, grid, settings, least_count, cache, found
         )
     pose[2] = wrap(pose[2])
     return cost, used, inliers, weight
@@ -305,7 +305,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         rotate_information(rotated, prior.pose[2], coarse_information)
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
     coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
-    around = nothing_around(xy_base.shape[0])
+    cache = empty_cache(xy_base.shape[0])
     predicted_xy = xy_base.copy()
     trial_xy = xy_base.copy()
     trial_pose = start.copy()
@@ -344,7 +344,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
             settings.near,
             doubt_inlier_ratio if trial == 0 else math.inf,
             0.0,
-            around,
+            cache,
             trial_xy,
             trial_pose,
             of_trial,
@@ -364,7 +364,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         least_fine_count = MIN_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
     fine_pose = pose.copy()
     fine_xy = xy_base.copy()
-    forget_around(around)
+    clear_cache(cache)
     _fine_cost, _used, fine_inliers, fine_weight = align_on_surfels(
         returns,
         normals,
@@ -375,7 +375,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
         1.0,
         0.0,
         least_fine_count,
-        around,
+        cache,
         fine_xy,
         fine_pose,
         of_trial,

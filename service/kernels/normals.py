@@ -9,8 +9,8 @@ from service.kernels.compiled import inner_kernel, kernel
 
 WALL_M = 0.004  # roughness of a plane wall
 BEAMS_EACH_SIDE, MAX_BEAMS_EACH_SIDE = 4, 32  # of a window
-# A gap: points farther apart than GAP_M, than noise explains, and than so many beam steps. Split by noise, an
-# oblique wall would end where the next point is farther, which turns the rest of it.
+# A gap: points farther apart than GAP_M or noise explains, plus so many beam steps. Noise must not split an
+# oblique wall, because that would bias the direction of its parts.
 GAP_M, GAP_STEPS, GAP_SIGMAS = 0.06, 5.0, 3.5
 # Grazing beams hit a wall in steps up to this length, each longer than the one before by at most this factor.
 MAX_STEP_M, MAX_GROWTH = 1.0, 1.5

@@ -21,8 +21,8 @@ from service.kernels.surfels import (
     TILE_BITS,
     TILE_MASK,
     SurfelGrid,
+    clear_fine_cells,
     find_surfels,
-    forget_part,
     side_of,
     touch_tile,
 )
@@ -49,8 +49,8 @@ class Observations(NamedTuple):
 class StaticScoreSettings(NamedTuple):
     """Documented in service/mapper/scan_match/dynamic_filter.py; times in ticks."""
 
-    enough: int
-    free: int
+    full_score: int
+    max_free: int
     least_weight: float
     most_gain: float
     behind_m: float
@@ -150,7 +150,7 @@ def count_hits(xy_base, normals, pose, grid, observations, settings, number, tic
                 value = 1
                 begun = mark + since[slot, r, q, 0] // ENTERED_FREE * ENTERED_FREE
                 since[slot, r, q, 0] = since[slot, r, q, 1] = begun
-            score[slot, r, q] = np.int8(min(value, settings.enough))
+            score[slot, r, q] = np.int8(min(value, settings.full_score))
         if score[slot, r, q] <= 0:
             normals[i, 2] = 0.0
             continue
@@ -216,7 +216,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, observations
                 if value <= 0:
                     touched[slot, r, q] = number
                     since[slot, r, q, 0] = ENTERED_FREE
-                    score[slot, r, q] = np.int8(max(value - ticks, -settings.free))
+                    score[slot, r, q] = np.int8(max(value - ticks, -settings.max_free))
                 else:
                     u = x - (column + 0.5) * cell_m
                     v = y - (row + 0.5) * cell_m
@@ -226,7 +226,7 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, observations
                         if score[slot, r, q] == 0:
                             since[slot, r, q, 0] = ENTERED_FREE
                             surfels[slot, r, q] = np.float32(0.0)
-                            forget_part(fine_grid, row, column)
+                            clear_fine_cells(fine_grid, row, column)
             if next_column < next_row:
                 column += step_column
                 next_column += per_column

@@ -22,7 +22,7 @@ COSINES, LASERS = 5, 3
 COLUMNS = COSINES + LASERS
 SAME_WALL_COSINE = np.float32(0.7)  # between a point's normal and a surfel's; below it the other side is used
 SURFELS_AROUND = 18  # surfels in 3 x 3 cells
-NOWHERE = -(2**62)  # row of no cell
+NO_ROW = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # farther surfels are not averaged
 PARTS = 2  # cells of a finer grid along the edge of a full cell; [32]
 # Position of a round wall between the plane through the mean of its surfels and their own planes; [28]
@@ -44,7 +44,7 @@ class SurfelGrid(NamedTuple):
     cell_m: float
 
 
-class Around(NamedTuple):
+class SurfelCache(NamedTuple):
     """Cache of the surfels around a scan's points, valid while no surfel changes.
 
     cell      (N, 2) int64     row and column in the grid of the cell searched for a point
@@ -60,24 +60,24 @@ class Around(NamedTuple):
 
 
 @inner_kernel
-def nothing_around(count):
-    """An empty Around for so many points."""
-    around = Around(
+def empty_cache(count):
+    """An empty SurfelCache for so many points."""
+    cache = SurfelCache(
         np.empty((count, 2), np.int64),
         np.empty((count, 2), np.int64),
         np.empty((4 * count + SURFELS_AROUND, 5)),
         np.empty(1, np.int64),
     )
-    forget_around(around)
-    return around
+    clear_cache(cache)
+    return cache
 
 
 @inner_kernel
-def forget_around(around):
+def clear_cache(cache):
     """Empty the cache, also for use with another grid."""
-    around.used[0] = 0
-    for i in range(around.cell.shape[0]):
-        around.cell[i, 0] = NOWHERE
+    cache.used[0] = 0
+    for i in range(cache.cell.shape[0]):
+        cache.cell[i, 0] = NO_ROW
 
 
 @inner_kernel
@@ -125,7 +125,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
     surfels = grid.surfels
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
-    tile_row = tile_column = NOWHERE
+    tile_row = tile_column = NO_ROW
     slot = np.int64(NO_TILE)
     for i in range(xy_base.shape[0]):
         if normals[i, 2] < 1.0:
@@ -174,7 +174,7 @@ def insert_surfels(xy_base, normals, pose, grid, count_limit, point_count, senso
 
 
 @inner_kernel
-def forget_part(fine_grid, row, column):
+def clear_fine_cells(fine_grid, row, column):
     """Clear the surfels of the PARTS x PARTS finer cells within a full cell."""
     slots = fine_grid.tiles.slots
     first_row = fine_grid.tiles.origin[0]
@@ -213,13 +213,13 @@ def shorten_surfels(grid, laser, step_m):
 
 @inner_kernel
 def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
-    """The wall beside each point, without a cache; see find_surfels_again."""
-    around = nothing_around(xy_base.shape[0])
-    find_surfels_again(xy_base, normals, pose, grid, least_cosine, 0.0, around, found)
+    """The wall beside each point, without a cache; see find_surfels_cached."""
+    cache = empty_cache(xy_base.shape[0])
+    find_surfels_cached(xy_base, normals, pose, grid, least_cosine, 0.0, cache, found)
 
 
 @inner_kernel
-def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, around, found):
+def find_surfels_cached(xy_base, normals, pose, grid, least_cosine, least_count, cache, found):
     """The wall beside each point: mean of the surfels in the 3 x 3 cells around it with a similar normal.
 
     A cell cuts the noise of a wall at its border, so its surfel alone is biased where a border runs along the
@@ -231,7 +231,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
     grid           SurfelGrid
     least_cosine   float            between the two normals; -2 accepts any
     least_count    float            walls that stand for fewer points are ignored
-    around         Around           in and out: from nothing_around or the previous search
+    cache          SurfelCache      in and out: from empty_cache or the previous search
     found          (N, 6) float64   out: x, y of the wall (m, frame of the grid), normal x, normal y, points
                                     it stands for, 0: none, the rest is then undefined; consecutive points of
                                     this scan in the same cell
@@ -241,10 +241,10 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
     """
     # The surfels around a cell are gathered once for consecutive points. Arrays are hoisted out of the tuples
     # and cells read as scalars: a reference costs more than a surfel.
-    near_cell = around.cell
-    near_span = around.span
-    near_surfels = around.surfels
-    used = around.used[0]
+    near_cell = cache.cell
+    near_span = cache.span
+    near_surfels = cache.surfels
+    used = cache.used[0]
     first = end = 0
     surfels = grid.surfels
     slots = grid.tiles.slots
@@ -256,7 +256,7 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
     c = math.cos(pose[2])
     s = math.sin(pose[2])
     run = 0  # first of consecutive points in one cell
-    run_row = run_column = NOWHERE
+    run_row = run_column = NO_ROW
     for i in range(xy_base.shape[0]):
         found[i, 4] = 0.0
         if normals[i, 2] == 0.0:
@@ -278,10 +278,10 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
                 end = first + near_span[i, 1]
             else:
                 if used + SURFELS_AROUND > near_surfels.shape[0]:  # full
-                    forget_around(around)
+                    clear_cache(cache)
                     used = 0
                 first = end = used
-                last_row = last_column = NOWHERE
+                last_row = last_column = NO_ROW
                 slot = NO_TILE
                 for v in range(-1, 2):
                     tile_row = ((row + v) >> TILE_BITS) - first_row
@@ -345,4 +345,4 @@ def find_surfels_again(xy_base, normals, pose, grid, least_cosine, least_count, 
             found[i, 4] = total
     for k in range(run, xy_base.shape[0]):
         found[k, 5] = xy_base.shape[0] - run
-    around.used[0] = used
+    cache.used[0] = used

@@ -52,14 +52,18 @@ class OdometryWait:
 
     def waits(self, stamp_ns: int, last_ns: int | None) -> bool:
         """Whether a scan is to be dropped. last_ns: of the previous scan; None: there was none."""
-        if self._newest_ns is None or last_ns is None or self._knows(stamp_ns, last_ns, self._newest_ns):
+        if (
+            self._newest_ns is None
+            or last_ns is None
+            or self._is_measured(stamp_ns, last_ns, self._newest_ns)
+        ):
             self._began_ns = None
             return False
         if self._began_ns is None:
             self._began_ns = stamp_ns
         return stamp_ns - self._began_ns <= ODOMETRY_WAIT_NS
 
-    def _knows(self, stamp_ns: int, last_ns: int, newest_ns: int) -> bool:
+    def _is_measured(self, stamp_ns: int, last_ns: int, newest_ns: int) -> bool:
         if stamp_ns - last_ns <= GAP_S * 1e9:
             return True
         if self._since_ns <= last_ns:  # no pause of odometry has ended since the previous scan

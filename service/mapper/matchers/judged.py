@@ -121,7 +121,7 @@ class JudgedMatching:
         self._is_lost = match.state == "lost"
         if not self._is_lost:
             self._rest_until_ns, self._widening = 0, 1.0
-            self._confirmation.forget()
+            self._confirmation.clear()
             self._lost_path_m, self._before = 0.0, None
         return match
 

@@ -26,7 +26,7 @@ class Confirmation:
     def __init__(self) -> None:
         self._pose_map_odom: SE2 | None = None  # predicted odom in that of the map, by the last result
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         self._pose_map_odom = None
 
     def confirms(self, found: SE2, predicted: SE2) -> bool:

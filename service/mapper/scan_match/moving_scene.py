@@ -86,7 +86,7 @@ class Reckoning:
         self._steps.clear()
         self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0))
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         self._steps.clear()
 
     def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
@@ -207,7 +207,7 @@ class MovingScene:
         self._has_moved = False  # part of the scene, in the newest judged scan
         # Since the last observation of motion: accumulated steps from the static match to that of the entire
         # scan, and path length.
-        self._drag, self._path_length_m = SE2(), 0.0
+        self._drift, self._path_length_m = SE2(), 0.0
 
     def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
         """The match of the static returns while part of the scene moves.
@@ -227,7 +227,7 @@ class MovingScene:
         if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + MOVING_NATS < 0.0:
             self._moves_until_ns = NOTHING_MOVES
             return None
-        return self._begun(by_odometry, attempt)
+        return self._start(by_odometry, attempt)
 
     def judge(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """An accepted match, replaced by that of the static returns where moving ones have displaced it."""
@@ -238,7 +238,7 @@ class MovingScene:
         if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
             self._has_moved = False
             return aligned
-        is_seen_moving = _moved_share(aligned) >= MIN_MOVING_SHARE
+        is_seen_moving = _dynamic_share(aligned) >= MIN_MOVING_SHARE
         # Motion is visible in two consecutive scans; in one alone some returns are off the map by chance.
         is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
         if is_moving if conflict is None else not conflict.is_turned:
@@ -250,7 +250,7 @@ class MovingScene:
             else:  # too few static returns
                 nats = self._inertia_nats(attempt, aligned) + STILL_NATS
             if nats >= 0.0:
-                return self._begun(static, attempt)
+                return self._start(static, attempt)
         if conflict is not None:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
         return aligned
@@ -261,7 +261,7 @@ class MovingScene:
         Moving objects may hide walls, but no beam passes through a wall.
         """
         if attempt.predicted.increment is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
-            self._reckoning.forget()
+            self._reckoning.clear()
             return None
         static, _share = self._align_static(attempt, attempt.prior, submap)
         pose, xy_base = static.result.pose, static.xy_base
@@ -273,9 +273,9 @@ class MovingScene:
             or on_walls < MIN_STATIC_AGREEMENT * (on_walls + through)
             or is_loose(sigmas_of(static.result.covariance))
         ):
-            self._reckoning.forget()
+            self._reckoning.clear()
             return None
-        return self._begun(static, attempt)
+        return self._start(static, attempt)
 
     def _evidence_nats(self, attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
         """Log-likelihood ratio of odometry against the laser, by static walls and inertia, on one sub-map."""
@@ -305,20 +305,20 @@ class MovingScene:
         static = replace(attempt, normals=normals, prior=prior)
         return self._align(static, prior.pose, submap, True), float(is_static.mean())
 
-    def _begun(self, static: Aligned, attempt: Attempt) -> Aligned:
+    def _start(self, static: Aligned, attempt: Attempt) -> Aligned:
         self._reckoning.restart(attempt.stamp_ns, static.pose)
         self._moves(attempt)
         return self._accepted(static, attempt)
 
     def _moves(self, attempt: Attempt) -> None:
         self._moves_until_ns = attempt.stamp_ns + STILL_NS
-        self._drag, self._path_length_m = SE2(), 0.0
+        self._drift, self._path_length_m = SE2(), 0.0
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """The static match with Student's weight of the prediction, and its moving returns marked."""
-        is_moving = static.submap.moved(static.xy_base, static.result.pose)
+        is_moving = static.submap.on_dynamic(static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
-        if moving_share >= MIN_MOVING_SHARE or self._is_dragged(static, attempt):
+        if moving_share >= MIN_MOVING_SHARE or self._is_drifting(static, attempt):
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON
@@ -335,22 +335,22 @@ class MovingScene:
         result = static.result._replace(prior_weight=weight)
         return replace(static, result=result, state=state, reason=reason, is_moving=is_moving)
 
-    def _is_dragged(self, static: Aligned, attempt: Attempt) -> bool:
+    def _is_drifting(self, static: Aligned, attempt: Attempt) -> bool:
         """Whether matches of entire scans drift from the static path.
 
         On unknown ground moving objects are not recognised by free space.
         """
         entire = self._align(attempt, attempt.prior.pose, static.submap, False)
-        self._drag = self._drag @ (static.pose.inverse() @ entire.pose)
+        self._drift = self._drift @ (static.pose.inverse() @ entire.pose)
         self._path_length_m += attempt.predicted.travel_m
-        off_m, off_rad = math.hypot(self._drag.x_m, self._drag.y_m), abs(self._drag.theta_rad)
+        off_m, off_rad = math.hypot(self._drift.x_m, self._drift.y_m), abs(self._drift.theta_rad)
         scale = USUAL.odometry_scale_sigma * self._path_length_m
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
 
 
-def _moved_share(aligned: Aligned) -> float:
+def _dynamic_share(aligned: Aligned) -> float:
     """Share of the returns in free or recently occupied cells."""
-    return float(aligned.submap.moved(aligned.xy_base, aligned.result.pose).mean())
+    return float(aligned.submap.on_dynamic(aligned.xy_base, aligned.result.pose).mean())
 
 
 def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:

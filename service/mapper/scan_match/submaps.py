@@ -97,7 +97,7 @@ class Submap:
         self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """The normals of a scan to be matched from a pose (3,), weighed by the static score."""
-        if self._dynamic_filter.enough == 0:
+        if self._dynamic_filter.full_score == 0:
             return normals
         weighed = normals.copy()
         weigh_static_score(
@@ -136,7 +136,9 @@ class Submap:
         static_residuals(xy_base, normals, pose, grid, observations, cosine, latest, residual_m)
         return residual_m
 
-    def moved(self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    def on_dynamic(
+        self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
         """(N,) whether points are in cells not occupied over STATIC_PATH_M of the path."""
         is_dynamic = np.zeros(len(xy_base), np.bool_)
         find_dynamic(xy_base, pose, self.grid(), self._observations(), self._static_mark, is_dynamic)
@@ -169,7 +171,7 @@ class Submap:
         if self._last_pose is not None:
             self._path_m += math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
         self._last_pose = pose
-        if self._dynamic_filter.enough > 0:
+        if self._dynamic_filter.full_score > 0:
             normals = self._update_static_score(points, normals, pose_vector, grid)
         if posts is None:  # round objects have another normal from each side
             normals = self.narrow_walls.insert(points, normals, pose_vector)
@@ -216,12 +218,12 @@ class Submap:
         """From the previous key frame to this stamp; at least 1."""
         last_ns = stamp_ns if self._last_ns is None else self._last_ns
         self._last_ns = stamp_ns
-        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.enough)
+        return min(max(1, ticks_in((stamp_ns - last_ns) * 1e-9)), self._dynamic_filter.full_score)
 
     def standing(self) -> Standing | None:
         """As CountsStanding.standing, of this sub-map."""
-        enough, cell_m = self._dynamic_filter.enough, self._config.cell_m
-        if enough == 0:
+        full_score, cell_m = self._dynamic_filter.full_score, self._config.cell_m
+        if full_score == 0:
             return None
         rows, columns = np.nonzero(self._tiles.slots != NO_TILE)
         score = self._observations().score[self._tiles.slots[rows, columns]]
@@ -229,7 +231,7 @@ class Submap:
         first_row, first_column = self._tiles.origin
         x_m = ((columns[tile] + first_column) * TILE_CELLS + column + 0.5) * cell_m
         y_m = ((rows[tile] + first_row) * TILE_CELLS + row + 0.5) * cell_m
-        return Standing(np.column_stack((x_m, y_m)), score[tile, row, column] / enough, cell_m)
+        return Standing(np.column_stack((x_m, y_m)), score[tile, row, column] / full_score, cell_m)
 
     def _observations(self) -> Observations:
         _surfels, _field, score, touched, since = self._tiles.pool.arrays

@@ -140,7 +140,7 @@ class SurfelGaussNewton:
         elif local_map.detached is not self._detached:  # a new segment at the predicted pose
             self._detached = local_map.detached
             self._gap = self._began
-            self._confirmation.forget()
+            self._confirmation.clear()
         match = self._matched(self._attempt(points, predicted, local_map), local_map, local_map.matched_to)
         if match.measured is not None:
             self._steady.matched(points.scan.stamp_ns, match.measured.pose_odom_base)

@@ -15,7 +15,7 @@ from service.kernels.contour_blur import (
     LikelihoodLevel,
     ScanCells,
     blur_scan,
-    forget_scan,
+    clear_scan,
 )
 from service.kernels.surfels import TILE_CELLS
 from service.kernels.tiles import NO_TILE, TileIndex
@@ -109,7 +109,7 @@ def see(level: LikelihoodLevel, kind: int, value: float, settings: LearningSetti
     touch_cell(level, 0, 0, cells)
     cells.kind[0], cells.value[0] = kind, value
     learn_scan(level, settings, cells)
-    forget_scan(level, cells)
+    clear_scan(level, cells)
 
 
 def test_one_cell_through_hits_and_passes() -> None:  # A34 A35 A36 A37
@@ -195,7 +195,7 @@ def test_only_what_a_beam_passed_fades_and_behind_it_all_stays() -> None:  # A37
     wall = np.array([[1.0, 0.05], [1.05, 0.05]])
     blur_scan(wall, np.zeros(2, np.int32), ORIGIN, level, BLUR, cells)
     learn_scan(level, PRINTED, cells)
-    forget_scan(level, cells)
+    clear_scan(level, cells)
     near = np.array([[0.2, 0.05]])
     mark_passed(near, SENSOR, ORIGIN, level, 100, 20.0, cells)
     assert cells.rows[0] == 0
@@ -203,7 +203,7 @@ def test_only_what_a_beam_passed_fades_and_behind_it_all_stays() -> None:  # A37
     mark_passed(far, SENSOR, ORIGIN, level, 100, 20.0, cells)
     assert cells.rows[0] > 0
     assert set(cells.place[: cells.rows[0], 1]) == {0}
-    forget_scan(level, cells)
+    clear_scan(level, cells)
     mark_passed(far, SENSOR, ORIGIN, level, 0, 20.0, cells)  # A38: seen more often than that
     assert cells.rows[0] == 0
     mark_unseen(level, 100, cells)

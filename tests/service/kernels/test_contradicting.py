@@ -41,7 +41,7 @@ def test_what_lies_on_the_wall_or_close_behind_it_contradicts_nothing(place: Can
 
 def test_what_lies_where_key_frames_looked_through_is_in_free_space() -> None:
     place = CandidateSubmap()
-    for _ in range(SETTINGS.free):
+    for _ in range(SETTINGS.max_free):
         place.see(*wall(FAR_M, 0.6, 400))
     in_free, behind = contradicting(place, *wall(NEAR_M))
     assert in_free > MOST
@@ -74,9 +74,9 @@ def test_a_point_counts_once_however_many_walls_are_before_it() -> None:
 
 def test_a_point_in_free_space_is_not_behind_as_well() -> None:
     place = CandidateSubmap()
-    for _ in range(SETTINGS.free):
+    for _ in range(SETTINGS.max_free):
         place.see(*wall(FAR_M, 0.6, 400))
-    for _ in range(2 * SETTINGS.free):
+    for _ in range(2 * SETTINGS.max_free):
         place.see(*wall(1.0, 0.6, 400))
     in_free, behind = contradicting(place, *wall(NEAR_M))
     assert in_free > MOST

@@ -20,8 +20,8 @@ from tests.service.kernels.surfel_grids import empty_grid
 find_tile = from_python(tiles.find_tile)
 
 SETTINGS = StaticScoreSettings(
-    enough=10,
-    free=3,
+    full_score=10,
+    max_free=3,
     least_weight=0.1,
     most_gain=2.0,
     behind_m=0.2,
@@ -102,7 +102,7 @@ def test_a_cell_counts_time_and_not_beyond_enough() -> None:
     xy, normals = wall(2.0)
     for k in range(1, 15):
         place.see(xy, normals)
-        assert set(place.scores(xy)) == {min(k, SETTINGS.enough)}
+        assert set(place.scores(xy)) == {min(k, SETTINGS.full_score)}
     other = CandidateSubmap()
     expected = (1, 5, 9, 10)  # when it was seen first, no one knows for how long it had been there
     for score in expected:
@@ -161,7 +161,7 @@ def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
     near, far = wall(2.0, 0.2), wall(3.0)
     for _ in range(9):
         place.see(*far)
-    assert set(place.scores(near[0])) == {-SETTINGS.free}
+    assert set(place.scores(near[0])) == {-SETTINGS.max_free}
     weights = [place.see(*near).max() for _ in range(5)]
     assert weights == [0.0, 0.0, 0.0, 1.0, 1.0]
 

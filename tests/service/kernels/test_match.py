@@ -21,7 +21,7 @@ find_surfels = from_python(surfels.find_surfels)
 cost_at = from_python(match.cost_at)
 align_on_surfels = from_python(match.align_on_surfels)
 learn_twist = from_python(match.learn_twist)
-nothing_around = from_python(surfels.nothing_around)
+empty_cache = from_python(surfels.empty_cache)
 point_information = from_python(surfel_equations.point_information)
 prior_weight_at = from_python(match.prior_weight_at)
 surfel_cost = from_python(surfel_equations.surfel_cost)
@@ -288,7 +288,7 @@ def hedges(rng: np.random.Generator) -> np.ndarray:
 def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple[float, float]:
     """Half the cost where a doubted match begins and where it ends; the prior is weak."""
     prior, information = prior_at((0.0, 0.0, 0.0), sigma=1.0), np.eye(3)
-    normals, around, found = normals_of(xy), nothing_around(len(xy)), np.empty((len(xy), 6))
+    normals, around, found = normals_of(xy), empty_cache(len(xy)), np.empty((len(xy), 6))
 
     def cost(pose: np.ndarray) -> float:
         return cost_at(xy, normals, pose, prior, information, grid, SETTINGS, 0.0, around, found)

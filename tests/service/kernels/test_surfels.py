@@ -23,8 +23,8 @@ from tests.service.kernels.surfel_grids import empty_grid
 find_surfels = from_python(surfels.find_surfels)
 find_tile = from_python(tiles.find_tile)
 
-find_surfels_again = from_python(surfels.find_surfels_again)
-nothing_around = from_python(surfels.nothing_around)
+find_surfels_cached = from_python(surfels.find_surfels_cached)
+empty_cache = from_python(surfels.empty_cache)
 POSE = np.array([0.3, -0.4, 0.7])
 
 
@@ -268,11 +268,11 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
     xy = np.column_stack([np.linspace(-1.0, 1.0, 300), 0.5 + rng.normal(0.0, 0.02, 300)])
     normals = np.tile([0.0, -1.0, 1.0], (300, 1))
     insert_surfels(xy, normals, POSE, grid, 1000.0, 1.0, np.zeros(2), -1)
-    around = nothing_around(len(xy))._replace(surfels=np.empty((SURFELS_AROUND + rows, 5)))
+    around = empty_cache(len(xy))._replace(surfels=np.empty((SURFELS_AROUND + rows, 5)))
     for off in ((0.0, 0.0, 0.0), (0.004, -0.003, 0.001), (0.15, 0.02, 0.01), (0.004, -0.003, 0.001)):
         found, again = np.full((300, 6), np.nan), np.full((300, 6), np.nan)
         find_surfels(xy, normals, POSE + off, grid, 0.6, found)
-        find_surfels_again(xy, normals, POSE + off, grid, 0.6, 0.0, around, again)
+        find_surfels_cached(xy, normals, POSE + off, grid, 0.6, 0.0, around, again)
         assert np.count_nonzero(found[:, 4]) > 200
         np.testing.assert_array_equal(again[:, 4:], found[:, 4:])
         np.testing.assert_array_equal(again[found[:, 4] > 0.0], found[found[:, 4] > 0.0])
@@ -284,7 +284,7 @@ def test_a_wall_that_stands_for_too_few_points_is_none() -> None:
     for points in (1, 2):
         insert_surfels(wall, facing, np.zeros(3), grid, 50.0, 1.0, np.zeros(2), -1)
         found = np.empty((1, 6))
-        find_surfels_again(wall, facing, np.zeros(3), grid, 0.6, 1.5, nothing_around(1), found)
+        find_surfels_cached(wall, facing, np.zeros(3), grid, 0.6, 1.5, empty_cache(1), found)
         assert found[0, 4] == pytest.approx(points if points > 1.5 else 0.0)
 
 

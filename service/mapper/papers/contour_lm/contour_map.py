@@ -15,7 +15,7 @@ from service.kernels.contour_blur import (
     ScanCells,
     blur_reach_cells,
     blur_scan,
-    forget_scan,
+    clear_scan,
 )
 from service.kernels.contours import extract_contours
 from service.kernels.likelihood import LikelihoodField
@@ -169,11 +169,11 @@ class ContourMap:
             self._mark(points, contour, pose_vector, level)
             while self._cells.rows[0] > len(self._cells.value):
                 wanted = 2 * int(self._cells.rows[0])
-                forget_scan(level, self._cells)
+                clear_scan(level, self._cells)
                 self._cells = _room_for(wanted)
                 self._mark(points, contour, pose_vector, level)
             learn_scan(level, learning, self._cells)
-            forget_scan(level, self._cells)
+            clear_scan(level, self._cells)
         self._ground.insert(points, pose)
         self._last = (points.scan.stamp_ns, pose)
         self._skipped = 0
