@@ -433,7 +433,7 @@ class Estimator:
             self._jump_reported_ns = sample.stamp_ns + WARNING_INTERVAL_NS
             log.warning(
                 "%s: odometry jumps by %.1f m and %.0f deg within %.3f s (expected at most %.0f m/s and "
-                "%.0f rad/s); it counts as begun anew. Has the base restarted?",
+                "%.0f rad/s); it counts as restarted. Has the base restarted?",
                 sample.sensor, jump_m, math.degrees(jump_rad), elapsed_s, MAX_SPEED_MPS, MAX_TURN_RADPS,
             )  # fmt: skip
         return True

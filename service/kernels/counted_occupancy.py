@@ -170,14 +170,14 @@ def count_overlap(xy_base, pose, grid, reach_cells):
     for i in range(xy_base.shape[0]):
         column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / grid.cell_m)
         row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / grid.cell_m)
-        stands = False
+        is_on_wall = False
         for r in range(row - reach_cells, row + reach_cells + 1):
             for q in range(column - reach_cells, column + reach_cells + 1):
                 slot = find_tile(grid.tiles, r >> TILE_BITS, q >> TILE_BITS)
                 if slot != NO_TILE and grid.field[slot, r & TILE_MASK, q & TILE_MASK] > 0.5:
-                    stands = True
+                    is_on_wall = True
         slot = find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
-        if stands:
+        if is_on_wall:
             on_walls += 1
         elif slot != NO_TILE:
             r = row & TILE_MASK

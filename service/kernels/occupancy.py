@@ -174,11 +174,11 @@ def count_overlap(xy_base, pose, grid):
         column = math.floor((pose[0] + c * xy_base[i, 0] - s * xy_base[i, 1]) / grid.cell_m)
         row = math.floor((pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]) / grid.cell_m)
         own = evidence_at(grid, row, column)
-        stands = own > 0
+        is_on_wall = own > 0
         for r in range(row - 1, row + 2):
             for q in range(column - 1, column + 2):
-                stands = stands or evidence_at(grid, r, q) > 0
-        if stands:
+                is_on_wall = is_on_wall or evidence_at(grid, r, q) > 0
+        if is_on_wall:
             on_walls += 1
         elif own < 0:
             in_free += 1

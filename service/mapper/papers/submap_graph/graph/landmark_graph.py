@@ -150,7 +150,7 @@ class LandmarkGraph(BackgroundGraph[Result]):
             if point.submap >= known:
                 raise GraphRequestError(
                     f"{name}: there is no sub-map {point.submap} in the graph yet; it holds {known}, "
-                    "numbered from 0 by the way driven"
+                    "numbered from 0 along the path"
                 )
         number = self._next_pair
         self._next_pair += 1
