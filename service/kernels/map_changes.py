@@ -11,7 +11,7 @@ from service.kernels.rays import BEHIND_M, begin_ray
 
 CELL_UNKNOWN, CELL_FREE, CELL_WALL = 0, 1, 2
 MIN_SINE = 0.4  # of the angle between beam and wall: beams along a wall are no evidence against it
-LONG = 4.0  # length over width of the wall cells around a cell, from which on they have a direction
+MIN_ELONGATION = 4.0  # length over width of the wall cells around a cell, from which on they have a direction
 MAX_VOTES = 200  # of either kind; then both are halved, so that newer votes count more
 
 
@@ -162,7 +162,7 @@ def _crosses(row, column, du, dv, votes):
     xy = xy / count - sx * sy / (count * count)
     half = 0.5 * (xx + yy)
     root = math.sqrt(max(0.25 * (xx - yy) ** 2 + xy * xy, 0.0))
-    if half + root < LONG * (half - root):
+    if half + root < MIN_ELONGATION * (half - root):
         return True
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
     sine = abs(math.cos(angle) * dv - math.sin(angle) * du) / max(math.hypot(du, dv), 1e-9)

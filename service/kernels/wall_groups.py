@@ -9,7 +9,7 @@ from service.kernels.normals import ROUGH_WEIGHT
 ACROSS_M, ACROSS_SIGMAS = 0.06, 3.0  # largest distance of a wall's point from its line
 MIN_WALL_COSINE = 0.97  # between the normal of a point and that of its wall
 REACHES_M = (1.0, 4.0, math.inf)  # radii about its first point in which a wall is fitted, in turn
-THING_M = 0.3  # radius about its first point in which rough points are one object
+OBJECT_M = 0.3  # radius about its first point in which rough points are one object
 
 
 @kernel(Float64_2D, Float64_2D, Float64_1D, Int64_1D)
@@ -32,7 +32,7 @@ def group_by_wall(xy, normals, sigma_m, group):
         if normals[i, 2] <= ROUGH_WEIGHT:
             for j in range(i, count):
                 is_rough = group[j] < 0 and normals[j, 2] <= ROUGH_WEIGHT
-                if is_rough and math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]) < THING_M:
+                if is_rough and math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]) < OBJECT_M:
                     group[j] = groups
             groups += 1
             continue

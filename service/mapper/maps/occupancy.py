@@ -57,7 +57,7 @@ EVIDENCE = Evidence(
     round(MAX_LOG_ODDS / STEP_LOG_ODDS),
 )
 FREE_EVIDENCE = 2 * EVIDENCE.miss  # two misses and no hit
-SHOWN_LEAST, SHOWN_MOST = 3, 97  # per cent at the limits of evidence
+MIN_SHOWN_PERCENT, MAX_SHOWN_PERCENT = 3, 97  # per cent at the limits of evidence
 NO_CELLS: Cells = np.zeros((0, 2), np.int64)
 RENDERED_AT_ONCE = 2  # older scans rendered with each new one after a correction
 

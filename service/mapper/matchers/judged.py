@@ -26,7 +26,14 @@ from service.mapper.judgement import (
     weakest_of,
 )
 from service.mapper.maps.known_ground import KnownGround
-from service.mapper.matchers.recovery import FIRST, GAIN, MOST, REST_S, Confirmation, reach_of
+from service.mapper.matchers.recovery import (
+    LOST_WINDOW,
+    MAX_WINDOW,
+    MIN_INLIER_GAIN,
+    SEARCH_INTERVAL_S,
+    Confirmation,
+    reach_of,
+)
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
@@ -36,7 +43,7 @@ SEARCHED_COVARIANCE = np.diag([0.15**2, 0.15**2, 0.03**2])  # of the result of a
 MIN_COVARIANCE = 1e-12 * np.eye(3)  # of a search: its pose is compared with the prediction alone
 CONFIRM_S = 0.1  # from a result to the search that is to confirm it
 MAX_WIDENING = 16.0  # of the first window, after failed searches
-MAX_REST_S = 1.0  # wide searches take longer, so they rest longer
+MAX_SEARCH_INTERVAL_S = 1.0  # wide searches take longer, so they are less frequent
 PREDICTION_KEPT = Reason(
     "prediction_stands",
     "the scan fits the map where the prediction puts it, and nowhere else in the window that was searched; "
@@ -95,7 +102,7 @@ class JudgedMatching:
     def __init__(self, limits: JudgementConfig) -> None:
         self._limits = limits
         self._is_lost = False
-        self._rest_until_ns = 0  # next search at the earliest
+        self._next_search_ns = 0  # next search at the earliest
         self._widening = 1.0
         self._confirmation = Confirmation()
         self._lost_path_m = 0.0  # measured path length since the last match
@@ -120,7 +127,7 @@ class JudgedMatching:
             match = Match(predicted, points, match.inlier_ratio, "degraded", Reason("new_map", words))
         self._is_lost = match.state == "lost"
         if not self._is_lost:
-            self._rest_until_ns, self._widening = 0, 1.0
+            self._next_search_ns, self._widening = 0, 1.0
             self._confirmation.clear()
             self._lost_path_m, self._before = 0.0, None
         return match
@@ -208,13 +215,15 @@ class JudgedMatching:
     ) -> Match | None:
         """A match elsewhere, with clearly more than `ratio` of the scan on the map; None: no such match."""
         stamp_ns = points.scan.stamp_ns
-        if stamp_ns < self._rest_until_ns:
+        if stamp_ns < self._next_search_ns:
             return None
-        self._rest_until_ns = stamp_ns + round(min(REST_S * self._widening, MAX_REST_S) * 1e9)
+        self._next_search_ns = stamp_ns + round(
+            min(SEARCH_INTERVAL_S * self._widening, MAX_SEARCH_INTERVAL_S) * 1e9
+        )
         reach_m, reach_rad = (
             min(max(reach, first) * self._widening, most)
             for reach, first, most in zip(
-                reach_of(sigmas_of(predicted.local_covariance)), FIRST, MOST, strict=True
+                reach_of(sigmas_of(predicted.local_covariance)), LOST_WINDOW, MAX_WINDOW, strict=True
             )
         )
         start = aligner.search(points, local_map, predicted.pose_odom_base, (reach_m, reach_rad))
@@ -222,10 +231,10 @@ class JudgedMatching:
             there = replace(predicted, pose_odom_base=start, local_covariance=SEARCHED_COVARIANCE)
             aligned = aligner.align(points, there, local_map, is_found=True)
             verdict = self._judged(aligned, predicted, local_map, is_found=True)
-            if verdict.state != "lost" and verdict.inlier_ratio >= ratio + GAIN:
+            if verdict.state != "lost" and verdict.inlier_ratio >= ratio + MIN_INLIER_GAIN:
                 chi2 = _chi2(aligned, predicted, MIN_COVARIANCE)
                 if chi2 > JUMP_CHI2 and not self._is_confirmed(aligned, predicted):
-                    self._rest_until_ns = stamp_ns + round(CONFIRM_S * 1e9)
+                    self._next_search_ns = stamp_ns + round(CONFIRM_S * 1e9)
                     return None
                 return _matched(_alone(aligned, chi2), predicted, verdict)
         self._widening = min(2.0 * self._widening, MAX_WIDENING)

@@ -9,15 +9,15 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood_search import LikelihoodLayer
 from service.mapper.matchers.window_search import search_bounded, thinned, window_around
 
-BEAMS = 150  # used in a search, about
+SEARCH_BEAMS = 150  # used in a search, about
 STEP_RAD = 0.02  # a cell of 10 cm at 5 m
 WIDE_RAD, WIDE_STEP_RAD = 2.0, 0.04  # half width of a window, from which on headings are this far apart
-GAIN = 0.08  # least increase of the inlier ratio by a search
-REST_S = 0.5  # between two searches of the entire window
-LEAST = (0.3, 0.2)  # m, rad: least half width of a window
-MOST = (8.0, math.pi)  # m, rad: largest half width
-FIRST = (2.0, 1.6)  # of a scan that is lost although the prediction is certain
-SAME_FIND_M, SAME_FIND_RAD = 0.3, 0.06  # within which two results agree
+MIN_INLIER_GAIN = 0.08  # least increase of the inlier ratio by a search
+SEARCH_INTERVAL_S = 0.5  # between two searches of the entire window
+MIN_WINDOW = (0.3, 0.2)  # m, rad: least half width of a window
+MAX_WINDOW = (8.0, math.pi)  # m, rad: largest half width
+LOST_WINDOW = (2.0, 1.6)  # of a scan that is lost although the prediction is certain
+SAME_RESULT_M, SAME_RESULT_RAD = 0.3, 0.06  # within which two results agree
 
 
 class Confirmation:
@@ -35,7 +35,7 @@ class Confirmation:
         if last is None:
             return False
         away = found.inverse() @ last @ predicted
-        return math.hypot(away.x_m, away.y_m) < SAME_FIND_M and abs(away.theta_rad) < SAME_FIND_RAD
+        return math.hypot(away.x_m, away.y_m) < SAME_RESULT_M and abs(away.theta_rad) < SAME_RESULT_RAD
 
 
 def search_around(
@@ -55,7 +55,7 @@ def search_around(
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
     window = window_around(np.array([pose.x_m, pose.y_m, pose.theta_rad]), reach, layer, step_rad)
-    found = search_bounded(thinned(xy_base, BEAMS), layer, window, layer.offset)
+    found = search_bounded(thinned(xy_base, SEARCH_BEAMS), layer, window, layer.offset)
     if not found.score > layer.offset:
         return None
     x_m, y_m, theta_rad = found.pose.tolist()
@@ -68,8 +68,9 @@ def step_of(reach: tuple[float, float]) -> float:
 
 
 def reach_of(prior: tuple[float, float]) -> tuple[float, float]:
-    """Half the search window around a prediction, m and rad: three sigmas, within LEAST and MOST."""
+    """Half the search window of a prediction, m and rad: three sigmas, within MIN_WINDOW and MAX_WINDOW."""
     reach_m, reach_rad = (
-        min(max(3.0 * sigma, least), most) for sigma, least, most in zip(prior, LEAST, MOST, strict=True)
+        min(max(3.0 * sigma, least), most)
+        for sigma, least, most in zip(prior, MIN_WINDOW, MAX_WINDOW, strict=True)
     )
     return reach_m, reach_rad

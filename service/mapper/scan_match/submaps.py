@@ -43,7 +43,7 @@ FIRST_SCANS = 25  # of a map, inserted even at standstill: half a second of a 50
 SURFEL_COUNT_LIMIT = 1000.0  # points of one laser that a surfel averages over, so that it follows changes
 SURFEL_SIGMA_M = 0.01  # unit in which surfels count points; no pose depends on it
 FIELD_SIGMA_M = 0.15  # of a point in the coarse field: wide enough to attract a start that is off by a cell
-FIELD_ENOUGH = 0.95  # likelihood of a cell above which more points are skipped
+SATURATED_LIKELIHOOD = 0.95  # likelihood of a cell above which more points are skipped
 SUBMAP_POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
@@ -186,7 +186,7 @@ class Submap:
                 insert_surfels(
                     xy, directions, pose_vector, surfels, SURFEL_COUNT_LIMIT, point_count, sensor, laser
                 )
-        splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, FIELD_ENOUGH)
+        splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, SATURATED_LIKELIHOOD)
         self.scan_count += 1
 
     def shorten(self, laser: int, step_m: float) -> None:

@@ -36,7 +36,14 @@ from service.mapper.judgement import (
     too_few,
     unmatched,
 )
-from service.mapper.matchers.recovery import FIRST, GAIN, REST_S, Confirmation, reach_of, search_around
+from service.mapper.matchers.recovery import (
+    LOST_WINDOW,
+    MIN_INLIER_GAIN,
+    SEARCH_INTERVAL_S,
+    Confirmation,
+    reach_of,
+    search_around,
+)
 from service.mapper.matchers.window_search import layer_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
 from service.mapper.scan_match.moving_scene import MovingScene
@@ -118,7 +125,7 @@ class SurfelGaussNewton:
         self._steady = SteadyMotion()
         self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
         self._was_contradicted = False  # the prediction, by the previous scan
-        self._rest_until_ns = 0  # next wide search at the earliest
+        self._next_search_ns = 0  # next wide search at the earliest
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a segment that would begin with this scan
         self._detached: Submap | None = None  # the segment of `gap`
@@ -370,7 +377,7 @@ class SurfelGaussNewton:
         if _chi2(begin, attempt.prior) < JUMP_CHI2:
             return aligned  # the same initial pose
         found = self._align(attempt, begin, aligned.submap)
-        gain = 0.0 if self._was_contradicted else GAIN
+        gain = 0.0 if self._was_contradicted else MIN_INLIER_GAIN
         return found if found.state != "lost" and found.result.share > share + gain else aligned
 
     def _searched(self, aligned: Aligned, attempt: Attempt) -> Aligned:
@@ -386,10 +393,10 @@ class SurfelGaussNewton:
             return aligned
         reach_m, reach_rad = reach_of(prior)
         if aligned.state == "lost":
-            if attempt.points.scan.stamp_ns < self._rest_until_ns:
+            if attempt.points.scan.stamp_ns < self._next_search_ns:
                 return aligned
-            self._rest_until_ns = attempt.points.scan.stamp_ns + round(REST_S * 1e9)
-            reach_m, reach_rad = max(reach_m, FIRST[0]), max(reach_rad, FIRST[1])
+            self._next_search_ns = attempt.points.scan.stamp_ns + round(SEARCH_INTERVAL_S * 1e9)
+            reach_m, reach_rad = max(reach_m, LOST_WINDOW[0]), max(reach_rad, LOST_WINDOW[1])
         grid = aligned.submap.grid()
         layer = layer_of(LikelihoodField(grid.tiles, grid.field, grid.cell_m))
         start = search_around(
@@ -398,7 +405,7 @@ class SurfelGaussNewton:
         if start is None:
             return aligned
         found = self._align(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), aligned.submap)
-        if found.state == "lost" or found.result.share < share + GAIN:
+        if found.state == "lost" or found.result.share < share + MIN_INLIER_GAIN:
             return aligned
         less_likely = _chi2(found.result.pose, attempt.prior) - _chi2(aligned.result.pose, attempt.prior)
         return found if aligned.is_contradicted or less_likely <= LESS_LIKELY_CHI2 else aligned

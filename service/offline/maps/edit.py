@@ -33,7 +33,12 @@ from service.mapper.graph.edit.editing import (
     without_pair,
     without_time,
 )
-from service.mapper.maps.occupancy import SHOWN_LEAST, SHOWN_MOST, OccupancyConfig, OccupancyTiles
+from service.mapper.maps.occupancy import (
+    MAX_SHOWN_PERCENT,
+    MIN_SHOWN_PERCENT,
+    OccupancyConfig,
+    OccupancyTiles,
+)
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.drawn_tiles import with_area, with_line
 from service.mapstore.edits import Edit, undone_by
@@ -129,7 +134,7 @@ def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
     _as_usage("map edit --erase", refuse_outline, outline)
 
     def change(stored: StoredMap) -> Changed:
-        tiles, cells = with_area(stored.tiles, outline, SHOWN_LEAST if becomes == "free" else UNKNOWN)
+        tiles, cells = with_area(stored.tiles, outline, MIN_SHOWN_PERCENT if becomes == "free" else UNKNOWN)
         graph, points = stored.graph, 0
         if graph is not None:
             graph, points = with_area_erased(graph, outline, becomes)
@@ -153,7 +158,7 @@ def wall(corners: Sequence[float]) -> Change:
     _as_usage("map edit --wall", refuse_line, line)
 
     def change(stored: StoredMap) -> Changed:
-        tiles, cells = with_line(stored.tiles, line, SHOWN_MOST)
+        tiles, cells = with_line(stored.tiles, line, MAX_SHOWN_PERCENT)
         graph = None if stored.graph is None else with_wall(stored.graph, line)
         return Changed(replace(stored, tiles=tiles, graph=graph), wall_words(line), {"cells_changed": cells})
 
