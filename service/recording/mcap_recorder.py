@@ -1,8 +1,8 @@
 """Records messages to MCAP sessions from a thread of its own; whoever puts never waits for a disk.
 
 A session is one or more files `<vehicle>_<UTC start>_<nnnn>.mcap`, each complete by itself. While a file is
-written it is called `*.mcap.active` and locked; it is flushed and synced each second, so a crash costs at
-most that. What a crash left behind is recovered at the next start, in a process of its own.
+written it is called `*.mcap.active` and locked; it is flushed and synced several times in two seconds, so a
+crash costs less than one. What a crash left behind is recovered at the next start, in a process of its own.
 
 Log times are written as they come: `arrived_ns` of a decoded frame is its log time, so to change one here
 would change the replay. Messages of equal log time keep their order in the file, for our reader and for
@@ -29,7 +29,7 @@ from service.recording.session_change import SessionChange, SessionHeard
 
 log = logging.getLogger(__name__)
 
-SYNC_PERIOD_S = 0.85  # with a batch, the flush and the sync themselves, less than a second is at risk
+SYNC_PERIOD_S = 0.6  # with a batch, flush, sync and waiting for a busy processor, a second is at risk
 BATCH_S = 0.05  # the thread wakes so often, not for each message: a wake-up costs more than the writing
 BATCH_BYTES = 1 << 20  # and at once where so much waits
 QUEUE_MESSAGES, QUEUE_BYTES = 20_000, 64 << 20  # a disk may stall for a minute before scans are lost
