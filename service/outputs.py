@@ -69,6 +69,17 @@ HealthReasonId = Literal[
     "frames_late",
     # clock
     "clock_stepped",
+    # outputs
+    "output_failed",
+    "messages_dropped",
+    "recording_stopped",
+    "disk_full",
+    "disk_error",
+    "map_not_saved",
+    "not_served",
+    "token_unreadable",
+    "no_router",
+    "name_taken",
 ]
 
 # The row of the manual that explains each: page#anchor.
@@ -100,6 +111,12 @@ class Reason(str):
 
 
 NO_REASON = Reason("", "")
+
+
+def reason_value(reason: HealthReasonId) -> dict[str, str]:
+    """As values of a status have it."""
+    return {"reason_id": reason}
+
 
 # Occupancy of a cell as nav_msgs/OccupancyGrid has it; between FREE and OCCUPIED: per cent.
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from service.encoding import OK, WARNING, Status
+from service.outputs import reason_value
 
 
 def counted_row(name: str, counters: Mapping[str, Counter[str]], more: Mapping[str, str]) -> Status:
@@ -20,5 +21,5 @@ def counted_row(name: str, counters: Mapping[str, Counter[str]], more: Mapping[s
     dropped, failed = counters["dropped"].total(), counters["failed"].total()
     if dropped or failed:
         words = f"{dropped} dropped, {failed} failed (expected none); is the network too slow?"
-        return Status(name, WARNING, words, values)
+        return Status(name, WARNING, words, values | reason_value("messages_dropped"))
     return Status(name, OK, "ok", values)

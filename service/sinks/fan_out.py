@@ -10,7 +10,7 @@ from typing import Any
 
 from service.encoding import ERROR, Message, Status
 from service.errors import CorridorError, StorageError
-from service.outputs import TileUpdate
+from service.outputs import TileUpdate, reason_value
 from service.sinks.registry import SinkKind
 from service.sinks.sink import MapStorage, SessionRecorder, Sink, SinkContext
 
@@ -172,7 +172,8 @@ class Sinks:
             fault, refused = self._faults.get(sink.name, ""), self._refused[sink.name]
         if not fault:
             return row
-        return Status(row.name, ERROR, fault, {**row.values, "refused": str(refused)})
+        values = {**row.values, "refused": str(refused), **reason_value("output_failed")}
+        return Status(row.name, ERROR, fault, values)
 
 
 def _wait_while_they_work(endings: Sequence["_Ending"], timeout_s: float) -> None:

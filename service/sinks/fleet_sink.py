@@ -13,7 +13,7 @@ import zenoh
 from drivers.zenoh_callback import daemon_callback
 from service.encoding import ERROR, OK, TILES, WARNING, Message, Status
 from service.errors import StorageError
-from service.outputs import TileUpdate
+from service.outputs import TileUpdate, reason_value
 from service.publishing.config import PublishingConfig, host_of
 from service.publishing.keys import alive_key, vehicle_key
 from service.publishing.listeners import Listeners
@@ -92,8 +92,11 @@ class FleetSink(Sink):
             for what, counter in publisher.counts().items():
                 values |= {f"{what}.{channel}": str(count) for channel, count in sorted(counter.items())}
         if (rival := self._rival) is not None:
-            return Status(self.name, ERROR, self._refusal(rival), values)
-        return Status(self.name, WARNING if fault else OK, fault or "ok", values)
+            return Status(self.name, ERROR, self._refusal(rival), values | reason_value("name_taken"))
+        if fault:
+            reason = reason_value("no_router" if self._fault else "disk_error")
+            return Status(self.name, WARNING, fault, values | reason)
+        return Status(self.name, OK, "ok", values)
 
     def place(self) -> str:
         return ", ".join(self._config.connect)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from service.encoding import CHANGES, ERROR, OK, Message, Status, encode_grid, schema_text
 from service.errors import StorageError
 from service.extras import install_command
-from service.outputs import TileUpdate
+from service.outputs import TileUpdate, reason_value
 from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.sink import Sink, SinkContext
 from service.web.config import split_listen
@@ -98,7 +98,9 @@ class FoxgloveSink(Sink):
             "sent": str(self._sent),
             "dropped": str(self._dropped),
         }
-        return Status(self.name, ERROR if self._fault else OK, self._fault or "ok", values)
+        if fault := self._fault:
+            return Status(self.name, ERROR, fault, values | reason_value("not_served"))
+        return Status(self.name, OK, "ok", values)
 
     def place(self) -> str:
         return self._address

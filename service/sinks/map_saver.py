@@ -20,6 +20,7 @@ from service.mapstore.files import keep_version, save_map
 from service.mapstore.graph_files import remove_overtaken
 from service.mapstore.in_use import InUse, MapsInUse
 from service.mapstore.tiles import NumberedMap
+from service.outputs import reason_value
 from service.sinks.sink import SavedHeard, SavedMap, Sink, SinkContext
 from service.writable import make_writable
 
@@ -207,7 +208,9 @@ class MapSaver(Sink):
     def health(self) -> Status:
         fault = self.fault or self._given_up
         values = {"folder": str(self.folder), "saved_version": str(self.saved_version)}
-        return Status(self.name, ERROR if fault else OK, fault or "ok", values)
+        if not fault:
+            return Status(self.name, OK, "ok", values)
+        return Status(self.name, ERROR, fault, values | reason_value("map_not_saved"))
 
     def place(self) -> str:
         return str(self.folder)

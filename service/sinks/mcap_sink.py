@@ -7,8 +7,9 @@ from pathlib import Path
 from drivers.counted import counted
 from service.encoding import ERROR, OK, WARNING, Message, Status, encode_event
 from service.errors import StorageError
+from service.outputs import reason_value
 from service.recording.config import RecordingConfig
-from service.recording.mcap_recorder import McapRecorder
+from service.recording.mcap_recorder import McapRecorder, State
 from service.recording.session_change import SessionHeard
 from service.sinks.sink import Sink, SinkContext
 
@@ -19,6 +20,11 @@ _LEVELS = {
     "stopped": WARNING,
     "disk full": ERROR,
     "disk error": ERROR,
+}
+_REASONS: Mapping[State, dict[str, str]] = {
+    "stopped": reason_value("recording_stopped"),
+    "disk full": reason_value("disk_full"),
+    "disk error": reason_value("disk_error"),
 }
 
 
@@ -96,7 +102,7 @@ class McapSink(Sink):
         words = {OK: recorder.state, WARNING: "stopped by a command; Start records again"}.get(
             level, recorder.last_error
         )
-        return Status(self.name, level, words, values)
+        return Status(self.name, level, words, values | _REASONS.get(recorder.state, {}))
 
     def place(self) -> str:
         return str(self._directory)

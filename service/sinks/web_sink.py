@@ -7,6 +7,7 @@ from pathlib import Path
 from service.encoding import WARNING, Message, Status
 from service.errors import StorageError
 from service.mapper.profiles import METHODS
+from service.outputs import reason_value
 from service.publishing.commands import Answer, refusal
 from service.sinks.sink import Sink, SinkContext
 from service.web.access import new_token, state_folder, token_from_file
@@ -57,7 +58,8 @@ class WebSink(Sink):
     def health(self) -> Status:
         status = self.server.health()
         if self._token_fault and status.level < WARNING:
-            return status._replace(level=WARNING, message=f"commands are refused: {self._token_fault}")
+            values = {**status.values, **reason_value("token_unreadable")}
+            return Status(self.name, WARNING, f"commands are refused: {self._token_fault}", values)
         return status
 
     def place(self) -> str:

@@ -29,6 +29,7 @@ from aiohttp import WSCloseCode, web
 from drivers.frames import CAUSES
 from service.encoding import Message, Status
 from service.errors import StorageError, words_of
+from service.outputs import reason_value
 from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser, Gate
@@ -177,9 +178,12 @@ class WebServer:
             "dropped": str(self._dropped + sum(b.send_queue.dropped for b in list(self._browsers))),
             "refused": str(self._refused),
         }
-        if not self._fault and (fault := self._gate.tokens.fault):
-            return Status("web", WARNING, f"further tokens are refused: {fault}", values)
-        return Status("web", ERROR if self._fault else OK, self._fault or "ok", values)
+        if fault := self._fault:
+            return Status("web", ERROR, fault, values | reason_value("not_served"))
+        if fault := self._gate.tokens.fault:
+            words = f"further tokens are refused: {fault}"
+            return Status("web", WARNING, words, values | reason_value("token_unreadable"))
+        return Status("web", OK, "ok", values)
 
     def close(self) -> None:
         """Let the browsers go, and the port. A second call does nothing."""

@@ -123,6 +123,7 @@ def test_a_sink_that_raises_is_an_error_in_health_reported_once_and_the_next_get
     assert [record.levelno for record in caplog.records] == [logging.ERROR]
     broken_row, well_row = sinks.health()
     assert broken_row.level == ERROR
+    assert broken_row.values["reason_id"] == "output_failed"
     assert broken_row.message.startswith("it raised RuntimeError: out of order")
     assert broken_row.values["refused"] == "3"
     assert well_row == Status("well", OK, "ok", {"messages": "3"})

@@ -160,6 +160,7 @@ def test_nothing_waits_while_the_port_is_taken_and_it_is_had_when_it_is_free(
         sink = open_one(f"127.0.0.1:{port}")
         wait_until(lambda: "cannot be served" in sink.health().message)
         assert sink.health().level == ERROR
+        assert sink.health().values["reason_id"] == "not_served"
         sink.put(encode_tf_static({"front": SE2()}, 1, 1))
         for k in range(MAX_WAITING + 500):
             sink.put(event("{}", k * 1e-3))

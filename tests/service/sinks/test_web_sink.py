@@ -90,6 +90,7 @@ def test_a_token_that_others_may_read_is_used_by_no_one(open_page, tmp_path):
     sink = open_page(token_file=path)
     sink.start()
     assert sink.health().level == 1
+    assert sink.health().values["reason_id"] == "token_unreadable"
     assert "chmod 600" in sink.health().message
     assert not ask_at(sink, "known")["ok"]
 

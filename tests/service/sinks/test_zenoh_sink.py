@@ -126,3 +126,4 @@ def test_what_was_dropped_is_a_warning(sink: ZenohSink):
         "1 dropped, 0 failed (expected none); is the network too slow?",
     )
     assert row.values["dropped.front/scan"] == "1"
+    assert row.values["reason_id"] == "messages_dropped"

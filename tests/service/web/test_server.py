@@ -263,6 +263,7 @@ def test_a_port_that_is_taken_is_reported_and_taken_when_it_is_free(serve):
         server = serve(wait=False, listen=f"127.0.0.1:{port}")
         wait_until(lambda: "cannot be served" in server.health().message)
         assert server.health().level == 2
+        assert server.health().values["reason_id"] == "not_served"
         assert server.address == ""
     assert server.wait_served(TIMEOUT_S)
     assert server.address == f"http://127.0.0.1:{port}/"
