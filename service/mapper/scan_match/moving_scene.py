@@ -27,7 +27,7 @@ from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
-from service.mapper.judgement import MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
+from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
 from service.mapper.scan_match.steady_motion import SteadyMotion
 from service.mapper.scan_match.submaps import Submap
@@ -241,10 +241,10 @@ class MovingScene:
         is_seen_moving = _dynamic_share(aligned) >= MIN_MOVING_SHARE
         # Motion is visible in two consecutive scans; in one alone some returns are off the map by chance.
         is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
-        if is_moving if conflict is None else not conflict.is_turned:
+        if is_moving or conflict is not None:
             prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
             static, share = self._align_static(attempt, prior, aligned.submap)
-            if share >= MIN_STATIC_SHARE:
+            if share >= MIN_STATIC_SHARE and (conflict is None or not conflict.is_turned):
                 nats = self._evidence_nats(attempt, static, aligned)
                 nats += MOVING_NATS if is_moving else STILL_NATS
             else:  # too few static returns
@@ -260,7 +260,7 @@ class MovingScene:
 
         Moving objects may hide walls, but no beam passes through a wall.
         """
-        if attempt.predicted.increment is None or attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+        if not _is_witnessed(attempt.predicted):
             self._reckoning.clear()
             return None
         static, _share = self._align_static(attempt, attempt.prior, submap)
@@ -276,6 +276,19 @@ class MovingScene:
             self._reckoning.clear()
             return None
         return self._start(static, attempt)
+
+    def is_displaced(self, attempt: Attempt, detached: Aligned) -> bool:
+        """Whether moving objects have displaced a match on a detached sub-map.
+
+        It has no static walls yet, so inertia alone is the evidence. The prior is that of visible motion: the
+        scan contradicts the map.
+        """
+        if not _is_witnessed(attempt.predicted) or chi2_of(detached.pose, attempt.prior) <= JUMP_CHI2:
+            return False
+        if self._inertia_nats(attempt, detached) + MOVING_NATS < 0.0:
+            return False
+        self._steady.matched(attempt.stamp_ns, attempt.predicted.pose_odom_base)
+        return True
 
     def _evidence_nats(self, attempt: Attempt, by_odometry: Aligned, by_laser: Aligned) -> float:
         """Log-likelihood ratio of odometry against the laser, by static walls and inertia, on one sub-map."""
@@ -346,6 +359,11 @@ class MovingScene:
         off_m, off_rad = math.hypot(self._drift.x_m, self._drift.y_m), abs(self._drift.theta_rad)
         scale = USUAL.odometry_scale_sigma * self._path_length_m
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
+
+
+def _is_witnessed(predicted: Prediction) -> bool:
+    """Whether odometry measured the step from a recent scan."""
+    return predicted.increment is not None and predicted.elapsed_s <= MAX_UNSEEN_S
 
 
 def _dynamic_share(aligned: Aligned) -> float:

@@ -225,7 +225,7 @@ class SurfelGaussNewton:
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
         attempt = replace(attempt, prior=_prior_of(predicted, None))
         detached = self._align(attempt, attempt.prior.pose, local_map.detached)
-        if detached.state == "lost":
+        if detached.state == "lost" or self._scene.is_displaced(attempt, detached):
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
         reason = reason.reworded(f"{reason}; a detached segment begins here until its place is found")
         return self._as_match(detached, attempt, "lost", reason)

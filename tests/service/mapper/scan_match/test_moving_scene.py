@@ -142,6 +142,18 @@ def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     assert verdict.worst_m < 0.05
 
 
+@pytest.mark.parametrize("seed", [1, in_soak(11)])
+def test_a_train_that_hides_the_walls_does_not_carry_a_detached_map_with_it(seed: int) -> None:
+    """It turns a corner beside the vehicle; the scans contradict the map until it is past."""
+    of = staged(Case("train_passing", "office", seed, 0.8))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
+    assert verdict.ok_off == 0
+    assert verdict.worst_m < 0.05
+    assert verdict.lost_percent < 5.0
+    assert outputs[-1].state == "ok"
+
+
 @pytest.mark.parametrize(
     ("name", "end_m"), [in_soak("escort5_s41_0_16s", 13.2), ("ramp_laser_s41_12_22s", 11.9)]
 )
