@@ -102,8 +102,8 @@ def test_events_and_graph_are_those_until_then(moments):
         return [json.loads(text)["event"] for _, text in moments.at(stamp(seconds)).events]
 
     assert (events(MARK_S - 0.1), events(MARK_S), events(13.0)) == ([], ["mark"], ["mark", "reset_map"])
-    assert len(moments.at(stamp(GRAPH_S - 0.1)).graph.ways) == 0
-    assert len(moments.at(stamp(GRAPH_S)).graph.ways) == 1
+    assert len(moments.at(stamp(GRAPH_S - 0.1)).graph.paths) == 0
+    assert len(moments.at(stamp(GRAPH_S)).graph.paths) == 1
 
 
 def test_what_stands_is_the_newest_of_the_present_map(moments):

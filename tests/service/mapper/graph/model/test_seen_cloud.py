@@ -17,7 +17,7 @@ def test_standing_still_adds_no_evidence():
     evidence = []
     for looks in (1, 4):
         seen = seen_cloud(keyframes, own[:looks], own[0])
-        evidence.append(find_places(known_map, seen)[0].weight.evidence)
+        evidence.append(find_places(known_map, seen)[0].score.evidence)
     assert evidence[1] == pytest.approx(evidence[0], rel=0.25)
 
 
