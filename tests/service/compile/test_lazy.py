@@ -40,7 +40,7 @@ print(gap)
 
 def test_a_kernel_that_waits_is_known_by_its_name_and_its_words():
     run("""
-assert by_name.__name__ == "usual_gap" and "most common gap" in by_name.__doc__
+assert by_name.__name__ == "usual_gap" and "Most common gap" in by_name.__doc__
 assert by_name.__module__ == "service.kernels.usual_gap"
 """)
 

@@ -12,8 +12,8 @@ def test_a_find_counts_when_the_next_one_agrees() -> None:
     assert not confirmation.confirms(FOUND @ SE2(0.0, 0.4, 0.0), PREDICTED @ STEP)
 
 
-def test_a_find_that_is_forgotten_confirms_nothing() -> None:
+def test_a_result_that_was_cleared_confirms_nothing() -> None:
     confirmation = Confirmation()
     confirmation.confirms(FOUND, PREDICTED)
-    confirmation.forget()
+    confirmation.clear()
     assert not confirmation.confirms(FOUND @ STEP, PREDICTED @ STEP)

@@ -162,7 +162,7 @@ def test_many_landmarks_of_one_match_know_a_place_as_well_as_the_match_and_no_be
         for one in trip[0][:3]:
             back_end.work(Batch("submap", closed=one))
         node = back_end.submaps[2].nodes[0]
-        x, y, theta = back_end.drawn[node]
+        x, y, theta = back_end.odom_poses[node]
         angle = theta + 2.0 * np.pi * np.arange(count) / count
         around = np.stack((x + 2.0 * np.cos(angle), y + 2.0 * np.sin(angle)), axis=1)
         turn = np.array(
@@ -170,7 +170,7 @@ def test_many_landmarks_of_one_match_know_a_place_as_well_as_the_match_and_no_be
         )
         at_node = turn @ np.diag(fit**2) @ turn.T
         shift = np.zeros(3)
-        back_end._keep(2, 0, shift, about_origin(at_node, back_end.drawn[node], shift), around)
+        back_end._keep(2, 0, shift, about_origin(at_node, back_end.odom_poses[node], shift), around)
         covariance = solve(back_end._graph(), covariances_of=[node]).covariances[node]
         sigmas.append(np.sqrt(np.diag(covariance)))
     few, four, many = sigmas
