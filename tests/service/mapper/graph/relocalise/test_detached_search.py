@@ -35,7 +35,7 @@ def test_dead_reckoning_is_possible_unless_the_query_contradicts_it(
     search._query = SimpleNamespace()  # type: ignore[assignment]
     there = SimpleNamespace(score=SimpleNamespace(evidence=evidence))
     search._known_map = SimpleNamespace(align=lambda seen, pose: there)  # type: ignore[assignment]
-    assert search._may_be_at(prior) is may_be_there
+    assert search._allows_dead_reckoning(prior) is may_be_there
 
 
 @pytest.mark.parametrize("is_disputed", [False, True])
