@@ -241,17 +241,22 @@ class MovingScene:
         is_seen_moving = _dynamic_share(aligned) >= MIN_MOVING_SHARE
         # Motion is visible in two consecutive scans; in one alone some returns are off the map by chance.
         is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
-        if is_moving or conflict is not None:
-            prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
-            static, share = self._align_static(attempt, prior, aligned.submap)
-            if share >= MIN_STATIC_SHARE and (conflict is None or not conflict.is_turned):
-                nats = self._evidence_nats(attempt, static, aligned)
-                nats += MOVING_NATS if is_moving else STILL_NATS
-            else:  # too few static returns
-                nats = self._inertia_nats(attempt, aligned) + STILL_NATS
-            if nats >= 0.0:
-                return self._start(static, attempt)
-        if conflict is not None:
+        if conflict is None and not is_moving:
+            return aligned
+        prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
+        static, share = self._align_static(attempt, prior, aligned.submap)
+        has_static = share >= MIN_STATIC_SHARE
+        if has_static and (conflict is None or not conflict.is_turned):
+            nats = self._evidence_nats(attempt, static, aligned)
+        elif conflict is None:
+            return aligned
+        else:
+            nats = self._inertia_nats(attempt, aligned)
+            is_moving = _share_on_walls_only_at(static, aligned, attempt) >= MIN_MOVING_SHARE
+        nats += MOVING_NATS if is_moving else STILL_NATS
+        if nats >= 0.0:
+            return self._start(static, attempt)
+        if conflict is not None and has_static:  # else later scans of the window may decide
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
         return aligned
 
@@ -359,6 +364,16 @@ class MovingScene:
         off_m, off_rad = math.hypot(self._drift.x_m, self._drift.y_m), abs(self._drift.theta_rad)
         scale = USUAL.odometry_scale_sigma * self._path_length_m
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
+
+
+def _share_on_walls_only_at(one: Aligned, other: Aligned, attempt: Attempt) -> float:
+    """Share of the returns that lie on walls at one of two poses and not at the other."""
+    is_on, is_on_at_other = (
+        np.abs(np.nan_to_num(of.submap.residuals(of.xy_base, attempt.normals, of.result.pose), nan=np.inf))
+        < ON_WALL_M
+        for of in (one, other)
+    )
+    return float((is_on & ~is_on_at_other).mean())
 
 
 def _is_witnessed(predicted: Prediction) -> bool:

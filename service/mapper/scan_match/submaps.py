@@ -126,14 +126,23 @@ class Submap:
         normals: npt.NDArray[np.float64],
         pose: npt.NDArray[np.float64],
     ) -> npt.NDArray[np.float64]:
-        """(N,) m, residuals of points (N, 2) at a pose (3,) to static walls; NaN without one.
+        """As residuals, to static walls alone: those seen over STATIC_PATH_M of the path."""
+        return self.residuals(xy_base, normals, pose, self._static_mark)
 
-        A wall is static if it was seen over STATIC_PATH_M of the path.
+    def residuals(
+        self,
+        xy_base: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+        latest: int = MAX_MARK,
+    ) -> npt.NDArray[np.float64]:
+        """(N,) m, residuals of points (N, 2) at a pose (3,) to walls; NaN without one.
+
+        latest: mark of the path since which a wall must have been seen.
         """
         residual_m = np.empty(len(xy_base))
         grid, observations = self.grid(), self._observations()
-        cosine, latest = MIN_NORMAL_COSINE, self._static_mark
-        static_residuals(xy_base, normals, pose, grid, observations, cosine, latest, residual_m)
+        static_residuals(xy_base, normals, pose, grid, observations, MIN_NORMAL_COSINE, latest, residual_m)
         return residual_m
 
     def on_dynamic(
