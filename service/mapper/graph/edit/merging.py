@@ -1,5 +1,7 @@
 """Merges two stored graphs: finds the place of the second in the first, and the loops between them."""
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +15,8 @@ from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.relocalise.detached_search import DetachedSearch
+from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
+from service.mapper.graph.relocalise.place_search import is_same_place, is_same_pose
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
 QUERY_EVERY_M = 4.0  # of path in the second graph
@@ -22,6 +25,7 @@ AGREE_GROWTH = 0.02  # m per m of path between them: distortion of both maps
 MIN_MERGE_LOOPS = 3
 QUERY_KEYFRAMES = 6  # key frames of a query, where the search may end early
 MAX_PLACES_MISSED = 8  # far apart; of sessions that overlap by a quarter, one in ten has so many
+MAX_RIVALS = 3  # of a result: other rooms that fit, whose map poses are tested at the next queries, too
 SPREAD = (0, 4, 2, 6, 1, 5, 3, 7)  # offsets of the series of every 8th place
 
 
@@ -121,7 +125,9 @@ def find_second(
 
     count    number of key frames of the first, which precede those of the second
     enough   end the search when so many results agree and at most half as many disagree, or when the first
-             MAX_PLACES_MISSED queries fail; None: query every place
+             MAX_PLACES_MISSED queries fail; None: query every place. After a result the next queries search
+             only near the poses that follow from it and its rivals; MAX_PLACES_MISSED that fail there are
+             repeated on the whole map
 
     Raises MergeError if fewer than MIN_MERGE_LOOPS agree.
     """
@@ -132,20 +138,29 @@ def find_second(
     queries = _query_places(keyframes, own)
     found: list[tuple[int, Floats]] = []  # key frame of the second, and the pose of its frame by that query
     agreeing: list[tuple[int, Floats]] = []
-    for number, k in enumerate(queries if enough is None else _spread(queries)):
-        if enough is not None and not found and number >= MAX_PLACES_MISSED:
-            break
+    waiting = deque(queries if enough is None else _spread(queries))
+    frames: list[Floats] = []  # poses of the second map frame by the last result and its rivals
+    missed: list[int] = []  # queries without a result near these
+    while waiting and (enough is None or found or len(queries) - len(waiting) < MAX_PLACES_MISSED):
+        k = waiting.popleft()
         near = own[np.abs(keyframes.path_length_m[own] - keyframes.path_length_m[k]) <= 0.5 * config.place_m]
         near = near if enough is None else near[:: max(1, len(near) // QUERY_KEYFRAMES)]
-        best = search.best_of(search.places_of(near.tolist(), k, known, only_winners=enough is not None))
-        if best is None:
-            continue
-        at, _ = best
-        found.append((k, se2.compose(at, se2.between(keyframes.map[k], np.zeros(3)))))
-        if enough is not None and len(found) >= enough:
+        expected = [se2.compose(frame, keyframes.map[k]) for frame in frames]
+        places = search.places_of(near.tolist(), k, known, only_winners=enough is not None, expected=expected)
+        best = search.best_of(places)
+        if best is not None:
+            at, _ = best
+            found.append((k, _frame_of(keyframes, k, at)))
             agreeing = _agreeing(keyframes, found)
-            if len(agreeing) >= enough and len(found) - len(agreeing) <= len(agreeing) // 2:
+            if enough is not None and not frames:
+                frames = [_frame_of(keyframes, k, place.pose) for place in _with_rivals(places, at)]
+            if enough is not None and len(agreeing) >= enough and len(found) <= 1.5 * len(agreeing):
                 break
+        elif frames:
+            missed.append(k)
+        if len(missed) >= MAX_PLACES_MISSED or (not waiting and len(agreeing) < MIN_MERGE_LOOPS):
+            waiting.extend(missed)
+            frames, missed = [], []
     found.sort(key=lambda one: one[0])
     agreeing = _agreeing(keyframes, found)
     if len(agreeing) < MIN_MERGE_LOOPS:
@@ -155,6 +170,22 @@ def find_second(
         )
     middle = agreeing[len(agreeing) // 2][1]
     return middle, len(agreeing)
+
+
+def _frame_of(keyframes: KeyframeList, k: int, pose: Floats) -> Floats:
+    """Pose (3,) of the second map frame in the first, from the pose of its key frame k."""
+    frame: Floats = se2.compose(pose, se2.between(keyframes.map[k], np.zeros(3)))
+    return frame
+
+
+def _with_rivals(places: Sequence[CandidatePose], best: Floats) -> list[CandidatePose]:
+    """The best place and the most likely ones in other rooms that fit, MAX_RIVALS at most."""
+    chosen = [place for place in places if is_same_pose(place.pose, best)][:1]
+    for place in sorted(places, key=lambda place: -place.evidence):
+        is_other = not any(is_same_place(place.pose, other.pose) for other in chosen)
+        if len(chosen) <= MAX_RIVALS and place.loop is not None and is_other:
+            chosen.append(place)
+    return chosen
 
 
 def _query_places(keyframes: KeyframeList, own: npt.NDArray[np.int64]) -> list[int]:

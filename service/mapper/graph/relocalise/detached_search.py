@@ -1,6 +1,7 @@
 """Searches the place of a detached segment in the map."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -265,11 +266,13 @@ class DetachedSearch:
         prior: OdometryPrior | None = None,
         reach_m: float = math.inf,
         only_winners: bool = False,
+        expected: Sequence[Floats] = (),
     ) -> list[CandidatePose]:
         """Candidate places of the key frames `own` in the known map, the most likely by the beams first;
         within reach_m of dead reckoning.
 
         only_winners   refine none if none can exceed new ground
+        expected       poses (3,) of the reference whose surroundings are searched; empty: the whole map
         """
         seen = seen_cloud(self._keyframes, own, reference)
         self._query = seen
@@ -285,6 +288,7 @@ class DetachedSearch:
             guesses,
             lambda one: (prior is None and not only_winners) or _could_win(one, prior),
             is_in_reach,
+            expected,
         )
         self._places = [self._candidate(known, reference, one, seen.cloud, prior) for one in found]
         return self._places

@@ -126,12 +126,22 @@ class KnownMap:
         order = np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]
         return list(places[order, :3])
 
-    def align(self, seen: SeenCloud, near: Floats, least: float = -math.inf) -> Aligned:
-        """The cloud aligned with all walls, from a candidate pose. least: as of weigh."""
-        window = window_around(near, REFINE_WINDOW[:2], self._field, REFINE_WINDOW[2])
-        near = (seen.cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2
-        thin = thinned(seen.cloud.xy[near], REFINING_POINTS)
-        found = search_branch_and_bound(thin, self._field, window, -math.inf)
+    def align(
+        self,
+        seen: SeenCloud,
+        near: Floats,
+        least: float = -math.inf,
+        window: tuple[float, float] = REFINE_WINDOW[:2],
+    ) -> Aligned:
+        """The cloud aligned with all walls, from a candidate pose.
+
+        least    as of weigh
+        window   m, rad: half the window that is searched about the candidate
+        """
+        poses = window_around(near, window, self._field, REFINE_WINDOW[2])
+        is_near = (seen.cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2
+        thin = thinned(seen.cloud.xy[is_near], REFINING_POINTS)
+        found = search_branch_and_bound(thin, self._field, poses, -math.inf)
         return self._aligned(seen, found.pose, least)
 
     def refine(self, seen: SeenCloud, aligned: Aligned) -> Aligned:

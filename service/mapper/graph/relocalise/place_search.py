@@ -18,6 +18,7 @@ REFINE_MARGIN_NATS = 100.0  # a place this far below the best is not refined
 PRUNE_MARGIN_NATS = 250.0  # this far below the best, the evidence is only an upper bound
 MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = 8, 4  # places slid along walls per round, neighbours of each
 MAX_ROUNDS = 3  # of sliding; ends earlier once the best place stays
+EXPECTED_WINDOW = 1.5, 0.2  # m, rad: half the window about an expected pose
 
 
 def find_places(
@@ -26,6 +27,7 @@ def find_places(
     guesses: Sequence[Floats] = (),
     could_win: Callable[[Aligned], bool] = lambda _: True,
     is_possible: Callable[[Floats], bool] = lambda _: True,
+    expected: Sequence[Floats] = (),
 ) -> list[Aligned]:
     """Places of the cloud, the most likely first. Along walls that leave a direction open, neighbours of a
     candidate are evaluated, too.
@@ -33,8 +35,12 @@ def find_places(
     guesses     poses (3,) of further candidates
     could_win   whether a candidate is worth refining; if none is, all are returned unrefined
     is_possible whether the cloud may be at a pose (3,)
+    expected    poses (3,) whose surroundings replace the search over the whole map
     """
-    aligned = _distinct(_aligned(known_map, seen, is_possible))
+    if expected:
+        aligned = _distinct([known_map.align(seen, pose, window=EXPECTED_WINDOW) for pose in expected])
+    else:
+        aligned = _distinct(_aligned(known_map, seen, is_possible))
     guessed = [known_map.align(seen, guess) for guess in guesses]
     if not any(could_win(one) for one in [*aligned, *guessed]):
         return _by_evidence([*aligned, *guessed])
