@@ -23,8 +23,10 @@ from service.offline.maps.changed_places import (
 from service.offline.past.result import map_folder
 from service.offline.replay.replay import Outcome
 from service.offline.replay.setup import ReplayOptions
+from service.offline.score.trajectory import Trajectory
 from service.offline.site.changes import Change, in_words, log_odds_elsewhere
 from service.offline.site.growth import Member, Progress, Site, grow, member_of
+from service.offline.site.kept import read_kept, write_kept
 from service.offline.site.manifest import LeftOut, read_manifest, write_manifest
 from service.offline.site.paths import write_paths
 from service.offline.site.sessions import Given, Session, given_sessions, load_session
@@ -54,6 +56,7 @@ def site_build(
         names = ", ".join(one.name for one in given)
         raise UsageError(f"--join {unknown[0]}: no such session among those given, which are {names}")
     site, left_out, number = _site_there(out)
+    known_paths = {} if site is None else _take_kept(site, out)
     left_out = {name: one for name, one in left_out.items() if name not in joined}
     old = [] if site is None else list(site.members)
     replayed = _replayed(given, options, engine, progress)
@@ -87,7 +90,9 @@ def site_build(
     write_manifest(out, site.members, left_out)
     if len(site.members) > len(old):
         number = _save(site, out)
-        write_paths(out, site, {one.name: one.result for one in given})
+        written = write_paths(out, site, {one.name: one.result for one in given}, known_paths)
+        for name, path in written.items():
+            write_kept(out, name, site.kept[name], path)
     changed = read_changed_places(out, number)
     report = _report(site, left_out, out, number, len(site.members) - len(old), changed)
     of_replays = [
@@ -108,6 +113,15 @@ def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
     assert stored.graph is not None
     cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
     return Site(members, stored.graph, cell_m, stored.geo), left_out, stored.number
+
+
+def _take_kept(site: Site, out: Path) -> dict[str, Trajectory]:
+    """What the members saw, to the site; and their paths by name, as far as they are kept."""
+    paths = {}
+    for member in site.members:
+        if (kept := read_kept(out, member.name)) is not None:
+            site.kept[member.name], paths[member.name] = kept
+    return paths
 
 
 def _replayed(
@@ -186,11 +200,10 @@ def _why_apart(name: str, site: Site, best: Site) -> str:
 
 def _save(site: Site, out: Path) -> int:
     shown = OccupancyTiles(OccupancyConfig(), site.cell_m)
-    if site.rendered is None:  # of one session
+    if len(site.members) == 1:
         site.solve()
-    assert site.rendered is not None
     layers, compared = site.layers()
-    shown.replace_by(layers.newest(site.rendered), ())
+    shown.replace_by(layers.newest(site.rendered(shown.renderer)), ())
     about = {"profile": "corridor", "sessions": str(len(site.members))}
     saved_ns = int(site.graph.stamp_ns.max())
     number = save_map(out, shown.changed_tiles(), saved_ns, about, site.geo, site.graph)

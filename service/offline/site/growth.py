@@ -19,12 +19,12 @@ from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
 from service.interruption import before_ending
-from service.mapper.components import RenderedMap
-from service.mapper.graph.edit.editing import only, solved
+from service.mapper.components import MapRenderer, RenderedMap
+from service.mapper.graph.edit.editing import only, optimised
 from service.mapper.graph.edit.merging import together
-from service.mapper.graph.loops.stored_graph import loop_arrays
+from service.mapper.graph.loops.stored_graph import loop_arrays, to_render
+from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
-from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
 from service.offline.cluster.engines import Engine
 from service.offline.cluster.tasks import AnyTask, program_digest
@@ -37,13 +37,14 @@ from service.offline.site.changes import (
     log_odds_elsewhere,
     seen_by,
 )
+from service.offline.site.kept import Seen
 from service.offline.site.sessions import Session
 from service.offline.site.tasks import Find, FindLoops, keep_graph
 
 SPOT_M, VIEWS = 0.5, 6  # of the site so many key frames a spot and direction are looked at
-KEPT_OF_SPOT = 2
+KEPT_OF_SPOT = 1
 PLACE_M = 4.0  # cells in which sessions overlap
-MAX_PARTNERS, TIMES_COVERED = 4, 2  # sessions that one is tied to, at most; of each of its places
+MAX_PARTNERS, TIMES_COVERED = 4, 1  # sessions that one is tied to, at most; of each of its places
 MIN_LOOPS = 3  # that hold a session
 # By fixes alone a session is known well enough to look for loops: FINISH_WINDOW of the back end at 3 sigma.
 MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
@@ -67,7 +68,7 @@ class Member:
 
 @dataclass(slots=True, eq=False)
 class Site:
-    """What is known of a site; `rendered` once it has been solved.
+    """What is known of a site.
 
     elsewhere   of those left out, whom the newest state contradicts as another place would: in which words
     """
@@ -76,11 +77,11 @@ class Site:
     graph: SavedGraph
     cell_m: float
     geo: GeoReference | None = None
-    rendered: RenderedMap | None = None
     contradicted: int = 0  # loops that the rest contradicts
     left_out: dict[str, str] = field(default_factory=dict)  # name -> why
     elsewhere: dict[str, str] = field(default_factory=dict)
-    _seen: dict[int, RenderedMap] = field(default_factory=dict)  # by member, of this solution
+    kept: dict[str, Seen] = field(default_factory=dict)  # by name of the member
+    _layers: tuple[Layers, dict[int, Comparison]] | None = None  # of this solution
 
     @property
     def begins(self) -> list[int]:
@@ -94,9 +95,10 @@ class Site:
 
     def seen(self, k: int) -> RenderedMap:
         """What a member saw by itself."""
-        if k not in self._seen:
-            self._seen[k] = seen_by(self.graph_of(k), self.cell_m)
-        return self._seen[k]
+        graph, name = self.graph_of(k), self.members[k].name
+        if name not in self.kept or not self.kept[name].is_of(graph.map):
+            self.kept[name] = Seen(seen_by(graph, self.cell_m), graph.map)
+        return self.kept[name].rendered
 
     def in_time(self) -> list[int]:
         """The members by their dates."""
@@ -104,11 +106,21 @@ class Site:
 
     def layers(self) -> tuple[Layers, dict[int, Comparison]]:
         """What changed from member to member; and each against those before it in time."""
-        layers, compared = Layers(self.cell_m), dict[int, Comparison]()
-        for k in self.in_time():
+        if self._layers is None:
+            self.compare(self.in_time(), lambda k, compared: True)
+            assert self._layers is not None
+        return self._layers
+
+    def compare(self, order: Sequence[int], is_of_site: Callable[[int, Comparison], bool]) -> None:
+        """Members, each against those before it in an order; and whether each is of the site."""
+        layers, compared, of_site = Layers(self.cell_m), dict[int, Comparison](), []
+        for k in order:
             compared[k] = layers.compare(self.seen(k))
-            layers.add(k, self.seen(k), compared[k])
-        return layers, compared
+            if is_of_site(k, compared[k]):
+                layers.add(k, self.seen(k), compared[k])
+                of_site.append(k)
+        if of_site == self.in_time():
+            self._layers = layers, compared
 
     def anchors(self) -> StoredAnchors:
         of = {
@@ -123,12 +135,14 @@ class Site:
         return np.asarray(np.searchsorted(self.begins, self.graph.loop_ends, side="right") - 1)
 
     def solve(self) -> None:
-        """Solve it, and draw it."""
-        anchors, renderer = self.anchors(), OccupancyTiles(OccupancyConfig(), self.cell_m).renderer
-        solution = solved(self.graph, renderer, anchoring=anchors)
-        self.graph, self.geo, self.rendered = solution.graph, anchors.reference, solution.rendered_map
-        self.contradicted += solution.contradicted
-        self._seen.clear()
+        anchors, loops = self.anchors(), len(self.graph.loop_ends)
+        self.graph, self.geo = optimised(self.graph, anchors), anchors.reference
+        self.contradicted += loops - len(self.graph.loop_ends)
+        self._layers = None
+
+    def rendered(self, renderer: MapRenderer) -> RenderedMap:
+        """The shown map, of the newest key frames of each spot and direction."""
+        return renderer.render(to_render(KeyframeList(self.graph), seen_enough(self.graph, 0)))
 
 
 def member_of(session: Session) -> Member:
@@ -186,11 +200,11 @@ class _Round:
                 continue
             members = known.get(session.name, 0)
             if members not in firsts:
-                seen = _seen_enough(site.graph, site.begins[members])
+                seen = seen_enough(site.graph, site.begins[members])
                 firsts[members] = keep_graph(only(site.graph, seen), self.folder / f"from_{members}")
             own = keep_graph(session.graph, self.folder / f"own_{k}")
             asked.append(session)
-            tasks.append(Find(session.name, firsts[members], own, program_digest()))
+            tasks.append(Find(session.name, (firsts[members],), own, program_digest()))
         for one, outcome in zip(asked, self._run(tasks, "looking for sessions"), strict=True):
             if "pose_first_second" in outcome:
                 found[one.name] = np.array(outcome["pose_first_second"])
@@ -231,8 +245,7 @@ class _Round:
                 kept[k] = placed[k]
         joined = self._joined(kept, new, loops, anchored)
         site.members, site.graph, site.geo = joined.members, joined.graph, joined.geo
-        site.rendered, site.contradicted = joined.rendered, joined.contradicted
-        site._seen = joined._seen
+        site.contradicted, site._layers = joined.contradicted, joined._layers
         for k, one in new.items():
             if k not in kept and one.name not in site.elsewhere:
                 x_m, y_m, theta_rad = found[one.name].tolist()
@@ -250,12 +263,19 @@ class _Round:
         for k in sorted({k for pair in pairs for k in pair}):
             graph = placed[k] if k in placed else site.graph_of(k)
             folders[k] = keep_graph(graph, self.folder / f"graph_{k}")
+        others = {to: [of for of, other in pairs if other == to] for _, to in pairs}
         tasks = [
-            FindLoops(f"sessions {of} and {to} of the site", folders[of], folders[to], program_digest())
-            for of, to in pairs
+            FindLoops(
+                f"session {to} of the site", tuple(folders[k] for k in of), folders[to], program_digest()
+            )
+            for to, of in others.items()
         ]
         outcomes = self._run(tasks, "looking for loops between sessions")
-        return {pair: outcome["loops"] for pair, outcome in zip(pairs, outcomes, strict=True)}
+        return {
+            (k, to): loops
+            for (to, of), outcome in zip(others.items(), outcomes, strict=True)
+            for k, loops in zip(of, outcome["loops"], strict=True)
+        }
 
     def _joined(
         self,
@@ -271,7 +291,11 @@ class _Round:
         while kept:
             members = [*site.members, *(member_of(new[k]) for k in kept)]
             joined = Site(
-                members, together(site.graph, *kept.values()), site.cell_m, contradicted=site.contradicted
+                members,
+                together(site.graph, *kept.values()),
+                site.cell_m,
+                contradicted=site.contradicted,
+                kept=site.kept,
             )
             number = dict(zip([*range(count), *kept], joined.begins, strict=False))
             between = [
@@ -300,20 +324,21 @@ class _Round:
         """Of those added behind the members: whom these, and those added before it in time, contradict as
         another place would. `left_out` says why.
         """
-        count, layers, found = len(self.site.members), Layers(joined.cell_m), []
-        for k in sorted(joined.in_time(), key=lambda k: k >= count):
-            seen, name = joined.seen(k), joined.members[k].name
-            compared = layers.compare(seen)
-            log_odds = log_odds_elsewhere(**compared.counts)
-            if k >= count and name not in self.joined and log_odds >= MIN_LOG_ODDS:
-                self.site.elsewhere[name] = in_words(**compared.counts)
-                self.site.left_out[name] = (
-                    f"{self.site.elsewhere[name]}: another floor of the same plan, or much was moved; "
-                    f"--join {name} adds it"
-                )
-                found.append(added[k - count])
-            else:
-                layers.add(k, seen, compared)
+        count, found = len(self.site.members), list[int]()
+
+        def is_of_site(k: int, compared: Comparison) -> bool:
+            name, log_odds = joined.members[k].name, log_odds_elsewhere(**compared.counts)
+            if k < count or name in self.joined or log_odds < MIN_LOG_ODDS:
+                return True
+            self.site.elsewhere[name] = in_words(**compared.counts)
+            self.site.left_out[name] = (
+                f"{self.site.elsewhere[name]}: another floor of the same plan, or much was moved; "
+                f"--join {name} adds it"
+            )
+            found.append(added[k - count])
+            return False
+
+        joined.compare(sorted(joined.in_time(), key=lambda k: k >= count), is_of_site)
         return found
 
     def _run(self, tasks: Sequence[AnyTask], phase: str) -> list[dict[str, Any]]:
@@ -327,7 +352,7 @@ class _Round:
         return [outcomes[k] for k in range(len(tasks))]
 
 
-def _seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
+def seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
     """(N,) key frames from `begin` on that tell what there is: of each spot and direction the newest ones, so
     that a site of bounded size is looked through in bounded time.
     """

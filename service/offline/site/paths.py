@@ -14,20 +14,24 @@ from service.offline.writing import whole_files
 PATHS = "paths"  # below the map of the site
 
 
-def write_paths(out: Path, site: Site, results: Mapping[str, Path]) -> None:
+def write_paths(
+    out: Path, site: Site, results: Mapping[str, Path], known: Mapping[str, Trajectory]
+) -> dict[str, Trajectory]:
     """paths/NAME.tum of each member: every pose of the result, bent to where its key frames are now. Of a map
     without a trajectory those of the key frames alone.
 
     results   folders of the results of new members, by name; the others are bent from where they were
+    known     where they were, as far as that is known; of the rest the files say it
 
-    Raises InputError, StorageError.
+    Returns the paths by name. Raises InputError, StorageError.
     """
+    written = {}
     for begin, member in zip(site.begins, site.members, strict=False):
         rows = slice(begin, begin + member.keyframes)
         at_ns, k = np.unique(site.graph.stamp_ns[rows], return_index=True)
         now = site.graph.map[rows][k]
         path = out / PATHS / f"{member.name}.tum"
-        was = read_tum(path) if path.exists() else None
+        was = known.get(member.name) or (read_tum(path) if path.exists() else None)
         if was is None and member.name in results:
             was = open_result(results[member.name]).trajectory
         if was is not None:  # a session that extended a map has its key frames, too, of other times
@@ -36,5 +40,7 @@ def write_paths(out: Path, site: Site, results: Mapping[str, Path]) -> None:
         else:
             was = Trajectory(at_ns, now)
         poses = bent(was.stamp_ns, was.pose, at_ns, was.at(at_ns), now)
+        written[member.name] = Trajectory(was.stamp_ns, poses)
         with whole_files(path) as new:
-            write_tum(new, Trajectory(was.stamp_ns, poses).poses())
+            write_tum(new, written[member.name].poses())
+    return written

@@ -1,11 +1,13 @@
 """What is done of a site in parallel: where a session lies in it, and the loops between two sessions."""
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 
 from service.mapper.graph.edit.merging import MergeError, find_second, together
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.graph_files import read_graph, write_graph
@@ -16,48 +18,55 @@ EVERY_M = 2.0  # along the path a loop to each other session, as often as the ma
 
 
 @dataclass(frozen=True, slots=True)
-class _OfTwo:
-    """first, second   folders that keep_graph wrote"""
+class _OfSession:
+    """sites, session   folders that keep_graph wrote: parts of the site, and what is looked for in them"""
 
     name: str
-    first: Path
-    second: Path
+    sites: tuple[Path, ...]
+    session: Path
     program: str
 
-    def graphs(self) -> tuple[SavedGraph, int]:
-        """Both in one, and how many key frames the first has. Raises InputError."""
-        first, second = (
+    def graphs(self) -> tuple[SavedGraph, list[int]]:
+        """All in one; and the number of the first key frame of each, the session last. Raises InputError."""
+        graphs = [
             read_graph(folder, [path.name for path in folder.iterdir()])
-            for folder in (self.first, self.second)
-        )
-        return together(first, second), len(first)
+            for folder in (*self.sites, self.session)
+        ]
+        return together(*graphs), [0, *accumulate(map(len, graphs[:-1]))]
 
 
-class Find(_OfTwo):
-    """Where the second lies in the first: outcome `pose_first_second` [x m, y m, theta rad], or `why` it is
+class Find(_OfSession):
+    """Where the session lies in the site: outcome `pose_first_second` [x m, y m, theta rad], or `why` it is
     not found.
     """
 
     def work(self) -> Done:
         try:
-            pose, _ = find_second(*self.graphs(), LoopsConfig(), ENOUGH)
+            both, begins = self.graphs()
+            pose, _ = find_second(both, begins[-1], LoopsConfig(), ENOUGH)
         except MergeError as error:
             return Done({"why": str(error)}, {})
         return Done({"pose_first_second": pose.tolist()}, {})
 
 
-class FindLoops(_OfTwo):
-    """Loops from the first to the second, accepted as in the mapper: outcome `loops`, their key frames
-    counted in either graph. The second lies about where it is in the map frame of the first: 1.5 m, 0.2 rad.
+class FindLoops(_OfSession):
+    """Loops from other sessions to one, accepted as in the mapper: outcome `loops`, a list for each of the
+    others, their key frames counted in either graph. The session lies within 1.5 m and 0.2 rad of its pose in
+    the frame of the others.
     """
 
     def work(self) -> Done:
-        both, count = self.graphs()
-        back_end = LoopBackEnd(LoopsConfig(search_every_m=EVERY_M), None, both)
-        back_end.begin_session_at(count, is_across=True)
-        back_end.work(Batch([], is_last=True))
-        across = [loop for loop in back_end.loops if loop.of < count <= loop.to]
-        return Done({"loops": [replace(loop, to=loop.to - count) for loop in across]}, {})
+        whole, begins = self.graphs()
+        back_end = LoopBackEnd(LoopsConfig(search_every_m=EVERY_M), None, whole)
+        back_end.begin_session_at(begins[-1], is_across=True)
+        back_end.search_again()
+        back_end.solve()  # without those that the rest contradicts
+        loops: list[list[Loop]] = [[] for _ in self.sites]
+        for loop in back_end.loops:
+            of = bisect_right(begins, loop.of) - 1
+            if of < len(self.sites) and loop.to >= begins[-1]:
+                loops[of].append(replace(loop, of=loop.of - begins[of], to=loop.to - begins[-1]))
+        return Done({"loops": loops}, {})
 
 
 def keep_graph(graph: SavedGraph, folder: Path) -> Path:

@@ -17,7 +17,7 @@ from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.edit_requests import Becomes, EditError
 from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.stored_graph import saved_graph
 from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.pose_graph import PoseGraph
@@ -165,21 +165,25 @@ def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
     return {name: getattr(graph, name)[kept] for name in names}
 
 
-def solved(
-    graph: SavedGraph,
-    renderer: MapRenderer,
-    config: LoopsConfig | None = None,
-    anchoring: Anchoring | None = None,
-) -> Solved:
-    """The graph optimised with odometry, loops, pairs and fixes; the first key frame stays fixed."""
-    back_end = LoopBackEnd(config or LoopsConfig(), renderer, graph, anchoring=anchoring)
-    rendered: Result = back_end.work(Batch([], "optimize"))
-    saved = back_end.work(Batch([], "checkpoint")).saved
-    assert isinstance(saved, SavedGraph)
-    rendered_map = rendered.rendered_map or back_end.render()
+def solved(graph: SavedGraph, renderer: MapRenderer) -> Solved:
+    """The graph optimised with odometry, loops and pairs, and rendered; the first key frame stays fixed."""
+    saved = optimised(graph)
+    rendered_map = LoopBackEnd(LoopsConfig(), renderer, saved).render()
     assert rendered_map is not None
     off = saved.map[:, :2] - graph.map[:, :2]
     return Solved(saved, rendered_map, len(graph.loop_ends) - len(saved.loop_ends), np.hypot(*off.T))
+
+
+def optimised(graph: SavedGraph, anchoring: Anchoring | None = None) -> SavedGraph:
+    """The graph optimised with odometry, loops, pairs and fixes, without the loops that fail the chi-square
+    gate; the first key frame stays fixed.
+    """
+    back_end = LoopBackEnd(LoopsConfig(), None, graph, anchoring=anchoring)
+    is_anchored = anchoring is not None and anchoring.reference is not None
+    if is_anchored or len(graph.loop_ends) or len(graph.by_hand.pair_ends):
+        back_end.solve()
+    segments = set(back_end.keyframes.segment.tolist())
+    return saved_graph(back_end.keyframes, back_end.loops, segments, back_end.refusals)
 
 
 def rendered_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:

@@ -89,7 +89,7 @@ class LoopBackEnd:
         self._candidates: list[Loop] = []
         self._disabled: list[Loop] = []
         self._gone = 0, 0  # accepted and disabled loops of removed key frames
-        self._refusals = Refusals(None if stored is None else stored.refused)
+        self.refusals = Refusals(None if stored is None else stored.refused)
         self._submaps = SubmapCache(config, self.keyframes, self._usable)
         self._drift = PathDrift(self.keyframes, config.keyframe_distance_m)
         self._searched_m = float(self.keyframes.path_length_m[-1]) if stored is not None else 0.0
@@ -100,7 +100,7 @@ class LoopBackEnd:
         self._is_merging = self._is_across = False  # as of begin_session_at
         self._placement = Placement(stored is not None)
         self._old_passes = OldPasses(config, self.keyframes)
-        self._edits = LiveEdits(self.keyframes, self._refusals)
+        self._edits = LiveEdits(self.keyframes, self.refusals)
         self._anchoring = anchoring or Anchoring()
         self._pictures = PictureSchedule()
 
@@ -118,12 +118,12 @@ class LoopBackEnd:
             fixes=dict(anchoring.counts),
             place=self._place(),
             picture=self._pictures.picture(
-                self.keyframes, self._joined, self._loops, self._refusals, is_asked
+                self.keyframes, self._joined, self._loops, self.refusals, is_asked
             ),
         )
         if batch.is_last or batch.request == "checkpoint":
             fixed_count = self._fixed_count if self._is_switched else None
-            saved = saved_graph(self.keyframes, self._loops, self._joined, self._refusals, fixed_count)
+            saved = saved_graph(self.keyframes, self._loops, self._joined, self.refusals, fixed_count)
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
 
@@ -148,7 +148,7 @@ class LoopBackEnd:
         if batch.request == "undo" and self._accepted:
             gone = self._accepted.pop()
             self._loops = [loop for loop in self._loops if loop not in gone]
-            self._refusals.add(gone, BY_HAND)
+            self.refusals.add(gone, BY_HAND)
             moved = True
         has_pairs = len(self.keyframes.by_hand.pair_ends) > 0
         applied, edited = self._edit(batch.change)
@@ -161,7 +161,7 @@ class LoopBackEnd:
             self._forget_session()
         elif not self._is_detached():  # a detached segment adds nothing to the map
             self._old_passes.forget(self._loops)
-            taken_back = [(loop.of, loop.to) for loop in self._refusals.by_hand(self._loops)]
+            taken_back = [(loop.of, loop.to) for loop in self.refusals.by_hand(self._loops)]
             needed = self._anchoring.keyframes, self.keyframes.by_hand.pair_ends, taken_back
             if not self._is_merging and (new := self._old_passes.renumbering(needed)) is not None:
                 self._renumber(new)
@@ -170,7 +170,7 @@ class LoopBackEnd:
             return Result(*self._counts, rendered_map=rendered, edited=edited)
         before = self.keyframes.map.copy()
         disabled = len(self._disabled)
-        self._solve()
+        self.solve()
         if applied is not None:
             edited = self._edits.answer(applied, self._known(), before, len(self._disabled) - disabled)
         graph = self._to_solve(is_in_hindsight=True)
@@ -272,7 +272,7 @@ class LoopBackEnd:
         self._verify_placement()
         for found in self._search(keyframes.count - 1):
             self._candidates.append(found)
-            self._refusals.add([found], NOT_SUPPORTED)
+            self.refusals.add([found], NOT_SUPPORTED)
             self._accept(found)
         oldest_m = self._searched_m - 2.0 * WITHIN_M
         self._candidates = [loop for loop in self._candidates if keyframes.path_length_m[loop.to] >= oldest_m]
@@ -345,9 +345,9 @@ class LoopBackEnd:
                 submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
             )
             if not against < MAX_AGAINST:
-                self._refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
-            elif not self._drift.allows(loop):
-                self._refusals.add([loop], TOO_FAR)
+                self.refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
+            elif not (self._is_across or self._drift.allows(loop)):
+                self.refusals.add([loop], TOO_FAR)
             else:
                 found.append(loop)
         return found
@@ -367,8 +367,8 @@ class LoopBackEnd:
             is_near &= abs(path_length_m[loop.of] - path_length_m[found.of]) <= 2.0 * WITHIN_M
             return is_near and agree(self.keyframes, found, loop, base, growth)
 
-        if any(map(is_consistent, self._refusals.by_hand(self._loops))):
-            self._refusals.add([found], BY_HAND)
+        if any(map(is_consistent, self.refusals.by_hand(self._loops))):
+            self.refusals.add([found], BY_HAND)
             return
         group = [loop for loop in self._candidates if is_consistent(loop)]
         is_one_spot = np.ptp([path_length_m[loop.to] for loop in group]) < config.consensus_span_m
@@ -398,7 +398,7 @@ class LoopBackEnd:
         edges_of = edges_in_hindsight if is_in_hindsight else odometry_edges
         return edges_of(self.keyframes, self._config.keyframe_distance_m)
 
-    def _solve(self) -> None:
+    def solve(self) -> None:
         """Optimise the poses; disables loops beyond the chi-square gate."""
         if self.keyframes.count < 2:
             return
@@ -419,7 +419,7 @@ class LoopBackEnd:
         go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
         self._loops = [loop for loop in self._loops if loop not in go]
         self._disabled += go
-        self._refusals.add(go, CONTRADICTED)
+        self.refusals.add(go, CONTRADICTED)
         return bool(go)
 
     def _finish(self) -> Result:
@@ -429,11 +429,11 @@ class LoopBackEnd:
         if self._anchoring.has_changes:
             self._find_anchors()
         if (self._loops or self._anchoring.reference) and not self._is_merging:
-            self._solve()
+            self.solve()
         if not self._fixed_count:
-            self._search_again()
+            self.search_again()
         if self._loops:
-            self._solve()
+            self.solve()
         self._submaps.clear()
         return Result(
             *self._counts,
@@ -444,7 +444,7 @@ class LoopBackEnd:
             keyframes=keyframes.count,
         )
 
-    def _search_again(self) -> None:
+    def search_again(self) -> None:
         """Search loops at the end of a drive, at passes that are close by only after the optimisation."""
         config, path_length_m = self._config, self.keyframes.path_length_m
         done = {
@@ -459,7 +459,7 @@ class LoopBackEnd:
                     done.add(spot)
                     new.append(loop)
         self._candidates += new
-        self._refusals.add(new, NOT_SUPPORTED)
+        self.refusals.add(new, NOT_SUPPORTED)
         for loop in new:
             if loop not in self._loops:
                 self._accept(loop)
@@ -499,7 +499,7 @@ class LoopBackEnd:
         self._gone = loops - len(self._loops), disabled - len(self._disabled)
         self._candidates = new.loops(self._candidates)
         self._accepted = [kept for group in self._accepted if (kept := new.loops(group))]
-        self._refusals.renumber(new.loops)
+        self.refusals.renumber(new.loops)
         self._anchoring.renumber(new.number)
         self._submaps.keep_before(int(np.argmin(new.is_kept)))
         self._drift = PathDrift(keyframes, self._config.keyframe_distance_m)

@@ -4,6 +4,7 @@ import math
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
+from service.mapper.components import RenderedMap
 from service.mapper.graph.edit import merging
 from service.mapper.graph.edit.editing import only
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
@@ -29,7 +31,10 @@ from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.maps.log import utc
 from service.offline.maps.work import map_info
 from service.offline.replay.setup import ReplayOptions
+from service.offline.score.trajectory import read_tum
+from service.offline.site import growth, kept
 from service.offline.site.build import site_build
+from service.offline.site.changes import seen_by
 from service.offline.site.manifest import SITE_FILE
 from service.offline.site.tasks import Find, FindLoops
 from tests.service.mapper.graph.loops import rings
@@ -189,13 +194,41 @@ def test_a_new_drive_is_added_without_doing_the_others_again(grown, drives):
     assert sorted(names_in(report)) == ["a", "b", "c", "d"]
     assert (report["added"], report["version"]) == (2, 2)
     assert {task.name for task in engine.done if isinstance(task, Find)} == {"c", "d", "elsewhere"}
-    assert not any("0 and 1 " in task.name for task in engine.done if isinstance(task, FindLoops))
+    searched = {task.name for task in engine.done if isinstance(task, FindLoops)}
+    assert searched == {"session 2 of the site", "session 3 of the site"}
     off_m = errors_m(grown, names_in(report))
     assert math.sqrt((off_m**2).mean()) < 0.02
     idle = Counting()
     again = build([drives], grown, idle)
     assert (idle.done, again["added"], again["version"]) == ([], 0, 2)
     assert list(again["left_out"]) == ["elsewhere"]
+
+
+@pytest.mark.parametrize(("same", "rendered"), [(10.0, ["c"]), (0.0, ["a", "b", "c"])])
+def test_what_a_drive_saw_is_rendered_again_only_if_its_key_frames_moved(
+    grown, drives, monkeypatch, same: float, rendered: list[str]
+):
+    names = []
+
+    def counted(graph: SavedGraph, cell_m: float) -> RenderedMap:
+        names.append(list(FRAMES)[graph.stamp_ns[0] // HOUR_NS])
+        return seen_by(graph, cell_m)
+
+    monkeypatch.setattr(growth, "seen_by", counted)
+    monkeypatch.setattr(kept, "SAME_M", same)
+    monkeypatch.setattr(kept, "SAME_RAD", same)
+    build([drives / "c"], grown)
+    assert sorted(set(names)) == rendered
+
+
+def test_a_path_goes_on_from_where_it_was_without_its_file(grown, drives, tmp_path):
+    other = Path(shutil.copytree(grown, tmp_path / "other", symlinks=True))
+    shutil.rmtree(other / "kept")
+    for out in (grown, other):
+        build([drives / "c"], out)
+    paths = [read_tum(out / "paths" / "a.tum") for out in (grown, other)]
+    np.testing.assert_array_equal(paths[0].stamp_ns, paths[1].stamp_ns)
+    np.testing.assert_allclose(paths[0].pose, paths[1].pose, atol=1e-8)
 
 
 def test_what_was_drawn_by_hand_outlives_the_next_build(grown, drives):
@@ -262,18 +295,21 @@ def knowing(tasks: Sequence[AnyTask]) -> Ended:
     """An engine that does not search: it knows where each drive lies, and ties key frames of one place."""
     for k, task in enumerate(tasks):
         assert isinstance(task, Find | FindLoops)
-        both, count = task.graphs()
+        whole, begins = task.graphs()
         if isinstance(task, Find):
-            first = list(FRAMES)[both.stamp_ns[0] // HOUR_NS]
+            first = list(FRAMES)[whole.stamp_ns[0] // HOUR_NS]
             pose = FRAMES[first] @ FRAMES[task.name].inverse()
             yield k, Done({"pose_first_second": [pose.x_m, pose.y_m, pose.theta_rad]}, {})
             continue
-        loops = []
-        true = np.array([true_pose_at(rings.STEP_M * at) for at in both.stamp_ns % HOUR_NS // 10**8])
-        for to in range(count, len(both), 10):
-            of = int(np.hypot(*(true[:count, :2] - true[to, :2]).T).argmin())
-            measured = se2.between(true[of], true[to])
-            loops.append(Loop(of, to - count, measured, np.diag([1e-4, 1e-4, 1e-6]), 0.9, 300, 0.0))
+        loops: list[list[Loop]] = []
+        true = np.array([true_pose_at(rings.STEP_M * at) for at in whole.stamp_ns % HOUR_NS // 10**8])
+        for begin, end in pairwise(begins):
+            loops.append([])
+            for to in range(begins[-1], len(whole), 10):
+                of = int(np.hypot(*(true[begin:end, :2] - true[to, :2]).T).argmin())
+                measured = se2.between(true[begin + of], true[to])
+                covariance = np.diag([1e-4, 1e-4, 1e-6])
+                loops[-1].append(Loop(of, to - begins[-1], measured, covariance, 0.9, 300, 0.0))
         yield k, Done({"loops": loops}, {})
 
 
