@@ -94,7 +94,7 @@ def test_a_cut_takes_the_key_frames_of_its_time_and_nothing_else(ring: SavedGrap
 
 def test_a_cut_that_disconnects_the_map_is_refused_with_its_parts(open_ring: SavedGraph):
     with pytest.raises(
-        EditError, match=r"2 parts .* by nothing: 40 key frames between .* from 4.60 s on. --bridge"
+        EditError, match=r"2 parts .* disconnected: 40 key frames between .* from 4.60 s on. --bridge"
     ):
         without_time(open_ring, 40 * TENTH_NS, 45 * TENTH_NS, is_bridged=False)
     bridged = without_time(open_ring, 40 * TENTH_NS, 45 * TENTH_NS, is_bridged=True)

@@ -261,7 +261,7 @@ def test_detached_key_frames_carry_no_edit_and_are_neither_cut_nor_stored(open_r
     )
     switched = back_end.work(Batch([], "set_mode", is_localizing=True)).edited
     assert switched is not None
-    assert "has not been placed" in switched.error
+    assert "is not joined" in switched.error
 
 
 def test_a_bounded_number_of_changes_can_be_undone(open_ring: bytes, monkeypatch: pytest.MonkeyPatch):

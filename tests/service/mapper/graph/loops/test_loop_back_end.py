@@ -144,7 +144,7 @@ def test_the_picture_is_periodic_and_shows_accepted_and_refused_loops(
     stamps = np.array([picture.stamp_ns for picture in pictures])
     assert (np.diff(stamps) >= 2_000_000_000).all()
     false = Loop(10, 80, np.zeros(3), np.eye(3), 0.9)
-    back_end._refusals.add([false], CONTRADICTED)
+    back_end.refusals.add([false], CONTRADICTED)
     last = back_end.work(Batch([], is_last=True)).picture
     assert last is not None
     keyframes = back_end.keyframes
