@@ -12,7 +12,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, cast
+from unittest.mock import patch
 
+from moto.server import ThreadedMotoServer
+
+from service.archive import path_or_url
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
 from service.offline.cluster.tasks import DONE_FILE, new_tasks
@@ -34,15 +39,25 @@ class _Run:
         self._sessions, self._folder = sessions, folder
         self._expected = ""
 
-    def __call__(self, name: str, engine: Engine, disturb: Disturb = lambda ended: None) -> float:
-        """Seconds. Raises AssertionError where a result differs from that of the first engine."""
-        folders = [self._folder / name / path.stem for path in self._sessions]
-        tasks = new_tasks([[path] for path in self._sessions], ReplayOptions(), folders)
+    def __call__(
+        self, name: str, engine: Engine, disturb: Disturb = lambda ended: None, bucket: Path | None = None
+    ) -> float:
+        """Seconds. Raises AssertionError where a result differs from that of the first engine.
+
+        bucket   has the sessions in `in`, and gets the results; None: all is on the disk
+        """
+        sessions = [path if bucket is None else bucket / "in" / path.name for path in self._sessions]
+        out = (bucket or self._folder) / name
+        tasks = new_tasks(
+            [[path] for path in sessions], ReplayOptions(), [out / path.stem for path in sessions]
+        )
         began_s = time.monotonic()
         done = run_batch(tasks, engine, lambda share, *_: disturb(round(share * len(tasks))))
         taken_s = time.monotonic() - began_s
         faults = [one.outcome for one in done if not isinstance(one.outcome, dict)]
         assert not faults, faults
+        if bucket is not None:
+            cast(Any, bucket).fs.get(cast(Any, out).path, str(self._folder / name), recursive=True)
         digest = _digest(self._folder / name)
         self._expected = self._expected or digest
         assert digest == self._expected, f"{name}: other bytes"
@@ -68,6 +83,11 @@ def measure() -> list[Row]:
         with Cluster("local:2") as cluster:
             dask_s = run("dask", cluster)
             empty_s = run("dask", cluster)  # all is done: what is left is the task itself
+        bucket = stack.enter_context(_bucket())
+        for session in sessions:
+            (bucket / "in" / session.name).write_bytes(session.read_bytes())
+        with Processes(2) as processes:
+            stored_s = run("stored", processes, bucket=bucket)
         address, scheduler = stack.enter_context(_dask(Path(folder)))
         with Cluster(address) as cluster:
             killed_s = run("killed", cluster, _once(lambda: os.kill(_a_worker(), signal.SIGKILL)))
@@ -80,6 +100,7 @@ def measure() -> list[Row]:
         ("--cluster local:2", dask_s, "s"),
         ("--cluster local:2, speed-up", serial_s / dask_s, "x"),
         ("task that is done already", 1e3 * empty_s / SESSIONS, "ms"),
+        ("--jobs 2, from S3 and to it", stored_s, "s"),
         ("2 workers, one killed", killed_s, "s"),
         ("2 workers, scheduler restarted", restarted_s, "s"),
     ]
@@ -103,6 +124,20 @@ def _once(act: Callable[[], object]) -> Disturb:
             waiting.pop()()
 
     return disturb
+
+
+@contextmanager
+def _bucket() -> Iterator[Path]:
+    """Of an S3 server that runs here. What is started meanwhile knows it."""
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    address = "http://{}:{}".format(*server.get_host_and_port())
+    keys = dict.fromkeys(("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"), "any")
+    with patch.dict(os.environ, AWS_ENDPOINT_URL=address, AWS_DEFAULT_REGION="us-east-1", **keys):
+        bucket = path_or_url("s3://site")
+        bucket.mkdir()
+        yield bucket
+    server.stop()
 
 
 class _Scheduler:
