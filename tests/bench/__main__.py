@@ -40,6 +40,7 @@ def main() -> int:
         "cluster": cluster.measure,
         "fleet": fleet.measure,
         "site": site.measure,
+        "site-sizes": site.measure_sizes,
         "start-up": start_up.measure,
         "secured": secured.measure,
         "live": live.measure,
@@ -74,7 +75,7 @@ def main() -> int:
         rows = measure()
         results[name] = {what: value for what, value, _ in rows}
         for what, value, unit in rows:
-            print(f"{name:<9} {what:<44} {value:>10.3f} {unit}", flush=True)
+            print(f"{name:<10} {what:<44} {value:>10.3f} {unit}", flush=True)
     parsed.out.write_text(json.dumps(results, indent=1) + "\n")
     return 0
 

@@ -1,6 +1,10 @@
 """A site of 12 drives, two of another building: do they lie in one frame, and what does one more cost."""
 
 import hashlib
+import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +25,7 @@ from tests.bench.site_drives import ELSEWHERE, SEEDS, record_drive
 
 Row = tuple[str, float, str]
 LAST = 20  # of the site; it is added to the others
+SIZES, SHORT_S = (20, 40, 60, 100), 40.0  # sessions of a site, of so many s each
 
 
 def measure() -> list[Row]:
@@ -56,6 +61,52 @@ def measure() -> list[Row]:
         ("replay of a session, processor", replay_s, "s"),
         ("one more, besides its replay, processor", added_s, "s"),
         ("one more, with its replay, of a replay", 1.0 + added_s / replay_s, "x"),
+    ]
+
+
+def measure_sizes() -> list[Row]:
+    """Processor and memory for sites of more and more sessions of one place: 350 m of corridors and rooms."""
+    with TemporaryDirectory(prefix="corridor-bench-") as temporary:
+        folder = Path(temporary)
+        first = SEEDS[-1] + 1
+        seeds = range(first, first + max(SIZES))
+        sessions = [record_drive(seed, folder, SHORT_S)[0] for seed in seeds]
+        results = [folder / "r" / one.stem for one in sessions]
+        began_s = time.process_time()
+        run_batch(new_tasks([[one] for one in sessions], ReplayOptions(), results), in_turn, lambda *_: None)
+        replay_s = (time.process_time() - began_s) / len(sessions)
+        rows: list[Row] = [("replay of a short session, processor", replay_s, "s")]
+        for count in SIZES:
+            for what, value, unit in build_apart(results[:count], folder / str(count)):
+                rows.append((f"{count} sessions: {what}", value, unit))
+    return rows
+
+
+def build_apart(results: Sequence[Path], out: Path) -> list[Row]:
+    """By a process of its own, whose memory is only that of the build."""
+    command = [
+        sys.executable,
+        "-m",
+        "service",
+        "site",
+        "build",
+        *map(str, results),
+        "--out",
+        str(out),
+        "--json",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        report = json.loads(process.stdout.read())
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert not process.returncode, report
+    used_s = used.ru_utime + used.ru_stime
+    return [
+        ("in the map", float(len(report["sessions"])), ""),
+        ("processor", used_s, "s"),
+        ("processor a session", used_s / len(results), "s"),
+        ("memory", used.ru_maxrss / 1e3, "MB"),
     ]
 
 
