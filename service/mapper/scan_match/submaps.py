@@ -186,8 +186,8 @@ class Submap:
             normals = self.narrow_walls.insert(points, normals, pose_vector)
         walls = [(points.xy_base, normals)]
         if posts is not None:
-            directions = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
-            walls.append((np.repeat(posts.xy_base, 2, axis=0), directions))
+            post_normals = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
+            walls.append((np.repeat(posts.xy_base, 2, axis=0), post_normals))
         point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
         sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         for surfels in (grid, self.fine_grid()):

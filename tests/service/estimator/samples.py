@@ -24,5 +24,5 @@ def gyro(stamp_ms: float, rate_radps: float) -> ImuSample:
 
 
 def matched(pose: SE2, covariance: npt.NDArray[np.float64] = SURE) -> Measurement:
-    """What a scan says alone."""
+    """Covariance of a scan alone."""
     return Measurement(pose, covariance, np.linalg.inv(covariance), is_joined=False)

@@ -1,4 +1,4 @@
-"""How well a pose is known where scans alone measure the motion, and walls say nothing of the way along."""
+"""Covariance of a pose where only scans measure the motion, and walls do not fix the position along them."""
 
 import math
 from dataclasses import replace
@@ -18,12 +18,12 @@ from tests.service.estimator.samples import MS, odometry
 from tests.simulated import LMS100_50HZ, drive, run
 from tests.soaked import in_soak
 
-FOLLOWED = np.diag([0.01**2, 0.005**2, 0.001**2])  # of the pose, by all that a scan says
-ACROSS = np.diag([0.0, 1.0 / 0.005**2, 1.0 / 0.001**2])  # less chance: nothing of the way along
+FOLLOWED = np.diag([0.01**2, 0.005**2, 0.001**2])  # of the pose, by the full information of a scan
+ACROSS = np.diag([0.0, 1.0 / 0.005**2, 1.0 / 0.001**2])  # less chance: none along the walls
 
 
 def drive_on(model: Estimator, from_ms: int, until_ms: int, has_odometry: bool = False) -> np.ndarray:
-    """(2,) m: sigma along and across of the pose, after 1 m/s along walls that say nothing of the way."""
+    """(2,) m: sigma along and across of the pose, after 1 m/s along featureless walls."""
     covariance = np.zeros((3, 3))
     for stamp_ms in range(from_ms, until_ms + 1, 20):
         if has_odometry:
@@ -49,7 +49,7 @@ def test_a_motion_that_no_one_measured_is_not_known() -> None:
 def test_odometry_that_comes_back_does_not_tell_where_the_pose_is() -> None:
     model = Estimator(EstimatorConfig())
     drive_on(model, 0, 4000)
-    along_m, _ = drive_on(model, 4020, 6000, has_odometry=True)  # it tells the speed, and so some of the way
+    along_m, _ = drive_on(model, 4020, 6000, has_odometry=True)  # it measures speed
     with_odometry_m, _ = drive_on(Estimator(EstimatorConfig()), 0, 6000, has_odometry=True)
     assert along_m > 1.0 > 0.2 > with_odometry_m
 
@@ -79,7 +79,7 @@ def corridor() -> World:
 
 
 @pytest.mark.parametrize("seed", [1, in_soak(2)])
-def test_a_laser_alone_says_that_it_does_not_know_how_far_it_went(seed: int) -> None:
+def test_the_covariance_of_a_laser_alone_grows_along_a_corridor(seed: int) -> None:
     """It ends metres off, at doors that it cannot have mapped before: `ok` is no pose from there on."""
     world = corridor()
     laser = replace(LMS100_50HZ, rate_hz=25.0)

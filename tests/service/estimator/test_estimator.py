@@ -66,7 +66,7 @@ def test_odom_is_the_base_when_the_first_sweep_began(speed_mps: float) -> None:
 
 
 def over_a_step(root_density: float, tau_s: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Way, speed and acceleration dt later, (3, 3), and the noise added, (3, 3), by one matrix exponential.
+    """Transition of displacement, speed and acceleration, (3, 3), and its noise, by one matrix exponential.
 
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23, 1978.
     """
@@ -74,9 +74,9 @@ def over_a_step(root_density: float, tau_s: float, dt: float) -> tuple[np.ndarra
     both = np.zeros((6, 6))
     both[:3, :3], both[3:, 3:] = -rates, rates.T
     both[2, 5] = (root_density / tau_s) ** 2
-    whole = expm(dt * both)
-    goes_on = whole[3:, 3:].T
-    return goes_on, goes_on @ whole[:3, 3:]
+    both_steps = expm(dt * both)
+    transition = both_steps[3:, 3:].T
+    return transition, transition @ both_steps[:3, 3:]
 
 
 def later(sample, offset_ns: int):
@@ -84,7 +84,7 @@ def later(sample, offset_ns: int):
 
 
 def test_a_straight_path_is_the_least_squares_solution_over_all_of_it() -> None:
-    """Along x everything is linear: positions and speeds of all scans at once, solved by QR, say the same."""
+    """Along x everything is linear: positions and speeds of all scans at once, solved by QR, agree."""
     config = EstimatorConfig(
         odometry_scale_sigma=0.0, odometry_lag_sigma_s=0.0, odometry_jitter_s=0.0, odometry_position_walk=1e-9
     )
@@ -107,26 +107,26 @@ def test_a_straight_path_is_the_least_squares_solution_over_all_of_it() -> None:
 
     rows, right = [], []
 
-    def say(columns: dict[int, float], value: float, sigma: float) -> None:
+    def measure(columns: dict[int, float], value: float, sigma: float) -> None:
         row = np.zeros(3 * count)  # x_0, v_0, a_0, x_1, ...
         row[list(columns)] = list(columns.values())
         rows.append(row / sigma)
         right.append(value / sigma)
 
-    say({0: 1.0}, 0.0, MIN_SIGMA[0])
-    say({1: 1.0}, 0.0, FIRST_TWIST_SIGMA[0])
-    say({2: 1.0}, 0.0, config.acceleration / math.sqrt(2.0 * ACCELERATION_S))
-    goes_on, noise_of_step = over_a_step(config.acceleration, ACCELERATION_S, dt)
+    measure({0: 1.0}, 0.0, MIN_SIGMA[0])
+    measure({1: 1.0}, 0.0, FIRST_TWIST_SIGMA[0])
+    measure({2: 1.0}, 0.0, config.acceleration / math.sqrt(2.0 * ACCELERATION_S))
+    transition, noise_of_step = over_a_step(config.acceleration, ACCELERATION_S, dt)
     root = np.linalg.inv(np.linalg.cholesky(noise_of_step))
     for k in range(1, count):
         x0, x1 = 3 * k - 3, 3 * k
         for row in root:
-            before, after = -row @ goes_on, row
-            say({x0 + i: before[i] for i in range(3)} | {x1 + i: after[i] for i in range(3)}, 0.0, 1.0)
-        said_m = wheels_m[k] - wheels_m[k - 1]
-        say({x0: -1.0, x1: 1.0}, said_m, RESOLUTION_M)
+            before, after = -row @ transition, row
+            measure({x0 + i: before[i] for i in range(3)} | {x1 + i: after[i] for i in range(3)}, 0.0, 1.0)
+        odometry_m = wheels_m[k] - wheels_m[k - 1]
+        measure({x0: -1.0, x1: 1.0}, odometry_m, RESOLUTION_M)
         if math.isfinite(sigma_m[k]):
-            say({x1: 1.0}, scans_m[k], sigma_m[k])
+            measure({x1: 1.0}, scans_m[k], sigma_m[k])
     system = np.array(rows)
     solution = np.linalg.lstsq(system, np.array(right), rcond=None)[0]
     spread = np.linalg.inv(system.T @ system)[-3:, -3:]
@@ -164,7 +164,7 @@ def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
     np.testing.assert_allclose(local, covariance, rtol=1e-6, atol=1e-12)
 
 
-def test_a_scan_that_says_nothing_leaves_the_prediction() -> None:
+def test_a_scan_without_information_keeps_the_prediction() -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 1000)
     predicted = model.predict(1100 * MS)
@@ -381,7 +381,7 @@ def test_a_pause_of_odometry_between_two_scans_is_reported_and_one_of_the_laser_
     assert alone.predict(1000 * MS).pause_s == 0.0
     assert alone.predict(10_000 * MS).pause_s == pytest.approx(
         9.0
-    )  # without odometry no one measures the way
+    )  # without odometry the motion is not measured
 
 
 def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:
@@ -454,7 +454,7 @@ def test_samples_that_wait_for_a_scan_for_a_day_do_not_fill_memory() -> None:
     assert end - first <= len(samples.track.stamp_ns) <= 2 * MAX_SAMPLES
     stamps = samples.track.stamp_ns[first:end]
     assert (np.diff(stamps) > 0).all()
-    assert stamps[0] == 0  # where the way since the last scan begins
+    assert stamps[0] == 0  # start of the step since the last scan
     np.testing.assert_array_equal(stamps[-1000:], np.arange(2 * MAX_SAMPLES - 1000, 2 * MAX_SAMPLES))
     np.testing.assert_array_equal(samples.track.value[first:end, 0], stamps)
     assert samples.take_dropped() == 2 * MAX_SAMPLES - (end - first)

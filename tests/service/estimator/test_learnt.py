@@ -32,7 +32,7 @@ class FaultyWheels(Wheels):
 
     lag_s: float = 0.0
     slip_radps: float = 0.0  # for 0.7 s, 8 s after the start
-    dies_s: float = math.inf  # says from then on that the vehicle stands
+    dies_s: float = math.inf  # reports standstill from then on
 
 
 def one_seed(*cases: FaultyWheels) -> list[Any]:
@@ -78,19 +78,19 @@ def learnt_on(
     turned_rad = wheels.turn_scale * np.diff(heading_rad[rows], prepend=0.0)
     turned_rad += wheels.sigma_rad_per_sqrt_m * root[1] + slip_rad
     turned_rad = np.where(t_s[rows] < wheels.dies_s, turned_rad, 0.0)
-    said_rad = np.cumsum(turned_rad)
-    said_m = np.where(
+    odometry_rad = np.cumsum(turned_rad)
+    odometry_m = np.where(
         t_s[rows] < wheels.dies_s, wheels.scale * steps_m + wheels.sigma_m_per_sqrt_m * root[0], 0.0
     )
-    said_x_m = np.cumsum(said_m * np.cos(said_rad - 0.5 * turned_rad))
-    said_y_m = np.cumsum(said_m * np.sin(said_rad - 0.5 * turned_rad))
+    odometry_x_m = np.cumsum(odometry_m * np.cos(odometry_rad - 0.5 * turned_rad))
+    odometry_y_m = np.cumsum(odometry_m * np.sin(odometry_rad - 0.5 * turned_rad))
 
     model, along_map, settled_m, sent = Estimator(EstimatorConfig()), np.diag(information), 0.0, 0
     root_information = np.sqrt(np.where(along_map > 0.0, 1.0 / np.maximum(along_map, 1e-9), 0.0))
     for k in range(round(0.2 / DT_S), len(t_s), round(SCAN_S / DT_S)):
         while sent < len(rows) and rows[sent] <= k + round(SCAN_S / DT_S):
             stamp_ms = 1e3 * (t_s[rows[sent]] + wheels.lag_s) + 1000.0
-            model.add(odometry(stamp_ms, SE2(said_x_m[sent], said_y_m[sent], said_rad[sent])))
+            model.add(odometry(stamp_ms, SE2(odometry_x_m[sent], odometry_y_m[sent], odometry_rad[sent])))
             sent += 1
         predicted = model.predict(round((t_s[k] + 1.0) * 1e9))
         true = SE2(x_m[k], y_m[k], heading_rad[k])
@@ -101,13 +101,13 @@ def learnt_on(
         c, s = math.cos(turn), math.sin(turn)
         axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of the walls, in the base
         seen = true @ SE2.exp(*(axes @ root_information @ noise.standard_normal(3)).tolist())
-        said = axes @ along_map @ axes.T
+        of_scan = axes @ along_map @ axes.T
         off = np.array((predicted.pose_odom_base.inverse() @ seen).log())
         prior = np.linalg.inv(predicted.local_covariance)
-        moved = np.linalg.solve(prior + said, said @ off)  # to where the scan is matched
+        moved = np.linalg.solve(prior + of_scan, of_scan @ off)  # to where the scan is matched
         chi2 = float(moved @ prior @ moved)
         weight = min(1.0, 8.0 / (5.0 + chi2))  # as the matcher weighs a prediction, [12]
-        motion = model.correct(Measurement(seen, np.eye(3), said, weight, is_joined=False))
+        motion = model.correct(Measurement(seen, np.eye(3), of_scan, weight, is_joined=False))
         if way_m[k] - settled_m > SETTLE_M:
             model.settle(math.exp(-SETTLE_M / 4.0))
             settled_m = way_m[k]
@@ -118,7 +118,7 @@ def learnt_on(
 
 @pytest.mark.parametrize("seed", FEW_SEEDS)
 def test_a_corridor_teaches_no_scale(seed: int) -> None:
-    """Nothing there tells an error of scale from one of the speed: noise must not seem to."""
+    """Errors of scale and speed are indistinguishable there: noise must not seem to separate them."""
     learnt = learnt_on(seed, 60.0, CORRIDOR, FaultyWheels())
     assert abs(learnt.error[0]) < 1e-3
     assert learnt.sigma[0] == pytest.approx(EstimatorConfig().odometry_scale_sigma, rel=0.01)

@@ -1,4 +1,4 @@
-"""Odometry that says the same pose again and again: while its vehicle stands, and for ever."""
+"""Odometry that repeats a pose: at standstill, and after a failure."""
 
 import numpy as np
 import pytest
@@ -24,10 +24,10 @@ def way_m_at(stamp_ms: int, stands_ms: tuple[int, int]) -> float:
 @pytest.mark.parametrize(
     "dies_ms", [0, DEAD_MS, 6500, None], ids=["never lived", "driving", "standing", "lives"]
 )
-def test_odometry_that_says_the_same_pose_for_ever_is_believed_only_while_the_vehicle_stands(
+def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(
     dies_ms: int | None,
 ) -> None:
-    """It claims to stand to 0.2 mm, where scans know the way to 15 mm. It stands from 6.5 to 8 s."""
+    """It reports standstill to 0.2 mm, where scans measure the motion to 15 mm; true from 6.5 to 8 s."""
     model, random, stands_ms = Estimator(EstimatorConfig()), np.random.default_rng(5), (6000, 8000)
     off_m, faults, counted_m = [], [], 0.0
     for stamp_ms in range(0, 12_001, 20):
@@ -41,7 +41,7 @@ def test_odometry_that_says_the_same_pose_for_ever_is_believed_only_while_the_ve
             found = model.correct(matched(seen, VAGUE)).pose_odom_base
             off_m.append(abs(found.x_m - way_m))
             faults.append(model.fault)
-    # The one that dies unnoticed is found out by what the scans say against it.
+    # The one that dies unnoticed is detected by the scans that contradict it.
     assert max(off_m) < (0.5 if dies_ms == 6500 else 0.08)
     assert faults[-1].startswith("odometry contradicts the scans (it says the same pose again") is (
         dies_ms is not None
@@ -75,7 +75,7 @@ def test_odometry_that_moves_again_counts_again_and_what_it_counted_meanwhile_do
     assert found_after_hanging(counts=True)[81:] == pytest.approx(found_after_hanging(counts=False)[81:])
 
 
-def test_a_vehicle_that_hits_a_wall_stands() -> None:
+def test_a_collision_with_a_wall_is_a_standstill() -> None:
     """It stops from 1 m/s at once, which scans confirm; after 3 s it drives back."""
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(0, 10_001, 20):
@@ -104,9 +104,7 @@ def test_odometry_that_dies_in_a_turn_on_the_spot_is_found_out_before_the_turn_i
 
 
 @pytest.mark.parametrize(("braked_s", "gone_m"), [(0.5, 0.25), (0.02, 3.0), (0.003, 3.0)])
-def test_wheels_that_stand_at_once_while_no_scan_comes_measure_no_motion(
-    braked_s: float, gone_m: float
-) -> None:
+def test_an_impossible_stop_without_scans_measures_no_motion(braked_s: float, gone_m: float) -> None:
     """1 m/s until 4 s, then they brake, a vehicle does within 0.5 s; no scan until 7 s, when they roll on."""
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(0, 9_001, 20):

@@ -39,7 +39,7 @@ def predicted(
     accelerates: bool = True,
     from_ms: int = 0,
 ) -> Prediction:
-    """Of a model that knows the way up to `until_ms`, at AT_MS, with tight scans each 100 ms since `from_ms`.
+    """Of a model with odometry up to `until_ms`, at AT_MS, with tight scans each 100 ms since `from_ms`.
 
     accelerates   False: the acceleration that it found is set to 0, and only what is measured is left
     """
@@ -92,10 +92,10 @@ def test_a_turn_that_begins_within_the_sweep_bends_no_wall():
     assert off_m(prediction, begun_to_move) < 0.01
 
 
-def test_a_gyro_alone_tells_the_turn():
+def test_a_gyro_alone_measures_the_rotation():
     prediction = predicted(begun_to_move, has_odometry=False, has_gyro=True)
     assert off_m(prediction, begun_to_move, DeskewByTwist) > 0.15
-    assert off_m(prediction, begun_to_move) < 0.03  # the way, 11 mm at the end, it does not tell
+    assert off_m(prediction, begun_to_move) < 0.03  # the displacement, 11 mm at the end, is not measured
 
 
 def test_a_turn_that_goes_on_growing_bends_no_wall_although_no_one_measures_it():

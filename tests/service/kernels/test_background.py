@@ -104,7 +104,7 @@ def test_the_squared_blur_is_a_gaussian() -> None:  # A9
 
 
 def see(level: LikelihoodLevel, kind: int, value: float, settings: LearningSettings) -> None:
-    """One scan that tells something of cell (0, 0) alone."""
+    """One scan that observes only cell (0, 0)."""
     cells = room()
     touch_cell(level, 0, 0, cells)
     cells.kind[0], cells.value[0] = kind, value
@@ -136,7 +136,7 @@ def test_a_full_cell_fades_to_a_tenth_in_920_scans() -> None:  # A48
     assert at(level.likelihood, level, 0, 0) == pytest.approx(0.1, abs=0.002)
 
 
-def test_averaging_rises_and_falls_at_the_rates_of_the_paper_and_settles_at_what_scans_say() -> None:
+def test_averaging_follows_the_rates_of_the_paper_to_the_scans_likelihood() -> None:
     level = empty_level()
     see(level, HIT, 1.0, AVERAGED)
     see(level, BLURRED, 0.4, AVERAGED)

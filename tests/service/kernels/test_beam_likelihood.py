@@ -38,7 +38,7 @@ SENSOR = (0.0, 0.0)
 FIRST = -200  # row and column of the cells of points: 10 m to each side
 
 
-def mapped(looked_through: bool = False) -> KnownGround:
+def mapped(seen_through: bool = False) -> KnownGround:
     """A wall across x = 3.05 m from y = -1.5 to 1.5 m, seen from the origin; later beams pass through it."""
     y = np.arange(-1.5, 1.5, 0.002)
     xy = np.column_stack((np.full(len(y), WALL_X_M), y))
@@ -52,7 +52,7 @@ def mapped(looked_through: bool = False) -> KnownGround:
     known = KnownGround(
         walls, cells_with_walls(walls), through_count, ground, -10, points, FIRST, FIRST, visited
     )
-    if looked_through:
+    if seen_through:
         beyond = np.column_stack((np.full(401, 4.5), np.linspace(-2.0, 2.0, 401)))
         for _ in range(10):
             count_beams_through(beyond, np.zeros(2), walls, 1.0, through_count)
@@ -60,7 +60,7 @@ def mapped(looked_through: bool = False) -> KnownGround:
 
 
 def ratios(ends, known: KnownGround, pose=(0.0, 0.0, 0.0), sensor=SENSOR, normal=(-1.0, 0.0), number=1):
-    """Of beams from one sensor to some ends, all as the map has them; asked from a base with a pose in it."""
+    """Of beams from one sensor to some ends, all as the map has them; from a base with a pose in it."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[c, -s], [s, c]])
     here = (np.atleast_2d(ends) - pose[:2]) @ turn
@@ -82,7 +82,7 @@ def ratio_by_hand(off_m: float, ground: float, on_points: float) -> float:
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.7, -0.4, 2.2)])
 @pytest.mark.parametrize("off_m", [0.003, 0.02, -0.04])
-def test_a_beam_that_ends_on_a_wall_is_as_likely_as_its_noise_says(off_m, pose):
+def test_a_beam_that_ends_on_a_wall_has_the_likelihood_of_its_noise(off_m, pose):
     known = mapped()
     end = WALL_X_M + off_m, 0.325
     cell = [math.floor(value / POINT_CELL_M) - FIRST for value in end]
@@ -102,7 +102,7 @@ def test_a_map_that_knows_all_that_is_seen_gives_the_full_ratio():
     ("end", "density"),
     [((-2.0, 0.0), UNKNOWN_DENSITY), ((1.55, 0.05), FREE_DENSITY), ((WALL_X_M - 0.1, 0.0), UNKNOWN_DENSITY)],
 )
-def test_a_beam_that_ends_on_no_wall_is_as_likely_as_the_ground_says(end, density):
+def test_a_beam_that_ends_on_no_wall_has_the_density_of_the_ground(end, density):
     ratio = ratios(end, mapped(), normal=(0.0, 1.0))[0]
     assert ratio == pytest.approx(math.log(density / UNKNOWN_DENSITY), abs=0.1)
     assert (ratio < MIN_LOG_RATIO) == (density == FREE_DENSITY)
@@ -122,16 +122,16 @@ def test_no_beam_goes_through_a_wall_from_whichever_side(sensor, end):
     assert ratio == pytest.approx(math.log(MIN_REMOVED_PROBABILITY), abs=0.02)
 
 
-def test_a_thing_that_is_gone_counts_once_however_many_beams_say_so():
+def test_a_removed_wall_counts_once_for_all_beams():
     known = mapped()
     one = ratios((4.5, 0.0), known, number=1)
     many = ratios([(4.5, 0.001 * k) for k in range(10)], known, number=2)
     assert many.sum() == pytest.approx(one.sum())
-    assert ratios((4.5, 0.0), known, number=3) == pytest.approx(one)  # at another pose it is asked again
+    assert ratios((4.5, 0.0), known, number=3) == pytest.approx(one)  # at another pose it counts again
 
 
-def test_of_a_wall_that_the_map_itself_looked_through_a_beam_does_not_say_much():
-    known = mapped(looked_through=True)
+def test_a_beam_through_a_wall_that_the_map_saw_removed_costs_little():
+    known = mapped(seen_through=True)
     assert -1.5 < ratios((4.5, 0.0), known)[0] < -0.05
     assert ratios((4.5, 0.0), mapped())[0] < -3.0
 
@@ -161,7 +161,7 @@ def test_likelihood_near_points_is_that_of_the_nearest():
     assert points[off_m > 3 * POINT_CELL_M].max() == 0
 
 
-def test_ways_are_asked_no_further_than_they_can_matter():
+def test_paths_are_evaluated_no_further_than_they_can_matter():
     """Beams that go through the wall side by side, each through a cell of its own."""
     known = mapped()
     ends = np.column_stack((np.full(8, 4.5), np.linspace(-1.6, 1.6, 8)))

@@ -37,8 +37,8 @@ def test_a_point_where_two_walls_meet_is_in_both():  # B20
 
 
 def test_a_gap_parts_a_wall_and_short_parts_are_left_out():  # B21
-    pieces = [wall((0, 0), (2, 0), 60), wall((2.5, 0), (4, 0), 60), wall((5, 0), (5.8, 0), 60)]
-    segment, counts = found(np.vstack(pieces))
+    walls = [wall((0, 0), (2, 0), 60), wall((2.5, 0), (4, 0), 60), wall((5, 0), (5.8, 0), 60)]
+    segment, counts = found(np.vstack(walls))
     assert counts[0] == 2
     assert {*segment[:60, 0]} | {*segment[60:120, 0]} == {0, 1}
     assert (segment[120:, 0] == NO_SEGMENT).all()

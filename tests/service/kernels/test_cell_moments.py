@@ -19,7 +19,7 @@ from service.kernels.tiles import NO_TILE, TileIndex
 
 SIGMA_M = 0.012
 SENSOR = np.zeros(2)
-FACE_X_M = 6.04  # of a wall across the way of the beams, from y = 1.00 to 1.25: the far side of a sunk door
+FACE_X_M = 6.04  # of a wall across the beams, from y = 1.00 to 1.25: the far side of a sunk door
 
 
 def empty_moments(tiles_each_way: int = 8, used_slots: int = 0) -> MomentGrid:
@@ -119,8 +119,8 @@ def test_what_has_no_plane_stays_rough() -> None:
     noise, grid = np.random.default_rng(4), empty_moments()
     for _ in range(60):
         add(grid, np.array([6.0, 1.1]) + 0.15 * noise.uniform(-1.0, 1.0, (3, 2)), 0)
-    asked = np.array([6.0, 1.1]) + 0.1 * noise.uniform(-1.0, 1.0, (50, 2))
-    assert np.mean(directed(grid, asked, 0)[:, 2] != ROUGH_WEIGHT) < 0.1
+    points = np.array([6.0, 1.1]) + 0.1 * noise.uniform(-1.0, 1.0, (50, 2))
+    assert np.mean(directed(grid, points, 0)[:, 2] != ROUGH_WEIGHT) < 0.1
 
 
 def test_a_point_behind_the_corner_belongs_to_no_plane_and_is_not_taken_in() -> None:
@@ -145,8 +145,8 @@ def test_a_cell_that_is_no_plane_begins_again_and_finds_it() -> None:
     nx, ny, weight = directed(grid, np.array([[FACE_X_M, 1.24]]), 0)[0]
     assert weight >= 1.0
     assert abs(math.atan2(ny, -nx)) < 0.25
-    held = grid.moments[..., 0, :]
-    assert held[..., WEIGHT].max() * SIGMA_M**2 >= RESTART_POINTS
+    moments = grid.moments[..., 0, :]
+    assert moments[..., WEIGHT].max() * SIGMA_M**2 >= RESTART_POINTS
 
 
 def test_the_noisier_laser_counts_less() -> None:

@@ -1,4 +1,4 @@
-"""Which points of a scan contradict a sub-map, and which say nothing: walls ahead of one sensor."""
+"""Which points of a scan contradict a sub-map: walls ahead of one sensor."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ NEAR_M, FAR_M = 2.0, 3.0
 
 @pytest.fixture(scope="module")
 def place() -> CandidateSubmap:
-    """A wall at NEAR_M, wider than what is asked, and no one has looked behind it."""
+    """A wall at NEAR_M, wider than the points tested, with unknown ground behind it."""
     made = CandidateSubmap()
     for _ in range(4):
         made.see(*wall(NEAR_M, 0.6, 400))
@@ -50,7 +50,7 @@ def test_what_lies_where_key_frames_looked_through_is_in_free_space() -> None:
     assert contradicting(place, *beside) == (0, 0)
 
 
-def test_points_without_weight_are_not_asked(place: CandidateSubmap) -> None:
+def test_points_without_weight_are_skipped(place: CandidateSubmap) -> None:
     xy, normals = wall(FAR_M)
     normals[:, 2] = 0.0
     assert contradicting(place, xy, normals) == (0, 0)

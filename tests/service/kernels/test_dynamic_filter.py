@@ -62,14 +62,14 @@ class CandidateSubmap:
     def scores(self, xy: np.ndarray) -> np.ndarray:
         return np.array([self.observations.score[cell] for cell in cells_of(self.grid, xy)])
 
-    def points_held(self, xy: np.ndarray) -> float:
+    def point_counts(self, xy: np.ndarray) -> float:
         """By the surfels of the cells in which the points lie; finer cells hold as many."""
-        held = [
+        counts = [
             float(sum(grid.surfels[cell][:, 0].sum() for cell in set(cells_of(grid, xy))))
             for grid in (self.grid, self.fine_grid)
         ]
-        assert held[0] == held[1]
-        return held[0]
+        assert counts[0] == counts[1]
+        return counts[0]
 
 
 def cells_of(grid: SurfelGrid, xy: np.ndarray) -> list[tuple[int, int, int]]:
@@ -115,27 +115,27 @@ def test_what_is_looked_through_goes_and_what_is_behind_stays() -> None:
     near, far = wall(2.0, 0.2), wall(3.0)
     for _ in range(6):
         place.see(*near)
-    assert place.points_held(near[0]) == 6 * len(near[0])
-    left = [place.points_held(near[0])]
+    assert place.point_counts(near[0]) == 6 * len(near[0])
+    left = [place.point_counts(near[0])]
     for _ in range(6):
         place.see(*far)
-        left.append(place.points_held(near[0]))
-    assert left[5] == left[0]  # six key frames saw it, and each that looks through takes one away
+        left.append(place.point_counts(near[0]))
+    assert left[5] == left[0]  # six key frames saw it, and each beam through it takes one away
     assert left[6] == 0.0
-    assert place.points_held(far[0]) == 6 * len(far[0])
+    assert place.point_counts(far[0]) == 6 * len(far[0])
 
 
 def test_a_wall_that_the_beams_pass_along_stays() -> None:
     place = CandidateSubmap()
     xy, normals = side_wall(0.8)
     place.see(xy, normals)
-    held = place.points_held(xy)
+    counts = place.point_counts(xy)
     rng = np.random.default_rng(3)
     for _ in range(10):  # beams that end on its far half, with noise across it, pass over the near half
         beams = rng.choice(np.arange(150, 300), 80)
         xy_again = xy[beams] + rng.normal(0.0, 0.012, (80, 2))
         place.see(xy_again, np.column_stack([np.zeros(80), np.zeros(80), np.zeros(80)]))
-    assert place.points_held(xy) == held
+    assert place.point_counts(xy) == counts
 
 
 def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
@@ -144,16 +144,16 @@ def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
     facing_away = np.tile([1.0, 0.0, 1.0], (len(xy), 1))
     place.see(xy, facing_away)
     place.see(*wall(3.0))
-    assert place.points_held(xy) == len(xy)
+    assert place.point_counts(xy) == len(xy)
 
 
-def test_a_beam_that_ends_close_behind_says_nothing() -> None:
+def test_a_beam_that_ends_close_behind_removes_nothing() -> None:
     place = CandidateSubmap()
     xy, normals = wall(2.0, 0.2)
     place.see(xy, normals)
     for _ in range(5):
         place.see(*wall(2.15, 0.2))
-    assert place.points_held(xy) > 0.0
+    assert place.point_counts(xy) > 0.0
 
 
 def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
@@ -238,7 +238,7 @@ def test_points_in_known_free_space_have_moved_and_new_ground_has_not() -> None:
     assert not moved(place, beyond, 1).any()
 
 
-def test_what_came_into_free_space_has_moved_until_it_stood_over_enough_of_the_path() -> None:
+def test_an_object_in_free_space_is_dynamic_until_it_stayed_over_enough_of_the_path() -> None:
     place = CandidateSubmap()
     near, far = wall(2.0, 0.2), wall(3.0)
     place.see(*near)

@@ -24,7 +24,7 @@ SIGMA_M = 0.12
 
 
 def room(turn_rad: float = 0.0, width_m: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
-    """Walls of a room of 3 m by its width seen from within, with a niche that tells its ends apart."""
+    """Walls of a room of 3 m by its width seen from within, with a niche that distinguishes its ends."""
     xy, normals = [], []
     for begin, end in (
         ((0.0, 0.0), (width_m, 0.0)),
@@ -34,11 +34,11 @@ def room(turn_rad: float = 0.0, width_m: float = 5.0) -> tuple[np.ndarray, np.nd
         ((1.0, 2.0), (0.0, 2.0)),
         ((0.0, 2.0), (0.0, 0.0)),
     ):
-        way = np.subtract(end, begin)
-        length_m = float(np.hypot(*way))
-        inward = np.array([-way[1], way[0]]) / length_m
+        direction = np.subtract(end, begin)
+        length_m = float(np.hypot(*direction))
+        inward = np.array([-direction[1], direction[0]]) / length_m
         for share in np.arange(0.05, length_m, 0.1) / length_m:
-            xy.append(np.array(begin) + share * way)
+            xy.append(np.array(begin) + share * direction)
             normals.append([*inward, 1.0])
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     turn = np.array([[c, -s], [s, c]])
@@ -113,7 +113,7 @@ def test_a_wall_is_not_found_from_its_other_side():
     above = np.tile([0.0, 1.0, 1.0], (40, 1))
     pyramid = pyramid_of(xy, above)
     below = above * (1.0, -1.0, 1.0)
-    turned_by_no_heading = 1  # of one: only as it stands
+    turned_by_no_heading = 1  # of one: only the given heading
     assert len(search_facing(xy, above, pyramid, turned_by_no_heading, 0.9, 0.1)[0]) > 0
     assert len(search_facing(xy, below, pyramid, turned_by_no_heading, 0.3, 0.1)[0]) == 0
 

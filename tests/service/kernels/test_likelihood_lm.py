@@ -46,8 +46,10 @@ def test_a_descent_step_by_step_is_that_in_one_go() -> None:
     xy, field = np.random.default_rng(6).uniform(-2.0, 2.0, (60, 2)), field_of(random_field())
     weights, prior = np.full(60, 4.0), 50.0 * np.eye(3)
     start, settings = np.array([0.11, -0.07, 0.3]), LmSettings(100)
-    whole, single, hessian = start.copy(), start.copy(), np.empty((3, 3))
-    steps, is_settled, _ = align_points(xy, weights, start, prior, field, settings, 50, 1e-3, whole, hessian)
+    at_once, single, hessian = start.copy(), start.copy(), np.empty((3, 3))
+    steps, is_settled, _ = align_points(
+        xy, weights, start, prior, field, settings, 50, 1e-3, at_once, hessian
+    )
     assert steps > 3
     assert is_settled
     damping = settings.first_damping
@@ -56,7 +58,7 @@ def test_a_descent_step_by_step_is_that_in_one_go() -> None:
             xy, weights, start, prior, field, settings, 1, damping, single, hessian
         )
     assert is_settled
-    np.testing.assert_array_equal(single, whole)
+    np.testing.assert_array_equal(single, at_once)
 
 
 def test_a_descent_solves_no_more_systems_than_it_may() -> None:
@@ -70,7 +72,7 @@ def test_a_descent_solves_no_more_systems_than_it_may() -> None:
 
 @pytest.mark.parametrize("floor", [0.0, 1e-9])
 def test_a_direction_that_nothing_fixes_needs_a_floor_or_a_prior(floor: float) -> None:
-    """A field that rises along x alone, asked at one point ahead."""
+    """A field that rises along x alone, read at one point ahead."""
     grid = random_field()
     rising = np.arange(grid.field.shape[2], dtype=np.float32) / grid.field.shape[2]
     grid.field[:] = 0.5 * rising
@@ -123,7 +125,7 @@ def test_normals_of_a_noisy_wall(outliers: float, most_deg: float) -> None:  # A
     assert np.median(off) < most_deg
 
 
-def test_a_corridor_gives_its_few_end_points_a_say() -> None:  # A24 A25
+def test_the_few_end_points_of_a_corridor_count() -> None:  # A24 A25
     angle = np.concatenate([np.full(486, 1.57), np.full(54, 0.01), [np.nan]])
     histogram, weight = np.empty(12, np.int64), np.empty(541)
     balance_weights(angle, 100.0, 50.0, histogram, weight)

@@ -28,12 +28,12 @@ def tiled(
     rows = (first_row // tile_cells, (first_row + field.shape[0] - 1) // tile_cells)
     columns = (first_column // tile_cells, (first_column + field.shape[1] - 1) // tile_cells)
     slots = np.full((rows[1] - rows[0] + 1, columns[1] - columns[0] + 1), -1, np.int32)
-    whole = np.full([n * tile_cells for n in slots.shape], empty, field.dtype)
+    padded = np.full([n * tile_cells for n in slots.shape], empty, field.dtype)
     r, c = first_row - rows[0] * tile_cells, first_column - columns[0] * tile_cells
-    whole[r : r + field.shape[0], c : c + field.shape[1]] = field
+    padded[r : r + field.shape[0], c : c + field.shape[1]] = field
     pool = []
     for a, b in np.ndindex(*slots.shape):
-        tile = whole[a * tile_cells : (a + 1) * tile_cells, b * tile_cells : (b + 1) * tile_cells]
+        tile = padded[a * tile_cells : (a + 1) * tile_cells, b * tile_cells : (b + 1) * tile_cells]
         if (tile != empty).any():
             slots[a, b] = len(pool)
             pool.append(tile)
@@ -120,7 +120,7 @@ def test_among_equals_both_searches_take_the_one_nearest_the_centre(value: int) 
     assert (flat.k, flat.j, flat.i) == (bounded.k, bounded.j, bounded.i) == (3, 6, 5)
 
 
-def test_four_equal_peaks_are_settled_the_same_way_by_both() -> None:
+def test_both_searches_choose_the_same_of_four_equal_peaks() -> None:
     field = np.zeros((60, 70), np.uint8)
     for row, column in ((28, 35), (32, 35), (30, 33), (30, 37)):
         field[row, column] = 200

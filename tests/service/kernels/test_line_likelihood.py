@@ -16,14 +16,14 @@ CELL_M = 0.1
 
 
 def empty_layer(tiles: int = 3, tile_cells: int = 20) -> LikelihoodLayer:
-    """tiles x tiles tiles from cell (0, 0) on, in which nothing was drawn."""
+    """tiles x tiles tiles from cell (0, 0) on, all empty."""
     slots = np.arange(tiles * tiles, dtype=np.int32).reshape(tiles, tiles)
     index = TileIndex(slots, np.zeros(2, np.int64), np.empty(0, np.int32), np.array([0, tiles * tiles]))
     cells = np.zeros((tiles * tiles, tile_cells, tile_cells), np.uint8)
     return LikelihoodLayer(index, cells, 0.0, 0.1, 0.1, CELL_M)
 
 
-def whole(layer: LikelihoodLayer) -> np.ndarray:
+def cells_of(layer: LikelihoodLayer) -> np.ndarray:
     return np.block([[layer.cells[slot] for slot in row] for row in layer.tiles.slots])
 
 
@@ -47,22 +47,22 @@ def test_a_point_is_a_hit_and_two_rings(place: tuple[float, float]) -> None:
     expected = np.zeros((60, 60), np.uint8)
     for reach, level in ((2, 3), (1, 6), (0, 9)):
         expected[row - reach : row + reach + 1, column - reach : column + reach + 1] = level
-    np.testing.assert_array_equal(whole(layer), expected)
+    np.testing.assert_array_equal(cells_of(layer), expected)
 
 
 def test_wider_rings_are_so_many_cells_wide() -> None:
     layer = empty_layer()
     draw(layer, [(3.05, 3.05)], ring_cells=3)
-    np.testing.assert_array_equal(whole(layer)[30, 30:38], [9, 6, 6, 6, 3, 3, 3, 0])
+    np.testing.assert_array_equal(cells_of(layer)[30, 30:38], [9, 6, 6, 6, 3, 3, 3, 0])
 
 
 # C9 C11
 def test_the_greater_value_stays_and_nothing_is_ever_forgotten() -> None:
     layer = empty_layer()
     draw(layer, [(1.05, 1.05)])
-    before = whole(layer).copy()
+    before = cells_of(layer).copy()
     draw(layer, [(1.15, 1.05)])
-    after = whole(layer)
+    after = cells_of(layer)
     assert (after >= before).all()
     assert after[10, 10:14].tolist() == [9, 9, 6, 3]
 
@@ -75,12 +75,12 @@ def test_neighbours_are_joined_by_a_line_and_distant_ones_are_not() -> None:
     draw(apart, ends, join_m=1.0)
     beams = np.array([0, 2], np.int32)  # the beam between had no return
     rasterise_scan(np.array(ends), beams, broken, np.zeros(9, np.uint8), LEVELS, 1, np.full(2, 1.2))
-    hits = np.argwhere(whole(joined) == 9)
+    hits = np.argwhere(cells_of(joined) == 9)
     assert len(hits) == 11
     assert np.abs(np.diff(hits, axis=0)).max() == 1
     assert np.abs((hits[:, 0] - 10) - 0.5 * (hits[:, 1] - 10)).max() <= 1.0
     for layer in (apart, broken):
-        assert (whole(layer) == 9).sum() == 2
+        assert (cells_of(layer) == 9).sum() == 2
 
 
 def test_smoothing_takes_noise_off_a_wall_and_leaves_its_ends() -> None:
@@ -108,7 +108,7 @@ def test_the_mean_is_that_of_the_cells_under_the_points() -> None:
 def test_the_climb_by_chance_ends_higher_than_it_began() -> None:
     layer = empty_layer()
     draw(layer, [(1.05, 1.05), (1.05, 4.05), (4.05, 4.05), (4.05, 1.05)], join_m=4.0)
-    xy = np.ascontiguousarray(np.argwhere(whole(layer) == 9)[:, ::-1] * CELL_M + 0.05 - 2.5)
+    xy = np.ascontiguousarray(np.argwhere(cells_of(layer) == 9)[:, ::-1] * CELL_M + 0.05 - 2.5)
     start = np.array([2.62, 2.4, 0.05])
     deviates = np.random.default_rng(1).standard_normal((900, 3))
     pose, value, trials = monte_carlo_search(xy, layer, start, deviates, 0.1, 0.1)

@@ -36,7 +36,7 @@ def test_path_lengths_agree_with_floyd_and_warshall():
             np.testing.assert_allclose(lengths(steps.tolist(), of.tolist(), to.tolist(), start), d[start])
 
 
-def test_a_field_is_the_most_that_any_point_says():
+def test_a_field_is_the_maximum_over_its_points():
     xy = np.random.default_rng(1).uniform(0.3, 1.7, (30, 2))
     field = np.zeros((20, 20), np.float32)
     splat_field(xy, 0, 0, 0.1, 0.12, field)

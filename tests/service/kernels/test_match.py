@@ -72,7 +72,7 @@ def normals_of(xy: np.ndarray, sigma_m: float = SIGMA_M) -> np.ndarray:
 
 
 def room_grid(cell_m: float = 0.1, beside_m: float = 0.0) -> SurfelGrid:
-    """beside_m: the room stands so far off, along x."""
+    """beside_m: offset of the room along x."""
     grid = empty_grid(cell_m)
     xy, pose = room_scan(), np.array([beside_m, 0.0, 0.0])
     for _ in range(3):
@@ -182,7 +182,7 @@ def test_points_of_one_cell_share_the_error_of_its_wall() -> None:
     assert point_information(5.0, 50.0, 1.0, settings) > point_information(1.0, 50.0, 1.0, settings)
 
 
-def test_where_both_normals_agree_the_scan_says_what_its_hessian_does() -> None:
+def test_where_both_normals_agree_the_information_is_the_hessian() -> None:
     root = np.random.default_rng(2).normal(size=(3, 3))
     hessian = 1e4 * (root @ root.T + np.eye(3))
     damping, information = np.empty((3, 3)), np.empty((3, 3))
@@ -199,7 +199,7 @@ def test_where_both_normals_agree_the_scan_says_what_its_hessian_does() -> None:
     np.testing.assert_allclose(information, hessian, rtol=1e-5)
 
 
-def test_a_prediction_that_is_far_off_gives_way() -> None:
+def test_a_prediction_that_is_far_off_loses_weight() -> None:
     information = np.diag([100.0, 400.0, 2500.0])
 
     def weight(x: float, y: float, turn: float) -> float:
@@ -225,7 +225,7 @@ def test_a_scan_finds_its_pose_to_a_fifth_of_a_millimetre() -> None:
 
 
 def test_whole_cells_draw_a_scan_near_and_finer_ones_align_it() -> None:
-    """The prediction is off by more than finer cells reach; whole cells tell how much lies on the map."""
+    """The prediction is off by more than finer cells reach; full cells give the inlier ratio."""
     fine_grid = room_grid(0.05, beside_m=0.01)
     truth = (0.21, -0.13, 0.08)
     result = match(room_scan(truth), prior_at((0.11, -0.05, 0.03)), room_grid(), fine_grid=fine_grid)
@@ -233,7 +233,7 @@ def test_whole_cells_draw_a_scan_near_and_finer_ones_align_it() -> None:
     assert result.share > 0.95
 
 
-def test_where_little_of_a_scan_lies_on_finer_surfels_whole_cells_decide() -> None:
+def test_where_few_inliers_lie_on_finer_surfels_full_cells_decide() -> None:
     truth = (0.21, -0.13, 0.08)
     fine_grid = empty_grid(0.05)
     xy = room_scan()
@@ -258,7 +258,7 @@ def test_no_step_of_a_doubtful_match_raises_the_cost() -> None:
 
 
 def test_what_leaves_a_good_prediction_along_hedges_costs_less() -> None:
-    """By noise of its normals a scan seems to say where along them it is; a step by it may lead anywhere."""
+    """By noise of its normals a scan seems to fix the position along them; a step by it may lead anywhere."""
     sigma_m = 0.027  # as such a scan shows it, by second differences
     rng, grid = np.random.default_rng(3), empty_grid(tiles_each_way=20)
     for x_m in np.arange(-3.0, 3.0, 0.06):
@@ -286,7 +286,7 @@ def hedges(rng: np.random.Generator) -> np.ndarray:
 
 
 def costs_of_match(xy: np.ndarray, start: np.ndarray, grid: SurfelGrid) -> tuple[float, float]:
-    """Half the cost where a doubted match begins and where it ends; the prior is weak."""
+    """Half the cost at the start and end of a match in doubt; the prior is weak."""
     prior, information = prior_at((0.0, 0.0, 0.0), sigma=1.0), np.eye(3)
     normals, around, found = normals_of(xy), empty_cache(len(xy)), np.empty((len(xy), 6))
 
@@ -341,7 +341,7 @@ def test_the_coarse_step_alone_comes_within_centimetres() -> None:
     np.testing.assert_allclose(pose, truth, atol=0.04)
 
 
-def test_what_a_correction_of_the_pose_says_of_the_twist() -> None:
+def test_a_correction_of_the_pose_corrects_the_twist() -> None:
     gain = np.array([[5.0, 0.0, 0.0], [0.0, 2.0, 0.0], [1.0, 0.0, 5.0]])
     prior = prior_at((1.0, 2.0, math.pi / 2.0), twist=np.array([1.0, 0.0, 0.2]), twist_gain=gain)
     twist, ahead = np.empty(3), np.array([1.0, 2.02, math.pi / 2.0 + 0.01])
@@ -353,7 +353,7 @@ def test_what_a_correction_of_the_pose_says_of_the_twist() -> None:
     np.testing.assert_allclose(twist, prior.twist)
 
 
-def test_a_scan_far_from_any_map_keeps_the_prediction_and_says_so() -> None:
+def test_a_scan_far_from_any_map_keeps_the_prediction_without_inliers() -> None:
     prior = prior_at((0.1, 0.2, 0.3))
     result = match(room_scan() + 100.0, prior, room_grid())
     np.testing.assert_allclose(result.pose, prior.pose, atol=1e-9)
@@ -395,8 +395,8 @@ def information_in(end_m: float, seed: int, chance_chi2: float = 0.0) -> tuple[n
     return hessian, information, float(np.mean(normals[:, 0] ** 2))
 
 
-def test_what_chance_says_along_a_bare_corridor_does_not_add_up() -> None:
-    """Held to 0 or more, noise of zero mean says something; of fifty scans in a metre that is a lot."""
+def test_chance_along_a_bare_corridor_does_not_add_up() -> None:
+    """Limited to 0 or more, noise of zero mean becomes information; of fifty scans in a metre it is large."""
     seeds = range(20)
     all_of_it = np.array([information_in(99.0, seed)[1] for seed in seeds])
     less_chance = np.array([information_in(99.0, seed, 2.0 * math.log(50.0))[1] for seed in seeds])
@@ -407,7 +407,7 @@ def test_what_chance_says_along_a_bare_corridor_does_not_add_up() -> None:
 
 def test_a_match_may_follow_what_its_information_leaves_out() -> None:
     """Where nothing but scans measures the motion, chance is followed and still called chance."""
-    said = []
+    information = []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         grid, xy = corridor_grid(99.0, rng, scans=5), corridor(99.0, rng)
@@ -418,21 +418,21 @@ def test_a_match_may_follow_what_its_information_leaves_out() -> None:
         assert np.array_equal(all_of_it.pose, less_chance.pose)
         assert np.array_equal(all_of_it.covariance, less_chance.covariance)
         assert less_chance.weakest_sigma_m**-2 <= all_of_it.weakest_sigma_m**-2 + 1e-6
-        said.append((all_of_it.information[0, 0], less_chance.information[0, 0]))
-    followed, known = np.mean(said, axis=0)
+        information.append((all_of_it.information[0, 0], less_chance.information[0, 0]))
+    followed, known = np.mean(information, axis=0)
     assert known < 0.2 * followed
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_what_an_end_in_view_says_is_not_chance(seed: int) -> None:
+def test_the_information_of_a_visible_end_is_not_chance(seed: int) -> None:
     all_of_it = information_in(5.0, seed)[1]
     less_chance = information_in(5.0, seed, 2.0 * math.log(50.0))[1]
     np.testing.assert_allclose(np.diag(less_chance), np.diag(all_of_it), rtol=0.02)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_along_a_bare_corridor_noise_of_the_normals_says_little(seed: int) -> None:
-    """Each of the two normals seems to hold; what both say does not."""
+def test_along_a_bare_corridor_noise_of_the_normals_has_little_information(seed: int) -> None:
+    """Each of the two normals seems to fix the position; their product does not."""
     hessian, information, square = information_in(99.0, seed)
     own = square * hessian[1, 1]
     assert own > 2e4  # a sigma of 7 mm

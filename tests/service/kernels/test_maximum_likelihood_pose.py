@@ -17,7 +17,7 @@ def seen_at(pose, noise):
     return (ends - pose[:2]) @ turn, np.tile([*(np.array([-1.0, 0.0]) @ turn), 1.0], (120, 1))
 
 
-def asked_at(pose, xy, normals, shares, known, number, least=-math.inf):
+def evaluated_at(pose, xy, normals, shares, known, number, least=-math.inf):
     at_end, along_beam = np.empty(120), np.empty(120)
     evidence = evidence_of_beams(
         xy, normals, np.zeros((120, 2)), shares, pose, known, number, least, at_end, along_beam
@@ -29,38 +29,38 @@ def climbed(start, truth, shares, noise):
     known = mapped()
     xy, normals = seen_at(truth, noise)
     sensors, pose = np.zeros((120, 2)), np.array(start)
-    best, asked = hill_climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
-    evidence, at_end, along_beam = asked_at(pose, xy, normals, shares, known, asked + 1)
+    best, evaluated = hill_climb(xy, normals, sensors, shares, pose, known, 1, FIRST, LEAST)
+    evidence, at_end, along_beam = evaluated_at(pose, xy, normals, shares, known, evaluated + 1)
     assert best == evidence == pytest.approx(float(shares @ at_end + along_beam.sum()))
-    return pose, best, asked
+    return pose, best, evaluated
 
 
 def test_a_climb_ends_at_the_wall_and_along_it_where_it_ends():
     truth = (0.1, -0.05, 0.04)
     start = (0.19, 0.05, 0.015)
-    pose, _, asked = climbed(start, truth, np.ones(120), np.random.default_rng(1))
+    pose, _, evaluated = climbed(start, truth, np.ones(120), np.random.default_rng(1))
     assert pose[2] == pytest.approx(truth[2], abs=0.004)
-    across = pose[0] - truth[0]  # of the wall; along it only its ends say where
+    across = pose[0] - truth[0]  # of the wall; along it only its ends fix the position
     assert abs(across) < 0.012
     assert abs(pose[1] - truth[1]) < 0.15
-    assert asked < 200
+    assert evaluated < 200
 
 
 def test_points_count_by_their_shares():
     truth = (0.1, -0.05, 0.04)
-    _, whole, _ = climbed(truth, truth, np.ones(120), np.random.default_rng(1))
+    _, full, _ = climbed(truth, truth, np.ones(120), np.random.default_rng(1))
     _, half, _ = climbed(truth, truth, np.full(120, 0.5), np.random.default_rng(1))
-    assert half == pytest.approx(0.5 * whole, rel=0.02)
+    assert half == pytest.approx(0.5 * full, rel=0.02)
 
 
 def test_what_beams_go_through_counts_at_each_pose_again():
-    """Beams that end 1 m behind the wall go through it at every pose that is asked."""
+    """Beams that end 1 m behind the wall go through it at every pose that is evaluated."""
     known = mapped()
     xy, normals = seen_at((0.0, 0.0, 0.0), np.random.default_rng(1))
     xy[:, 0] += 1.0
     pose = np.zeros(3)
-    best, asked = hill_climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
-    _, at_end, along_beam = asked_at(pose, xy, normals, np.ones(120), known, asked + 1)
+    best, evaluated = hill_climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
+    _, at_end, along_beam = evaluated_at(pose, xy, normals, np.ones(120), known, evaluated + 1)
     assert along_beam.sum() < -1.0
     assert best == pytest.approx(float(at_end.sum() + along_beam.sum()))
 
@@ -70,9 +70,9 @@ def test_where_the_ends_alone_are_not_enough_their_sum_is_reported():
     known, truth = mapped(), np.zeros(3)
     xy, normals = seen_at(truth, np.random.default_rng(1))
     beyond = np.array([0.6, 0.0, 0.0])
-    evidence, at_end, along_beam = asked_at(beyond, xy, normals, np.ones(120), known, 1)
+    evidence, at_end, along_beam = evaluated_at(beyond, xy, normals, np.ones(120), known, 1)
     assert (along_beam < 0.0).any()
     assert evidence < at_end.sum()
-    bound, _, unasked = asked_at(beyond, xy, normals, np.ones(120), known, 2, at_end.sum() + 1.0)
+    bound, _, skipped = evaluated_at(beyond, xy, normals, np.ones(120), known, 2, at_end.sum() + 1.0)
     assert bound == pytest.approx(at_end.sum())
-    assert (unasked == 0.0).all()
+    assert (skipped == 0.0).all()

@@ -210,7 +210,7 @@ def test_lone_points_are_rough_and_face_the_sensor() -> None:
     np.testing.assert_allclose(normals, expected, atol=1e-12)
 
 
-def test_nothing_is_asked_of_no_points() -> None:
+def test_no_points_give_no_normals() -> None:
     assert len(normals_of(np.empty((0, 2)))) == 0
 
 
@@ -289,7 +289,7 @@ def test_noise_is_seen_where_only_every_second_beam_or_every_fourth_comes_back()
         assert range_noise(xy, np.arange(0, gap * len(xy), gap, dtype=np.int32), np.zeros(2)) == dense
 
 
-def test_beams_that_are_no_neighbours_say_nothing_of_noise() -> None:
+def test_beams_that_are_no_neighbours_show_no_noise() -> None:
     xy = noisy_wall(3.0, 0.01)
     assert range_noise(xy, np.arange(0, 5 * len(xy), 5, dtype=np.int32), np.zeros(2)) == 0.0
     assert range_noise(xy[:31], np.arange(31, dtype=np.int32), np.zeros(2)) == 0.0
@@ -356,7 +356,7 @@ def test_few_far_points_make_no_plane_beside_an_edge() -> None:
 def test_noise_along_the_beam_is_taken_out_along_the_wall_and_left_across_it(
     sigma_m: float, least: float
 ) -> None:
-    """The bearing says where along the wall a beam ends."""
+    """The bearing determines where along the wall a beam ends."""
     angles = np.radians(np.arange(-60.0, 60.0, 0.5))
     noise_m = np.random.default_rng(4).normal(0.0, sigma_m, (40, len(angles)))
     along, moved, across = [], [], []
@@ -381,7 +381,7 @@ def test_a_point_without_noise_stays_where_it_is() -> None:
 
 
 def test_noise_parts_no_wall_that_is_seen_aslant() -> None:
-    """A LUX errs by 4 cm, so by 12 cm between two beams now and then; a wall in pieces is known worse."""
+    """A LUX errs by 4 cm, so by 12 cm between two beams at times; a split wall has less certain normals."""
     angles = np.radians(np.arange(-55.0, 55.0, 0.5))
     noise = np.random.default_rng(5)
     planar = []

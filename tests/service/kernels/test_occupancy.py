@@ -55,11 +55,11 @@ def test_a_beam_clears_just_the_cells_it_passes(angle: float) -> None:
     assert len(cleared - passed) <= 1
 
 
-@pytest.mark.parametrize("way", [(50.0, 0.0), (0.0, -50.0), (0.0, 0.0)])
-def test_beams_along_the_axes_end(way: tuple[float, float]) -> None:
+@pytest.mark.parametrize("direction", [(50.0, 0.0), (0.0, -50.0), (0.0, 0.0)])
+def test_beams_along_the_axes_end(direction: tuple[float, float]) -> None:
     grid = empty_occupancy(CELL_M)
-    beam(grid, 0.5, 0.5, *way)
-    assert np.count_nonzero(cells_of(grid) < 0) == round(abs(way[0]) + abs(way[1]))
+    beam(grid, 0.5, 0.5, *direction)
+    assert np.count_nonzero(cells_of(grid) < 0) == round(abs(direction[0]) + abs(direction[1]))
 
 
 def test_no_beam_clears_what_another_of_the_scan_hit() -> None:
@@ -99,7 +99,7 @@ def test_beams_clear_up_to_the_free_range_only() -> None:
     assert cells_of(grid)[HALF, HALF + 60] == 24
 
 
-def test_per_cent_follow_the_odds_and_say_what_changed() -> None:
+def test_per_cent_follow_the_odds_and_report_changes() -> None:
     evidence = np.zeros((2, 2), np.int8)
     evidence[0] = 20, -20
     cells = np.full((2, 2), -1, np.int8)

@@ -79,7 +79,7 @@ def test_noisy_or_only_rises_and_never_passes_one():  # B25
     assert before > 0.99
 
 
-def test_the_maximum_stays_what_one_point_says():  # B25
+def test_the_maximum_stays_that_of_one_point():  # B25
     layer = empty_layer()
     for _ in range(5):
         insert_weighted(np.array([[0.55, 0.55]]), ALONE, SIGMAS, True, MAXIMUM, layer)

@@ -15,7 +15,7 @@ def test_weights_add_up_and_their_worth_is_counted() -> None:
 
 # D2
 @pytest.mark.parametrize("first", [0.0, 0.3, 0.999])
-def test_each_particle_lives_on_as_often_as_its_weight_says(first: float) -> None:
+def test_each_particle_is_resampled_by_its_weight(first: float) -> None:
     """Low variance: never off by one copy or more."""
     weights = np.random.default_rng(1).dirichlet(np.full(30, 0.3))
     chosen = np.empty(30, np.int64)

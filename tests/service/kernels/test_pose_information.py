@@ -16,7 +16,7 @@ def test_the_prior_is_a_parabola_around_its_pose() -> None:
     root = np.random.default_rng(1).normal(size=(3, 3))
     information, centre = root @ root.T, np.array([1.0, 2.0, 3.1])
     matrix, gradient = np.zeros((3, 3)), np.zeros(3)
-    pose = np.array([1.2, 1.9, 3.1 + 0.1 - 2.0 * math.pi])  # a whole turn away
+    pose = np.array([1.2, 1.9, 3.1 + 0.1 - 2.0 * math.pi])  # a full turn away
     cost = add_prior(pose, centre, information, matrix, gradient)
     e = np.array([0.2, -0.1, 0.1])
     assert cost == pytest.approx(e @ information @ e)

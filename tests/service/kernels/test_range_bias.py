@@ -80,7 +80,7 @@ def test_the_bias_of_some_ranges_shows_on_walls_that_were_seen_without_it() -> N
 
 
 def test_the_bias_of_all_ranges_shows_in_the_angles_at_which_walls_are_seen() -> None:
-    """Map and scans have it alike: a wall seen obliquely stands less far behind than one seen head-on."""
+    """Map and scans have it alike: a wall seen obliquely is displaced less than one seen head-on."""
     rng = np.random.default_rng(4)
     bias_m = np.full(NODES, 0.02)
     grid = mapped(bias_m, rng)

@@ -15,12 +15,12 @@ DOWN_FROM_UP = np.diag([1.0, -1.0, -1.0])  # pi about x: forward-left-up to forw
 
 def navigate(start, samples, time_s, gravity=UP):
     position, velocity, rotation = (part.copy() for part in start)
-    whole = np.eye(STRAPDOWN_STATES)
+    transition = np.eye(STRAPDOWN_STATES)
     step = np.empty((STRAPDOWN_STATES, STRAPDOWN_STATES))
     for force, rate in samples:
         strapdown_step(position, velocity, rotation, force, rate, gravity, time_s, step)
-        whole = step @ whole
-    return position, velocity, rotation, whole
+        transition = step @ transition
+    return position, velocity, rotation, transition
 
 
 def a_start(noise):
@@ -80,13 +80,13 @@ def test_transition_is_the_exponential_of_its_slope():  # B10
     assert np.abs(phi - exact).max() > 1e-5  # the two are not the same thing
 
 
-def test_errors_go_on_as_the_transition_says():  # B6 B7 B8
+def test_errors_propagate_by_the_transition():  # B6 B7 B8
     """15 states, each pushed a little, half a second of turning and accelerating: F's signs and frames."""
     noise = np.random.default_rng(3)
     start = a_start(noise)
     samples = [(np.array([1.0, -0.5, 9.6]), np.array([0.1, -0.05, 0.8]))] * 100
-    position, velocity, rotation, whole = navigate(start, samples, 0.005)
-    assert whole.shape == (15, 15)
+    position, velocity, rotation, transition = navigate(start, samples, 0.005)
+    assert transition.shape == (15, 15)
     small = 1e-6
     for state in range(STRAPDOWN_STATES):
         push = np.zeros(STRAPDOWN_STATES)
@@ -101,4 +101,4 @@ def test_errors_go_on_as_the_transition_says():  # B6 B7 B8
         error = np.concatenate(
             [p - position, v - velocity, Rotation.from_matrix(r @ rotation.T).as_rotvec(), push[9:]]
         )
-        np.testing.assert_allclose(error / small, whole[:, state], atol=0.02, err_msg=str(state))
+        np.testing.assert_allclose(error / small, transition[:, state], atol=0.02, err_msg=str(state))

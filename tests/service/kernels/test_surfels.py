@@ -57,7 +57,7 @@ def read_all(grid: SurfelGrid) -> list[tuple[float, float, float, float, float]]
     return found
 
 
-def test_surfels_are_means_of_the_points_that_face_one_way() -> None:
+def test_surfels_are_means_of_the_points_with_like_normals() -> None:
     xy, normals = random_points(6000)
     grid = empty_grid(cell_m=0.4)
     insert_surfels(xy, normals, POSE, grid, 1e6, 1.0, np.zeros(2), -1)
@@ -128,7 +128,7 @@ def test_points_count_by_the_inverse_of_their_variance() -> None:
     assert x == pytest.approx((32 * 0.02 + 2 * 0.06) / 34.0, abs=1e-6)
 
 
-def test_noisy_points_take_nothing_from_a_surfel_that_stands_for_more() -> None:
+def test_noisy_points_reduce_no_surfel_of_more_points() -> None:
     """A limit of ten points of theirs is not one of ten points of a laser that knows four times better."""
     x, count = of_fine_and_noisy_points(20, most=10.0)
     assert count == 10.0
@@ -278,7 +278,7 @@ def test_what_is_kept_of_a_search_changes_no_later_one(rows: int) -> None:
         np.testing.assert_array_equal(again[found[:, 4] > 0.0], found[found[:, 4] > 0.0])
 
 
-def test_a_wall_that_stands_for_too_few_points_is_none() -> None:
+def test_a_wall_of_too_few_points_is_ignored() -> None:
     grid, facing = empty_grid(), np.array([[-1.0, 0.0, 1.0]])
     wall = np.array([[0.05, 0.05]])
     for points in (1, 2):

@@ -7,12 +7,12 @@ NOISE_M = 0.012
 
 
 def wall(rng: np.random.Generator, begin: tuple[float, float], end: tuple[float, float]) -> np.ndarray:
-    """(N, 5) points of a wall each 4 cm, and normals 0.05 rad off, to the left of the way along it."""
-    way = np.subtract(end, begin)
-    length_m = float(np.hypot(*way))
+    """(N, 5) points of a wall each 4 cm, and normals 0.05 rad off, to the left of its direction."""
+    direction = np.subtract(end, begin)
+    length_m = float(np.hypot(*direction))
     along = np.arange(0.0, length_m, 0.04) / length_m
-    left = np.array([-way[1], way[0]]) / length_m
-    xy = begin + along[:, None] * way + NOISE_M * rng.standard_normal((len(along), 1)) * left
+    left = np.array([-direction[1], direction[0]]) / length_m
+    xy = begin + along[:, None] * direction + NOISE_M * rng.standard_normal((len(along), 1)) * left
     angle = np.arctan2(left[1], left[0]) + 0.05 * rng.standard_normal(len(along))
     return np.column_stack((xy, np.cos(angle), np.sin(angle), np.ones(len(along))))
 
