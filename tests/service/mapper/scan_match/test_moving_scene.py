@@ -160,7 +160,7 @@ def test_a_train_that_hides_the_walls_does_not_carry_a_detached_map_with_it(seed
 
 
 def test_people_who_set_off_with_the_vehicle_do_not_hold_the_pose_at_the_start() -> None:
-    """Five people within 3 m, a laser of 12 m, wheels 3 % off; no wall was seen over a metre of the path yet."""
+    """Five people within 3 m, a laser of 12 m, wheels 3 % off; no wall seen over a metre of path yet."""
     world = begun_at(WORLDS["crowd"](), heading_rad(62))
     made = driven_by(world, SHORT_RANGE, 12.0, 62, Wheels(1.03, 0.97, 0.03, 0.02))
     done = run_session(mapping_config(), made)
