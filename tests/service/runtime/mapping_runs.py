@@ -153,7 +153,7 @@ FRAMES: list[Frame] = [sample(5, 30), scan(10, 20, [1.0, math.nan, 2.0]), scan(4
 
 
 class GraphAtWork(NoGraph):
-    """Has one piece of work ready, or lost."""
+    """Has one job ready, or lost."""
 
     def __init__(self, lost: str = "") -> None:
         self.ready = True

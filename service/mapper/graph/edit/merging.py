@@ -127,7 +127,7 @@ def find_second(
     enough   end the search when so many results agree and at most half as many disagree, or when the first
              MAX_PLACES_MISSED queries fail; None: query every place. After a result the next queries search
              only near the poses that follow from it and its rivals; MAX_PLACES_MISSED that fail there are
-             repeated on the whole map
+             repeated on the entire map
 
     Raises MergeError if fewer than MIN_MERGE_LOOPS agree.
     """

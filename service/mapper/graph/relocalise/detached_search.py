@@ -272,7 +272,7 @@ class DetachedSearch:
         within reach_m of dead reckoning.
 
         only_winners   refine none if none can exceed new ground
-        expected       poses (3,) of the reference whose surroundings are searched; empty: the whole map
+        expected       poses (3,) of the reference whose surroundings are searched; empty: the entire map
         """
         seen = seen_cloud(self._keyframes, own, reference)
         self._query = seen

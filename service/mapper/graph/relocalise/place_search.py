@@ -35,7 +35,7 @@ def find_places(
     guesses     poses (3,) of further candidates
     could_win   whether a candidate is worth refining; if none is, all are returned unrefined
     is_possible whether the cloud may be at a pose (3,)
-    expected    poses (3,) whose surroundings replace the search over the whole map
+    expected    poses (3,) whose surroundings replace the search of the entire map
     """
     if expected:
         aligned = _distinct([known_map.align(seen, pose, window=EXPECTED_WINDOW) for pose in expected])

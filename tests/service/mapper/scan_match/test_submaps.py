@@ -98,14 +98,14 @@ def test_a_lost_scan_begins_a_detached_segment_that_a_fit_drops() -> None:
     before, tiles = points_in(chain.matched_to), chain.tile_count
     change = insert(chain, 1.0, state="lost", is_matched=False)
     assert (change.segment, change.is_keyframe) == (1, True)
-    assert change.error_left < 0.05  # the piece begins where the pose is
+    assert change.error_left < 0.05  # the segment begins at the pose
     assert number(chain) == 0
     assert points_in(chain.matched_to) == before
     assert points_in(chain.detached) > 0.0
     insert(chain, 1.2)
     assert chain.detached is None
     assert number(chain) == 0
-    assert chain.tile_count <= tiles + 6  # of the key frame at 1.2 m; those of the piece went back
+    assert chain.tile_count <= tiles + 6  # of the key frame at 1.2 m; those of the segment went back
 
 
 def test_lost_scans_extend_the_detached_segment_only() -> None:
@@ -125,7 +125,7 @@ def test_a_detached_segment_is_the_map_only_once_the_graph_has_joined_it() -> No
     insert(chain, 50.0, state="lost", is_matched=False)
     assert number(chain) == 0
     detached = chain.detached
-    chain.join(2)  # another piece, that is not there
+    chain.join(2)  # another segment, unknown here
     assert (number(chain), chain.detached) == (0, detached)
     chain.join(1)
     assert (chain.matched_to, chain.detached) == (detached, None)

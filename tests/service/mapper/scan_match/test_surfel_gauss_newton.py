@@ -100,7 +100,7 @@ def test_where_no_one_measured_the_motion_the_map_is_asked_again_when_the_graph_
         )
         segments.append(chain.insert(points, found).segment)
     assert segments == [1, 1, 1]
-    chain.detach(4.0)  # carried once more: another piece
+    chain.detach(4.0)  # carried once more: another segment
     assert chain.insert(points, matcher.match(points, predicted(SE2()), chain)).segment == 2
     chain.join(1)
     assert matcher.match(points, predicted(SE2()), chain).state == "lost"
@@ -192,7 +192,7 @@ def test_lost_scans_are_matched_to_the_detached_segment_and_stay_lost() -> None:
 
 
 def test_back_on_the_map_the_gap_of_the_detached_segment_is_reported() -> None:
-    """Through the piece the pose was known to 0.2 m only, which the estimator did not know."""
+    """Across the segment the pose was known to 0.2 m only, unlike in the estimator."""
     chain, matcher = mapped(square()), new_matcher()
     lost_at(chain, matcher, square(8.0), predicted(SE2(0.2, 0.0, 0.0), sigma=0.2))
     assert chain.detached is not None
