@@ -14,7 +14,7 @@ from service.mapstore.graph_files import read_graph, write_graph
 from service.offline.cluster.tasks import Done
 
 ENOUGH = 4  # places of a session that say the same of where it lies
-EVERY_M = 2.0  # along the path a loop to each other session, as often as the mapper looks within one
+EVERY_M = 4.0  # along the path a loop to the other sessions; every 2 m adds nothing on intel
 
 
 @dataclass(frozen=True, slots=True)
