@@ -111,7 +111,7 @@ class Layers:
         self.changes: list[Change] = []
         self._place_cells = round(PLACE_M / cell_m)
         self._evidence: Tiles = {}  # of the newest session that is sure
-        self._sessions: dict[Tile, npt.NDArray[np.int64]] = {}  # (2, W, W) the first and last to see it so
+        self._sessions: dict[Tile, npt.NDArray[np.int16]] = {}  # (2, W, W) the first and last to see it so
 
     def compare(self, seen: RenderedMap) -> Comparison:
         now = _tiles(seen)
@@ -135,7 +135,7 @@ class Layers:
                 self.changes.append(Change(cells, is_new, span, session))
         for tile, evidence in _tiles(seen).items():
             held = self._evidence.setdefault(tile, np.zeros_like(evidence))
-            first, last = self._sessions.setdefault(tile, np.full((2, *evidence.shape), session))
+            first, last = self._sessions.setdefault(tile, np.full((2, *evidence.shape), session, np.int16))
             is_sure = (evidence <= FREE) | (evidence >= OCCUPIED)
             first[is_sure & (np.sign(held) != np.sign(evidence))] = session
             last[is_sure] = session

@@ -288,6 +288,7 @@ class _Round:
         more, and it is solved without them.
         """
         site, count = self.site, len(self.site.members)
+        site._layers = None  # 100 MB for 12 000 m2, and of the solution before
         while kept:
             members = [*site.members, *(member_of(new[k]) for k in kept)]
             joined = Site(

@@ -434,7 +434,6 @@ class LoopBackEnd:
             self.search_again()
         if self._loops:
             self.solve()
-        self._submaps.clear()
         return Result(
             *self._counts,
             newest=keyframes.newest_by_segment(),
@@ -463,6 +462,7 @@ class LoopBackEnd:
         for loop in new:
             if loop not in self._loops:
                 self._accept(loop)
+        self._submaps.clear()  # 100 MB, which a cycle would keep
 
     def render(self, corners_map: Floats | None = None) -> RenderedMap | None:
         """The shown map, or its part within a polygon (C, 2) m; None without a renderer."""
