@@ -271,7 +271,7 @@ class MovingScene:
         static, _share = self._align_static(attempt, attempt.prior, submap)
         pose, xy_base = static.result.pose, static.xy_base
         residual_m = submap.static_residuals(xy_base, attempt.normals, pose)
-        on_walls = int((np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M).sum())
+        on_walls = int(_is_on_wall(residual_m).sum())
         through = submap.beams_through_static(attempt.points, xy_base, pose)
         if (
             on_walls < MIN_CONFIRMING
@@ -366,14 +366,17 @@ class MovingScene:
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
 
 
+def _is_on_wall(residual_m: Matrix) -> npt.NDArray[np.bool_]:
+    is_on: npt.NDArray[np.bool_] = np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M
+    return is_on
+
+
 def _share_on_walls_only_at(one: Aligned, other: Aligned, attempt: Attempt) -> float:
     """Share of the returns that lie on walls at one of two poses and not at the other."""
-    is_on, is_on_at_other = (
-        np.abs(np.nan_to_num(of.submap.residuals(of.xy_base, attempt.normals, of.result.pose), nan=np.inf))
-        < ON_WALL_M
-        for of in (one, other)
+    at_one, at_other = (
+        _is_on_wall(of.submap.residuals(of.xy_base, attempt.normals, of.result.pose)) for of in (one, other)
     )
-    return float((is_on & ~is_on_at_other).mean())
+    return float((at_one & ~at_other).mean())
 
 
 def _is_witnessed(predicted: Prediction) -> bool:
