@@ -378,7 +378,7 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations,
     normals       (N, 3) float64   from estimate_normals; points of weight 0 are skipped
     pose          (3,)   float64   base in the frame of the grid
     grid          SurfelGrid
-    observations     Observations
+    observations  Observations
     behind_m      float            as in passes_from_front
     Returns (in free space, behind a wall). Points with an occupied cell in their 3 x 3 cells are in neither.
     """
@@ -411,11 +411,8 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations,
 def static_residuals(xy_base, normals, pose, grid, observations, least_cosine, latest, residual_m):
     """Distances of points from walls that exist since a path mark or before.
 
-    xy_base       (N, 2) float64   m, base frame
-    normals       (N, 3) float64   from estimate_normals; points of weight 0 are skipped
-    pose          (3,)   float64   base in the frame of the grid
-    grid          SurfelGrid
-    observations     Observations
+    Arguments as in count_contradicting, and
+
     least_cosine  float            as in find_surfels
     latest        int              mark
     residual_m    (N,)   float64   out: along the wall's normal; NaN without such a wall
@@ -460,12 +457,10 @@ def static_residuals(xy_base, normals, pose, grid, observations, least_cosine, l
 def find_dynamic(xy_base, pose, grid, observations, latest, is_dynamic):
     """Mark points on dynamic objects: in free space, or in cells occupied only recently.
 
-    xy_base     (N, 2) float64   m, base frame
-    pose        (3,)   float64   base in the frame of the grid
-    grid        SurfelGrid
-    observations   Observations
-    latest      int              path mark; cells occupied later are recent
-    is_dynamic    (N,)   bool      out; False beside an older wall
+    Arguments as in count_contradicting, and
+
+    latest       int         path mark; cells occupied later are recent
+    is_dynamic   (N,) bool   out; False beside an older wall
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
@@ -491,13 +486,7 @@ def find_dynamic(xy_base, pose, grid, observations, latest, is_dynamic):
 def count_beams_through_walls(xy_base, sensor_xy_m, pose, grid, observations, latest, behind_m):
     """Number of beams that pass through a wall that exists since a path mark or before.
 
-    xy_base       (N, 2) float64   m, base frame
-    sensor_xy_m   (2,)   float64   start of the beams, m, base frame
-    pose          (3,)   float64   base in the frame of the grid
-    grid          SurfelGrid
-    observations     Observations
-    latest        int              mark
-    behind_m      float            as in passes_from_front
+    Arguments as in count_contradicting; latest: int, the mark.
     """
     xy = placed(xy_base, pose)
     x, y = placed(sensor_xy_m.reshape(1, 2), pose)[0]

@@ -94,8 +94,7 @@ class LoopBackEnd:
         self._drift = PathDrift(self.keyframes, config.keyframe_distance_m)
         self._searched_m = float(self.keyframes.path_length_m[-1]) if stored is not None else 0.0
         self._due = SolutionDue(config, self._searched_m)
-        # Numbers of the segments with a known place in the map.
-        self._joined = {0} if stored is None else set(self.keyframes.segment.tolist())
+        self._joined = {0} if stored is None else set(self.keyframes.segment.tolist())  # placed segments
         self.detached_search = DetachedSearch(config, self.keyframes)
         self._is_merging = self._is_across = False  # as of begin_session_at
         self._placement = Placement(stored is not None)
@@ -223,9 +222,7 @@ class LoopBackEnd:
         return self._loops
 
     def begin_session_at(self, k: int, is_across: bool = False) -> None:
-        """Treat key frames from k on as this session's, though stored; is_across: search loops to those
-        before k only.
-        """
+        """Treat key frames from k on as this session's; is_across: search loops to those before k only."""
         self.keyframes.stored, self._is_merging, self._is_across = k, True, is_across
 
     def _is_detached(self) -> bool:
@@ -247,8 +244,7 @@ class LoopBackEnd:
 
     def _search_detached(self) -> int | None:
         """Search the newest segment; returns its number if its place was found, else None."""
-        loops = self.detached_search.find(np.flatnonzero(self._usable()))
-        if loops is None:
+        if (loops := self.detached_search.find(np.flatnonzero(self._usable()))) is None:
             return None
         segment = int(self.keyframes.segment[-1])
         self._joined.add(segment)
@@ -356,9 +352,7 @@ class LoopBackEnd:
         return fit.share >= MIN_SHARE_ON_MAP * float(np.median(self.keyframes.score))
 
     def _accept(self, found: Loop) -> None:
-        """Accept all candidates consistent with this loop, if they span a path, or odometry confirms this
-        one.
-        """
+        """Accept all candidates consistent with this loop, if they span a path or odometry confirms it."""
         config, path_length_m = self._config, self.keyframes.path_length_m
         base, growth = (AGREE_M, AGREE_RAD), (config.drift, config.drift_radpm)
 
@@ -415,8 +409,8 @@ class LoopBackEnd:
 
     def _disable_refuted(self) -> bool:
         """Disable loops beyond the gate; whether there was one."""
-        chi2 = edge_chi2(as_edges(self._loops), self.keyframes.map)
-        go = [loop for loop, c in zip(self._loops, chi2, strict=True) if c > CONTRADICTION_CHI2]
+        is_refuted = edge_chi2(as_edges(self._loops), self.keyframes.map) > CONTRADICTION_CHI2
+        go = [self._loops[k] for k in np.flatnonzero(is_refuted)]
         self._loops = [loop for loop in self._loops if loop not in go]
         self._disabled += go
         self.refusals.add(go, CONTRADICTED)
@@ -445,17 +439,18 @@ class LoopBackEnd:
 
     def search_again(self) -> None:
         """Search loops at the end of a drive, at passes that are close by only after the optimisation."""
-        config, path_length_m = self._config, self.keyframes.path_length_m
-        done = {
-            (round(path_length_m[loop.to] / 3.0), round(path_length_m[loop.of] / 3.0)) for loop in self._loops
-        }
+        path_length_m = self.keyframes.path_length_m
+
+        def spots(loop: Loop) -> tuple[int, int]:
+            return round(path_length_m[loop.to] / 3.0), round(path_length_m[loop.of] / 3.0)
+
+        done = set(map(spots, self._loops))
         self._candidates = list(self._loops)
         new = []
-        for last in stretches_to_search(self.keyframes, self._loops, config):
+        for last in stretches_to_search(self.keyframes, self._loops, self._config):
             for loop in self._search(last, FINISH_WINDOW):
-                spot = (round(path_length_m[loop.to] / 3.0), round(path_length_m[loop.of] / 3.0))
-                if spot not in done and loop.of < loop.to:
-                    done.add(spot)
+                if spots(loop) not in done and loop.of < loop.to:
+                    done.add(spots(loop))
                     new.append(loop)
         self._candidates += new
         self.refusals.add(new, NOT_SUPPORTED)
@@ -475,16 +470,14 @@ class LoopBackEnd:
         return renderer.render_part(to_render(keyframes, near), corners_map)
 
     def _forget_session(self) -> None:
-        """Bound the memory of a session that only localises: drop old key frames, or their points while
-        detached.
-        """
+        """Bound a localisation's memory: drop old key frames, or their points while detached."""
         keyframes, fixed_count = self.keyframes, self._fixed_count
         if self._is_detached():
             keyframes.forget_all(fixed_count, keyframes.count - MAX_SESSION)
             return
-        last = fixed_count + (keyframes.count - fixed_count) // 2
         if keyframes.count - fixed_count < MAX_SESSION:
             return
+        last = (fixed_count + keyframes.count) // 2
         is_kept = np.ones(keyframes.count, np.bool_)
         is_kept[fixed_count:last] = False
         self._renumber(Renumbering(is_kept))
