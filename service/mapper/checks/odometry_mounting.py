@@ -76,7 +76,7 @@ class OdometryMounting:
         if last is None or stamp_ns - last[0] > LONGEST_STEP_NS:
             self._last = stamp_ns, pose_odom_base, odometry
             return
-        step_m = MOUNTING_STEP_M * min(1.0, 2.0 ** (self._count - MIN_STEPS))
+        step_m = MOUNTING_STEP_M / 2 ** max(0, MIN_STEPS - self._count)
         if not (
             pose_odom_base.is_step_from(last[1], step_m, MOUNTING_STEP_RAD)
             or odometry.is_step_from(last[2], step_m, math.inf)

@@ -95,6 +95,14 @@ def test_a_mounting_as_people_measure_it_is_not(offset: SE2):
     assert check.fault == ""
 
 
+def test_a_drive_of_kilometres_is_judged_to_its_end():
+    check = OdometryMounting()
+    for k in range(3000):
+        check.add_odometry(sample(k * SCAN_NS, SE2(0.5 * k)))
+        check.add_pose(k * SCAN_NS, SE2(0.5 * k))
+    assert check.fault == ""
+
+
 def test_between_samples_odometry_goes_on():
     check = OdometryMounting()
     drive(SE2(0.0, 0.0, math.radians(3.0)), 60.0, check, sample_each=10)
