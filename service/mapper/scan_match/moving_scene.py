@@ -245,8 +245,7 @@ class MovingScene:
             return aligned
         prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
         static, share = self._align_static(attempt, prior, aligned.submap)
-        has_static = share >= MIN_STATIC_SHARE
-        if has_static and (conflict is None or not conflict.is_turned):
+        if share >= MIN_STATIC_SHARE and (conflict is None or not conflict.is_turned):
             nats = self._evidence_nats(attempt, static, aligned)
         elif conflict is None:
             return aligned
@@ -256,7 +255,7 @@ class MovingScene:
         nats += MOVING_NATS if is_moving else STILL_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
-        if conflict is not None and has_static:  # else later scans of the window may decide
+        if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
         return aligned
 
