@@ -19,6 +19,7 @@ from service.kernels.surfels import (
     COUNT,
     MEAN_X,
     MEAN_Y,
+    MIN_NORMAL_COSINE,
     NORMAL_X,
     NORMAL_Y,
     TILE_BITS,
@@ -29,7 +30,6 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, find_tile
 
-MIN_BEAM_COSINE = 0.6  # between the normal of a point and that of its wall
 WALL_SIGMA_M = 0.02  # of a point off its wall: noise of the range, of the map and of the pose
 POINT_CELL_M, POINT_SIGMA_M, POINT_REACH = 0.05, 0.04, 2  # of end points without a normal, kept in a grid
 # Densities of the end of a beam, 1/m: in known free space, by people, chairs and doors; on unknown ground,
@@ -233,8 +233,8 @@ def weigh_ends(xy, normals, pose, known, at_end):
     count = xy.shape[0]
     front, back, turned = np.empty((count, 6)), np.empty((count, 6)), normals.copy()
     turned[:, :2] *= -1.0
-    find_surfels(xy, normals, pose, known.walls, MIN_BEAM_COSINE, front)
-    find_surfels(xy, turned, pose, known.walls, MIN_BEAM_COSINE, back)
+    find_surfels(xy, normals, pose, known.walls, MIN_NORMAL_COSINE, front)
+    find_surfels(xy, turned, pose, known.walls, MIN_NORMAL_COSINE, back)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     on_wall = ON_WALL / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
     on_point = ON_POINT / (math.sqrt(2.0 * math.pi) * POINT_SIGMA_M * 255.0)

@@ -21,6 +21,7 @@ COUNT, MEAN_X, MEAN_Y, NORMAL_X, NORMAL_Y = range(5)
 COSINES, LASERS = 5, 3
 COLUMNS = COSINES + LASERS
 SAME_WALL_COSINE = np.float32(0.7)  # between a point's normal and a surfel's; below it the other side is used
+MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 SURFELS_AROUND = 18  # surfels in 3 x 3 cells
 NO_ROW = -(2**62)  # row of no cell
 REACH_CELLS = 1.25  # farther surfels are not averaged

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
+from service.estimator.estimator import PAUSE_NS
 from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_2
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.checks.mounting_check import ROBUST_CHI2
@@ -26,18 +27,16 @@ Floats = npt.NDArray[np.float64]
 MOUNTING_STEP_M, MOUNTING_STEP_RAD = 0.4, 0.15  # either ends a step
 MIN_TURN_RAD = 0.1  # of a step that shows the position of the laser: smaller rotations are heading noise
 LONGEST_STEP_NS = 3_000_000_000
-MAX_SAMPLE_GAP_NS = 1_000_000_000  # longest gap of odometry that is interpolated
 SAMPLES_KEPT = 512  # of odometry
 STEPS = 200  # the newest are used: 80 m and more
 # Two measurements each, of four unknowns. The first ones are shorter, 0.05, 0.1 and 0.2 m: a laser turned by
 # 180 deg shows before the pose is far off.
 MIN_STEPS = 3
-KNOWN_NOISE_STEPS = 12  # fewer do not show the noise: their chi2 must be larger in proportion
 # Noise of a step by scan matching; by odometry, per root metre and per radian. The excess is estimated.
 MATCH_M, WALK_M, TURN_NOISE_M = 0.01, 0.02, 0.02
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # keeps unobservable directions invertible
 MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
-MIN_SCALE, MAX_SCALE = 0.5, 2.0  # beyond it odometry is unusable for this check
+MAX_SCALE = 2.0  # or its inverse: beyond, odometry is unusable for this check
 AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: of axle and mounting by hand
 KNOWN_SIGMA_M = 1.0  # of the centre of rotation: a path without turns does not show it
 
@@ -100,7 +99,7 @@ class OdometryMounting:
         newest_first = reversed(self._samples)
         for (after_ns, after), (before_ns, before) in pairwise(newest_first):
             if before_ns <= stamp_ns <= after_ns:
-                if after_ns - before_ns > MAX_SAMPLE_GAP_NS:
+                if after_ns - before_ns > PAUSE_NS:
                     return None
                 share = (stamp_ns - before_ns) / (after_ns - before_ns)
                 turn_rad = wrap_angle(after.theta_rad - before.theta_rad)
@@ -127,7 +126,8 @@ def fault_of(steps: Floats) -> Reason:
     if found is None:
         return NO_REASON
     offset, covariance = found
-    most = CHI2_999_OF_3 * max(1.0, KNOWN_NOISE_STEPS / len(steps))
+    # MIN_STEPS do not show the noise: it may be twice the assumed one.
+    most = CHI2_999_OF_3 * max(1.0, 4.0 * MIN_STEPS / len(steps))
     if float(offset @ np.linalg.solve(covariance + AXLE_TOLERANCE, offset)) <= most:
         return NO_REASON
     axle = SE2(*offset.tolist()).inverse()
@@ -155,7 +155,7 @@ def turns_are_opposed(steps: Floats) -> bool:
     if np.abs(matched[does_turn]).sum() < MIN_OPPOSED_RAD:
         return False
     ratio = float(np.median(driven[does_turn] / matched[does_turn]))
-    return MIN_SCALE <= -ratio <= MAX_SCALE
+    return 1.0 / MAX_SCALE <= -ratio <= MAX_SCALE
 
 
 def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
@@ -180,7 +180,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
         excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_2, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     inverse_scale = math.hypot(unknown[0], unknown[1])
-    if not MIN_SCALE <= inverse_scale <= MAX_SCALE:
+    if not 1.0 / MAX_SCALE <= inverse_scale <= MAX_SCALE:
         return None
     yaw_rad = math.atan2(unknown[1], unknown[0])
     offset = np.array([*(unknown[2:] / inverse_scale), yaw_rad])

@@ -25,6 +25,7 @@ from service.estimator.estimator import EstimatorConfig
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
 from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
@@ -36,12 +37,11 @@ from service.outputs import NO_REASON, Reason, State
 WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
 USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
-RESIDUAL_SIGMA_M = 0.02  # of a return on a static wall
 OUTLIER_SHARE = 0.1  # of the returns, on no static wall
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
 # observed, and where none are.
-MOVING_NATS, STILL_NATS = 5.0, -5.0
+PRIOR_NATS = 5.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
@@ -179,7 +179,7 @@ def inertia_nats(
 
 
 def _log_likelihood(residual_m: Matrix) -> Matrix:
-    on_wall = np.exp(-0.5 * (np.nan_to_num(residual_m, nan=np.inf) / RESIDUAL_SIGMA_M) ** 2)
+    on_wall = np.exp(-0.5 * (np.nan_to_num(residual_m, nan=np.inf) / WALL_SIGMA_M) ** 2)
     likelihood: Matrix = np.log(OUTLIER_SHARE + (1.0 - OUTLIER_SHARE) * on_wall)
     return likelihood
 
@@ -224,7 +224,7 @@ class MovingScene:
         if conflict is None:
             return self._accepted(static, attempt)
         by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
-        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + MOVING_NATS < 0.0:
+        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS < 0.0:
             self._moves_until_ns = NOTHING_MOVES
             return None
         return self._start(by_odometry, attempt)
@@ -252,7 +252,7 @@ class MovingScene:
         else:
             nats = self._inertia_nats(attempt, aligned)
             is_moving = _share_on_walls_only_at(static, aligned, attempt) >= MIN_MOVING_SHARE
-        nats += MOVING_NATS if is_moving else STILL_NATS
+        nats += PRIOR_NATS if is_moving else -PRIOR_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
         if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
@@ -289,7 +289,7 @@ class MovingScene:
         """
         if not _is_witnessed(attempt.predicted) or chi2_of(detached.pose, attempt.prior) <= JUMP_CHI2:
             return False
-        if self._inertia_nats(attempt, detached) + MOVING_NATS < 0.0:
+        if self._inertia_nats(attempt, detached) + PRIOR_NATS < 0.0:
             return False
         self._steady.matched(attempt.stamp_ns, attempt.predicted.pose_odom_base)
         return True

@@ -23,6 +23,7 @@ from service.kernels.static_score import (
 from service.kernels.surfels import (
     COLUMNS,
     LASERS,
+    MIN_NORMAL_COSINE,
     PARTS,
     TILE_BITS,
     TILE_CELLS,
@@ -46,7 +47,6 @@ FIELD_SIGMA_M = 0.15  # of a point in the coarse field: wide enough to attract a
 SATURATED_LIKELIHOOD = 0.95  # likelihood of a cell above which more points are skipped
 SUBMAP_POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
-MIN_NORMAL_COSINE = 0.6  # between a point and a surfel of the same wall
 GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on it is 1
 NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a segment that begins at the pose
 MAX_MISSES = 3  # then another segment is begun

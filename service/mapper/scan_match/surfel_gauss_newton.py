@@ -21,6 +21,7 @@ from service.kernels.match import (
     student_cost,
 )
 from service.kernels.normals import ROUGH_WEIGHT
+from service.kernels.surfels import MIN_NORMAL_COSINE
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
     GAP_S,
@@ -50,12 +51,7 @@ from service.mapper.scan_match.moving_scene import MovingScene
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.scan_match.range_bias import RangeBias
 from service.mapper.scan_match.steady_motion import SteadyMotion
-from service.mapper.scan_match.submaps import (
-    MIN_NORMAL_COSINE,
-    SURFEL_SIGMA_M,
-    Submap,
-    SurfelSubmaps,
-)
+from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]

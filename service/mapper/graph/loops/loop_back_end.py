@@ -28,7 +28,7 @@ from service.mapper.graph.loops.stored_graph import (
     to_render,
 )
 from service.mapper.graph.loops.submap_cache import SubmapCache
-from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, cloud_of
+from service.mapper.graph.model.candidate_submap import MIN_LOOP_SCORE, REACH_SIGMAS, cloud_of
 from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, thinned
 from service.mapper.graph.model.loops import WITHIN_M, Loop, agree, as_edges, loop_of
@@ -40,6 +40,7 @@ from service.mapper.graph.model.pose_graph import Edges, PoseGraph, edge_chi2, t
 from service.mapper.graph.model.pose_graph_solver import solve
 from service.mapper.graph.model.refusals import Refusals
 from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY, DetachedSearch
+from service.mapper.graph.relocalise.place_search import EXPECTED_WINDOW
 from service.mapper.refused_loops import (
     BY_HAND,
     CONTRADICTED,
@@ -51,9 +52,9 @@ from service.mapper.refused_loops import (
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a search window without drift: error of a poor match
-DRIFTS = (3.5, 4.0)  # sigmas of drift of position and heading added to half a window
+DRIFTS = (REACH_SIGMAS, 4.0)  # sigmas of drift of position and heading added to half a window
 MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the search time
-FINISH_WINDOW = (1.5, 0.2)  # m, rad: half a window of the final search
+FINISH_WINDOW = EXPECTED_WINDOW  # of the final search
 MIN_SHARE_ON_MAP = 0.45  # inlier ratio of a loop, by the drive's median: half of a place may have changed
 MAX_AGAINST = 0.12  # share of the points in free space of the place: doors closed, objects moved
 AGREE_M, AGREE_RAD = 0.15, 0.03  # tolerance between two consistent loops, without drift

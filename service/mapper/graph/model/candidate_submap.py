@@ -38,7 +38,7 @@ MIN_LOOP_SCORE = 0.5  # least mean likelihood of a search result: half of the po
 # [22] Gate for noise in the information of a loop: the largest of the loops along 30 m of a corridor, one
 # each 2 m.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
-REACH_SIGMAS = 3.5  # of the drift between two passes: half a window, as DRIFTS of the back end
+REACH_SIGMAS = 3.5  # of the drift between two passes: half a window
 MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; step in sigmas at which it stops
 TRACED_EVERY = 3  # key frames: neighbours observe the same free space
 
