@@ -6,7 +6,6 @@ import select
 import socket
 import termios
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol, Self
 
@@ -174,32 +173,6 @@ class SerialTransport:
 
     def close(self) -> None:
         self._port.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
-
-
-class ScriptedTransport:
-    """For tests: hands out the given chunks one a read, keeps what was written, then says it was closed."""
-
-    def __init__(self, chunks: Sequence[bytes]) -> None:
-        self._chunks = list(chunks)
-        self.written = bytearray()
-        self.closed = False
-
-    def read(self, timeout_s: float) -> bytes:
-        if not self._chunks:
-            raise TransportError("script ended")
-        return self._chunks.pop(0)
-
-    def write(self, data: bytes) -> None:
-        self.written += data
-
-    def close(self) -> None:
-        self.closed = True
 
     def __enter__(self) -> Self:
         return self

@@ -11,7 +11,7 @@ from drivers.clock import UNKNOWN_NS
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import NO_INTENSITY, LaserScan
 from drivers.link import LinkHealth, run_link
-from drivers.transport import ScriptedTransport
+from tests.drivers.scripted import ScriptedTransport
 
 
 def scan():

@@ -14,7 +14,8 @@ import pytest
 
 from drivers import transport
 from drivers.errors import TransportError
-from drivers.transport import ScriptedTransport, SerialTransport, TcpTransport
+from drivers.transport import SerialTransport, TcpTransport
+from tests.drivers.scripted import ScriptedTransport
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from drivers import link
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import Frame, OdometrySample
 from drivers.link import LinkHealth, RawChunk, run_link
-from drivers.transport import ScriptedTransport
 from service.encoding import BYTES, Message, decode_raw, encode_frame, encode_raw
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
@@ -18,6 +17,7 @@ from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import open_session
 from service.recording.raw_wire import WireReplay, frames_from_wire, raw_chunks
 from tests.drivers.faulty_devices import BENCHES, linked
+from tests.drivers.scripted import ScriptedTransport
 from tests.service.recording.sessions import T0_NS, drive
 from tests.soaked import in_soak
 

@@ -5,8 +5,8 @@ import pytest
 
 from drivers.errors import ProtocolError, TransportError, UnforeseenError
 from drivers.frames import OdometrySample
-from drivers.transport import ScriptedTransport
 from service.offline.doctor.probe import KEPT_BYTES, Probe, listen, probe
+from tests.drivers.scripted import ScriptedTransport
 
 MS = 1_000_000
 
