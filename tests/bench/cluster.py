@@ -1,6 +1,7 @@
 """64 short sessions on each engine: the same bytes, how much faster, and through deaths."""
 
 import hashlib
+import logging
 import os
 import signal
 import socket
@@ -129,6 +130,7 @@ def _once(act: Callable[[], object]) -> Disturb:
 @contextmanager
 def _bucket() -> Iterator[Path]:
     """Of an S3 server that runs here. What is started meanwhile knows it."""
+    logging.getLogger("werkzeug").setLevel(logging.WARNING)  # else a line for each request
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     address = "http://{}:{}".format(*server.get_host_and_port())
