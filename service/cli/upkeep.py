@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from service.cli.console import kernel_progress, print_report, print_result
-from service.compile.cache import cache_place, ensure_cache_dir, mark_warm
+from service.compile.cache import cache_folder, ensure_cache_dir, mark_warm
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError
 
@@ -110,5 +110,7 @@ def warmup(parsed: argparse.Namespace) -> int:
         warm_up_encoding()
         warm_up(progress=kernels)
     mark_warm()
-    print_result({"seconds": round(time.monotonic() - began_s, 3), "cache": str(cache_place())}, parsed.json)
+    print_result(
+        {"seconds": round(time.monotonic() - began_s, 3), "cache": str(cache_folder().parent)}, parsed.json
+    )
     return 0

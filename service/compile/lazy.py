@@ -22,13 +22,13 @@ class Layout(NamedTuple):
 
 
 class Declaration(NamedTuple):
-    """What stands beside a kernel."""
+    """Stands beside a kernel that Python calls."""
 
     types: tuple[Any, ...]  # of the arguments: NamedTuple, scalar, or array annotated with a Layout
     is_seldom: bool  # not every scan calls it
 
 
-DECLARED: dict[str, Declaration] = {}  # by module and name of each kernel that Python calls
+DECLARED: dict[str, Declaration] = {}  # by module and name
 _lock = threading.RLock()
 _waiting: list["WaitingKernel"] = []
 
@@ -38,32 +38,31 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         kernel = WaitingKernel(function, options)
-        if "numba" in sys.modules:
-            load_compiler()  # by whomever it was imported: a kernel may call only kernels of numba
-            return kernel.loaded
         _waiting.append(kernel)
+        if "numba" in sys.modules:
+            load_compiler()  # a kernel may call only kernels of numba
+            return kernel.loaded
         return kernel
 
     return decorate
 
 
 def load_compiler() -> None:
-    """Put numba's kernels in the places of those that wait, in each module that has imported one."""
+    """Replace the kernels that wait by numba's, in each module that has imported one."""
     with _lock:
         if not _waiting:
             return
         for kernel in _waiting:
             kernel.loaded  # noqa: B018 - numba looks for the kernels that a kernel calls when it compiles
-        for name, module in list(sys.modules.items()):
-            if module is not None and name.partition(".")[0] in PACKAGES:
-                for word, value in list(vars(module).items()):
-                    if isinstance(value, WaitingKernel):
-                        setattr(module, word, value.loaded)
+        modules = [module for name, module in list(sys.modules.items()) if name.split(".")[0] in PACKAGES]
+        for module in filter(None, modules):
+            kernels = {k: v.loaded for k, v in vars(module).items() if isinstance(v, WaitingKernel)}
+            vars(module).update(kernels)
         _waiting.clear()
 
 
 class WaitingKernel:
-    """A kernel before numba is imported. Who has kept one may call it afterwards, too."""
+    """A kernel before numba is imported. It can be called afterwards, too."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)

@@ -14,10 +14,12 @@ from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hi
 import numba
 import numpy as np
 from numba.core import types
+from numba.core.caching import InTreeCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.np.numpy_support import from_dtype
 
+from service.compile.cache import cache_folder
 from service.compile.lazy import DECLARED, load_compiler
 
 log = logging.getLogger(__name__)
@@ -33,15 +35,14 @@ class Job(NamedTuple):
     module: str
     name: str
     variant: int
-    length: int  # of its code in bytes: about as the time that it takes to compile
+    length: int  # bytes of its code: about proportional to the time to compile
 
     def do(self) -> None:
         """Compile it, or load it from the cache; nothing where this process has it."""
-        kernel = self._kernel()
-        kernel.compile(declared_types(kernel)[self.variant])
+        self._kernel().compile(declared_types(self._kernel())[self.variant])
 
     def reached(self) -> frozenset[Dispatcher]:
-        """The kernel, and all that it calls: what is compiled with it."""
+        """The kernel and all that it calls, which are compiled with it."""
         return _reached_from(self._kernel())
 
     def _kernel(self) -> Any:
@@ -49,7 +50,7 @@ class Job(NamedTuple):
 
 
 def jobs_of_process(back_end_elsewhere: bool = False) -> tuple[list[Job], list[Job]]:
-    """What the modules imported by now call: with every scan, and seldom; the longest first.
+    """Kernels that the modules imported by now call: with every scan, and seldom; the longest first.
 
     back_end_elsewhere   leave out what only the graph's back end calls
     """
@@ -66,8 +67,16 @@ def jobs_of_process(back_end_elsewhere: bool = False) -> tuple[list[Job], list[J
     return every, seldom
 
 
+class KernelLocator(InTreeCacheLocator):
+    """Has numba keep kernels in cache_folder."""
+
+    def get_cache_path(self) -> str:
+        return str(cache_folder())
+
+
 def new_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """numba's. Where Python calls it for types that it does not declare, `log_undeclared` hears it first."""
+    """numba's. A call from Python for types that it does not declare goes to `log_undeclared` first."""
+    numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.KernelLocator"  # type: ignore[attr-defined]
     kernel: Any = numba.njit(**options)(function)
     if name_of(kernel) in DECLARED:
         compile_for_args = kernel._compile_for_args  # called for types without machine code
@@ -102,8 +111,8 @@ def name_of(kernel: Dispatcher) -> str:
 def start_compiler() -> None:
     """Have numba read its registries, without scipy.
 
-    It would import scipy.linalg only to know whether np.dot can be had: half of the time that this takes. No
-    kernel multiplies matrices that way.
+    It would import scipy.linalg only to find out whether np.dot is available, which takes half of the time.
+    No kernel multiplies matrices that way.
     """
     load_compiler()
     if "scipy.linalg" in sys.modules:
@@ -130,13 +139,9 @@ def _jobs_of(kernel: Dispatcher) -> list[Job]:
 
 @cache
 def _reached_from(kernel: Dispatcher) -> frozenset[Dispatcher]:
-    reached = {kernel}
-    for k in (waiting := [kernel]):
-        names = map(k.py_func.__globals__.get, k.py_func.__code__.co_names)
-        called = {called for called in names if isinstance(called, Dispatcher)} - reached
-        reached |= called
-        waiting += called
-    return frozenset(reached)
+    names = map(kernel.py_func.__globals__.get, kernel.py_func.__code__.co_names)
+    called = {called for called in names if isinstance(called, Dispatcher)}
+    return frozenset({kernel}.union(*map(_reached_from, called)))
 
 
 def _numba_type(hint: Any, variant: int) -> types.Type:

@@ -1,8 +1,8 @@
 """Compiles the kernels that this process calls before the first scan, or loads them from the cache.
 
-numba compiles one kernel at a time and holds the interpreter meanwhile, so a further core needs a process of
-its own. Each process takes the next kernel until none is left. What the others have compiled is read from the
-cache that all share, and what they have not is compiled here.
+numba compiles one kernel at a time and keeps the interpreter locked meanwhile, so a further core needs a
+process of its own. Each process takes the next kernel until none is left; the first then loads those of the
+others from the shared cache, and compiles what is not there.
 """
 
 import gc
@@ -11,16 +11,16 @@ import os
 import pickle
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 from service.compile.cache import compiling_alone, forget_kernels
 from service.compile.signatures import Job, code_length, jobs_of_process, start_compiler
-from service.compile.worker import Worker, job_of
+from service.compile.worker import Worker
 
 log = logging.getLogger(__name__)
 
@@ -71,14 +71,16 @@ def warm_up(
     A cache that cannot be read is emptied, with a warning, and filled again.
 
     back_end_elsewhere   leave out what only the graph's back end calls: its process loads that itself
-    progress             left out, the log says how far it is
+    progress             left out, the log reports it
     leaves_seldom        leave out what not every scan calls and the cache does not have
     Returns what is left out for that.
     """
     progress = progress or KernelProgress()
     start_compiler()
     jobs, seldom = jobs_of_process(back_end_elsewhere)
-    with _without_garbage_collection():
+    was_collecting = gc.isenabled()
+    gc.disable()  # collections of the compiler's objects take a tenth of the time; without, 200 MB more
+    try:
         try:
             missing = _missing(jobs + seldom)
         except CUT_SHORT as error:
@@ -89,7 +91,10 @@ def warm_up(
         left = [job for job in missing if leaves_seldom and job in seldom]
         if now := [job for job in missing if job not in left]:
             progress.expect(now)
-            _compile(_Left(now), progress)
+            _compile(Jobs(now), progress)
+    finally:
+        if was_collecting:
+            gc.enable()
     return left
 
 
@@ -124,9 +129,9 @@ class _OnlyFromCache(event.Listener):
         return
 
 
-class _Left:
-    """Jobs that no one has taken yet. Each process takes the one that shares most with what it has compiled:
-    two that compile kernels with the same inner ones at a time would compile these twice.
+class Jobs:
+    """Not taken yet by any process. Each takes the one that shares most with what it has compiled: two that
+    compile kernels with the same inner ones at a time would compile these twice.
     """
 
     def __init__(self, jobs: list[Job]) -> None:
@@ -134,7 +139,7 @@ class _Left:
         self._lock = threading.Lock()
 
     def take(self, compiled: set[Dispatcher]) -> Job | None:
-        """`compiled` by the process that takes the job; what the job reaches is added."""
+        """`compiled` by the process that takes the job; what the job reaches is added. None: none is left."""
         with self._lock:
             if not self._jobs:
                 return None
@@ -148,53 +153,38 @@ class _Left:
             self._jobs.clear()
 
 
-def _compile(left: _Left, progress: KernelProgress) -> None:
+def _compile(jobs: Jobs, progress: KernelProgress) -> None:
     """With a process for each further core."""
     further_cores = len(os.sched_getaffinity(0)) - 1
     with ThreadPoolExecutor(further_cores or 1, "warm-up-helper") as pool:
-        helpers = [pool.submit(_help, left, progress) for _ in range(further_cores)]
+        helpers = [pool.submit(_help, jobs, progress) for _ in range(further_cores)]
         try:
             compiled: set[Dispatcher] = set()
-            while job := left.take(compiled):
+            while job := jobs.take(compiled):
                 job.do()
                 progress.done(job)
         finally:
-            left.clear()
+            jobs.clear()
         for job in [job for helper in helpers for job in helper.result()]:
             job.do()
 
 
-def _help(left: _Left, progress: KernelProgress) -> list[Job]:
+def _help(jobs: Jobs, progress: KernelProgress) -> list[Job]:
     """Have a process compile one job after the other; those that it was given."""
     given: list[Job] = []
     compiled: set[Dispatcher] = set()
     with Worker() as worker:
-        assert worker.stdout is not None
-        for line in worker.stdout:
-            if done := job_of(line):
-                progress.done(done)
-                continue
-            if job := left.take(compiled):
-                given.append(job)
-            with suppress(BrokenPipeError):  # it has ended, see below
-                worker.send(job)
+        while worker.wait_for_line():
+            if given:
+                progress.done(given[-1])
+            job = jobs.take(compiled)
+            worker.send(job)
+            if job is None:
+                break
+            given.append(job)
     if worker.returncode:
         log.warning(
             "the process that helps to compile ended with code %d; its part is compiled here",
             worker.returncode,
         )
     return given
-
-
-@contextmanager
-def _without_garbage_collection() -> Iterator[None]:
-    """Collects the compiler's objects when all is compiled: collections meanwhile take a tenth of the time;
-    without any, the process needs 200 MB more.
-    """
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()

@@ -1,17 +1,29 @@
 """A process that compiles kernels into the cache: `python -m service.compile.worker NICENESS`.
 
-Each line of its input is a job as JSON, `null` the last; it ends at once where the input ends before. It
-writes `null` to ask for a job, and the job when that is done.
+It writes an empty line when it is ready and after each job. Each line of its input is a job as JSON, `null`
+the last. It ends with the process that began it.
+
+    mapper    kernels of every scan | READY | scans -------------- loads a seldom one where nothing waits -->
+    worker                                  | niceness 19, compiles seldom kernels into the cache | ends
 """
 
+import ctypes
 import json
+import logging
 import os
+import select
+import signal
 import subprocess
 import sys
-import threading
-from queue import SimpleQueue
+from collections.abc import Sequence
+from contextlib import suppress
 
 from service.compile.signatures import Job, start_compiler
+
+log = logging.getLogger(__name__)
+
+LAST = 19  # niceness: any other program goes first
+PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 class Worker(subprocess.Popen[bytes]):
@@ -22,34 +34,65 @@ class Worker(subprocess.Popen[bytes]):
         super().__init__(command, bufsize=0, stdin=pipe, stdout=pipe, start_new_session=True)
 
     def send(self, job: Job | None) -> None:
-        """None: no more will come. Raises BrokenPipeError."""
+        """None: no more will come. A process that has ended ignores it."""
         assert self.stdin is not None
-        self.stdin.write(json.dumps(job).encode() + b"\n")
+        with suppress(BrokenPipeError):
+            self.stdin.write(json.dumps(job).encode() + b"\n")
+
+    def wait_for_line(self) -> bool:
+        """Wait until it is ready for a job; False where it has ended."""
+        assert self.stdout is not None
+        return bool(self.stdout.readline())
 
 
-def job_of(line: str | bytes) -> Job | None:
-    job = json.loads(line)
-    return None if job is None else Job(*job)
+class SeldomKernels:
+    """Kernels that not every scan calls, compiled by a worker while scans are mapped.
+
+    Call `load_next` in turn with other work until `is_done`. No thread. A scan that calls one earlier has it
+    compiled in the mapper.
+    """
+
+    def __init__(self, jobs: Sequence[Job]) -> None:
+        self._worker = Worker(LAST)
+        self._left: list[Job | None] = [None, *jobs]  # None: the line that says that it is ready
+        for job in [*jobs, None]:
+            self._worker.send(job)
+
+    @property
+    def is_done(self) -> bool:
+        return not self._left
+
+    def fileno(self) -> int:
+        """Readable when load_next has something to do."""
+        assert self._worker.stdout is not None
+        return self._worker.stdout.fileno()
+
+    def load_next(self) -> None:
+        """Load a kernel that has been compiled meanwhile, which takes some milliseconds; never waits."""
+        if not select.select([self], [], [], 0.0)[0]:
+            return
+        if self._worker.wait_for_line():
+            if (job := self._left.pop(0)) is not None:
+                job.do()
+        else:
+            log.warning("the process that compiles seldom kernels has ended; they are compiled when needed")
+            self._left.clear()
+        if self.is_done:
+            with self._worker:  # closes its pipes
+                pass
 
 
 def main() -> None:
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     os.nice(int(sys.argv[1]))
-    jobs: SimpleQueue[Job | None] = SimpleQueue()
-    threading.Thread(target=_read, args=(jobs,), daemon=True).start()
     start_compiler()
-    print("null", flush=True)
-    while (job := jobs.get()) is not None:
-        job.do()
-        print(json.dumps(job), "null", sep="\n", flush=True)
-    os._exit(0)  # the interpreter would take half a second to let go of what the compiler has made
-
-
-def _read(jobs: "SimpleQueue[Job | None]") -> None:
+    print(flush=True)
     for line in sys.stdin:
-        jobs.put(job := job_of(line))
-        if job is None:
-            return
-    os._exit(1)  # whoever began this process has ended
+        if (job := json.loads(line)) is None:
+            break
+        Job(*job).do()
+        print(flush=True)
+    os._exit(0)  # the interpreter would take half a second to free what the compiler has made
 
 
 if __name__ == "__main__":

@@ -22,10 +22,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from service.compile.seldom import SeldomKernels
 from service.compile.signatures import Job
 from service.compile.warm_up import KernelProgress
 from service.compile.warm_up import warm_up as warm_up_kernels
+from service.compile.worker import SeldomKernels
 from service.encoding import warm_up as warm_up_encoding
 from service.log_format import set_up_logging
 from service.mapper.background import BackEndDiedError

@@ -7,7 +7,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from service.compile.cache import DIGEST_NAME, KERNELS
+from service.compile.cache import KERNELS, cache_folder
 from tests.docs.blocks import blocks_of
 
 ROOT = Path(__file__).parents[2]
@@ -57,15 +57,8 @@ def install(wheel: Path, folder: Path) -> Path:
     (site / "sitecustomize.py").write_text(
         f"import sys\nsys.modules.update(dict.fromkeys({NOT_OF_THE_CORE}))\n"
     )
-    compiled = KERNELS / "__pycache__"
-    if (compiled / DIGEST_NAME).exists():
-        installed = site / "service" / "kernels"
-        for kernel in KERNELS.glob("*.py"):  # numba takes what it compiled for another time of the source
-            changed = kernel.stat()
-            os.utime(installed / kernel.name, ns=(changed.st_atime_ns, changed.st_mtime_ns))
-        (installed / "__pycache__").mkdir(exist_ok=True)
-        for path in (compiled / DIGEST_NAME, *compiled.glob("*.nb[ci]")):
-            shutil.copy2(path, installed / "__pycache__")
+    if (compiled := KERNELS / "__pycache__" / cache_folder().name).exists():
+        shutil.copytree(compiled, site / "service" / "kernels" / "__pycache__" / compiled.name)
     return venv / "bin" / "corridor"
 
 

@@ -1,9 +1,7 @@
 """Where numba keeps machine code, whether it can, and what is there already."""
 
-from pathlib import Path
-
 from drivers.counted import counted
-from service.compile.cache import KERNELS, is_warm, kernels_in
+from service.compile.cache import cache_folder, cache_places, is_warm
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.folders import cannot_write, nearest_parent
 from service.offline.doctor.machine import Machine
@@ -11,11 +9,7 @@ from service.offline.doctor.machine import Machine
 
 def look_at_cache(machine: Machine) -> Finding:
     """Where numba keeps machine code, whether it can, and how many kernels are there already."""
-    given = machine.environment.get("NUMBA_CACHE_DIR")
-    home = machine.environment.get("XDG_CACHE_HOME") or str(
-        Path(machine.environment.get("HOME", "/")) / ".cache"
-    )
-    places = [Path(given)] if given else [KERNELS / "__pycache__", Path(home) / "numba"]
+    places = cache_places(machine.environment)
     writable = [place for place in places if not cannot_write(nearest_parent(place))]
     if not writable:
         return fault(
@@ -27,7 +21,7 @@ def look_at_cache(machine: Machine) -> Finding:
             "the unit takes /var/cache/corridor/numba",
         )
     place = writable[0]
-    kernels = kernels_in(place)
+    kernels = sum(1 for _ in cache_folder(place).glob("*.nbi"))
     if not is_warm(place):
         return note(
             "cache",

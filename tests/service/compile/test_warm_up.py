@@ -10,8 +10,9 @@ from numba import njit
 from numba.core.dispatcher import Dispatcher
 
 from service.compile import warm_up as module
+from service.compile.cache import cache_folder
 from service.compile.signatures import Job, jobs_of_process
-from service.compile.warm_up import KernelProgress, warm_up
+from service.compile.warm_up import Jobs, KernelProgress, warm_up
 from service.compile.worker import Worker
 from service.mapper.profiles import mapping_config
 
@@ -56,15 +57,15 @@ def worker_that(does: str) -> type[Worker]:
     class Pretended(subprocess.Popen[bytes]):
         def __init__(self) -> None:
             pipe = subprocess.PIPE
-            command = [sys.executable, "-c", f"import sys\nprint('null', flush=True)\n{does}"]
+            command = [sys.executable, "-c", f"import sys\nprint(flush=True)\n{does}"]
             super().__init__(command, bufsize=0, stdin=pipe, stdout=pipe)
 
-        send = Worker.send
+        send, wait_for_line = Worker.send, Worker.wait_for_line
 
     return Pretended  # type: ignore[return-value]
 
 
-OBEYS = "for line in sys.stdin:\n    if line == 'null\\n': break\n    print(line + 'null', flush=True)"
+OBEYS = "for line in sys.stdin:\n    if line == 'null\\n': break\n    print(flush=True)"
 DIES = "sys.stdin.readline()\nsys.exit(3)"
 
 
@@ -125,9 +126,10 @@ def test_no_garbage_is_collected_while_kernels_are_compiled(is_enabled: bool, wo
 def test_a_cache_that_was_cut_short_is_emptied_and_filled_again(
     work: Work, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
-    damaged = tmp_path / "match.match_scan-1.py311.nbi"
-    damaged.write_bytes(b"")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    damaged = cache_folder() / "match.match_scan-1.py311.nbi"
+    damaged.parent.mkdir()
+    damaged.write_bytes(b"")
     work.is_to_do("cached")
     do = Job.do
 
@@ -156,34 +158,11 @@ def test_what_cannot_be_read_from_an_empty_cache_is_raised(
         warm_up()
 
 
-def test_a_script_that_maps_as_it_is_imported_is_not_run_by_the_processes_that_compile(tmp_path: Path):
-    (tmp_path / "script.py").write_text(
-        "from service.compile.worker import Worker\n"
-        "print('mapped', flush=True)\n"
-        "with Worker() as worker:\n"
-        "    assert worker.stdout.readline() == b'null\\n'\n"
-        "    worker.send(None)\n"
-        "assert worker.returncode == 0\n"
-    )
-    command = [sys.executable, str(tmp_path / "script.py")]
-    ended = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert (ended.stdout, ended.stderr) == ("mapped\n", "")
-
-
-def test_a_process_that_compiles_ends_with_the_one_that_began_it():
-    with Worker() as worker:
-        assert worker.stdout is not None
-        worker.stdout.readline()
-        assert worker.stdin is not None
-        worker.stdin.close()
-    assert worker.returncode == 1
-
-
 def test_a_process_takes_the_kernel_that_shares_most_with_what_it_has_compiled():
     mapping_config()
     jobs = {job.name: job for job in jobs_of_process()[0]}
     names = ("match_scan", "predict_motion", "take_match", "bias_information")
-    left = module._Left([jobs[name] for name in names])
+    left = Jobs([jobs[name] for name in names])
     here: set[Dispatcher] = set()
     there: set[Dispatcher] = set()
     taken = [left.take(compiled) for compiled in (here, there, here, there, here)]

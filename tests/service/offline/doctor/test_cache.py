@@ -37,14 +37,14 @@ def test_a_cache_is_good_once_all_is_compiled_and_until_a_source_changes(
     environment = {"NUMBA_CACHE_DIR": str(place)}
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(place))
     kernel_cache.ensure_cache_dir()
-    (place / "kernels_1f").mkdir()
+    kernel_cache.cache_folder().mkdir()
     for name in ("one", "two"):
-        (place / f"kernels_1f/deskew.{name}-1.py311.nbi").touch()
+        (kernel_cache.cache_folder() / f"deskew.{name}-1.py311.nbi").touch()
     assert look_at_cache(tree.machine(environment=environment)).measured.startswith("2 kernels ")
     kernel_cache.mark_warm()
     finding = look_at_cache(tree.machine(environment=environment))
     assert (finding.severity, finding.values["kernels"]) == ("ok", 2)
-    monkeypatch.setattr(kernel_cache, "_digest", lambda: "of other sources")
+    monkeypatch.setattr(kernel_cache, "cache_key", lambda: "of other sources")
     finding = look_at_cache(tree.machine(environment=environment))
     assert finding.severity == "note"
     assert finding.measured.startswith("0 kernels ")

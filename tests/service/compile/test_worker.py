@@ -2,42 +2,34 @@ import logging
 import os
 import select
 import shutil
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from numba.core.caching import _CacheLocator
 
-from service.compile import worker
+from service.compile.cache import cache_folder
 from service.compile.lazy import load_compiler
-from service.compile.seldom import LAST, SeldomKernels
 from service.compile.signatures import Job, jobs_of_process
-from service.kernels import branch_and_bound
+from service.compile.worker import LAST, SeldomKernels, Worker
 from service.mapper.profiles import mapping_config
 
 WITHIN_S = 600.0  # the process that compiles takes only what processor time no one else wants
 COLD = ("build_pyramid", "write_tiles", "match_scan")  # the last is called with every scan
 
 
-def drain(seldom: SeldomKernels) -> int:
-    """Until it is done; how often it was asked."""
-    asked = 0
+def drain(seldom: SeldomKernels) -> None:
     while not seldom.is_done:
-        if (process := seldom._worker) is not None:
-            assert select.select([process.stdout], [], [], WITHIN_S)[0], "nothing more comes"
+        assert select.select([seldom], [], [], WITHIN_S)[0], "nothing more comes"
         seldom.load_next()
-        asked += 1
-    return asked
 
 
 def cache_without(kernels: Sequence[str], place: Path) -> None:
-    """All kernels that this process keeps but some, in the place of one that keeps its own."""
+    """All kernels that this process keeps but some, in the folder of a process that keeps its own."""
     load_compiler()
-    known = Path(branch_and_bound.search_branch_and_bound.stats.cache_path)
-    folder = place / _CacheLocator.get_suitable_cache_subpath(branch_and_bound.__file__)
-    folder.mkdir()
-    for path in known.glob("*.nb[ci]"):
+    (folder := cache_folder(place)).mkdir()
+    for path in cache_folder().glob("*.nb[ci]"):
         if path.name.split("-")[0].split(".")[-1] not in kernels:
             shutil.copy2(path, folder)
 
@@ -54,20 +46,21 @@ def test_seldom_kernels_are_compiled_by_another_process_and_loaded_here_one_at_a
     do = Job.do
     monkeypatch.setattr(Job, "do", lambda job: (loaded.append(job), do(job)))
     seldom = SeldomKernels(jobs)
-    asked = drain(seldom)
+    seldom.load_next()
+    assert loaded == []  # it has not waited
+    drain(seldom)
     assert loaded == jobs
-    assert asked >= len(jobs)
     for name in ("build_pyramid", "write_tiles"):
         assert list(tmp_path.glob(f"**/*.{name}-*.nbc"))
     assert not list(tmp_path.glob("**/match.match_scan*.nbi"))
 
 
 def test_the_process_has_the_lowest_priority():
-    with worker.Worker(LAST) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
+    with Worker(LAST) as process:
+        assert process.wait_for_line()
         assert os.getpriority(os.PRIO_PROCESS, process.pid) == LAST
         process.send(None)
+    assert process.returncode == 0
 
 
 def test_a_process_that_died_is_logged_once(
@@ -75,5 +68,29 @@ def test_a_process_that_died_is_logged_once(
 ):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with caplog.at_level(logging.WARNING):
-        assert drain(SeldomKernels([Job("service.kernels.occupancy", "write_tiles", 0, 1)])) == 1
+        drain(SeldomKernels([Job("service.kernels.occupancy", "write_tiles", 0, 1)]))
     assert caplog.text.count("compiled when needed") == 1
+
+
+SCRIPT = """
+from service.compile.worker import Worker
+print("mapped")
+worker = Worker()
+assert worker.wait_for_line()
+print(worker.pid, flush=True)
+input()
+"""
+
+
+def test_the_process_runs_no_script_again_and_ends_with_the_process_that_began_it(tmp_path: Path):
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command, pipe = [sys.executable, str(tmp_path / "script.py")], subprocess.PIPE
+    with subprocess.Popen(command, bufsize=0, stdin=pipe, stdout=pipe) as script:
+        assert script.stdout is not None
+        assert script.stdout.readline() == b"mapped\n"
+        worker = os.pidfd_open(int(script.stdout.readline()))
+        assert not select.select([worker], [], [], 0.0)[0]
+        script.kill()
+    ended = select.select([worker], [], [], 10.0)[0]
+    os.close(worker)
+    assert ended
