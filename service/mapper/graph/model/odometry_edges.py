@@ -18,7 +18,7 @@ UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: into a segment of 
 NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
 MAX_SCAN_GAP_S = 2.0  # a longer scan gap: the vehicle may have been carried
 MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step without added noise
-GAP_SHARE = 0.1  # of a path without scans: error of odometry
+GAP_SHARE = 0.1  # of a path without key frames, as where old passes were removed: error of odometry
 POOR_MATCH_SHARE = 0.6  # of the drive's median inlier ratio: below, the match may be wrong
 
 
@@ -80,7 +80,10 @@ def matched_steps(keyframes: KeyframeList, step_m: float) -> tuple[Edges, npt.ND
     to = np.arange(1, keyframes.count, dtype=np.int64)
     covariance = keyframes.covariance[1:] + STEP_FLOOR
     covariance[lost_steps(keyframes)] = LOST_COVARIANCE
-    gap_m = np.maximum(np.diff(keyframes.path_length_m) - 2.0 * step_m, 0.0)
+    path_m = np.diff(keyframes.path_length_m)
+    # In a thinned log scans are farther apart than step_m.
+    usual_m = max(step_m, float(np.median(path_m)) if len(path_m) else 0.0)
+    gap_m = np.maximum(path_m - 2.0 * usual_m, 0.0)
     covariance += (GAP_SHARE * gap_m[:, None, None]) ** 2 * np.eye(3)
     measured = se2.between(keyframes.odom[of], keyframes.odom[to])
     return Edges(of, to, measured, covariance, np.zeros(len(of))), is_unknown

@@ -30,11 +30,13 @@ MATCHED = np.diag([1e-4, 4e-4, 1e-6])
 SOUND = MATCHED + STEP_FLOOR
 
 
-def edges(ahead_m: float = STEP_M, by_motion: bool = False, **odd: Any) -> Edges:
-    """ahead_m: from the key frame before the odd one to it; `odd`: what else differs in that one."""
+def edges(ahead_m: float = STEP_M, by_motion: bool = False, usual_m: float = STEP_M, **odd: Any) -> Edges:
+    """ahead_m: from the key frame before the odd one to it; usual_m: between the others; `odd`: what else
+    differs in that one.
+    """
     keyframes = KeyframeList()
     for k in range(COUNT):
-        x_m = STEP_M * k + (ahead_m - STEP_M if k >= ODD else 0.0)
+        x_m = usual_m * k + (ahead_m - usual_m if k >= ODD else 0.0)
         usual = {"score": 0.9, "is_lost": False, "segment": 0, "motion_covariance": 1e-6 * k * np.eye(3)}
         pose = SE2(x_m, 0.0, 0.0)
         chosen = usual | (odd if k == ODD else {})
@@ -69,6 +71,12 @@ def test_a_path_without_scans_is_uncertain_by_its_length_beyond_two_steps(
 ) -> None:
     """By a tenth of it, m and rad."""
     check(edges(ahead_m), SOUND + sigma**2 * np.eye(3), SOUND)
+
+
+def test_in_a_thinned_log_a_usual_step_has_the_covariance_of_its_match() -> None:
+    far_m = 4.0 * STEP_M
+    check(edges(2.0 * far_m, usual_m=far_m), SOUND, SOUND)
+    check(edges(2.0 * far_m + 3.0, usual_m=far_m), SOUND + 0.3**2 * np.eye(3), SOUND)
 
 
 def test_unmatched_steps_have_the_covariance_of_the_motion_model() -> None:
