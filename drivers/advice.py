@@ -25,9 +25,9 @@ class Advice:
     """The callables take the sensor's own config model.
 
     name            of the first such sensor in a config that `corridor init` writes; "": its type
-    at_host         settings with which `corridor init` asks whether this sensor is at a host; None: not asked
+    at_host         settings with which `corridor init` looks for this sensor at a host; None: it does not
     at_port         the same of a serial port
-    rate_hz         frames a second that the config asks for, None where no one knows
+    rate_hz         frames a second that the config requests, None where unknown
     recognise       which device sends these bytes, in words; "" where it is not this type of sensor. Raises
                     nothing for any bytes up to 16 KiB
     bauds           rates that this sensor may be set to, worth listening at; empty where a rate means nothing

@@ -9,8 +9,8 @@ What remains is the shortest delay that ever occurs, a constant; a driver's conf
 from dataclasses import dataclass, field
 
 JUMP_NS = 500_000_000  # further from the prediction than jitter goes
-BACKLOG_NS = 2_000_000_000  # a network that held messages back has delivered them by then
-SETTLED_NS = 2_000_000_000  # a hull shorter than this says nothing of skew
+BACKLOG_NS = 2_000_000_000  # a network that delayed messages has delivered them by then
+SETTLED_NS = 2_000_000_000  # a hull shorter than this does not determine skew
 WINDOW_NS = 60_000_000_000  # a hull is used from half this age to this age, so warming-up drift is followed
 UNKNOWN_NS = 1_000_000_000  # standard deviation of an offset that rests on one message
 MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
@@ -87,7 +87,7 @@ class ClockMap:
     latency_ns    shortest delay from the moment of measurement to arrival, if known by calibration
 
     `observe` first, with the ticks of the moment the message left; then `to_host_ns` for any tick near it.
-    Messages held back by a network come late for a while and change nothing, and a sender that falls behind
+    Messages delayed by a network come late for a while and change nothing, and a sender that falls behind
     bit by bit comes late for as long as it does. A message far too early, ticks that go back by more than
     JUMP_NS or stay behind, or lateness that came with one message and does not end, are a restart of the
     device: all is learnt again. A single message from a little before the newest is out of order, and changes

@@ -49,7 +49,7 @@ class DialogueRunner(Generic[RequestT, AnswerT]):
         self._unsent: RequestT | None = None
         self._deadline_ns: int | None = None  # of the time-out or the pause; None: the next step is due now
         self.awaited: RequestT | None = None
-        self.asked_ns = 0
+        self.requested_ns = 0
         self.begun = False
         self.ended = False
 
@@ -59,12 +59,12 @@ class DialogueRunner(Generic[RequestT, AnswerT]):
             self._advance(None, now_ns)
         request, self._unsent = self._unsent, None
         if request is not None:
-            self.awaited, self.asked_ns = request, now_ns
+            self.awaited, self.requested_ns = request, now_ns
             self.wait_again(now_ns)
         return request
 
     def answer(self, answer: AnswerT, now_ns: int) -> None:
-        """Give the dialogue the answer to `awaited`. What it asks next is handed out by the next tick."""
+        """Give the dialogue the answer to `awaited`. Its next request is handed out by the next tick."""
         assert self.awaited is not None
         self._advance(answer, now_ns)
 

@@ -7,7 +7,7 @@
      |                                                                   -> report, retry at long intervals
      `- UnforeseenError  the driver failed at what no one thought of     -> the same, with the traceback
 
-A message says what was measured, what was expected and what to look at; the link adds the sensor's name
+A message gives what was measured, what was expected and what to look at; the link adds the sensor's name
 and what happens next.
 """
 

@@ -37,7 +37,7 @@ class LaserScan:
         self.intensity.setflags(write=False)
 
 
-# Why a beam has no distance, by the devices' protocols; 0: nothing came back, or the device does not say why.
+# Why a beam has no distance, by the devices' protocols; 0: nothing came back, or the device gives no reason.
 CAUSES = (
     *("no_return", "dazzled", "implausible", "filtered", "reserved_code", "too_near", "interference"),
     *("near_limit", "too_weak", "unlike_neighbours", "two_waves", "error_twice", "too_bright"),

@@ -1,4 +1,4 @@
-"""By how much the stamps of a device are late, as its config may say it."""
+"""By how much the stamps of a device are late, as its config may state it."""
 
 from typing import Annotated
 

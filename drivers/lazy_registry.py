@@ -1,4 +1,4 @@
-"""Kinds by name, each imported when it is first asked for: a start needs two types of five."""
+"""Kinds by name, each imported with its first use: a start needs two types of five."""
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module

@@ -1,7 +1,7 @@
 """The one loop all drivers share: connect, pump, reconnect.
 
 A session is the life of one connection and does no I/O: bytes and time go in, frames come out, what it
-wants to say stands in its outbox. A new session per connection, so no stale buffer survives a cable pull.
+wants to send is in its outbox. A new session per connection, so no stale buffer survives a cable pull.
 """
 
 import logging
@@ -147,19 +147,19 @@ class ErrorLog:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._said = ""
+        self._reported = ""
 
     def add(self, error: Exception, wait_s: float, worked: bool) -> None:
         """worked: frames came on the connection that ended so."""
         text, cause = str(error), None
-        if not worked and text == self._said:
+        if not worked and text == self._reported:
             level = logging.DEBUG
         elif isinstance(error, UnforeseenError):
             level, cause = logging.ERROR, error.__cause__
         else:
             level = logging.WARNING
         log.log(level, "%s: %s; reconnecting in %.2g s", self._name, text, wait_s, exc_info=cause)
-        self._said = text
+        self._reported = text
 
 
 def _report(health: LinkHealth, error: Exception, wait_s: float, log_of_errors: ErrorLog) -> None:

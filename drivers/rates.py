@@ -1,6 +1,6 @@
-"""When a rate that a device states is the one that was asked for."""
+"""When a rate that a device states is the one that was requested."""
 
-RATE_TOLERANCE = 0.05  # motors turn up to 1 % off, and whole numbers of a coarse unit lie beside the rate
+RATE_TOLERANCE = 0.05  # motors turn up to 1 % off, and integers of a coarse unit lie beside the rate
 
 
 def same_rate(found: float, wanted: float) -> bool:

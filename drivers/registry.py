@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from drivers.lazy_registry import LazyRegistry
 from drivers.sensor_kind import SensorKind
 
-# In the order in which `corridor init` asks an unknown wire: at a serial port a robot before the unit whose
-# bytes it might take for commands.
+# In the order in which `corridor init` queries an unknown wire: at a serial port a robot before the unit
+# whose bytes it might take for commands.
 DRIVERS = {
     "sick_lms100": "drivers.sick_lms100.kind",
     "hokuyo_utm30lx": "drivers.hokuyo_utm30lx.kind",

@@ -67,7 +67,7 @@ class Qos:
 class Topic:
     """A topic or a service."""
 
-    name: str  # whole, with a leading slash: "/veh1/front/scan"
+    name: str  # complete, with a leading slash: "/veh1/front/scan"
     type: str  # ROS 2 name: "sensor_msgs/msg/LaserScan"
     type_hash: str  # "RIHS01_...", or NO_TYPE_HASH
 

@@ -22,7 +22,7 @@ PORT_ERRORS = (serial.SerialException, OSError, termios.error, TypeError, ValueE
 
 
 def _reason(error: BaseException) -> str:
-    """What the system says, without its number and the port, which pyserial repeats."""
+    """Error text of the system, without its number and the port, which pyserial repeats."""
     if isinstance(error, serial.SerialException) and error.errno is None and error.__context__ is not None:
         return _reason(error.__context__)  # of a URL: it quotes it
     number = error.errno if isinstance(error, OSError) else None

@@ -9,7 +9,7 @@ LOOK_NS = 200_000_000  # of the time between two looks no more counts as silence
 
 
 class DropReason(NamedTuple):
-    """Why a whole frame is not handed on, and what to do where all are dropped so."""
+    """Why a complete frame is not handed on, and what to do where all are dropped so."""
 
     words: str
     remedy: str
@@ -40,7 +40,7 @@ class SilenceWatch:
     """How long a device has sent no usable frame, counted over the time that it was watched.
 
     Call `look` at every tick, `heard` for each frame that is handed on, and `dropped` for each that came
-    whole and is not: those do not end the silence, but tell it from that of a cable that is out.
+    complete and is not: those do not end the silence, but distinguish it from that of an unplugged cable.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class SilenceWatch:
         self._silent_at_drop_ns = 0  # at the newest of them
 
     def look(self, now_ns: int, waiting: bool) -> None:
-        """waiting: the device should be sending; time before it was asked to does not count."""
+        """waiting: the device should be sending; time before the request does not count."""
         if waiting and self._looked_at_ns is not None:
             self._silent_ns += min(now_ns - self._looked_at_ns, LOOK_NS)
         self._looked_at_ns = now_ns

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 
-def _whole_path(directory: Any) -> Any:
+def _full_path(directory: Any) -> Any:
     """An empty path would be the folder in which the service happens to be started; a shell expands ~."""
     if isinstance(directory, str) and not directory.strip():
         raise ValueError("an empty path; write the folder, such as /var/lib/corridor/sessions")
@@ -15,4 +15,4 @@ def _whole_path(directory: Any) -> Any:
     return directory
 
 
-Folder = Annotated[Path, BeforeValidator(_whole_path)]
+Folder = Annotated[Path, BeforeValidator(_full_path)]

@@ -1,4 +1,4 @@
-"""A whole vehicle of fake devices on loopback ports and terminals, driving through a world until stopped.
+"""A vehicle of fake devices on loopback ports and terminals, driving through a world until stopped.
 
 python -m simulators --world office --print-endpoints --truth truth.txt
 """

@@ -83,13 +83,13 @@ class HasChecksum(Protocol):
     """A device that knows where its checksums stand."""
 
     def spoil_checksum(self, message: bytes) -> bytes:
-        """The message with a wrong checksum and all else whole; unchanged where it carries none."""
+        """The message with a wrong checksum and all else valid; unchanged where it carries none."""
         ...
 
 
 @runtime_checkable
 class Unpluggable(Protocol):
-    """A device that is unplugged at times: the wire asks, resets its clients and closes its port."""
+    """A device that is unplugged at times: the wire polls, resets its clients and closes its port."""
 
     def plugged(self, now_ns: int) -> bool: ...
 
@@ -133,5 +133,7 @@ class WheelSource(Protocol):
     """What wheel encoders measure: true travel with slip and scale error on it, before quantisation."""
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        """Way rolled by the left and the right wheel since the world began, m; backwards counts down."""
+        """Path length rolled by the left and the right wheel since the world began, m; backwards counts
+        down.
+        """
         ...

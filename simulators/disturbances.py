@@ -31,12 +31,12 @@ class Slip:
 
     from_s: float
     to_s: float
-    way_scale: float = 0.0
+    path_scale: float = 0.0
     turn_scale: float = 0.0
 
     def scales(self, time_s: float) -> tuple[float, float]:
         """Of distance and turn, at that time."""
-        return (self.way_scale, self.turn_scale) if self.from_s <= time_s < self.to_s else (1.0, 1.0)
+        return (self.path_scale, self.turn_scale) if self.from_s <= time_s < self.to_s else (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def rolled(drive: Trajectory, slips: Sequence[Slip], time_s: Floats) -> Floats:
     travel = drive.travel(time_s)
     for slip in slips:
         begun = drive.travel(np.array([slip.from_s]))
-        missed = 1.0 - np.array([slip.way_scale, slip.turn_scale])
+        missed = 1.0 - np.array([slip.path_scale, slip.turn_scale])
         travel -= missed * (drive.travel(np.clip(time_s, slip.from_s, slip.to_s)) - begun)
     return travel
 
@@ -113,8 +113,8 @@ def with_companions(
     for ahead_m, left_m in offsets:
         pace, begin = noise.uniform(*SWAY_RADPS, 2), noise.uniform(0.0, 2.0 * math.pi, 2)
         sway = sway_m * np.sin(time_s[:, None] * pace + begin)
-        way_m = _way_m(world.drive, time_s, speed_mps) + ahead_m + sway[:, 0]
-        places = _beside_way(world.drive, time_s, way_m, left_m + sway[:, 1])[:, :2]
+        path_length_m = _path_length_m(world.drive, time_s, speed_mps) + ahead_m + sway[:, 0]
+        places = _beside_path(world.drive, time_s, path_length_m, left_m + sway[:, 1])[:, :2]
         times_s = [0.0, *time_s.tolist(), FOR_EVER_S] if from_s > 0.0 else [*time_s.tolist(), FOR_EVER_S]
         stands = [*([places[0]] if from_s > 0.0 else []), *places, places[-1]]
         people.append(
@@ -144,16 +144,16 @@ def with_train(
 
     left_m     of its near side from the middle of the vehicle; negative: on the right
     speed_mps  None: as fast as the vehicle, its middle beside it all the time; else its middle passes the
-               vehicle half-way between from_s and to_s, negative: it comes towards it
+               vehicle midway between from_s and to_s, negative: it comes towards it
     """
     time_s = np.append(np.arange(from_s, to_s, STEP_S), to_s)
-    way_m = _way_m(world.drive, time_s, speed_mps)
+    path_length_m = _path_length_m(world.drive, time_s, speed_mps)
     if speed_mps is not None:
         middle_s = (from_s + to_s) / 2.0
-        way_m += float(world.drive.travel(np.array([middle_s]))[0, 0]) - float(
-            np.interp(middle_s, time_s, way_m)
+        path_length_m += float(world.drive.travel(np.array([middle_s]))[0, 0]) - float(
+            np.interp(middle_s, time_s, path_length_m)
         )
-    path = np.column_stack([time_s, _beside_way(world.drive, time_s, way_m, np.zeros(len(time_s)))])
+    path = np.column_stack([time_s, _beside_path(world.drive, time_s, path_length_m, np.zeros(len(time_s)))])
     half_m, far_m = length_m / 2.0, left_m + math.copysign(width_m, left_m)
     corners = [(-half_m, left_m), (half_m, left_m), (half_m, far_m), (-half_m, far_m)]
     faces = np.array([(*corners[k], *corners[(k + 1) % 4]) for k in range(4)])
@@ -185,19 +185,19 @@ def with_floor_seen(
     return replace(world, movers=(*world.movers, Mover(line, path, from_s, to_s, light, sensor)))
 
 
-def _way_m(drive: Trajectory, time_s: Floats, speed_mps: float | None) -> Floats:
+def _path_length_m(drive: Trajectory, time_s: Floats, speed_mps: float | None) -> Floats:
     """(N,) along the path of the vehicle, from where the vehicle is at the first of these times."""
-    way_m = drive.travel(time_s)[:, 0]
-    return way_m if speed_mps is None else way_m[0] + speed_mps * (time_s - time_s[0])
+    path_length_m = drive.travel(time_s)[:, 0]
+    return path_length_m if speed_mps is None else path_length_m[0] + speed_mps * (time_s - time_s[0])
 
 
-def _beside_way(drive: Trajectory, time_s: Floats, way_m: Floats, left_m: Floats) -> Floats:
+def _beside_path(drive: Trajectory, time_s: Floats, path_length_m: Floats, left_m: Floats) -> Floats:
     """(N, 3) x m, y m, theta rad left of the vehicle's path; straight on beyond its ends."""
     seconds = np.arange(0.0, float(time_s[-1]) + LOOK_AHEAD_S, STEP_S / 2.0)
     way, first = np.unique(drive.travel(seconds)[:, 0], return_index=True)
     poses = drive.poses(seconds[first])
-    ahead_m = way_m - np.clip(way_m, way[0], way[-1])
-    x, y, theta = (np.interp(way_m, way, column) for column in poses.T)
+    ahead_m = path_length_m - np.clip(path_length_m, way[0], way[-1])
+    x, y, theta = (np.interp(path_length_m, way, column) for column in poses.T)
     c, s = np.cos(theta), np.sin(theta)
-    beside_way: Floats = np.column_stack([x + ahead_m * c - left_m * s, y + ahead_m * s + left_m * c, theta])
-    return beside_way
+    beside_path: Floats = np.column_stack([x + ahead_m * c - left_m * s, y + ahead_m * s + left_m * c, theta])
+    return beside_path

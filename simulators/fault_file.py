@@ -38,7 +38,7 @@ class Fault(Section):
 
 class RepeatedFault(Fault):
     """Comes at at_s and, with every_s, again and again: the k-th time up to jitter_s later than
-    at_s + k * every_s, drawn from the seed.
+    at_s + k * every_s, sampled from the seed.
     """
 
     every_s: float | None = Field(default=None, ge=0.1, le=DAY_S)

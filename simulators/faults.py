@@ -4,8 +4,8 @@ of the link              cut, delay, burst
 of the bytes it sends    garbage, bit_flips, half_messages, wrong_checksum, duplicate, drop
 of the device            silence, restart, slow_start, clock_jump
 
-A message is what the device returns in one piece. Several faults may act at a time; on a message they act in
-the order of the file. What the host sends is never harmed, only lost while there is no one to hear it.
+A message is one return value of the device. Several faults may act at a time; on a message they act
+in the order of the file. What the host sends is never harmed, only lost while there is no one to hear it.
 """
 
 import logging

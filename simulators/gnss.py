@@ -17,12 +17,12 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from simulators.truth import noise_of
 
-STEP_S = 1.0  # the lasting error is drawn at these steps, straight between them
+STEP_S = 1.0  # the lasting error is sampled at these steps, straight between them
 
 
 @dataclass(frozen=True, slots=True)
 class Reflection:
-    """From begin_s to end_s every fix lies off by this, and does not say so."""
+    """From begin_s to end_s every fix is off by this without any sign of it."""
 
     begin_s: float
     end_s: float
@@ -99,7 +99,7 @@ class Receiver:
         )
 
     def _lasting_error(self, time_s: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(3,) m; the same for one time, whatever was asked before."""
+        """(3,) m; the same for one time, independent of earlier calls."""
         k, share = divmod(max(time_s, 0.0) / STEP_S, 1.0)
         keep = math.exp(-STEP_S / self.model.correlation_s)
         new_sigma_m = self.model.lasting_sigma_m * math.sqrt(1.0 - keep * keep)

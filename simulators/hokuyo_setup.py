@@ -92,7 +92,7 @@ class Utm30lxSetup:
     model: ModelName = "utm_30lx"
     product: str = ""  # what it calls itself; "": as its model does
     serial_number: str = "00903971"
-    last_step: int | None = None  # None: as its model says in PP
+    last_step: int | None = None  # None: as its model states in PP
     front_step: int | None = None
     boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet
     warm_up_ns: int = 0  # after that: laser and scans are answered 0M
@@ -101,7 +101,7 @@ class Utm30lxSetup:
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
     motor_speed: float = 1.0  # of nominal; one was seen to take 25.05 ms a turn
     stamps_rear: bool = False  # the moment the mirror looks back, instead of step 0
-    no_return_mm: int | None = None  # what a beam without echo says; None: as its model does
+    no_return_mm: int | None = None  # value of a beam without echo; None: as its model does
     further_echo_share: float = 0.0  # of the beams, see through to something behind; Ethernet alone
     sums_count_semicolons: bool = False
     refused: frozenset[str] = frozenset()  # commands it does not know: ME, ND ...; also "cluster", "skip"

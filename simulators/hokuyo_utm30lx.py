@@ -1,8 +1,8 @@
 """A pretended Hokuyo laser of drivers.hokuyo_utm30lx.models: the other end of drivers.hokuyo_utm30lx. No I/O.
 
-It answers what third-party clients ask at their start-up (urg_library, hokuyo_node, MRPT, hokuyolx) in the
-order and form they need, and reproduces the behaviour of real ones: silence while booting, 0M until the motor
-turns evenly, a USB unit that streams on for a client that died, a clock of milliseconds that drifts and
+It answers the requests of third-party clients at their start-up (urg_library, hokuyo_node, MRPT, hokuyolx) in
+the order and form they need, and reproduces the behaviour of real ones: silence while booting, 0M until the
+motor turns evenly, a USB unit that streams on for a client that died, a clock of milliseconds that drifts and
 wraps.
 """
 
@@ -70,7 +70,7 @@ class FakeUtm30lx:
         self._asleep = False
         self._speaks_high = False
         self._baud = 19_200
-        self._reboot_asked_ns: int | None = None
+        self._reboot_requested_ns: int | None = None
         self._stream: ScanRequest | None = None
         self._stream_echo = ""
         self.stopped_with = ""
@@ -108,7 +108,7 @@ class FakeUtm30lx:
 
     def restart(self, now_ns: int) -> None:
         self._decoder = CommandDecoder()
-        self._speaks_high, self._baud, self._reboot_asked_ns = False, 19_200, None
+        self._speaks_high, self._baud, self._reboot_requested_ns = False, 19_200, None
         self.power_on(now_ns)
 
     def jump_clock(self, seconds: float) -> None:
@@ -342,11 +342,11 @@ class FakeUtm30lx:
         return encode_reply(echo, OK)
 
     def _reboot(self, text: str, echo: str, now_ns: int) -> bytes:
-        asked_ns, self._reboot_asked_ns = self._reboot_asked_ns, now_ns
-        if asked_ns is None or now_ns - asked_ns > REBOOT_WINDOW_NS:
+        requested_ns, self._reboot_requested_ns = self._reboot_requested_ns, now_ns
+        if requested_ns is None or now_ns - requested_ns > REBOOT_WINDOW_NS:
             return encode_reply(echo, "01")
         self.counters["reboots"] += 1
-        self._reboot_asked_ns = None
+        self._reboot_requested_ns = None
         self.abnormal = False
         self.power_on(now_ns)
         return encode_reply(echo, OK)

@@ -98,7 +98,7 @@ class FakeIbeoLux:
 
     def __init__(self, source: LayeredSweepSource, setup: LuxSetup | None = None, seed: int = 0) -> None:
         self.setup = setup or LuxSetup()
-        self.motor_failed = False  # scans end, and it says so once a second
+        self.motor_failed = False  # scans end, and it reports it once a second
         self.silent = False  # nothing more is reported
         self.counters: Counter[str] = Counter()
         self._source = source

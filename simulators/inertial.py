@@ -16,7 +16,7 @@ from simulators.truth import Ride, noise_of
 
 HALF_STEP_S = 0.005  # accelerations are differences of the drive's twist over twice this
 BIAS_STEP_S = 1.0
-BIAS_BLOCK = 600  # steps drawn at a time
+BIAS_BLOCK = 600  # steps sampled at a time
 GNSS_STEP_S = 30.0  # between independent errors of the receiver; straight in between
 VELOCITY_STEP_S = 5.0  # the same of the filter's velocity
 RECEIVER_VELOCITY_SIGMA_MPS = 0.1  # each direction; u-blox 6 data sheet, velocity accuracy
@@ -87,7 +87,7 @@ PERFECT_IMU = ImuModel(0.0, 0.0, 0.0, 0.0, attitude_sigma_rad=0.0, heading_sigma
 
 @dataclass(frozen=True, slots=True)
 class Datum:
-    """Where the world's origin lies on the earth, and which way its x axis looks (0 east, pi/2 north)."""
+    """Where the world's origin lies on the earth, and the heading of its x axis (0 east, pi/2 north)."""
 
     latitude_deg: float = 60.161
     longitude_deg: float = 24.546
@@ -262,7 +262,7 @@ class InertialTruth:
         return error
 
     def _straight(self, what: str, step_s: float, stamps_ns: npt.NDArray[np.int64]) -> Floats:
-        """(N, 3) normal numbers drawn each step_s since the ride began, straight in between."""
+        """(N, 3) normal numbers sampled each step_s since the ride began, straight in between."""
         place = (stamps_ns - self.ride.start_ns) * (1e-9 / step_s)
         step = np.floor(place).astype(np.int64)
         first = int(step.min())

@@ -1,9 +1,10 @@
 """A pretended SICK scanner of drivers.sick_lms100.models: the other end of drivers.sick_lms100. No I/O.
 
-It answers what third-party clients ask at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT, sick_scan_xd)
-in the order and form they need, and reproduces the behaviour of real ones: a port open before anything
-answers, one dialect and silence in the other, a login gate, half a minute lost to a new scan rate, an error
-flag on the first scans, a motor that turns a little slower than it says, a clock that drifts and wraps.
+It answers the requests of third-party clients at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT,
+sick_scan_xd) in the order and form they need, and reproduces the behaviour of real ones: a port open before
+anything answers, one dialect and silence in the other, a login gate, half a minute lost to a new scan rate,
+an error flag on the first scans, a motor that turns a little slower than it states, a clock that drifts and
+wraps.
 """
 
 from collections import Counter, deque
@@ -172,7 +173,7 @@ class FakeLms100:
         return message
 
     def state(self, now_ns: int) -> int:
-        """What STlms says."""
+        """Content of STlms."""
         if now_ns < self._boots_until_ns:
             return STATE_BOOTING
         if self._turning_since_ns is None:
@@ -215,7 +216,7 @@ class FakeLms100:
         return 1e11 / self._scan.frequency_chz / self.setup.motor_speed
 
     def _first_beam_ns(self, index: int) -> int:
-        """When scan `index` passes the angle at which a whole sweep begins."""
+        """When scan `index` passes the angle at which a sweep begins."""
         assert self._turning_since_ns is not None
         return self._turning_since_ns + round(index * self._period_ns())
 

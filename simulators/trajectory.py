@@ -1,6 +1,6 @@
 """Smooth drives of a wheeled vehicle: pose and twist as functions of time.
 
-A drive is a list of legs (follow way points, spin, pause), each from rest to rest. Corners are arcs whose
+A drive is a list of legs (follow waypoints, spin, pause), each from rest to rest. Corners are arcs whose
 curvature ramps in and out, so pose, heading, speed and turn rate are continuous and the twist is the
 derivative of the pose. The vehicle moves along its heading only; it never goes sideways.
 """
@@ -192,7 +192,7 @@ def _spin(begin: Floats, turn_rad: float, limits: Limits) -> Floats:
     rate = min(limits.turn_rate_radps, math.sqrt(way * limits.turn_acceleration_radps2))
     ramp_s = rate / limits.turn_acceleration_radps2
     total_s = way / rate + ramp_s
-    time_s, pace = _whole_nodes(total_s)
+    time_s, pace = _integer_nodes(total_s)
     rates = rate * np.clip(np.minimum(time_s, total_s - time_s) / ramp_s, 0.0, 1.0)
     turned = np.where(
         time_s < ramp_s,
@@ -209,8 +209,8 @@ def _spin(begin: Floats, turn_rad: float, limits: Limits) -> Floats:
     return nodes
 
 
-def _whole_nodes(total_s: float) -> tuple[Floats, float]:
-    """Times to sample at so that a leg lasts a whole number of nodes, and the factor this slows it by."""
+def _integer_nodes(total_s: float) -> tuple[Floats, float]:
+    """Times to sample at so that a leg lasts an integer number of nodes, and the factor this slows it by."""
     count = math.ceil(total_s / NODE_S - 1e-6)  # the last digits of a sum are no node
     return np.linspace(0.0, total_s, count + 1), total_s / (count * NODE_S)
 
@@ -218,11 +218,11 @@ def _whole_nodes(total_s: float) -> tuple[Floats, float]:
 def _shape(
     begin: tuple[float, float], points: Sequence[tuple[float, float]], corner_radius_m: float
 ) -> Floats:
-    """(K, 2) samples of the way points with rounded corners; curvature is continuous."""
+    """(K, 2) samples of the waypoints with rounded corners; curvature is continuous."""
     vertices = np.array([begin, *points])
     if (np.hypot(*np.diff(vertices, axis=0).T) < SAME_POSE).any():
         raise ValueError(f"two way points in a row are the same: {vertices.tolist()}; the first is the start")
-    pieces, where, spare_m = [], vertices[0], 0.0
+    segments, where, spare_m = [], vertices[0], 0.0
     for before, corner, after in zip(vertices[:-2], vertices[1:-1], vertices[2:], strict=True):
         ahead, onward = _unit(corner - before), _unit(after - corner)
         turn = math.atan2(ahead[0] * onward[1] - ahead[1] * onward[0], float(ahead @ onward))
@@ -234,11 +234,11 @@ def _shape(
         arc = arc_start + corner_radius_m * (
             np.sin(np.abs(angles))[:, None] * ahead + (1 - np.cos(angles))[:, None] * left
         )
-        pieces += [_line(where, arc_start), arc[:-1]]
+        segments += [_line(where, arc_start), arc[:-1]]
         where, spare_m = corner + tangent_m * onward, tangent_m
     _check_leg(vertices[-2], vertices[-1], spare_m, 0.0)
-    pieces += [_line(where, vertices[-1]), vertices[-1:]]
-    return _ease(_even(np.vstack(pieces)))
+    segments += [_line(where, vertices[-1]), vertices[-1:]]
+    return _ease(_even(np.vstack(segments)))
 
 
 def _check_leg(begin: Floats, end: Floats, spent_m: float, tangent_m: float) -> None:
@@ -262,13 +262,13 @@ def _line(begin: Floats, end: Floats) -> Floats:
     return line
 
 
-def _way(path: Floats) -> Floats:
+def _path(path: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
 
 
 def _even(path: Floats) -> Floats:
     """Resampled at equal steps."""
-    way = _way(path)
+    way = _path(path)
     even = np.linspace(0.0, way[-1], math.ceil(way[-1] / STEP_M) + 1)
     return np.column_stack([np.interp(even, way, path[:, 0]), np.interp(even, way, path[:, 1])])
 
@@ -289,7 +289,7 @@ def _ease(path: Floats) -> Floats:
 
 def _follow(begin: Floats, path: Floats, limits: Limits) -> Floats:
     """Nodes of a drive along `path` as fast as the limits allow; the first is `begin`."""
-    way = _way(path)
+    way = _path(path)
     tangent = np.gradient(path, way, axis=0)
     theta = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     theta += round((begin[THETA] - theta[0]) / (2 * math.pi)) * 2 * math.pi
@@ -298,20 +298,20 @@ def _follow(begin: Floats, path: Floats, limits: Limits) -> Floats:
     speed = np.sqrt(square)
     time_s = np.concatenate([[0.0], np.cumsum(2 * np.diff(way) / (speed[1:] + speed[:-1]))])
 
-    node_s, pace = _whole_nodes(time_s[-1])
+    node_s, pace = _integer_nodes(time_s[-1])
     index = np.clip(np.searchsorted(time_s, node_s, side="right") - 1, 0, len(way) - 2)
     elapsed_s = node_s - time_s[index]
     acceleration = (square[index + 1] - square[index]) / (2 * (way[index + 1] - way[index]))
-    node_way = way[index] + elapsed_s * (speed[index] + acceleration * elapsed_s / 2)
+    node_path = way[index] + elapsed_s * (speed[index] + acceleration * elapsed_s / 2)
     node_speed = pace * np.maximum(speed[index] + acceleration * elapsed_s, 0.0)
     return np.column_stack(
         [
-            begin[WAY] + node_way,
-            np.interp(node_way, way, path[:, 0]),
-            np.interp(node_way, way, path[:, 1]),
-            np.interp(node_way, way, theta),
+            begin[WAY] + node_path,
+            np.interp(node_path, way, path[:, 0]),
+            np.interp(node_path, way, path[:, 1]),
+            np.interp(node_path, way, theta),
             node_speed,
-            node_speed * np.interp(node_way, way, curvature),
+            node_speed * np.interp(node_path, way, curvature),
         ]
     )
 

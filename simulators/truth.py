@@ -1,7 +1,7 @@
 """What the vehicle's sensors measure in a world: the truth with each sensor's own errors.
 
-Everything is a function of time and seed. Noise is drawn from a counter-based generator keyed by seed and
-sensor and placed by the moment measured, so it does not matter when or how often someone asks.
+Everything is a function of time and seed. Noise is sampled from a counter-based generator keyed by seed and
+sensor and placed by the moment measured, so it does not matter when or how often it is evaluated.
 """
 
 import math
@@ -353,7 +353,7 @@ class WheelModel:
     """A differential drive's errors."""
 
     wheel_base_m: float = 0.235
-    scale_sigma: float = 0.005  # each wheel's circumference is off by a share drawn once
+    scale_sigma: float = 0.005  # each wheel's circumference is off by a share sampled once
     slip_sigma_m: float = 0.002  # random walk of each wheel per square root of a metre rolled
     slips_per_m: float = 0.02  # a wheel spins for a moment
     slip_m: tuple[float, float] = (0.005, 0.02)  # and how far
@@ -362,7 +362,7 @@ class WheelModel:
 
 CREATE_WHEELS = WheelModel()
 SLIP_STEP_S = 0.1
-SLIP_BLOCK = 600  # steps drawn at a time
+SLIP_BLOCK = 600  # steps sampled at a time
 
 
 class WheelTruth:
@@ -378,7 +378,9 @@ class WheelTruth:
         self._slip_m = np.zeros((1, 2))  # summed at each step since departure, left and right
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        """Way rolled by the left and the right wheel since the world began, m; backwards counts down."""
+        """Path length rolled by the left and the right wheel since the world began, m; backwards counts
+        down.
+        """
         time_s = max(0.0, self._ride.drive_s(now_ns))
         place = time_s / SLIP_STEP_S
         step = int(place)
@@ -391,9 +393,9 @@ class WheelTruth:
 
     def _rolled_m(self, time_s: Floats) -> Floats:
         """(N, 2) travel of the left and the right wheel, before its errors."""
-        way_m, turned_rad = rolled(self._ride.world.drive, self._model.slips, time_s).T
+        path_length_m, turned_rad = rolled(self._ride.world.drive, self._model.slips, time_s).T
         half_m = turned_rad * self._model.wheel_base_m / 2
-        return np.column_stack([way_m - half_m, way_m + half_m])
+        return np.column_stack([path_length_m - half_m, path_length_m + half_m])
 
     def _draw_slip(self) -> None:
         """Draw the next block of steps; a block depends on its number only."""
@@ -401,8 +403,8 @@ class WheelTruth:
         first = len(self._slip_m) - 1
         noise = noise_of(self._seed, self._sensor, first // SLIP_BLOCK)
         moments_s = (first + np.arange(SLIP_BLOCK + 1, dtype=np.float64)) * SLIP_STEP_S
-        way_m = np.abs(np.diff(self._rolled_m(moments_s), axis=0))
-        slip_m = model.slip_sigma_m * np.sqrt(way_m) * noise.standard_normal(way_m.shape)
-        spins = noise.random(way_m.shape) < model.slips_per_m * way_m
-        slip_m += spins * noise.uniform(*model.slip_m, way_m.shape)
+        path_length_m = np.abs(np.diff(self._rolled_m(moments_s), axis=0))
+        slip_m = model.slip_sigma_m * np.sqrt(path_length_m) * noise.standard_normal(path_length_m.shape)
+        spins = noise.random(path_length_m.shape) < model.slips_per_m * path_length_m
+        slip_m += spins * noise.uniform(*model.slip_m, path_length_m.shape)
         self._slip_m = np.vstack([self._slip_m, self._slip_m[-1] + np.cumsum(slip_m, axis=0)])

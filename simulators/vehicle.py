@@ -25,7 +25,7 @@ DEFAULT_DEVICES = ("front=sick_lms100", "base=irobot_create")
 
 @dataclass(frozen=True, slots=True)
 class DeviceSpec:
-    """One device as it was asked for."""
+    """One device as requested."""
 
     name: str
     kind: str
@@ -33,7 +33,7 @@ class DeviceSpec:
 
 
 def parse_device(text: str) -> DeviceSpec:
-    """Read NAME=TYPE[:key=value,...]. Raises ValueError that says what is wrong."""
+    """Read NAME=TYPE[:key=value,...]. Raises ValueError with the reason."""
     name, _, rest = text.partition("=")
     kind, _, options_text = rest.partition(":")
     if not name or kind not in DEVICE_KINDS:

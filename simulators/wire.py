@@ -8,7 +8,7 @@
         wire.freeze()   # the link stands but nothing passes, as when a cable is pulled; restore() undoes it
 
 The wire knows no protocol. It hands bytes and the host's monotonic time to the device and writes what the
-device returns, each return value with one write. A reader that is too slow loses whole messages, counted.
+device returns, each return value with one write. A reader that is too slow loses complete messages, counted.
 """
 
 import errno
@@ -170,7 +170,7 @@ class _Wire(ABC):
             self._drop_all()
 
     def _round(self) -> bool:
-        """One wait and what follows from it; False when asked to stop."""
+        """One wait and what follows from it; False when requested to stop."""
         now_ns = time.monotonic_ns()
         if self._plug is not None and self._plug.plugged(now_ns) != self._is_plugged():
             if self._is_plugged():
@@ -391,7 +391,7 @@ class PtyWire(_Wire):
         return any(events & select.POLLHUP for _, events in poll.poll(0))
 
     def _close_link(self, fd: int) -> None:
-        """Bytes that no one read are lost, as on a real line: those on the way, and those that are there."""
+        """Bytes that no one read are lost, as on a real line: those in transit, and those that are there."""
         try:
             line = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:  # the line was cut

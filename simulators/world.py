@@ -79,8 +79,8 @@ def walk(
     times_s, places = [0.0], [points[0]]
     now_s = begin_s
     for here, there, rest_s in zip(points, [*points[1:], points[0]], [*pauses_s, 0.0], strict=True):
-        for way_s, place in ((0.0, here), (math.dist(here, there) / speed_mps, there), (rest_s, there)):
-            now_s += way_s
+        for path_s, place in ((0.0, here), (math.dist(here, there) / speed_mps, there), (rest_s, there)):
+            now_s += path_s
             if now_s > times_s[-1]:
                 times_s.append(now_s)
                 places.append(place)
@@ -177,7 +177,7 @@ def make_world(name: str, plan: "Plan", people: Sequence[Walk], drive: Trajector
     """A world from a plan, people and a drive that share one frame of the author's choice."""
     start = drive.start
     ends = _seen_from(start, np.array(plan.segments).reshape(-1, 2))
-    # Walls tend to stand on whole metres: keep them off the cells' borders.
+    # Walls tend to be at integer metres: keep them off the cells' borders.
     low = ends.min(axis=0) - 0.37 * CELL_M
     columns, rows = np.ceil((ends.max(axis=0) + 0.01 - low) / CELL_M).astype(int)
     segments = np.ascontiguousarray(ends.reshape(-1, 4))

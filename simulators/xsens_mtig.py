@@ -2,7 +2,7 @@
 
 Sources: MT0101P; answers of real units in ethz-asl/ethzasl_xsens_driver issues 55 and 66, recordings of an
 MTi-G-710 in einride/xsens-go. Timing is real: samples on the grid of the device's own clock, a byte on the
-line takes its time, and an answer waits behind the data that are under way.
+line takes its time, and an answer waits behind the data in transit.
 """
 
 import struct
@@ -106,7 +106,7 @@ class _Clock:
 
 @dataclass(slots=True)
 class FakeMtiG:
-    """One unit on one line. It has been on, and measuring as its settings say, since the world began.
+    """One unit on one line. It has been on, and measuring by its settings, since the world began.
 
     ignores_go_to_config  it hears no GoToConfig until it is reset, as one by USB was seen to do
     settings        its flash: tests look and write here
@@ -231,7 +231,7 @@ class FakeMtiG:
         return 1.0 + self.setup.clock_drift_ppm * 1e-6
 
     def _put(self, message: bytes, ready_ns: int) -> None:
-        """Behind what is under way already."""
+        """Behind what is in transit already."""
         baud = self.settings.baud
         begin_ns = max(ready_ns, self._line_free_ns)
         self._line_free_ns = begin_ns + (0 if baud is None else round(len(message) * 10e9 / baud))
@@ -241,7 +241,7 @@ class FakeMtiG:
         assert self._clock is not None
         self.state, self._boot_ends_ns = "measurement", None
         self._next_sample = self._clock.device_ns(now_ns) // self._period_ns + 1
-        self._next_fix_ns = self._whole_fix_ns(now_ns)
+        self._next_fix_ns = self._full_fix_ns(now_ns)
         self._place_index = self._next_sample
         self._batch = None
 
@@ -266,8 +266,8 @@ class FakeMtiG:
         assert self._clock is not None
         return self._clock.host_ns(index * self.settings.period_ns)
 
-    def _whole_fix_ns(self, host_ns: int) -> int:
-        """Host time of the next whole 250 ms of UTC, where the receiver measures; a little beside it."""
+    def _full_fix_ns(self, host_ns: int) -> int:
+        """Host time of the next full 250 ms of UTC, where the receiver measures; a little beside it."""
         utc_ns = self._utc_ns(host_ns)
         return host_ns + (-utc_ns) % GNSS_PERIOD_NS + GNSS_PERIOD_NS + GNSS_OFF_NS
 
@@ -282,7 +282,7 @@ class FakeMtiG:
         self._count += skipped * self._counts_a_message
         self._next_sample += skipped
         if now_ns - self._next_fix_ns > keep_ns + GNSS_PERIOD_NS:
-            self._next_fix_ns = self._whole_fix_ns(now_ns - keep_ns)
+            self._next_fix_ns = self._full_fix_ns(now_ns - keep_ns)
         return skipped
 
     def _measure(self, now_ns: int) -> None:

@@ -30,7 +30,7 @@ UtcBeforeFix = Literal["runs", "absent", "no_date", "stands"]
 WEEK_MS = 604_800_000
 GPS_EPOCH_S, LEAP_S = 315_964_800, 18
 UTC_VALID, UTC_UNKNOWN = 0x37, 0x00
-GNSS_OFF_NS = -231_000  # the receiver's solutions lie this much beside the whole 250 ms
+GNSS_OFF_NS = -231_000  # the receiver's solutions lie this much beside the full 250 ms
 FIELD_ENU = (0.0, 0.28, -0.96)  # of the earth in northern Europe, 1 = its strength
 WGS84_A_M, WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
 
@@ -199,7 +199,7 @@ def itow_ms(utc_ns: int) -> int:
 
 
 def solution(sample: Sample) -> GnssPvt:
-    """What the receiver says at this moment, a whole 250 ms of UTC; without satellites as a real one does."""
+    """What the receiver sends at this moment, a full 250 ms of UTC; without satellites as a real one does."""
     p = sample.place
     if p is None:
         blank = GnssPvt._make([0] * len(GnssPvt._fields))

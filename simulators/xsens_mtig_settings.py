@@ -1,4 +1,4 @@
-"""The flash of a fake MTi-G or MTi-G-710: what it was set to, and what it answers when asked."""
+"""The flash of a fake MTi-G or MTi-G-710: what it was set to, and its answers to requests."""
 
 import struct
 from typing import Literal
@@ -26,7 +26,7 @@ from drivers.xsens_mtig.protocol import (
 from drivers.xsens_mtig.wanted import PERIOD_HZ, PERIODS, line_bits_per_s
 from simulators.xsens_mtig_data import can_send
 
-POLLED = 0xFFFF  # skip factor of a unit that sends only when asked
+POLLED = 0xFFFF  # skip factor of a unit that sends only on request
 PERIOD_INVALID = 0x03
 MAX_RATE_HZ = 400
 # Of kinds that are slower: MT0101P, table of maximum output rates.
@@ -157,11 +157,11 @@ class DeviceSettings:
         self._work_out()
 
     def _work_out(self) -> None:
-        """What every sample asks for, whenever a register or the output has changed.
+        """What every sample requires, whenever a register or the output has changed.
 
         rate_hz     of MTData2 messages with samples; GNSS messages are apart
         period_ns   between two data messages with samples; of a unit that sends none, any
-        sends_data  without being asked for each message
+        sends_data  without a request for each message
         """
         self.mode, self.output_settings = self._number(Mid.OUTPUT_MODE), self._number(Mid.OUTPUT_SETTINGS)
         self.skip = self._number(Mid.SKIP_FACTOR)
@@ -308,14 +308,14 @@ class DeviceSettings:
 
     def _effective(self, data: bytes) -> list[tuple[int, int]]:
         try:
-            asked = read_output_configuration(data)
+            requested = read_output_configuration(data)
         except ProtocolError as error:
             raise Refusal(PARAMETER_INVALID) from error
-        if len(asked) > MAX_ITEMS:
+        if len(requested) > MAX_ITEMS:
             raise Refusal(PARAMETER_INVALID)
         effective = []
-        for identifier, rate in asked:
-            if identifier == 0 and len(asked) == 1:
+        for identifier, rate in requested:
+            if identifier == 0 and len(requested) == 1:
                 return []
             kind = identifier & KIND_MASK
             without_receiver = kind == Kind.GNSS_PVT and not self.receives_gnss
@@ -348,7 +348,7 @@ class DeviceSettings:
         return b""
 
     def _sync(self, mid: int, data: bytes) -> bytes:
-        """A parameter's number asks for its value; number and value set it."""
+        """A parameter's number requests its value; number and value set it."""
         if len(data) not in (1, 3, 5):
             raise Refusal(PARAMETER_INVALID)
         if len(data) > 1:

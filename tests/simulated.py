@@ -234,8 +234,8 @@ def odometry(ride: Ride, wheels: Wheels, seconds: float, seed: int) -> list[Odom
     for k, stamp_ns in enumerate(stamps_ns.tolist()):
         forward, left, turn = (poses[max(k - 1, 0)].inverse() @ poses[k]).log()
         for slip in wheels.slips:
-            way_scale, turn_scale = slip.scales(ride.drive_s(stamp_ns))
-            forward, left, turn = way_scale * forward, way_scale * left, turn_scale * turn
+            path_scale, turn_scale = slip.scales(ride.drive_s(stamp_ns))
+            forward, left, turn = path_scale * forward, path_scale * left, turn_scale * turn
         root_m = math.sqrt(abs(forward))
         believed = believed @ SE2.exp(
             wheels.scale * forward + wheels.sigma_m_per_sqrt_m * root_m * noise.standard_normal(),

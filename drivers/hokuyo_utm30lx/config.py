@@ -23,14 +23,14 @@ class HokuyoUtm30lxConfig(Section):
     device: DeviceFile | None = Field(default=None, min_length=1)  # UTM-30LX: path, or a pyserial URL
     host: Host | None = Field(default=None, min_length=1)  # UTM-30LX-EW; 192.168.0.10 from the factory
     port: int = Field(default=10940, ge=1, le=65535)  # with host alone
-    serial_number: str | None = Field(default=None, min_length=1)  # as VV says; another unit is refused
+    serial_number: str | None = Field(default=None, min_length=1)  # as VV reports; another unit is refused
     first_angle_deg: float = Field(default=-135.0, ge=-180.0, le=180.0)  # sensor frame, 0 straight ahead;
     last_angle_deg: float = Field(default=135.0, ge=-180.0, le=180.0)  # cut to what the device can see
     cluster: int = Field(default=1, ge=1, le=99)  # neighbouring beams put together into their nearest
     skip_scans: int = Field(default=0, ge=0, le=9)  # left out after each one sent: 1 is 20 Hz
     intensity: bool = False
     echo: Literal["first", "last", "strongest"] = "first"  # others than first: Ethernet alone
-    time_sync: bool = True  # ask the device's clock at the start; takes half a second
+    time_sync: bool = True  # query the device's clock at the start; takes half a second
     stamp_moment: Literal["first_step", "rear"] = "first_step"  # what the device stamps; see its page in docs
     range_min_m: float = Field(default=0.1, ge=0.0, le=5.0)
     range_max_m: float = Field(default=30.0, gt=0.0, le=262.0)

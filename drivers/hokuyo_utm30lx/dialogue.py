@@ -1,7 +1,7 @@
 """Start-up dialogue of a Hokuyo laser: from the first byte to the stream. No I/O, no clock.
 
 The device may be booting (silent, or 0M), streaming for a client that died (on USB it goes on), left in
-time-adjust mode, asleep, in SCIP 1 or abnormal. Hence: end all that first, then ask who it is. Sources:
+time-adjust mode, asleep, in SCIP 1 or abnormal. Hence: end all that first, then query its identity. Sources:
 C-42-03320B; UrgNetworks/urg_library; ros-drivers/hokuyo_node; gbiggs/hokuyoaist; seqsense/urg_stamped PR 115.
 """
 
@@ -62,7 +62,7 @@ class Answer:
     """A reply, and between which host times the device made it."""
 
     reply: Reply
-    asked_ns: int
+    requested_ns: int
     arrived_ns: int
 
 
@@ -80,12 +80,12 @@ class UtmDialogue:
         self.fault = ""  # fault that the device reports, "" for none
         self.refusals: list[str] = []  # settings that it did not take, in words
         self.geometry: Geometry | None = None
-        self.request: ScanRequest | None = None  # of the stream that was asked for
+        self.request: ScanRequest | None = None  # of the stream that was requested
         self.time_samples: list[TimeSample] = []
 
     def run(self) -> Dialogue[None]:
         """Raises TransportError where no one answers, DeviceError where the device refuses or is the wrong
-        one, ProtocolError where what it says makes no sense."""
+        one, ProtocolError where its answer makes no sense."""
         yield from self._stop_whatever_runs()
         yield from self._identify()
         yield from self._look_at_state()
@@ -179,7 +179,7 @@ class UtmDialogue:
                 self.counters["answers_unusable"] += 1
                 unanswered += 1
                 continue
-            self.time_samples.append(TimeSample(answer.asked_ns, device_ms, answer.arrived_ns))
+            self.time_samples.append(TimeSample(answer.requested_ns, device_ms, answer.arrived_ns))
 
     def _light_the_laser(self) -> Dialogue[None]:
         self.phase = "lighting the laser"
@@ -243,7 +243,7 @@ class UtmDialogue:
         return "", None
 
     def _accepted(self, command: str, statuses: tuple[str, ...]) -> Dialogue[Reply]:
-        """Ask until one of these comes. Raises DeviceError on another refusal that stays."""
+        """Repeat the request until one of these comes. Raises DeviceError on another refusal that stays."""
         refusal = ""
         attempts = 0
         while attempts < ATTEMPTS:
@@ -267,7 +267,7 @@ class UtmDialogue:
         raise TransportError(f"no answer to {ATTEMPTS} times {command}")
 
     def _understood(self, command: str, parse: Callable[[dict[str, str]], T]) -> Dialogue[T]:
-        """Ask until the lines can be read. Raises ProtocolError where they never can."""
+        """Repeat the request until the lines can be read. Raises ProtocolError where they never can."""
         for attempt in range(ATTEMPTS):
             reply = yield from self._accepted(command, (OK,))
             try:
@@ -279,7 +279,7 @@ class UtmDialogue:
         raise AssertionError("unreachable")
 
     def _warm_up(self) -> Dialogue[None]:
-        """After power-on the motor takes its time; the device says 0M until it turns evenly."""
+        """After power-on the motor takes its time; the device reports 0M until it turns evenly."""
         self.phase = "warming up"
         self.counters["warm_up_pauses"] += 1
         if self.counters["warm_up_pauses"] > WARM_UP_PAUSES:

@@ -1,8 +1,8 @@
 """Session with one Hokuyo laser: its dialogue over one connection, and scans into frames. No I/O.
 
-Time. Each scan is stamped in whole milliseconds with the moment its sweep began: step 0 by C-42-03320B,
+Time. Each scan is stamped in integer milliseconds with the moment its sweep began: step 0 by C-42-03320B,
 while ros-drivers/urg_node takes it for the moment the mirror looked straight back (stamp_moment: rear).
-ScanClock makes host time of it; from there the first beam asked for is some steps away.
+ScanClock makes host time of it; from there the first beam requested is some steps away.
 """
 
 from collections import Counter
@@ -31,7 +31,7 @@ from drivers.watch import DAMAGED, SAME_STAMP, DropReason, MalformedRun, Silence
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
-SENDING_NS = 300_000  # from the last beam to arrival, a guess until TM1 says better
+SENDING_NS = 300_000  # from the last beam to arrival, an estimate until TM1 is measured
 VERIFYING, HARDWARE_FAULTS = range(21, 50), range(50, 98)  # statuses in a stream
 OTHER_REQUEST = DropReason(
     "of another request than was made",
@@ -72,10 +72,10 @@ class HokuyoUtm30lxSession:
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
         for reply in self._decoder.receive_data(data):
-            asked = self._runner.awaited
-            answers = asked is not None and reply.echo == asked.command
-            if answers and reply.status != SCAN_FOLLOWS:  # else its answer was damaged; it is asked again
-                self._runner.answer(Answer(reply, self._runner.asked_ns, arrived_ns), arrived_ns)
+            requested = self._runner.awaited
+            answers = requested is not None and reply.echo == requested.command
+            if answers and reply.status != SCAN_FOLLOWS:  # else its answer was damaged; it is queried again
+                self._runner.answer(Answer(reply, self._runner.requested_ns, arrived_ns), arrived_ns)
                 if self._runner.ended:
                     self._begin_stream()
             elif reply.echo[0] in "MN" and reply.status != OK:
@@ -91,8 +91,8 @@ class HokuyoUtm30lxSession:
         return scans
 
     def tick(self, now_ns: int) -> None:
-        if (asked := self._runner.tick(now_ns)) is not None:
-            self.outbox += asked.command.encode("ascii") + b"\n"
+        if (requested := self._runner.tick(now_ns)) is not None:
+            self.outbox += requested.command.encode("ascii") + b"\n"
         self._silence.look(now_ns, waiting=self._dialogue.request is not None)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
         if self._silence.exceeds(limit_s):
@@ -197,7 +197,7 @@ class HokuyoUtm30lxSession:
             if missed > 0:
                 self.counters["scans_missed"] += missed
         self._silence.heard()
-        self._verifying = ""  # it measures again, also where the reply that says so was lost
+        self._verifying = ""  # it measures again, also where the reply that reports it was lost
         range_m, intensity = self._convert(scan, geometry)
         cluster = max(request.cluster, 1)
         return LaserScan(

@@ -1,4 +1,4 @@
-"""Where the beams of a device look and when, from what PP says. No constants of a model in here."""
+"""Where the beams of a device look and when, from PP. No constants of a model in here."""
 
 import math
 from collections.abc import Mapping

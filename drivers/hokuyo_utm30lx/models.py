@@ -2,7 +2,7 @@
 
 Geometry, least and largest distance come from the device (PP); here stands what it does not tell. Sources:
 C-42-03320B, tables 3 and 4 (codes); C-42-04076 (UST); VV and PP of a UST-10LX, VV, PP and a scan of a
-URG-04LX-UG01, printed by public drivers; ros-drivers/urg_c, pull request 4 (a URG that is asked for
+URG-04LX-UG01, printed by public drivers; ros-drivers/urg_c, pull request 4 (a URG that is queried for
 intensities or further echoes answers nothing more until its power is cut).
 """
 

@@ -95,7 +95,7 @@ class Reply:
 
 
 class ReplyDecoder:
-    """Feed bytes as they come; take replies as they become whole.
+    """Feed bytes as they come; take replies as they become complete.
 
     Looks for the last status line of each block, so a reply is found behind the stump of another one. What is
     left over is counted. Only echo and status are checked here, lines by who reads them.
@@ -146,7 +146,7 @@ class ReplyDecoder:
 
 
 def encode_reply(echo: str, status: str, lines: Sequence[bytes] = ()) -> bytes:
-    """A whole reply; to each line its sum is added. A status of one character (SCIP 1) has none."""
+    """A complete reply; to each line its sum is added. A status of one character (SCIP 1) has none."""
     code = status.encode("ascii")
     head = echo.encode("ascii") + b"\n" + code + (bytes([checksum(code)]) if len(code) == 2 else b"") + b"\n"
     return head + b"".join(line + bytes([checksum(line), LF]) for line in lines) + b"\n"

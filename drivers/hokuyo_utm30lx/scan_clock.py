@@ -1,14 +1,14 @@
 """When a sweep began, on the host's clock and finer than the device's milliseconds.
 
-Three things are known of a sweep: its stamp, cut to whole milliseconds; that the mirror turns evenly; that it
-arrived some time after it was complete, never before. Call "ideal arrival" the moment stamped plus the
+Three things are known of a sweep: its stamp, cut to integer milliseconds; that the mirror turns evenly; that
+it arrived some time after it was complete, never before. Call "ideal arrival" the moment stamped plus the
 shortest delay that ever occurs. A ClockMap over stamps and arrivals gives a line that lies below it by less
 than a millisecond, the arrival itself lies above. Over some seconds of sweeps, counted by revolutions, the
 line that touches all these upper bounds from below is tight wherever the milliseconds roll over or the wire
 is prompt.
 
 The delay itself: what TM1 answered at the start bounds its clock from both sides (Cristian 1989), and
-the stamps say in which millisecond each sweep began, so together they bound the delay.
+the stamps give in which millisecond each sweep began, so together they bound the delay.
 """
 
 from collections import deque
@@ -23,10 +23,10 @@ from drivers.hokuyo_utm30lx.protocol import CLOCK_MODULUS
 
 TICK_NS = 1_000_000
 WINDOW_NS = 4_800_000_000  # shorter than a motor's speed wanders, long enough for prompt arrivals
-LINE_AFTER_NS = 1_500_000_000  # a shorter window says too little of the period
+LINE_AFTER_NS = 1_500_000_000  # a shorter window determines the period too little
 PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # so measured it outlives a restart of the device's clock
 FIT_EVERY = 8  # scans
-MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be under way
+MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be in transit
 NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 answered
 
 Stamps = npt.NDArray[np.int64]
@@ -36,7 +36,7 @@ Stamps = npt.NDArray[np.int64]
 class TimeSample:
     """One TM1: sent not before, answered with this time of the device, answer read not after. Host ns."""
 
-    asked_ns: int
+    requested_ns: int
     device_ms: int
     answered_ns: int
 
@@ -49,12 +49,14 @@ def since_ms(ticks: int, earlier: int) -> int:
 
 def bounds_of_time(samples: Sequence[TimeSample]) -> tuple[int, int] | None:
     """Between which host times, ns, the device's clock came to the first sample's millisecond; None without
-    samples or where they contradict each other. A clock of whole milliseconds runs up to one ahead.
+    samples or where they contradict each other. A clock of integer milliseconds runs up to one ahead.
     """
     if not samples:
         return None
     since_ns = [since_ms(sample.device_ms, samples[0].device_ms) * TICK_NS for sample in samples]
-    lowest = max(sample.asked_ns - since - TICK_NS for sample, since in zip(samples, since_ns, strict=True))
+    lowest = max(
+        sample.requested_ns - since - TICK_NS for sample, since in zip(samples, since_ns, strict=True)
+    )
     highest = min(sample.answered_ns - since for sample, since in zip(samples, since_ns, strict=True))
     return (lowest, highest) if lowest < highest else None
 
@@ -63,12 +65,12 @@ class ScanClock:
     """Give it each scan in order; it answers with the moment of the device's stamp.
 
     period_ns   from one scan of the stream to the next, nominal
-    delay_ns    from the moment stamped to arrival, at the fastest, as far as one can say without TM1
+    delay_ns    from the moment stamped to arrival, at the fastest, as far as known without TM1
     """
 
     def __init__(self, period_ns: float, delay_ns: int) -> None:
         self.period_ns = period_ns  # as measured, once that can be done
-        self.delay_ns = delay_ns  # within what TM1 allows, once it was asked
+        self.delay_ns = delay_ns  # within what TM1 allows, once measured
         self.contradictions = 0  # of TM1 with itself, or with the scans: then the delay stays as it is
         self.too_close = 0  # stamps within half a sweep behind another
         self._most_delay_ns = delay_ns + MAX_DELAY_OFF_NS
@@ -105,7 +107,7 @@ class ScanClock:
 
     def stamp(self, device_ms: int, arrived_ns: int) -> int:
         """Host time, ns, of what the device stamped device_ms (modulo 2**24). A stamp from before the newest,
-        or within half a sweep behind it, where the mirror cannot be again, says nothing of the line."""
+        or within half a sweep behind it, where the mirror cannot be again, does not constrain the line."""
         resets = self._clock.resets
         self._clock.observe(device_ms, arrived_ns)
         if self._clock.resets > resets:
@@ -137,7 +139,7 @@ class ScanClock:
         return True
 
     def _ideal_arrival_ns(self) -> int:
-        """Of the newest scan: what the line says, within what its own stamp and arrival allow."""
+        """Of the newest scan: the value of the line, within what its own stamp and arrival allow."""
         sweep, stamp_ms, arrived_ns = self._window[-1]
         lowest = self._clock.to_host_ns(stamp_ms % CLOCK_MODULUS)
         highest = min(lowest + TICK_NS, arrived_ns)
@@ -177,7 +179,7 @@ class ScanClock:
 
     def _bound_delay(self, stamp_ms: Stamps, ideal_ns: Stamps) -> None:
         """A sweep began in the millisecond of its stamp, and TM1 answered when that was. No scan is stamped
-        behind its arrival, nor are many on their way: then the clock was set since TM1."""
+        behind its arrival, nor are many in transit: then the clock was set since TM1."""
         assert self._sync is not None
         device_ms, earliest_ns, latest_ns = self._sync
         elapsed_ms = stamp_ms - stamp_ms[0] + since_ms(int(stamp_ms[0]) % CLOCK_MODULUS, device_ms)

@@ -37,7 +37,7 @@ Bytes = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class ScanRequest:
-    """G and H ask for one scan, M and N for a stream; D for ranges, S for short ones, E for intensities too;
+    """G and H request one scan, M and N for a stream; D for ranges, S for short ones, E for intensities too;
     H and N for all echoes.
     """
 
@@ -93,7 +93,7 @@ class Scan:
     request: ScanRequest
     stamp_ms: int  # device clock, modulo 2**24
     distance_mm: Ints  # (E, N), E from 1 to 3; small values are error codes
-    intensity: Ints  # (E, N), or (0, N) where not asked for
+    intensity: Ints  # (E, N), or (0, N) where not requested
 
 
 def read_scan(reply: Reply) -> Scan:

@@ -36,14 +36,14 @@ from drivers.rates import same_rate
 REPLY_TIMEOUT_S = 2.0  # SICK's library waits 0.5 to 2 s
 FIRST_REPLY_TIMEOUT_S = 0.5  # while it may be booting, so that its return is not missed for long
 STATUS_ATTEMPTS = 40
-LISTENS, LISTEN_S = 10, 0.1  # a scanner that says it runs sends by then, else it is started
+LISTENS, LISTEN_S = 10, 0.1  # a scanner that reports it runs sends by then, else it is started
 LISTEN_AFTER = 6  # unanswered while scans come: take them as they are
 CHANGE_ATTEMPTS = 3
 CLOCK_ATTEMPTS = 3  # two commands within one second of the clock
 START_ATTEMPTS = 3
 START_POLLS, START_POLL_S = 150, 0.2  # while the mirror comes up to speed
 WATCH_PERIOD_S = 10.0
-UNANSWERED_LIMIT = 3  # then status is not asked for again
+UNANSWERED_LIMIT = 3  # then status is not requested again
 
 OUTPUT_SCANS, OUTPUT_OBJECTS, OUTPUT_ERRORS = 0x0001, 0x0004, 0x0010  # a bit set switches off
 OUTPUT_WANTED = 0xFFEE  # scans, errors and warnings, nothing else
@@ -85,7 +85,7 @@ class IbeoLuxDialogue:
         self.counters: Counter[str] = Counter()
         self.identity: dict[str, str] = {}
         self.phase = "waiting for the first answer: booting?"
-        self.ready = False  # configured and started: scans from now on are as the config says
+        self.ready = False  # configured and started: scans from now on are as configured
         self.stopped = False  # by us
         self.scans_seen = 0  # kept by the session
         self.foreign = ""  # what other device seems to be there; kept by the session
@@ -309,7 +309,7 @@ class IbeoLuxDialogue:
         )
 
     def _ask_until_answered(self) -> Dialogue[None]:
-        """Ask for the status every WATCH_PERIOD_S: what was deaf while it booted can be set up later."""
+        """Request the status every WATCH_PERIOD_S: what was deaf while it booted can be set up later."""
         yield Pause(WATCH_PERIOD_S)
         while (yield from self._read_status()) is None:
             yield Pause(WATCH_PERIOD_S)

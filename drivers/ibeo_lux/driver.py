@@ -1,9 +1,9 @@
 """Session with one LUX: its dialogue over one connection, and scans into frames. No I/O.
 
-Time. Each scan says when its sweep began and ended, on the device's clock, which counts from power-up until
+Time. Each scan states when its sweep began and ended, on the device's clock, which counts from power-up until
 it is set. The end against the arrival feeds the clock map; the stamp of a frame is the moment its first beam
 was measured, found from the sweep's begin by the beam's angle. Scans that come before the dialogue is through
-are left out: the clock is being set, and what they show may not be what the config asks for.
+are left out: the clock is being set, and what they show may not be what the config requests.
 """
 
 import math
@@ -51,7 +51,7 @@ GRAVE_ERRORS = (
 MALFORMED_LIMIT = 20  # scans in a row
 REPEATED_LIMIT = 20  # scans in a row
 OTHER_LIMIT = 10  # scans in a row
-MIN_TURN_NS, MAX_TURN_NS = 10_000_000, 160_000_000  # of the mirror; 20 to 80 ms are asked for
+MIN_TURN_NS, MAX_TURN_NS = 10_000_000, 160_000_000  # of the mirror; 20 to 80 ms are requested
 DEVICE_ID = 1
 COUNTED_TYPES: dict[int, str] = {
     DataType.OBJECTS: "object_lists_ignored",
@@ -127,8 +127,8 @@ class IbeoLuxSession:
 
     def tick(self, now_ns: int) -> None:
         self._now_ns = now_ns
-        if (asked := self._runner.tick(now_ns)) is not None:
-            payload = write_command(asked.command, asked.body)
+        if (requested := self._runner.tick(now_ns)) is not None:
+            payload = write_command(requested.command, requested.body)
             self.outbox += encode(Message(DataType.COMMAND, payload, DEVICE_ID))
         self._take_over()
         self._silence.look(now_ns, waiting=self._dialogue.ready)
@@ -171,8 +171,8 @@ class IbeoLuxSession:
         except ProtocolError:
             self.counters["replies_unusable"] += 1
             return
-        asked = self._runner.awaited
-        if asked is None or not _answers(reply, asked):
+        requested = self._runner.awaited
+        if requested is None or not _answers(reply, requested):
             self.counters["replies_not_asked_for"] += 1
             return
         self._runner.answer(reply, now_ns)
@@ -354,11 +354,11 @@ def _words(rate_hz: float, angles_ticks: tuple[int, int]) -> str:
     return f"{rate_hz:.3g} Hz from {first_deg:g} to {last_deg:g} deg"
 
 
-def _answers(reply: Reply, asked: Ask) -> bool:
+def _answers(reply: Reply, requested: Ask) -> bool:
     """A late reply about another parameter does not."""
-    if reply.command != asked.command:
+    if reply.command != requested.command:
         return False
-    return reply.refused or reply.command != Command.GET_PARAMETER or reply.body[:2] == asked.body
+    return reply.refused or reply.command != Command.GET_PARAMETER or reply.body[:2] == requested.body
 
 
 def _check(scan: Scan) -> None:

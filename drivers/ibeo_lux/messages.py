@@ -59,7 +59,7 @@ class ScanFlag(IntFlag):
 
 
 class PointFlag(IntFlag):
-    """Set at random where the scan's flag does not say that this labelling ran."""
+    """Set at random where the scan's flag does not report that this labelling ran."""
 
     TRANSPARENT = 0x01
     RAIN = 0x02

@@ -1,8 +1,9 @@
 """Messages of the IBEO LUX, which is the SICK LD-MRS too: bytes <-> type and payload. No I/O, no clock.
 
 A message is a header of 24 bytes, big endian, and a payload, little endian. There is no checksum: what guards
-the stream is the magic word, a plausible type and a bounded size. A size spoilt on the way shows by the next
-message's header lying inside the payload announced; then the message is given up, not those it would swallow.
+the stream is the magic word, a plausible type and a bounded size. A size corrupted in transit shows by the
+next message's header lying inside the payload announced; then the message is given up, not those it would
+swallow.
 
 Sources: Ibeo SDK 6.0.4, IbeoDataHeader.cpp; SICKAG/libsick_ldmrs, LuxBase.cpp (buildDataHeader,
 decodeAnswerInInputBuffer).
@@ -56,7 +57,7 @@ class Message:
     data_type: int
     payload: bytes
     device_id: int = 7  # of the sender's choice; receivers must not depend on it
-    ntp: int = 0  # of sending, 32.32 bit seconds since 1900; 0 where the sender does not say
+    ntp: int = 0  # of sending, 32.32 bit seconds since 1900; 0 where the sender does not state it
     previous_bytes: int = 0  # used in files only
 
 
@@ -79,7 +80,9 @@ def encode(message: Message) -> bytes:
 
 
 class Decoder:
-    """Feed bytes as they come; take messages as they become whole. Keeps at most one message and one read."""
+    """Feed bytes as they come; take messages as they become complete. Keeps at most one message and one
+    read.
+    """
 
     def __init__(self) -> None:
         self._buffer = bytearray()

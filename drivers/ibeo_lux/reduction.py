@@ -1,8 +1,8 @@
 """Four layers into one planar scan. Arrays in, arrays out.
 
 Which points count: those of the layers chosen, without the labels to be left out, within the range limits,
-and, where the mounting height is known, above the ground. A label is used only where the scan's flag says
-that this labelling ran: in real scans the bits of the others are set at random.
+and, where the mounting height is known, above the ground. A label is used only where the scan's flag
+indicates that this labelling ran: in real scans the bits of the others are set at random.
 
 Of the echoes of one shot one is chosen. Its end point is projected into the horizontal plane: range times
 cosine of the elevation, under the mounting's pitch and roll. It then belongs to the beam of the grid that
@@ -73,7 +73,7 @@ def sound_points(scan: Scan) -> npt.NDArray[np.bool_]:
 
 
 class LayerReduction:
-    """Reduces scans as the config says; counts what it leaves out in `counters`."""
+    """Reduces scans as configured; counts what it leaves out in `counters`."""
 
     def __init__(self, config: IbeoLuxConfig, counters: Counter[str]) -> None:
         self.beam_tilt_rad = 0.0  # of the device, not 0 on eight-layer units

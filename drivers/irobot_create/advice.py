@@ -19,7 +19,7 @@ def rate_hz(config: IrobotCreateConfig) -> float:
 
 
 def recognise(data: bytes) -> str:
-    """A Create 2's stream as this driver asks for it, or the text of a robot that was reset."""
+    """A Create 2's stream as this driver requests it, or the text of a robot that was reset."""
     decoder = StreamDecoder(STREAM_IDS)
     frames = decoder.receive_data(data)
     if len(frames) >= CERTAIN_FRAMES or any(is_banner(line) for line in decoder.lines):

@@ -18,7 +18,7 @@ class _Preset(NamedTuple):
 
 
 # Create 2 Open Interface 2016, packet 43 (508.8 counts, 72 mm wheel, 235 mm base); Create Open Interface
-# 2006. A Create 1 shows no encoders and reports whole millimetres and degrees instead.
+# 2006. A Create 1 shows no encoders and reports integer millimetres and degrees instead.
 PRESETS = {
     "create1": _Preset(57_600, 0.258, math.nan, math.nan),
     "create2": _Preset(115_200, 0.235, 0.072, 508.8),

@@ -1,7 +1,7 @@
 """Session with a Create 1: no encoders, so ask for distance and turn, and mend what the robot cuts off.
 
-Packets 19 and 20 give whole millimetres and degrees since they were last read and drop the fraction. In a
-stream, every 15 ms, a turn below 67 deg/s would read as no turn at all. So they are asked for seldom, by a
+Packets 19 and 20 give integer millimetres and degrees since they were last read and drop the fraction. In a
+stream, every 15 ms, a turn below 67 deg/s would read as no turn at all. So they are requested seldom, by a
 query list, and the requested wheel speeds (41, 42) decide where inside its millimetre or degree a reading
 lies.
 """
@@ -69,12 +69,12 @@ class Create1Session:
         self._answer = bytearray()
         self._answer_bytes = data_bytes(QUERY_IDS)
         self._byte_ns = 10e9 / config.baud
-        self._asked_ns: int | None = None  # None: no question is open
+        self._requested_ns: int | None = None  # None: no question is open
         self._ask_at_ns = 0
         self._start_at_ns: int | None = None
         self._last_heard_ns: int | None = None
         self._last_mps: tuple[float, float] | None = None  # requested left and right; None before an answer
-        self._way_lost = True  # of the time before this session
+        self._path_length_lost = True  # of the time before this session
         self._refused_in_a_row = 0
         self._in_banner_until_ns = 0
         self._bytes_heard = 0
@@ -95,16 +95,16 @@ class Create1Session:
             self._last_heard_ns = self._start_at_ns = now_ns
         if now_ns - self._last_heard_ns > GIVE_UP_NS:
             raise TransportError(self._explain_silence())
-        if self._asked_ns is not None and now_ns - self._asked_ns > ANSWER_NS:
+        if self._requested_ns is not None and now_ns - self._requested_ns > ANSWER_NS:
             self._give_up_answer(now_ns)
         if self._start_at_ns is not None and now_ns >= self._start_at_ns:
             self.counters["starts"] += 1
             self.outbox.append(Opcode.START)
             self._start_at_ns = now_ns + RETRY_START_NS
             self._ask_at_ns = now_ns + MODE_SWITCH_NS
-        elif self._asked_ns is None and now_ns >= self._ask_at_ns:
+        elif self._requested_ns is None and now_ns >= self._ask_at_ns:
             self.outbox += encode_query(QUERY_IDS)
-            self._asked_ns = now_ns
+            self._requested_ns = now_ns
             self._answer.clear()
 
     def _give_up_answer(self, now_ns: int) -> None:
@@ -115,10 +115,10 @@ class Create1Session:
 
     def _drop_answer(self, now_ns: int) -> None:
         """What is open is lost, perhaps with motion that it reported: the counters were cleared."""
-        self._way_lost = True
+        self._path_length_lost = True
         self._skip(bytes(self._answer))
         self._answer.clear()
-        self._asked_ns = None
+        self._requested_ns = None
         self._ask_at_ns = now_ns + QUIET_NS
 
     def _skip(self, data: bytes) -> None:
@@ -128,7 +128,7 @@ class Create1Session:
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
         self._bytes_heard += len(data)
-        if self._asked_ns is None:
+        if self._requested_ns is None:
             self._skip(data)
             self._ask_at_ns = max(self._ask_at_ns, arrived_ns + QUIET_NS)
             self._read_text(arrived_ns)
@@ -146,14 +146,14 @@ class Create1Session:
                 self._start_at_ns = arrived_ns + QUIET_NS
             self._read_text(arrived_ns)
             return []
-        asked_ns, self._asked_ns = self._asked_ns, None
+        requested_ns, self._requested_ns = self._requested_ns, None
         self._answer.clear()
         self._text.interrupt()
         self._refused_in_a_row = 0
         self._start_at_ns = None
         self._last_heard_ns = arrived_ns
-        self._ask_at_ns = max(asked_ns + self._config.poll_interval_ms * 1_000_000, arrived_ns)
-        return [self._to_sample(values, asked_ns, arrived_ns)]
+        self._ask_at_ns = max(requested_ns + self._config.poll_interval_ms * 1_000_000, arrived_ns)
+        return [self._to_sample(values, requested_ns, arrived_ns)]
 
     def _read_text(self, arrived_ns: int) -> None:
         for line in self._text.lines:
@@ -193,8 +193,8 @@ class Create1Session:
         )
         return values if believable else None
 
-    def _to_sample(self, values: dict[int, int], asked_ns: int, arrived_ns: int) -> OdometrySample:
-        heard_ns = asked_ns + round((2 + len(QUERY_IDS)) * self._byte_ns)
+    def _to_sample(self, values: dict[int, int], requested_ns: int, arrived_ns: int) -> OdometrySample:
+        heard_ns = requested_ns + round((2 + len(QUERY_IDS)) * self._byte_ns)
         sent_ns = arrived_ns - round(self._answer_bytes * self._byte_ns)
         stamp_ns = (heard_ns + sent_ns) // 2 - round(self._config.latency_ms * 1e6)
         left_mps = values[PacketId.REQUESTED_LEFT_VELOCITY] * 1e-3
@@ -203,13 +203,13 @@ class Create1Session:
         if self._odometry.stamp_ns is not None:
             stamp_ns = max(stamp_ns, self._odometry.stamp_ns + 1)
             elapsed_s = (stamp_ns - self._odometry.stamp_ns) * 1e-9
-            if self._way_lost:
+            if self._path_length_lost:
                 self._odometry.lose(elapsed_s)
             if self._last_mps is not None:
                 expected_left_m = 0.5 * (left_mps + self._last_mps[0]) * elapsed_s
                 expected_right_m = 0.5 * (right_mps + self._last_mps[1]) * elapsed_s
                 ds_m, dth_rad = self._roll(values, expected_left_m, expected_right_m)
-        self._way_lost = False
+        self._path_length_lost = False
         self._last_mps = (left_mps, right_mps)
         self._health.observe(values)
         self.counters["answers_received"] += 1
@@ -220,15 +220,15 @@ class Create1Session:
     def _roll(
         self, values: dict[int, int], expected_left_m: float, expected_right_m: float
     ) -> tuple[float, float]:
-        """Integrate a reading, its lost fractions filled in from what the wheels were asked to do."""
+        """Integrate a reading, its lost fractions filled in from the commanded wheel motion."""
         base_m = self._config.firmware_wheel_base_m
         expected_deg = (expected_right_m - expected_left_m) / base_m / DEGREE_RAD
         expected_mm = 500.0 * (expected_left_m + expected_right_m)
         turn_rad = inside_truncated(values[PacketId.ANGLE], expected_deg) * DEGREE_RAD
-        way_m = inside_truncated(values[PacketId.DISTANCE], expected_mm) * 1e-3
+        path_length_m = inside_truncated(values[PacketId.DISTANCE], expected_mm) * 1e-3
         return self._odometry.roll(
-            (way_m - 0.5 * base_m * turn_rad) * self._config.left_scale,
-            (way_m + 0.5 * base_m * turn_rad) * self._config.right_scale,
+            (path_length_m - 0.5 * base_m * turn_rad) * self._config.left_scale,
+            (path_length_m + 0.5 * base_m * turn_rad) * self._config.right_scale,
             READING_VARIANCE_RAD2 if turn_rad else 0.0,
         )
 

@@ -117,7 +117,7 @@ class IrobotCreateSession:
             self._request_at_ns = None
             self.outbox += encode_stream_request(STREAM_IDS)
             self._stream_from_ns = now_ns + FRAME_PERIOD_NS
-            self._clock.restart()  # a stream asked for again runs in another phase
+            self._clock.restart()  # a stream requested again runs in another phase
             self._twist.clear()
         if now_ns >= self._keep_alive_at_ns:
             # resuming a stream that runs changes nothing and answers nothing, but it is activity
@@ -187,7 +187,7 @@ class IrobotCreateSession:
         """When the frame's last byte was on the line; never too early.
 
         What came behind it in the same read took its time on the line. Not so where the read holds more than
-        the line can have brought since the read before: that was held up elsewhere.
+        the line can have brought since the read before: that was delayed elsewhere.
         """
         return arrived_ns - (round(frame.bytes_after * self._byte_ns) if self._backdated else 0)
 
@@ -207,9 +207,12 @@ class IrobotCreateSession:
             self._read = self._doubtful = None
         self._was_silent = False
         for before in (self._read, self._doubtful):
-            if before is not None and (ways_m := self._ways_m(before, reading, arrived_ns)) is not None:
+            if (
+                before is not None
+                and (path_lengths_m := self._path_lengths_m(before, reading, arrived_ns)) is not None
+            ):
                 self._read, self._doubtful = reading, None
-                return self._odometry.roll(*ways_m)
+                return self._odometry.roll(*path_lengths_m)
         if self._read is None:
             self._read = reading
         else:
@@ -219,7 +222,7 @@ class IrobotCreateSession:
             self._odometry.lose((stamp_ns - self._odometry.stamp_ns) * 1e-9)
         return 0.0, 0.0
 
-    def _ways_m(self, before: Reading, now: Reading, arrived_ns: int) -> tuple[float, float] | None:
+    def _path_lengths_m(self, before: Reading, now: Reading, arrived_ns: int) -> tuple[float, float] | None:
         """Of the left and the right wheel; None where they cannot have turned so far."""
         left_m, right_m = self._steps_m(before, now)
         possible = max(abs(left_m), abs(right_m)) <= _reach_m(before, arrived_ns)

@@ -38,7 +38,7 @@ class FrameClock:
         self.restart()
 
     def restart(self) -> None:
-        """The robot's count began again: after a reset, or when a stream was asked for again."""
+        """The robot's count began again: after a reset, or when a stream was requested again."""
         self._count = 0
         self._origin: tuple[int, int] | None = None  # (count, arrived_ns) that lateness is measured from
         self._clock = ClockMap(self.period_ns, latency_ns=self._latency_ns)
@@ -93,7 +93,9 @@ class FrameClock:
         return lateness_ns - round(missing * self.period_ns)
 
     def _steps_up(self) -> int:
-        """Frames lost without a trace: the lateness of all recent ones is up by whole periods, and stays."""
+        """Frames lost without a trace: the lateness of all recent ones is up by integer periods, and
+        stays.
+        """
         recent = list(self._recent)
         for frames, flow, step in LOSS_SIGNS:
             before, now = recent[-WINDOW - frames : -frames], recent[-frames:]

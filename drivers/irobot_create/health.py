@@ -37,7 +37,7 @@ HEALTH_IDS = (
 
 
 class RobotHealth:
-    """Follows the packets of HEALTH_IDS; counts what begins, and says what is."""
+    """Follows the packets of HEALTH_IDS; counts what begins, and reports what is."""
 
     def __init__(self, counters: Counter[str]) -> None:
         self._counters = counters
@@ -45,7 +45,7 @@ class RobotHealth:
         self.mode_offset = 0  # 1 on robots that report every mode one too high (seen on a Roomba 690)
 
     def learn_mode_offset(self, reported_after_start: int) -> bool:
-        """128 leads to Passive, so what packet 35 says then tells how it counts; True if one too high."""
+        """128 leads to Passive, so packet 35 then shows how it counts; True if one too high."""
         self.mode_offset = int(reported_after_start == Mode.PASSIVE + 1)
         return bool(self.mode_offset)
 
@@ -98,7 +98,7 @@ class RobotHealth:
 
 
 class EncoderFaults:
-    """Readings that a wheel cannot have turned to: whose, and when to say so in the log."""
+    """Readings that a wheel cannot have turned to: whose, and when to log it."""
 
     def __init__(self) -> None:
         self._wheel = ""
@@ -107,7 +107,7 @@ class EncoderFaults:
 
     def add(self, wheel: str, now_ns: int) -> int:
         """Take in a fault of the `left`, the `right` or `both` wheels' encoders. How many to log, this one
-        and those since the last time; 0: it is too soon to say so again."""
+        and those since the last time; 0: it is too soon to report it again."""
         self._wheel, self._last_ns = wheel, now_ns
         self._unsaid += 1
         if now_ns - self._logged_ns < FAULT_RECENT_NS:

@@ -36,7 +36,7 @@ def inside_truncated(whole: int, predicted: float) -> float:
 class DeadReckoning:
     """Pose of a differential drive, integrated along exact arcs, with the covariance of its errors.
 
-    It may outlive a connection: handed to the next session, the pose goes on where it stood.
+    It may outlive a connection: handed to the next session, the pose continues from its last value.
 
     wheel_base_m              distance of the wheels' contact points, m
     travel_variance_m2_per_m  variance of a wheel's travel per metre rolled, m

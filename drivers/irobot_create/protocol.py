@@ -188,7 +188,7 @@ def _code(packet_id: int) -> str:
     return "".join(PACKETS[member] for member in members(packet_id))
 
 
-@lru_cache(maxsize=256)  # a robot is asked for one list all the time
+@lru_cache(maxsize=256)  # a robot sends one list all the time
 def _layout(packet_ids: tuple[int, ...]) -> struct.Struct:
     """Of the plain answer to these ids."""
     return struct.Struct(">" + "".join(_code(packet_id) for packet_id in packet_ids))
@@ -200,7 +200,7 @@ def data_bytes(packet_ids: Iterable[int]) -> int:
 
 
 def frame_bytes(packet_ids: Sequence[int]) -> int:
-    """Length of a whole stream frame of these ids."""
+    """Length of a complete stream frame of these ids."""
     return 3 + len(packet_ids) + data_bytes(packet_ids)
 
 
@@ -229,7 +229,7 @@ def encode_values(packet_ids: Sequence[int], values: Mapping[int, int]) -> bytes
 
 
 def decode_values(packet_ids: Sequence[int], data: bytes) -> dict[int, int]:
-    """Inverse of encode_values. A packet asked for twice keeps its last value.
+    """Inverse of encode_values. A packet requested twice keeps its last value.
 
     Raises ProtocolError where the length does not fit.
     """
@@ -262,7 +262,7 @@ class StreamFrame:
 
 
 class StreamDecoder:
-    """Feed bytes as they come; take the frames of one requested list as they become whole.
+    """Feed bytes as they come; take the frames of one requested list as they become complete.
 
     A frame counts only if its length, its ids in the order requested and its checksum fit, because the
     header's value is common inside data. Anything else is skipped from header + 1 on, and counted. Runs of
@@ -395,7 +395,7 @@ def is_banner(line: str) -> bool:
 
 
 def banner_identity(line: str) -> dict[str, str]:
-    """What a line of the banner says of the robot: `firmware`, `bootloader`; empty for other lines."""
+    """What a line of the banner states of the robot: `firmware`, `bootloader`; empty for other lines."""
     if match := _FIRMWARE.search(line):
         return {"firmware": match[1]} if match[1] else {"bootloader": match[2]}
     return {}
@@ -403,7 +403,7 @@ def banner_identity(line: str) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One whole command as the robot hears it."""
+    """One complete command as the robot receives it."""
 
     opcode: Opcode
     data: bytes = b""

@@ -22,7 +22,7 @@ class Lms100Config(Section):
     model: ModelName = "lms1xx"
     host: Host = Field(min_length=1)
     port: int = Field(default=2111, ge=1, le=65535)  # or 2112
-    dialect: Literal["auto", "cola_a", "cola_b"] = "auto"  # auto asks in both; the device is never rewritten
+    dialect: Literal["auto", "cola_a", "cola_b"] = "auto"  # auto tries both; the device is never rewritten
     password_hash: str = Field(default="F4724744", pattern=r"^[0-9A-Fa-f]{8}$")  # of level 3, "client"
     scan_rate_hz: Literal[15, 25, 35, 50, 75, 100] = 50
     angle_step_deg: float = 0.5

@@ -1,7 +1,7 @@
 """Start-up dialogue of a SICK scanner of models.py, and its polling while it streams. No I/O, no clock.
 
 Boot: the port is open before anything answers, the first write after power-up is refused with error 4, and
-a new scan rate or angle step costs some 30 s without data. Hence: ask until answered, change only what
+a new scan rate or angle step costs some 30 s without data. Hence: repeat until answered, change only what
 differs, read back. Sources: an LMS111's start-up recorded in SICKAG/sick_scan_xd; clearpathrobotics/LMS1xx
 issues 11, 21, 51; SICKAG/sick_scan issue 44; SICKAG/sick_scan_xd issues 35, 70, 503.
 
@@ -33,20 +33,20 @@ from drivers.sick_lms100.telegrams import (
 
 # Where a source is named, other drivers wait so long for the same; CPR is clearpathrobotics/LMS1xx, SXD is
 # SICKAG/sick_scan_xd (sick_scan_common.h and .cpp), and the rest is our own choice, with its reason.
-ANSWER_TIMEOUT_S = 1.0  # CPR asks again each second; the recorded answers take 1 to 3 ms, the slowest 14 ms
+ANSWER_TIMEOUT_S = 1.0  # CPR repeats it each second; the recorded answers take 1 to 3 ms, the slowest 14 ms
 CHANGE_TIMEOUT_S = 5.0  # SXD, READ_TIMEOUT_MILLISEC_DEFAULT
 PROBE_ROUNDS = 10  # of both dialects, 20 s; then a new connection, the old one may be a leftover of the boot
 LOGIN_ATTEMPTS = 30  # of ANSWER_TIMEOUT_S: a boot takes tens of seconds (CPR issue 11), then as PROBE_ROUNDS
 CHANGE_ATTEMPTS = 5  # a booting device refuses the first (SICKAG/sick_scan issue 44)
-CHANGE_PAUSE_S = 2.0  # so what cannot be done at present is asked for 8 s
-PASSING_REFUSALS = (0x4, 0xD)  # not allowed now, busy; the others are asked twice, once with a new login
+CHANGE_PAUSE_S = 2.0  # so what cannot be done at present is retried for 8 s
+PASSING_REFUSALS = (0x4, 0xD)  # not allowed now, busy; the others are requested twice, once with a new login
 START_ATTEMPTS = 30  # of CHANGE_PAUSE_S: a minute, as long as one refuses after a lost client (SXD, README)
 READ_BACK_ATTEMPTS = 45  # SXD, so many polls, one a second
 READY_POLLS = 150  # one a second: SXD, READ_TIMEOUT_MILLISEC_KILL_NODE
 RESTART_AT_POLLS = (60, 105)  # at 25 Hz more than 44 s, or a second Run, were needed (SXD issue 503)
 SUBSCRIBE_ATTEMPTS = 5  # as CHANGE_ATTEMPTS
 WATCH_PERIOD_S = 10.0  # dirt and warmth come slowly, and each question costs the device time
-UNANSWERED_LIMIT = 3  # then this question is not asked again: SXD's test_server.py never answers it
+UNANSWERED_LIMIT = 3  # then this request is not repeated: SXD's test_server.py never answers it
 ACCESS_LEVEL = 3
 ECHO_FILTERS = {"first": 0, "last": 2}  # 1: all, of which DIST1 is the first
 
@@ -105,9 +105,9 @@ class Lms100Dialogue:
                     self.dialect = answer.dialect
                     self.identity["dialect"] = answer.dialect.value
                     return
-        asked = " or ".join(candidate.value for candidate in candidates)
+        requested = " or ".join(candidate.value for candidate in candidates)
         raise TransportError(
-            f"connected, but no answer in {asked} after {PROBE_ROUNDS * len(candidates)} requests; "
+            f"connected, but no answer in {requested} after {PROBE_ROUNDS * len(candidates)} requests; "
             "is it still booting, or is another host connected to this port?"
         )
 
@@ -179,14 +179,14 @@ class Lms100Dialogue:
 
     @property
     def scan_config(self) -> ScanConfig:
-        """What the config asks for, in device units."""
+        """What the config requests, in device units."""
         step_e4deg = round(self._config.angle_step_deg * 10_000)
         limits = self._limits
         return ScanConfig(self._config.scan_rate_hz * 100, step_e4deg, limits.first_e4deg, limits.last_e4deg)
 
     @property
     def output_range(self) -> OutputRange:
-        """What the config asks for, in device units: device angle is sensor angle + 90 deg."""
+        """What the config requests, in device units: device angle is sensor angle + 90 deg."""
         return OutputRange(
             round((self._config.first_angle_deg + 90.0) * 10_000),
             round((self._config.last_angle_deg + 90.0) * 10_000),
@@ -278,7 +278,7 @@ class Lms100Dialogue:
             raise DeviceError(f"after LMDscandatacfg was accepted it has {found.words}")
 
     def _change(self, kind: str, name: str, write: Callable[[Writer], None]) -> Dialogue[Telegram | None]:
-        """Ask for a change until it is accepted; None where no one ever answered. Raises DeviceError."""
+        """Request a change until it is accepted; None where no one ever answered. Raises DeviceError."""
         refusal, lasting = None, 0
         for attempt in range(CHANGE_ATTEMPTS):
             if attempt:

@@ -2,11 +2,12 @@
 
 Time. The device counts microseconds since power-on and stamps each telegram twice: the zero index, and when
 it was handed to the network. The second against the arrival feeds the clock map, the first is translated by
-it. The listing puts the zero index before the measurement. The recorded LMS111 (V1.80.2) however sends whole
-telegrams 3.1 ms after it, while its sweep takes 15 ms, so there it lies behind the sweep. A telegram cannot
-leave before its last beam: where the two stamps say so, the first beam is put a whole sweep before sending.
-So do a recorded TiM551 (3.8 ms) and TiM781S (7.7 ms), whose sweep takes 50 ms. A recorded LMS511 sends
-40.9 ms after it, its turn taking 40 ms: there the zero index comes first, and is taken for the first beam.
+it. The listing puts the zero index before the measurement. The recorded LMS111 (V1.80.2) however sends
+complete telegrams 3.1 ms after it, while its sweep takes 15 ms, so there it lies behind the sweep. A telegram
+cannot leave before its last beam: where the two stamps show it, the first beam is put one sweep before
+sending. So do a recorded TiM551 (3.8 ms) and TiM781S (7.7 ms), whose sweep takes 50 ms. A recorded LMS511
+sends 40.9 ms after it, its turn taking 40 ms: there the zero index comes first, and is taken for the first
+beam.
 """
 
 import math
@@ -105,8 +106,8 @@ class Lms100Session:
         return scans
 
     def tick(self, now_ns: int) -> None:
-        if (asked := self._runner.tick(now_ns)) is not None:
-            self.outbox += encode(asked.request)
+        if (requested := self._runner.tick(now_ns)) is not None:
+            self.outbox += encode(requested.request)
         self._choose_dialect()
         self._silence.look(now_ns, waiting=self._dialogue.subscribed)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
@@ -125,8 +126,8 @@ class Lms100Session:
         return encode(Telegram(self._dialogue.dialect, "sEN", "LMDscandata", w.body))
 
     def _take_answer(self, telegram: Telegram, now_ns: int) -> None:
-        asked = self._runner.awaited
-        if asked is None or (telegram.kind != "sFA" and telegram.name != asked.request.name):
+        requested = self._runner.awaited
+        if requested is None or (telegram.kind != "sFA" and telegram.name != requested.request.name):
             self.counters["answers_not_asked_for"] += 1
         elif telegram.kind == "sMA":  # accepted, the answer follows
             self._runner.wait_again(now_ns)
@@ -317,7 +318,9 @@ class Lms100Session:
 
     def _first_beam_before_zero_us(self, scan: ScanTelegram, geometry: Channel) -> int:
         """How long before the zero-index stamp the first beam was measured. By the earliest sending of this
-        sweep: one that is held up says nothing, and the others scatter by 0.2 ms, which stamps shall not."""
+        sweep: one that is delayed gives no information, and the others scatter by 0.2 ms, which stamps shall
+        not.
+        """
         e4deg_per_us = scan.frequency_chz / 100.0 * FULL_TURN_E4DEG / 1e6
         begin_e4deg = self._limits.first_e4deg
         sending_us = (scan.sent_us - scan.start_us) % CLOCK_MODULUS

@@ -95,7 +95,7 @@ def encode(telegram: Telegram) -> bytes:
 
 
 class Decoder:
-    """Feed bytes as they come; take telegrams as they become whole.
+    """Feed bytes as they come; take telegrams as they become complete.
 
     With dialect None either is understood, telegram by telegram; set `dialect` once the device has shown its
     own, then a binary stream joined in its middle is never taken for text. Garbage is skipped and counted.
@@ -166,7 +166,7 @@ class Decoder:
             self._skip(1)
             return True, None
         if length == 0 or len(buffer) < length + 9:
-            if (start := self._whole_binary_telegram_behind()) > 0:
+            if (start := self._complete_binary_telegram_behind()) > 0:
                 self._skip(start)
                 return True, None
             return False, None
@@ -182,8 +182,8 @@ class Decoder:
             del buffer[: length + 9]
         return True, telegram
 
-    def _whole_binary_telegram_behind(self) -> int:
-        """Where one starts behind a header whose own telegram is not whole yet; -1: nowhere.
+    def _complete_binary_telegram_behind(self) -> int:
+        """Where one starts behind a header whose own telegram is not complete yet; -1: nowhere.
 
         Without this a damaged length would discard the good telegrams that follow it.
         """

@@ -50,7 +50,9 @@ FIRST_RANGE_CODE = 16
 
 
 def exact_step_deg(step_e4deg: int) -> float:
-    """A step above 0 that is a whole fraction of a turn is stated rounded: 3333 for a third of a degree."""
+    """A step above 0 that is an integer fraction of a turn is stated rounded: 3333 for a third of a
+    degree.
+    """
     exact_e4deg = FULL_TURN_E4DEG / round(FULL_TURN_E4DEG / step_e4deg)
     return (exact_e4deg if abs(exact_e4deg - step_e4deg) <= 0.5 else step_e4deg) / 10_000
 
@@ -87,7 +89,7 @@ class ScanConfig:
 
 @dataclass(frozen=True, slots=True)
 class OutputRange:
-    """LMPoutputRange: which part of the sweep is sent. The LMS1xx says step 5000 whatever it really is."""
+    """LMPoutputRange: which part of the sweep is sent. The LMS1xx reports step 5000 whatever it really is."""
 
     first_e4deg: int
     last_e4deg: int

@@ -65,10 +65,10 @@ T = TypeVar("T")
 class RefusedError(DeviceError):
     """An Error message answered a request."""
 
-    def __init__(self, asked: str, answer: Message) -> None:
+    def __init__(self, requested: str, answer: Message) -> None:
         self.reason = error_text(answer)
         self.code = answer.data[0] if answer.data else 0
-        super().__init__(f"refused {asked}: {self.reason}")
+        super().__init__(f"refused {requested}: {self.reason}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +89,10 @@ class MtigDialogue:
         self.counters: Counter[str] = Counter()
         self.identity: dict[str, str] = {}
         self.phase = "waiting for an answer"
-        self.fault = ""  # what was asked for and cannot be had, "" where all is well
+        self.fault = ""  # what was requested and is not available, "" where all is well
         self.refusals: list[str] = []  # settings that it did not take, in words
         self.output: OutputItems = []  # of a device that sends MTData2
-        self.heard = False  # any whole message; kept by the session
+        self.heard = False  # any complete message; kept by the session
         self.awaits_wake_up = False  # after our own reset
         self.baud: int | None = None if config.over_usb else 115_200
         self.legacy: LegacyOutput | None = None  # of a device that sends MTData; None: MTData2
@@ -248,8 +248,8 @@ class MtigDialogue:
                 return inertial
             bare = [item for item in inertial if item[0] & KIND_MASK != Kind.GNSS_PVT]
             product = self.identity.get("product", "")
-            asks_for_fixes = bare != inertial and refusal.code not in (DATA_OVERFLOW, TIMER_OVERFLOW)
-            if asks_for_fixes and (not has_receiver(product) or (yield from self._accepts(bare, current))):
+            requests_fixes = bare != inertial and refusal.code not in (DATA_OVERFLOW, TIMER_OVERFLOW)
+            if requests_fixes and (not has_receiver(product) or (yield from self._accepts(bare, current))):
                 raise DeviceError(
                     f"{product or 'this unit'} has no GNSS receiver: it refused GNSS fixes "
                     f"({refusal.reason}); write gnss: false for this sensor"
@@ -393,8 +393,8 @@ class MtigDialogue:
             if answer.data[:1] == bytes((UNSUPPORTED,)) and not needed:
                 self.counters["requests_unsupported"] += 1
                 return None
-            asked = f"{_name(mid)} {data.hex()}".rstrip()
-            raise RefusedError(asked, answer)
+            requested = f"{_name(mid)} {data.hex()}".rstrip()
+            raise RefusedError(requested, answer)
         raise TransportError(f"no answer to {ATTEMPTS} times {_name(mid)}; rebooting, or a bad cable?")
 
 
@@ -403,7 +403,7 @@ def _name(mid: int) -> str:
 
 
 def _scenarios(table: bytes) -> list[tuple[str, int]]:
-    """(label, number) of each filter profile held by the device: type, version, label padded with blanks."""
+    """(label, number) of each filter profile of the device: type, version, label padded with blanks."""
     found = []
     for at in range(0, len(table) - SCENARIO_BYTES + 1, SCENARIO_BYTES):
         label = table[at + 2 : at + 2 + SCENARIO_LABEL_BYTES]

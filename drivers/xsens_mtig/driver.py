@@ -75,8 +75,8 @@ class XsensMtigSession:
     def tick(self, now_ns: int) -> None:
         if self._decoder.waiting_bytes and now_ns - (self._heard_ns or 0) > STALE_NS:
             self._take_all(self._decoder.give_up_waiting(), now_ns, old=True)
-        if (asked := self._runner.tick(now_ns)) is not None:
-            self.outbox += encode(asked.mid, asked.data)
+        if (requested := self._runner.tick(now_ns)) is not None:
+            self.outbox += encode(requested.mid, requested.data)
         self._silence.look(now_ns, waiting=self._dialogue.measuring)
         limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
         if self._silence.exceeds(limit_s):
@@ -117,8 +117,8 @@ class XsensMtigSession:
         return frames
 
     def _take_answer(self, message: Message, now_ns: int) -> None:
-        asked = self._runner.awaited
-        if asked is not None and _answers(message, asked):
+        requested = self._runner.awaited
+        if requested is not None and _answers(message, requested):
             self._runner.answer(message, now_ns)
             if self._runner.ended:
                 self._begin_stream()
@@ -175,7 +175,7 @@ class XsensMtigSession:
         """When the first byte of the message was on the line; never too early.
 
         What came behind it in the same read took its time on the line too. Not so where the read holds more
-        than the line can have brought since the read before: that was held up elsewhere.
+        than the line can have brought since the read before: that was delayed elsewhere.
         """
         byte_count = message.wire_bytes + (message.bytes_after if self._backdated else 0)
         return arrived_ns - round(byte_count * self._byte_ns)
@@ -190,8 +190,8 @@ class XsensMtigSession:
         self.status = "; ".join(text for text in texts if text)
 
 
-def _answers(message: Message, asked: Ask) -> bool:
+def _answers(message: Message, requested: Ask) -> bool:
     """An Error message answers every request but those that a unit may ignore."""
     if message.mid == Mid.ERROR:
-        return asked.mid not in (Mid.GO_TO_CONFIG, Mid.RESET)
-    return message.mid == (asked.mid + 1) & 0xFF
+        return requested.mid not in (Mid.GO_TO_CONFIG, Mid.RESET)
+    return message.mid == (requested.mid + 1) & 0xFF

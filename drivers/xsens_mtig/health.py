@@ -35,8 +35,8 @@ class DeviceHealth:
         self._status: int | None = None
         self._words = "waiting for samples"
         self._gnss = ""
-        self._said = ""
-        self._said_ns = 0
+        self._reported = ""
+        self._reported_ns = 0
 
     def observe_status(self, status: int) -> None:
         """Status byte or status word; the lower byte means the same in both."""
@@ -64,11 +64,11 @@ class DeviceHealth:
 
     def say(self, text: str, now_ns: int) -> None:
         """An error or a warning of the device."""
-        self._said, self._said_ns = text, now_ns
+        self._reported, self._reported_ns = text, now_ns
 
     def said(self, now_ns: int) -> str:
         """The newest error or warning, while it is new."""
-        return self._said if now_ns - self._said_ns < FORGET_NS else ""
+        return self._reported if now_ns - self._reported_ns < FORGET_NS else ""
 
     def words(self, now_ns: int) -> str:
         """The worst first."""

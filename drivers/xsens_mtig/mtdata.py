@@ -73,7 +73,7 @@ class RawGps(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LegacyData:
-    """One MTData decoded; None is what the layout leaves out. SI units but for degrees where it says so."""
+    """One MTData decoded; None is what the layout leaves out. SI units but for degrees where stated."""
 
     raw_inertial: tuple[int, ...] | None = None  # acc xyz, gyr xyz, mag xyz, temperature; ADC counts
     raw_gps: RawGps | None = None
@@ -103,7 +103,7 @@ class Layout:
 
     @property
     def orientation(self) -> int:
-        """QUATERNION, EULER or MATRIX. Raises ProtocolError where the bits say neither."""
+        """QUATERNION, EULER or MATRIX. Raises ProtocolError where the bits indicate neither."""
         kind = self.settings >> ORIENTATION_SHIFT & 3
         if kind > MATRIX:
             raise ProtocolError(f"output settings 0x{self.settings:08X}: orientation format 3 does not exist")

@@ -118,7 +118,7 @@ class GnssPvt(NamedTuple):
     second: int
     valid: int  # as Utc.valid
     time_accuracy_ns: int
-    nanosecond: int  # signed: the time is this much off the whole second
+    nanosecond: int  # signed: the time is this much off the full second
     fix: (
         int  # 0 none, 1 dead reckoning, 2 two-dimensional, 3 three-dimensional, 4 with dead reckoning, 5 time
     )

@@ -22,8 +22,8 @@ class BaudPort(Transport, Protocol):
 
 
 class ProbingPort:
-    """Goes from one rate to the next until a whole message comes, and stays there. What is written goes out
-    at the rate of the moment, so a request has to be repeated until it is answered.
+    """Goes from one rate to the next until a complete message comes, and stays there. What is written goes
+    out at the rate of the moment, so a request has to be repeated until it is answered.
     """
 
     def __init__(

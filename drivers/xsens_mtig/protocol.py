@@ -99,7 +99,7 @@ BAUD_OF_CODE = {
 }
 # In the order of mtdevice.py of ethzasl_xsens_driver; units leave the factory at the first.
 LIKELY_BAUDS = (115_200, 460_800, 921_600, 230_400, 57_600, 38_400, 19_200, 9_600)
-CODE_OF_BAUD = {baud: code for code, baud in BAUD_OF_CODE.items()}  # 921 600 is asked for by 80
+CODE_OF_BAUD = {baud: code for code, baud in BAUD_OF_CODE.items()}  # 921 600 is requested by 80
 
 UNSUPPORTED = 0x04
 TIMER_OVERFLOW = 0x1E
@@ -225,14 +225,14 @@ def _message_bytes(buffer: bytearray, at: int, end: int) -> int | None:
 
 
 def error_text(message: Message) -> str:
-    """What an Error message says, in words."""
+    """Text of an Error message."""
     code = message.data[0] if message.data else 0
     text = f"error 0x{code:02X}: {ERRORS.get(code, 'a code that is in no manual')}"
     return f"{text} ({message.data[1:].hex()})" if len(message.data) > 1 else text
 
 
 def warning_text(message: Message) -> str:
-    """What a Warning message says, in words: a number, and often a text of its own."""
+    """Text of a Warning message: a number, and often a text of its own."""
     if len(message.data) < 4:
         return f"warning {message.data.hex() or 'without content'}"
     (code,) = struct.unpack_from(">I", message.data)

@@ -41,7 +41,7 @@ class FineClock:
         return 0 if self._last is None else self._unwrapped(ticks) - self._wraps_ticks - self._last
 
     def observe(self, ticks: int, sent_ns: int) -> None:
-        """The message of a sample taken at `ticks` was on the wire, whole, at sent_ns of the host."""
+        """The message of a sample taken at `ticks` was completely on the wire at sent_ns of the host."""
         unwrapped = self._unwrapped(ticks)
         self._clock.observe(unwrapped, sent_ns)
         self._wraps_ticks, self._last = unwrapped - ticks, ticks

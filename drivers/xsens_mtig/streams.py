@@ -5,8 +5,8 @@ acceleration and rate of turn have rates of their own, each of the faster is a s
 other.
 
 Inertial samples and GNSS solutions are two streams that run through one another. What is missing is counted
-for each on its own: samples by SampleTimeFine, solutions by the receiver's time of week, and whole messages
-by the packet counter, which counts both.
+for each on its own: samples by SampleTimeFine, solutions by the receiver's time of week, and complete
+messages by the packet counter, which counts both.
 """
 
 import math
@@ -178,7 +178,7 @@ class _Stream:
 
 
 class Mtdata2Stream(_Stream):
-    """One connection's MTData2, of the output that the device says it has."""
+    """One connection's MTData2, of the output that the device reports."""
 
     def __init__(
         self,
@@ -294,7 +294,7 @@ class Mtdata2Stream(_Stream):
         self._last_packet = packet
 
     def _count_samples(self, step: int) -> None:
-        """By device time, so what is lost of the GNSS stream does not count here, nor the other way round.
+        """By device time, so what is lost of the GNSS stream does not count here, nor the reverse.
 
         step  in ticks since the last sample; 0: there was none
         """
@@ -353,7 +353,7 @@ def _local_frame(identifier: int) -> LocalFrame:
 
 
 class LegacyStream(_Stream):
-    """One connection's MTData, of the layout that the device was asked for or says it has."""
+    """One connection's MTData, of the layout that was requested from the device or that it reports."""
 
     def __init__(
         self,
@@ -371,7 +371,7 @@ class LegacyStream(_Stream):
         self._counter = (
             CounterClock(self._sample_period_ns, output.skip, self._latency_ns) if counts else None
         )
-        self._utc = FineClock(self._latency_ns)  # for a device that was asked to send no counter
+        self._utc = FineClock(self._latency_ns)  # for a device that was configured to send no counter
         self._samples_per_fix = max(1, round(output.rate_hz / GNSS_HZ))
         self._since_fix = 0
         self._last_itow_ms: int | None = None

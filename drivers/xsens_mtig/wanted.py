@@ -1,4 +1,4 @@
-"""What to ask the device to send: as much of what we can use as its line carries. No I/O."""
+"""Output to request from the device: as much of what we can use as its line carries. No I/O."""
 
 from dataclasses import dataclass
 
@@ -98,7 +98,7 @@ def wanted_layout(config: XsensMtigConfig, baud: int | None) -> LegacyOutput:
 
 
 def left_out(config: XsensMtigConfig, places: bool, orientation: bool, status: bool) -> str:
-    """What a unit that was set up elsewhere does not send of what we can use and the config asks for."""
+    """What a unit that was set up elsewhere does not send of what we can use and the config requests."""
     missing = {
         "places (gnss: true)": config.gnss and not places,
         "orientation (orientation: true)": config.orientation is True and not orientation,
@@ -142,7 +142,7 @@ def agree(wanted: OutputItems, given: OutputItems) -> bool:
 
 
 def difference(wanted: OutputItems, given: OutputItems) -> str:
-    """What an MTData2 unit gives otherwise than asked for, in words; "" for nothing."""
+    """What an MTData2 unit gives otherwise than requested, as text; "" for nothing."""
     rates = dict(given)
     missing = [WORDS[Kind(i & KIND_MASK)] for i, _ in wanted if i not in rates]
     texts = [f"configured {', '.join(missing)} not sent"] if missing else []
@@ -155,7 +155,7 @@ def difference(wanted: OutputItems, given: OutputItems) -> str:
 
 
 def legacy_difference(wanted: LegacyOutput, given: LegacyOutput) -> str:
-    """What an MTi-G gives otherwise than asked for, in words; "" for nothing."""
+    """What an MTi-G gives otherwise than requested, as text; "" for nothing."""
     lacks = wanted.layout.mode & ~given.layout.mode
     missing = [words for bit, words in LEGACY_WORDS.items() if lacks & bit]
     texts = [f"configured {', '.join(missing)} not sent"] if missing else []

@@ -46,14 +46,14 @@ def stored_folder(map: AnyPath | None, version: int | None) -> Path | None:
 
 
 def load_kernels() -> None:
-    """Load the kernels of the profiles chosen so far; where they are compiled first, the log says so."""
+    """Load the kernels of the profiles chosen so far; where they are compiled first, the log reports it."""
     ensure_cache_dir()
     warm_up_encoding()
     warm_up_in_turn(KernelProgress(CompileNotice()))
 
 
 class CompileNotice:
-    """Called whenever something of the kernels is compiled; says so once, for that takes a minute."""
+    """Called whenever something of the kernels is compiled; logs it once, for that takes a minute."""
 
     def __init__(self) -> None:
         self._is_logged = False

@@ -35,7 +35,7 @@ class Map:
 
     @classmethod
     def load(cls, folder: AnyPath, version: int | None = None) -> "Map":
-        """The version of that number; None: the newest that is whole. Raises InputError."""
+        """The version of that number; None: the newest that is complete. Raises InputError."""
         return cls(Path(folder), load_map(Path(folder), version))
 
     @cached_property
@@ -49,10 +49,10 @@ class Map:
         config: AnyPath | Mapping[str, Any] | None = None,
         mountings: Mapping[str, npt.ArrayLike] | None = None,
     ) -> Pose | None:
-        """Where the base was when this scan was taken by a vehicle that stood; None: the scan fits nowhere,
+        """Where the base was when this scan was taken by a vehicle at rest; None: the scan fits nowhere,
         or at several places about equally well.
 
-        Each call searches the whole map. To follow a vehicle through it, process its frames in a
+        Each call searches the complete map. To follow a vehicle through it, process its frames in a
         Mapper(map=folder, localize=True).
 
         config, mountings   as of Mapper; without either the scan's laser is at the base's origin

@@ -13,7 +13,7 @@ def calibrate(parsed: argparse.Namespace) -> int:
     from service.cli.recordings import choice_of
     from service.offline.calibrate.calibrate import calibrate as calibrate_by
     from service.offline.importing.session_file import refuse_to_overwrite
-    from service.offline.writing import refuse_unwritable_file, whole_files
+    from service.offline.writing import complete_files, refuse_unwritable_file
 
     if parsed.out is not None:
         for path in parsed.files:
@@ -22,7 +22,7 @@ def calibrate(parsed: argparse.Namespace) -> int:
     with progress("calibrate") as shown:
         done = calibrate_by(parsed.files, parsed.config, parsed.reference, shown, choice_of(parsed))
     if parsed.out is not None:
-        with whole_files(parsed.out) as path:
+        with complete_files(parsed.out) as path:
             path.write_text(done.config or done.patch, encoding="utf-8")
     print(json.dumps(asdict(done), allow_nan=False) if parsed.json else done)
     return 0

@@ -17,7 +17,7 @@ PROFILES = tuple(sorted(path.parent.name for path in METHODS.glob("*/method.py")
 
 
 class OneOf:
-    """An argument's `type`: the name itself, or a sentence that says which there are."""
+    """An argument's `type`: the name itself, or a sentence that lists the choices."""
 
     def __init__(self, what: str, known: Sequence[str]) -> None:
         self._what = what

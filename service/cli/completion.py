@@ -21,7 +21,7 @@ def completion(parsed: argparse.Namespace) -> int:
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
-    """Answer the shell that asks, and end the process."""
+    """Answer the shell, and end the process."""
     for action in _actions(parser):
         if (known := getattr(action.type, "known", None)) is not None:
             action.completer = lambda known=known, **_: known

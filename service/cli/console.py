@@ -30,7 +30,7 @@ def print_result(result: dict[str, Any], as_json: bool) -> None:
 
 
 def print_report(report: Any, as_json: bool) -> None:
-    """A dataclass that knows how to say itself: its fields as one JSON object, or its words."""
+    """A dataclass that can be printed: its fields as one JSON object, or its words."""
     if as_json:
         print(json.dumps(_fields(report), allow_nan=False, default=_plain))
     else:

@@ -141,8 +141,8 @@ def _page(parsed: argparse.Namespace, session: "zenoh.Session") -> int:
 
 
 def _pull(parsed: argparse.Namespace, session: "zenoh.Session") -> int:
-    from service.fleet.asking import for_each, namesakes
     from service.fleet.pull import Pulled, pull
+    from service.fleet.queries import for_each, namesakes
     from service.fleet.vehicles import present
 
     limit = None if parsed.limit_mb_s is None else parsed.limit_mb_s * 1e6

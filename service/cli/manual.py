@@ -25,7 +25,7 @@ def man(parsed: argparse.Namespace) -> int:
 
 
 def pages(parser: argparse.ArgumentParser, summary: str = "") -> Iterator[tuple[str, str]]:
-    """Name and roff of each page, that of the whole program first.
+    """Name and roff of each page, that of the program first.
 
     summary   of a command that has no description
     """

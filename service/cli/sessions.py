@@ -130,7 +130,7 @@ def _tell_outcomes(
 
 @contextmanager
 def _page_of(parsed: argparse.Namespace, sessions: Sequence[Sequence[Path]]) -> Iterator["ReplayPage | None"]:
-    """The page that shows the replay, None where none is asked for."""
+    """The page that shows the replay, None where none is requested."""
     if not parsed.web:
         if parsed.paused:
             raise UsageError("--paused: the page is where it is begun; give --web, too")

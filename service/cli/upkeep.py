@@ -65,7 +65,7 @@ def doctor(parsed: argparse.Namespace) -> int:
     from service.offline.doctor.devices import Patience
     from service.offline.doctor.examine import examine
 
-    logging.getLogger("drivers").setLevel(logging.ERROR)  # the report says it in its own words
+    logging.getLogger("drivers").setLevel(logging.ERROR)  # the report has its own text
     patience = Patience() if parsed.seconds is None else Patience(measure_s=parsed.seconds)
     report, exit_code = examine(parsed.config, patience=patience)
     if parsed.json:
@@ -84,7 +84,7 @@ def init(parsed: argparse.Namespace) -> int:
     from service.offline.setup.discovery import parse_wire, serial_ports
     from service.offline.setup.new_config import write_new_config
 
-    logging.getLogger("drivers").setLevel(logging.ERROR)  # the report says it in its own words
+    logging.getLogger("drivers").setLevel(logging.ERROR)  # the report has its own text
     wires = [parse_wire(wire) for wire in parsed.wires] or serial_ports()
     print(f"asking {', '.join(map(str, wires)) or 'nobody'} ...", file=sys.stderr)
     written = write_new_config(wires, parsed.out, parsed.vehicle, parsed.data, parsed.seconds)

@@ -13,7 +13,7 @@ class ConversionConfig(Section):
     """Of a sensor_msgs/MultiEchoLaserScan and of a sensor_msgs/PointCloud2.
 
     echo          which of a beam's echoes counts; the strongest, where no intensities come, is the first
-    z_min_m       heights of a 3-D laser's points that count, in the base frame; where nothing says at which
+    z_min_m       heights of a 3-D laser's points that count, in the base frame; where it is unknown at which
     z_max_m       height it sits, above and below the laser itself. None: see point_cloud
     min_range_m   nearer points of a 3-D laser are the vehicle's own
     """

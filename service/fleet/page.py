@@ -84,7 +84,7 @@ class FleetPage:
         self._server.close()
 
     def _came(self, vehicle: Vehicle) -> None:
-        """One that is here again is asked for the tiles that changed meanwhile."""
+        """One that is here again is queried for the tiles that changed meanwhile."""
         before = self.vehicles.get(vehicle.name)
         self.vehicles[vehicle.name] = vehicle
         if self._follows_tiles and vehicle.sessions and (before is None or not before.sessions):

@@ -12,14 +12,14 @@ from pathlib import Path
 import zenoh
 
 from service.errors import InputError, StorageError
-from service.fleet.asking import ask, ask_json
+from service.fleet.queries import ask, ask_json
 from service.sinks.fleet_files import JOURNAL, RECORDINGS
 from service.writable import sync
 
 log = logging.getLogger(__name__)
 
 JOURNAL_FILE = "journal.jsonl"
-PART = ".part"  # ends the name of what is not whole yet
+PART = ".part"  # ends the name of what is not complete yet
 TRIES = 6
 PAUSE_S = 1.0  # before the second try of a part; doubled for each further one
 Progress = Callable[[int, int], None]  # bytes that are here, bytes in all
@@ -43,7 +43,7 @@ def pull(
     progress: Progress = lambda done, total: None,
     pause_s: float = PAUSE_S,
 ) -> Pulled:
-    """Into out/<vehicle>/. One part is asked for at a time, behind all else on the vehicle's link.
+    """Into out/<vehicle>/. One part is requested at a time, behind all else on the vehicle's link.
 
     Raises RefusedError; StorageError where the vehicle does not answer any more, OSError where the disk
     refuses: what has come stays, and the next call goes on there; InputError where a file is not what the
@@ -66,7 +66,7 @@ def pull(
             file.truncate(had)
             file.seek(had)
             while (at := file.tell()) < size:
-                content = _asked_again(session, vehicle, f"{RECORDINGS}/{name}?offset={at}", pause_s)
+                content = _requested_again(session, vehicle, f"{RECORDINGS}/{name}?offset={at}", pause_s)
                 if not content:
                     raise InputError(f"{vehicle}: {name} ends at {at} bytes, of {size}; was it replaced?")
                 file.write(content)
@@ -74,7 +74,7 @@ def pull(
                 progress(done + file.tell(), total)
                 if limit_bytes_per_s is not None:
                     time.sleep(max(fetched_bytes / limit_bytes_per_s - (time.monotonic() - began_s), 0.0))
-        _check(part, _asked_again(session, vehicle, f"{RECORDINGS}/{name}?sha256=1", pause_s).decode())
+        _check(part, _requested_again(session, vehicle, f"{RECORDINGS}/{name}?sha256=1", pause_s).decode())
         os.replace(part, folder / name)
         sync(folder)
         done += size
@@ -86,9 +86,9 @@ def _pull_journal(session: zenoh.Session, vehicle: str, path: Path, pause_s: flo
     """Append what the vehicle noted since the last line, page by page; how many lines."""
     count = 0
     with path.open("a+b") as file:
-        file.truncate(_whole_lines(path))
+        file.truncate(_complete_lines(path))
         after_ns = _last_unix_ns(path)
-        while page := _asked_again(session, vehicle, f"{JOURNAL}?after={after_ns}", pause_s):
+        while page := _requested_again(session, vehicle, f"{JOURNAL}?after={after_ns}", pause_s):
             file.write(page)
             file.flush()
             os.fsync(file.fileno())
@@ -104,7 +104,7 @@ def _tail(path: Path) -> bytes:
         return file.read()
 
 
-def _whole_lines(path: Path) -> int:
+def _complete_lines(path: Path) -> int:
     """Size without a last line that was cut off."""
     tail = _tail(path)
     return path.stat().st_size - len(tail) + tail.rfind(b"\n") + 1
@@ -119,7 +119,7 @@ def _last_unix_ns(path: Path) -> int:
         raise InputError(f"{path}: its last line is none of a journal; move it away") from error
 
 
-def _asked_again(session: zenoh.Session, vehicle: str, channel: str, pause_s: float) -> bytes:
+def _requested_again(session: zenoh.Session, vehicle: str, channel: str, pause_s: float) -> bytes:
     """The link may be lost meanwhile: Zenoh brings it back."""
     for number in range(TRIES - 1):
         try:

@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from service.errors import CorridorError, InputError, UsageError
-from service.fleet.asking import RefusedError, ask, ask_json, for_each, namesakes
+from service.fleet.queries import RefusedError, ask, ask_json, for_each, namesakes
 from service.fleet.vehicles import present, read_vehicles
 from service.mapstore.files import load_map, version_folder
 from service.mapstore.manifest import MANIFEST, read_manifest
@@ -127,7 +127,7 @@ def _bring(session: zenoh.Session, vehicle: str, source: Path, name: str) -> Non
 
 
 def _load(session: zenoh.Session, vehicle: str, name: str, identity: str) -> dict[str, Any]:
-    """Its answer, once the session has begun in that map; asked with one id, it begins once."""
+    """Its answer, once the session has begun in that map; requested with one id, it begins once."""
     until_s = time.monotonic() + LOAD_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""What each vehicle at a site's router says of itself."""
+"""What each vehicle at a site's router reports of itself."""
 
 import math
 import time
@@ -90,7 +90,7 @@ def read_vehicles(session: zenoh.Session, names: Sequence[str] = ()) -> list[Veh
 
 
 def present(session: zenoh.Session) -> dict[str, list[Presence]]:
-    """Sessions that are at the router, by vehicle. Raises StorageError where it does not say which."""
+    """Sessions that are at the router, by vehicle. Raises StorageError where it does not report which."""
     keys = []
     for reply in session.liveliness().get(PRESENCES, timeout=ANSWER_S):
         if reply.ok is None:  # some may be missing

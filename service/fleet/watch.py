@@ -72,7 +72,7 @@ class Watch:
             log.warning("%s; it is asked again", error)
             return
         with self._lock:
-            if self._changes != changes:  # one that came meanwhile may be missing; it is asked again
+            if self._changes != changes:  # one that came meanwhile may be missing; it is queried again
                 return
             before, self._present = self._present, here
         self._link = link

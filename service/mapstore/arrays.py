@@ -37,7 +37,7 @@ def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
             return {member.filename.removesuffix(_SUFFIX): _array(packed, member) for member in members}
     except InputError:
         raise
-    except Exception as error:  # bad bytes may fail in any way in zipfile, zlib and numpy
+    except Exception as error:  # bad bytes may raise any exception in zipfile, zlib and numpy
         raise InputError(f"{path}: {words_of(error) or type(error).__name__}") from error
 
 

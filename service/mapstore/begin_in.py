@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class MapVersion:
-    """The version of a stored map that a session began in, as its recording says it.
+    """The version of a stored map that a session began in, as in its recording.
 
     digest   of the version's manifest: another version never has it, and a copy of the map does
     """

@@ -7,7 +7,7 @@ from service.config_types import Folder
 
 
 class MapConfig(Section):
-    """Where the map is kept, and how often it is saved on the way."""
+    """Where the map is kept, and how often it is saved during a session."""
 
     directory: Folder
     load: Folder | None = None  # a stored map that the session begins in; None: a new map

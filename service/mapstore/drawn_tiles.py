@@ -1,4 +1,4 @@
-"""Tiles of a stored map in which a person has erased an area or drawn a wall; all other cells stay."""
+"""Tiles of a stored map in which a person has erased an area or added a wall; all other cells stay."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Stored maps: one folder a map, a sub-folder a version, and a link that says which one counts.
+"""Stored maps: one folder a map, a sub-folder a version, and a link to the one in use.
 
     map.yaml, map.pgm, map.png -> current/...     what other programs read
     geo.json -> current/geo.json                  where GNSS anchors the map
@@ -55,7 +55,7 @@ _KEPT = "kept"  # in the folder of a version: why it is never removed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredMap:
-    """A map read back. `problems` says what was damaged and passed over; empty when all is well."""
+    """A map read back. `problems` lists what was damaged and passed over; empty when all is well."""
 
     number: int  # of the version in its folder, from 1
     about: dict[str, str]
@@ -80,7 +80,7 @@ def save_map(
     """Store `tiles` as the next version of the map in `folder`; its number, or None where there are no tiles.
 
     saved_ns is Unix time; `about` (vehicle, profile ...), `geo` and `graph` are kept with the map, and
-    KEEP_VERSIONS versions of it. A graph may be the folder in which GraphFolder wrote it. `edit` says that
+    KEEP_VERSIONS versions of it. A graph may be the folder in which GraphFolder wrote it. `edit` records that
     the version was made by hand.
     Raises StorageError: no room, no rights, another writer; the version before stays what it was.
     """
@@ -155,7 +155,7 @@ def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
 
 
 def load_map(folder: Path, number: int | None = None) -> StoredMap:
-    """Read version `number`; None: the current one, or the newest that is whole, with the damage in
+    """Read version `number`; None: the current one, or the newest that is complete, with the damage in
     `problems`.
 
     Raises InputError where there is none.
@@ -179,7 +179,7 @@ def load_map(folder: Path, number: int | None = None) -> StoredMap:
 
 
 def check_versions(folder: Path) -> tuple[list[int], list[str]]:
-    """Numbers of the versions that are whole, and what is damaged of the others, each by its file.
+    """Numbers of the versions that are complete, and what is damaged of the others, each by its file.
 
     Raises InputError where `folder` holds no map.
     """
@@ -388,7 +388,7 @@ def _versions(folder: Path) -> list[int]:
 
 
 def _versions_read(folder: Path) -> list[int]:
-    """As _versions; none where the system refuses the path, of which _no_map says why."""
+    """As _versions; none where the system refuses the path, of which _no_map gives the reason."""
     try:
         return _versions(folder)
     except (OSError, ValueError):

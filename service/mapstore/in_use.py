@@ -13,7 +13,7 @@ from service.errors import StorageError, words_of
 class InUse:
     """Holds a stored map from its making to `release`, or to the end of the process, however it ends.
 
-    Raises StorageError where another one holds it; `who` says what for.
+    Raises StorageError where another one has it locked; `who` states what for.
     """
 
     def __init__(self, folder: Path, who: str) -> None:
@@ -60,7 +60,7 @@ class MapsInUse:
         self._who = who
         self._lock = threading.Lock()  # of what follows
         self._in_use: dict[Path, InUse] = {}
-        self._needed: Counter[Path] = Counter()  # how many times it is held
+        self._needed: Counter[Path] = Counter()  # how many times it is locked
 
     def hold(self, folder: Path) -> None:
         """To be let go once for each time. Raises StorageError where another one holds it."""
@@ -70,7 +70,7 @@ class MapsInUse:
             self._needed[folder] += 1
 
     def let_go(self, folder: Path) -> None:
-        """Others may change it when it was let go as often as it was held."""
+        """Others may change it when it was unlocked as often as it was locked."""
         with self._lock:
             if folder not in self._in_use:  # the session has ended
                 return

@@ -24,7 +24,7 @@ MAPPED_FILES = 4  # at a corner four meet
 
 
 class PatchFiles:
-    """PatchStore on disk. Where the disk is full, patches stay in memory, and the log says so."""
+    """PatchStore on disk. Where the disk is full, patches stay in memory, and the log reports it."""
 
     def __init__(self, directory: Path | None = None) -> None:
         self._directory = directory

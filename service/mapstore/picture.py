@@ -1,4 +1,4 @@
-"""The map as grey pixels in bands from the top, so that no file needs the whole map in memory at once."""
+"""The map as grey pixels in bands from the top, so that no file needs the complete map in memory at once."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -52,7 +52,7 @@ def read_ros_map(yaml_path: Path) -> Grid:
     """A map as map_server of nav2 reads it, along the axes of the map frame. Raises InputError.
 
     Source: nav2_map_server, map_io.cpp, releases Humble to Jazzy. A map whose origin has a yaw, which
-    map_server leaves to its subscribers, is resampled here, and a warning says so.
+    map_server leaves to its subscribers, is resampled here, with a warning.
     """
     try:
         about = yaml.safe_load(read_text(yaml_path, limit=MAX_YAML_BYTES))

@@ -1,4 +1,4 @@
-"""The map as tiles with versions, kept for whoever asks: subscribers, checkpoints, the whole-map picture.
+"""The map as tiles with versions, kept for subscribers, checkpoints, the picture of the complete map.
 
 Tiles come from the mapping thread; everything else reads. An update never waits for a picture in the making.
 """
@@ -99,12 +99,12 @@ class TileStore:
         return taken
 
     def place(self, geo: GeoReference | None) -> None:
-        """Say where the present map lies on the earth."""
+        """Set where the present map lies on the earth."""
         with self._lock:
             self._geo = geo
 
     def keep_graph(self, folder: Path | None) -> None:
-        """Say where the graph of the present map lies as it was last put away."""
+        """Set where the graph of the present map lies as it was last put away."""
         with self._graph_kept:
             self._graph = folder
             self._graph_kept.notify_all()
@@ -120,7 +120,7 @@ class TileStore:
             return self._graph_kept.wait_for(lambda: self._graph not in (None, other_than), timeout_s)
 
     def since(self, version: int) -> list[TileUpdate]:
-        """Every tile newer than `version`, oldest change first; 0 gives the whole map.
+        """Every tile newer than `version`, oldest change first; 0 gives the complete map.
 
         Tiles of an emptied map are among them, all unknown: who holds them has to hear that they are gone.
         """

@@ -33,9 +33,9 @@ def refuse_unwritable_file(path: Path) -> None:
 
 
 @contextmanager
-def whole_files(out: Path) -> Iterator[Path]:
+def complete_files(out: Path) -> Iterator[Path]:
     """A path of the same name in a folder of its own: what is written there and beside it takes its place at
-    the end, each file whole, at `out` and beside it. Where the work is broken off, all stays as it was.
+    the end, each file complete, at `out` and beside it. If the work is interrupted, all stays as it was.
 
     The folder of `out` is made where it is missing. What is no ordinary file, as /dev/stdout, is written
     directly. Raises StorageError for each OSError, also inside.

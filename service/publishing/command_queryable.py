@@ -35,7 +35,7 @@ class CommandQueryable:
         """Hand the query on; the next waits until it is."""
         key = str(query.key_expr)
         if "*" in key:
-            # Whoever asks for everything asks for no command; `corridor/v1/*/cmd/pause` does not say whom.
+            # A query for everything is no command; `corridor/v1/*/cmd/pause` names no vehicle.
             with query:
                 if "/cmd/" in key:
                     _refuse(query, f"a command has one key, {self._root}<verb>, without wildcards")

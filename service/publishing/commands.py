@@ -16,14 +16,14 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-ANSWER_TIMEOUT_S = 8.0  # a get gives up after 10 s by default: who asks shall hear words before that
+ANSWER_TIMEOUT_S = 8.0  # a get gives up after 10 s by default: the reason shall arrive before that
 REMEMBER_S = 600.0
 REMEMBER_MOST = 1000
 LARGEST_REQUEST = 65_536  # bytes
 
 
 class CommandError(Exception):
-    """Why a command is not done, in words for who asked."""
+    """Why a command is not done, as text for the client."""
 
 
 class Request(BaseModel):
@@ -124,7 +124,7 @@ class CommandDispatcher:
             return Counter(self._counts)
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        """Do what is asked, or have it done, or say why not."""
+        """Carry out the command, or have it done, or report why not."""
         words: dict[str, Any] = {}
         try:
             request = self._read(verb, payload)
@@ -164,7 +164,7 @@ class CommandDispatcher:
         return f"{{{shape}}} ({', '.join(spare)} may be left out)"
 
     def _outcome(self, verb: str, request: Request) -> Outcome:
-        """Start it, or find what became of it when it was asked for before."""
+        """Start it, or find its outcome where it was requested before."""
         outcome = Outcome()
         with self._lock:
             self._forget()

@@ -79,7 +79,7 @@ class PublishingConfig(Section):
     """The Zenoh session: it is a router, so subscribers connect to it and need no other."""
 
     listen: tuple[Endpoint, ...] = ("tcp/127.0.0.1:7447",)  # port 0: any free one
-    connect: tuple[Endpoint, ...] = ()  # further routers, a site's say; tried for ever, never waited for
+    connect: tuple[Endpoint, ...] = ()  # further routers, as a site's; tried for ever, never waited for
     # On, it takes 16 MiB of /dev/shm a process and saves 0.1 ms on large messages.
     shared_memory: bool = False
     ros2: Ros2Config = Ros2Config()

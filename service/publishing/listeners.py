@@ -23,5 +23,5 @@ class Listeners:
 
     @property
     def are_there(self) -> bool:
-        status: Any = self._publisher.matching_status  # its stub says bool; it is an object, and always true
+        status: Any = self._publisher.matching_status  # bool in its stub; it is an object, and always true
         return bool(status.matching)

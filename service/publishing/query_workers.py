@@ -9,7 +9,7 @@ from service.allowance import Allowance
 
 log = logging.getLogger(__name__)
 
-MAX_AT_ONCE = 16  # each waits some seconds at most; who asks faster than that hears so
+MAX_AT_ONCE = 16  # each waits some seconds at most; a faster client gets an error
 MAX_PER_S = 50.0  # each takes processor from the scans
 BURST = 100.0
 CLOSE_TIMEOUT_S = 10.0

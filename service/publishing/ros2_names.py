@@ -18,6 +18,6 @@ OF_SENSORS = frozenset({"scan", "imu", "odom", "fix"})  # last part of "<sensor>
 
 
 def own_topics(namespace: str, sensors: Iterable[str]) -> set[str]:
-    """Whole names of what may be published, with these sensors."""
+    """Full names of what may be published, with these sensors."""
     names = {*TOPICS, *(f"{sensor}/{last}" for sensor in sensors for last in OF_SENSORS)}
     return {f"{namespace}/{name}" for name in names}

@@ -58,7 +58,7 @@ class Ros2Services:
         self._counts: Counter[str] = Counter()
         for name, verb in TRIGGERS.items():
             self._offer(name, TRIGGER, partial(self._trigger, verb), _not_triggered)
-        # The responses of nav2 have no text: the log says why.
+        # The responses of nav2 have no text: the log has the reason.
         self._offer("load_map", LOAD_MAP, self._load_map, lambda _: _map_response(None, UNDEFINED_FAILURE))
         self._offer("save_map", SAVE_MAP, self._save_map, lambda _: encode_response(SAVE_MAP, result=False))
 

@@ -51,8 +51,8 @@ class Ros2Topics:
             self._senders.opened.callback(self._node.close)
             self._publishers = {channel: self._declare(channel, kind) for channel, kind in TOPICS.items()}
             map_key = self._publishers[MAP].key
-            asked = partial(self._senders.bulk.ask_for, MAP)
-            self._map_listeners = Listeners(self.session, map_key, asked)
+            requested = partial(self._senders.bulk.ask_for, MAP)
+            self._map_listeners = Listeners(self.session, map_key, requested)
         except BaseException:
             self._senders.close()
             raise
@@ -63,7 +63,7 @@ class Ros2Topics:
         self._senders.stream.put(Sending(message, None))
 
     def map_changed(self, stamp_ns: int, log_ns: int) -> None:
-        """Send the whole map soon, if someone subscribes; Unix time of the newest scan in it."""
+        """Send the complete map soon, if someone subscribes; Unix time of the newest scan in it."""
         self._map.changed(stamp_ns, log_ns)
         self._senders.bulk.ask_for(MAP)
 

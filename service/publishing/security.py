@@ -62,7 +62,7 @@ class RolesConfig(Section):
 
 
 class SecurityConfig(Section):
-    """Neither tls nor users: none is asked for, as where the section is left out."""
+    """Neither tls nor users: none is requested, as where the section is left out."""
 
     tls: TlsConfig | None = None
     users: UsersConfig | None = None
@@ -170,7 +170,7 @@ def access_control(
 
 
 def _with_caches(keys: str) -> list[str]:
-    """And those by which an advanced subscriber asks for what it has missed: ** stands for no @adv."""
+    """And those by which an advanced subscriber requests what it has missed: ** stands for no @adv."""
     return [keys, f"{keys}/@adv/**"]
 
 

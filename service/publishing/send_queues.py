@@ -1,4 +1,4 @@
-"""What waits to be sent, in two queues, so that a large map never stands in the way of a pose.
+"""What waits to be sent, in two queues, so that a large map never delays a pose.
 
 `StreamQueue` keeps order and lets the oldest go when full; `BulkQueue` keeps only the newest of each thing.
 """
@@ -74,11 +74,11 @@ class Bulk:
 
     messages: list[Message]
     tiles: list[TileUpdate]
-    pictures: set[str]  # channels of which a new whole should be made
+    pictures: set[str]  # channels of which a new complete map should be made
 
 
 class BulkQueue:
-    """Messages at once, tiles and pictures of the whole at most once a period each."""
+    """Messages at once, tiles and pictures of the complete map at most once a period each."""
 
     def __init__(self, tile_period_s: float, picture_period_s: float) -> None:
         self._tile_period_s, self._picture_period_s = tile_period_s, picture_period_s

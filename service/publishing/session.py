@@ -21,13 +21,13 @@ QUEUE_SIZE = 16
 MAX_SESSIONS = 200
 MAX_UNKNOWN = 400  # connections without a session yet, for 10 s each
 MAX_MESSAGE_BYTES = 64 << 20
-MAX_COMMAND_BYTES = 1 << 20  # of which `commands` reads less, and says so
+MAX_COMMAND_BYTES = 1 << 20  # of which `commands` reads less, and reports it
 _SILENT_S = 600  # the kernel keeps a connection so long to itself until something is sent
 _LISTENING = "0A"  # state in /proc/net/tcp
 
 
 def open_session(config: PublishingConfig, max_sessions: int = MAX_SESSIONS) -> zenoh.Session:
-    """A router that speaks only where the config says. Routers to connect to are tried in the background for
+    """A router that speaks only where configured. Routers to connect to are tried in the background for
     ever. Raises StorageError where it cannot listen.
     """
     try:
@@ -102,7 +102,7 @@ def _keep_silent_connections_out(session: zenoh.Session, config: PublishingConfi
 
 
 def listened_at(session: zenoh.Session, config: PublishingConfig) -> list[str]:
-    """The endpoints as they are, with the real port where port 0 asked for any free one."""
+    """The endpoints as they are, with the real port where port 0 requested any free one."""
     if not _has_free_choice(config):
         return list(config.listen)
     reply = next(iter(session.get(f"@/{session.zid()}/router", timeout=2.0)))

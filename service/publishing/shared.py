@@ -1,4 +1,4 @@
-"""What the sinks that speak Zenoh share in one service: the session, and the whole map as one message."""
+"""What the sinks that speak Zenoh share in one service: the session, and the complete map as one message."""
 
 import atexit
 import threading
@@ -14,13 +14,13 @@ from service.publishing.session import open_session
 
 
 class GridSource(Protocol):
-    """Where the whole map comes from."""
+    """Source of the complete map."""
 
     def grid(self) -> Grid | None: ...
 
 
 class MapPicture:
-    """The whole map as a message, encoded once however many sinks send it. Thread-safe."""
+    """The complete map as a message, encoded once however many sinks send it. Thread-safe."""
 
     def __init__(self, source: GridSource) -> None:
         self._source = source
@@ -46,7 +46,9 @@ class MapPicture:
 
 
 class SharedZenoh:
-    """One Zenoh session a service: opened by the first sink that asks, closed by the last. Thread-safe."""
+    """One Zenoh session a service: opened by the first sink that needs it, closed by the last.
+    Thread-safe.
+    """
 
     def __init__(self, opener: Callable[[PublishingConfig], zenoh.Session] = open_session) -> None:
         self._opener = opener

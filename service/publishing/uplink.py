@@ -69,7 +69,7 @@ def open_uplink(config: PublishingConfig) -> zenoh.Session:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Presence:
-    """A session by the name of a vehicle: what its liveliness token says. The first is the earliest."""
+    """A session by the name of a vehicle: by its liveliness token. The first is the earliest."""
 
     began_ns: int  # Unix time by its own clock
     session: str  # Zenoh's identifier
@@ -105,7 +105,7 @@ def presences(keys: Iterable[str]) -> dict[str, list[Presence]]:
 
 class LinkBytes:
     """Bytes to and from the router since the first look, over all links of a session, as the kernel counts
-    them: with TLS, framing and what Zenoh itself says. Not of udp.
+    them: with TLS, framing and what Zenoh itself sends. Not of udp.
     """
 
     def __init__(self) -> None:
@@ -125,7 +125,7 @@ class LinkBytes:
 
 
 def _acked_and_received(port: str) -> tuple[int, int] | None:
-    """Of this process's connection from that port; None where the kernel does not say."""
+    """Of this process's connection from that port; None where the kernel does not report it."""
     for descriptor in Path("/proc/self/fd").glob("*"):
         try:
             if not str(descriptor.readlink()).startswith("socket:"):

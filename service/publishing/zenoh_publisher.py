@@ -1,8 +1,8 @@
 """Publishes messages and the map on Zenoh. The mapper and the drivers never wait for it.
 
 Poses are sent by the thread that puts them. Two threads send the rest: one the stream (scans, samples), 10 ms
-late at most, one the bulk (tiles, the whole map, states). Who comes late asks: tiles, map, map/meta, pose,
-tf_static and health are answered by get.
+late at most, one the bulk (tiles, the complete map, states). A late subscriber queries tiles, map, map/meta,
+pose, tf_static and health are answered by get.
 """
 
 import threading
@@ -39,13 +39,13 @@ from service.publishing.senders import Senders
 from service.publishing.session import listened_at
 from service.publishing.shared import GridSource, SharedZenoh
 
-TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not each step on the way
+TILE_PERIOD_S = 0.2  # a tile is sent at most so often: the newest counts, not each step in between
 PICTURE_PERIOD_S = 1.0
 MAX_VERSION_DIGITS = 19  # of a version, which has 63 bits in an attachment
 
 POSES = ("pose", "odom", "tf")  # sent by who puts them: a thread between would cost them its wake-up
 STATES = ("tf_static", "health", "graph", CHANGES)  # newest counts; cached for late joiners
-PICTURES = ("map", "map/meta")  # made here, when someone listens or asks
+PICTURES = ("map", "map/meta")  # made here, on a subscription or a query
 ANSWERED = ("pose", *STATES)  # the last one sent is the answer to a get
 # Last part of the channels whose late messages are worthless: sent first, without batching.
 _FRESH = frozenset(("scan", "imu", "odom", "pose", "tf", "fix"))
@@ -134,7 +134,7 @@ class ZenohPublisher:
     def map_changed(self, tiles: Iterable[TileUpdate], stamp_ns: int, log_ns: int) -> None:
         """Hand over tiles that the map source holds already; never waits. Times are Unix time.
 
-        The source first: who subscribes and then asks must not fall between the two.
+        The source first: a client that subscribes and then queries must not miss a message between the two.
         """
         self._map_stamp_ns, self._map_log_ns = stamp_ns, log_ns
         self._map_picture.changed(stamp_ns, log_ns)
@@ -228,7 +228,7 @@ class ZenohPublisher:
             self._send(*picture)
 
     def _make_picture(self, channel: str) -> tuple[Message, int] | None:
-        """The whole map, or its index, with its version; None while there is no map."""
+        """The complete map, or its index, with its version; None while there is no map."""
         return self._make_meta() if channel == "map/meta" else self._map_picture.message()
 
     def _make_meta(self) -> tuple[Message, int] | None:

@@ -1,6 +1,6 @@
 """Reads bags of ROS 1 and db3 files of ROS 2 as one stream of ROS 2 messages.
 
-ROS 1 messages are turned into CDR on the way.
+ROS 1 messages are converted to CDR.
 """
 
 import heapq
@@ -33,7 +33,7 @@ class Bag:
     """Files of one bag as `mcap_source` wants a recording: NAME.bag of ROS 1, NAME.db3 of ROS 2. Opened for
     each walk through them, and closed after. Given are those messages whose types the service knows.
 
-    A bag of ROS 1 without an index is read by a scan of its chunks; `losses` says what came of it.
+    A bag of ROS 1 without an index is read by a scan of its chunks; `losses` reports the outcome.
 
     Raises InputError for a bag that is missing, no bag, or broken.
     """
@@ -103,7 +103,7 @@ class Bag:
         try:
             with Ros1Reader(file.path):
                 return
-        except Exception:  # a broken index may fail in any way inside the library
+        except Exception:  # a broken index may raise any exception inside the library
             try:
                 scan = scan_bag(file.path)
             except (OSError, ValueError, ReaderError):

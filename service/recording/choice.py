@@ -35,7 +35,7 @@ class Choice(ConversionConfig):
         )
 
     def over(self, other: "Choice") -> "Choice":
-        """This choice, and what it leaves open as the other says."""
+        """This choice, and what it leaves open from the other."""
         return other.model_copy(update={name: getattr(self, name) for name in self.model_fields_set})
 
 

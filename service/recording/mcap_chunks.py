@@ -25,7 +25,7 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
 class ChunkError(ValueError):
-    """A chunk is not what its header says."""
+    """A chunk differs from its header."""
 
 
 def all_records(stream: BinaryIO, unpacking: Unpacking, what: object) -> Iterator[McapRecord]:
@@ -45,13 +45,13 @@ def chunk_records(chunk: Chunk, unpacking: Unpacking, what: object) -> list[Chun
     content = _content(chunk, unpacking, what)
     if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
         raise ChunkError("the checksum of a chunk does not fit")
-    records, used = whole_records(content, what)
+    records, used = complete_records(content, what)
     if used < len(content):
         raise ChunkError(f"a chunk holds no whole record at byte {used} of {len(content)}")
     return records
 
 
-def whole_records(content: bytes, what: object) -> tuple[list[ChunkRecord], int]:
+def complete_records(content: bytes, what: object) -> tuple[list[ChunkRecord], int]:
     """Those at the beginning of what a chunk holds, and how many bytes they take. Raises TooLargeError."""
     records: list[ChunkRecord] = []
     at = others = 0
@@ -83,7 +83,7 @@ def _content(chunk: Chunk, unpacking: Unpacking, what: object) -> bytes:
     unpacking.take(size)
     match chunk.compression:
         case "zstd":
-            claimed = zstandard.frame_content_size(packed)  # -1: the frame does not say
+            claimed = zstandard.frame_content_size(packed)  # -1: not stated in the frame
             if claimed not in (-1, size):
                 raise ChunkError(f"a chunk of {size} bytes claims to be one of {claimed} inside")
             content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size) if size else b""

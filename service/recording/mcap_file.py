@@ -113,7 +113,7 @@ class McapFile:
     def abandon(self) -> None:
         """Let go of a file the disk refuses; what reached it stays as `*.active`, if that holds a message.
 
-        Raises nothing: the disk has said what it has to say.
+        Raises nothing: the disk has reported its error.
         """
         with suppress(OSError):
             self._stream.close()

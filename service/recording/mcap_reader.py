@@ -140,7 +140,7 @@ def _open(file: Unpacked) -> _File:
         raise InputError(f"cannot read {file.given}: {words_of(error)}") from error
     except InputError:
         raise
-    except Exception as error:  # a broken index may fail in any way inside the library
+    except Exception as error:  # a broken index may raise any exception inside the library
         raise _damaged(file, error) from error
 
 
@@ -209,7 +209,7 @@ def _is_whole(summary: Summary) -> bool:
 
 
 def _scan(file: Unpacked, stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
-    """What a summary says, from the data itself. There are no chunk indexes in it: messages are then read
+    """Content of a summary, from the data itself. There are no chunk indexes in it: messages are then read
     from the file's beginning to its end.
     """
     summary, metadata = Summary(), list[Metadata]()
@@ -355,5 +355,5 @@ def _messages(
                 )
     except InputError:
         raise
-    except Exception as error:  # bad bytes may fail in any way inside the library
+    except Exception as error:  # bad bytes may raise any exception inside the library
         raise _damaged(file.file, error) from error

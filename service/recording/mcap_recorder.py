@@ -118,7 +118,7 @@ class McapRecorder:
         self._wake = threading.Condition()  # of what follows, and of health.dropped
         self._queue: deque[_Item] = deque()
         self._queue_bytes = 0
-        self._is_asked = False  # a session is to begin or to end
+        self._is_requested = False  # a session is to begin or to end
         self._stopping = False
 
         self._thread = threading.Thread(target=self._run, name="recording-writer", daemon=True)
@@ -179,7 +179,9 @@ class McapRecorder:
                 self._wake.notify()
 
     def put_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata now (a step of the clock, say) and into every later file; the last one wins."""
+        """Write metadata now (for example a step of the clock) and into every later file; the last one
+        wins.
+        """
         with self._wake:
             self._queue.append(_Metadata(name, dict(values)))
 
@@ -216,7 +218,7 @@ class McapRecorder:
         with self._wake:
             if not self._stopping:
                 self._queue.append(request)
-                self._is_asked = True
+                self._is_requested = True
                 self._wake.notify()
                 return
         request.heard(SessionChange(False, [], "the recorder is being stopped"))
@@ -226,7 +228,7 @@ class McapRecorder:
             with self._wake:
                 self._wake.wait_for(self._is_due, BATCH_S)
                 batch, self._queue, self._queue_bytes = self._queue, deque(), 0
-                self._is_asked = False
+                self._is_requested = False
                 stopping = self._stopping
             for item in batch:
                 self._take(item)
@@ -239,7 +241,7 @@ class McapRecorder:
                 return
 
     def _is_due(self) -> bool:
-        return self._stopping or self._is_asked or self._queue_bytes >= BATCH_BYTES
+        return self._stopping or self._is_requested or self._queue_bytes >= BATCH_BYTES
 
     def _take(self, item: _Item) -> None:
         match item:

@@ -1,8 +1,8 @@
 """Makes a valid MCAP of one whose writer died or whose bytes went bad, keeping all messages that can be read.
 
 The file is walked chunk by chunk with checksums. A bad chunk costs itself only: the walk goes on at the next
-thing that looks like a chunk. Of a chunk that the end of the file cuts off, the whole messages are kept. The
-result is read back with an independent reader (rosbags) before it takes the original's place.
+thing that looks like a chunk. Of a chunk that the end of the file cuts off, the complete messages are kept.
+The result is read back with an independent reader (rosbags) before it takes the original's place.
 """
 
 import fcntl
@@ -29,7 +29,7 @@ from drivers.counted import counted
 from service.errors import CorridorError, InputError, StorageError, words_of
 from service.limits import MAX_CHUNK_BYTES, TooLargeError, Unpacking
 from service.readable import open_file
-from service.recording.mcap_chunks import ChunkRecord, chunk_records, whole_records
+from service.recording.mcap_chunks import ChunkRecord, chunk_records, complete_records
 from service.recording.mcap_file import (
     ACTIVE_SUFFIX,
     CHUNK_BYTES,
@@ -185,7 +185,7 @@ def _count_by_rosbags(path: Path) -> int:
 
 
 def _reads_back(path: Path, messages: int) -> bool:
-    """By rosbags, and as a replay reads it: what sends people here is not to be called whole."""
+    """By rosbags, and as a replay reads it: what sends people here must not be reported as complete."""
     try:
         read = sum(1 for _ in Recording([path]).messages())
         return read == messages == _count_by_rosbags(path)
@@ -271,7 +271,7 @@ class _Walk:
                     yield Metadata.read(stream)
                 case _:
                     pass  # indexes; the copy gets its own
-        except Exception:  # a record with bad bytes in it may fail in any way
+        except Exception:  # a record with bad bytes in it may raise any exception
             self.skipped_bytes += _FRAME.size + len(body)
 
     def _counted(self, records: Sequence[Record]) -> Sequence[Record]:
@@ -279,7 +279,7 @@ class _Walk:
         return records
 
     def _salvage_cut_chunk(self, offset: int) -> Iterator[Record]:
-        """The whole records at the beginning of a zstd chunk whose end is missing."""
+        """The complete records at the beginning of a zstd chunk whose end is missing."""
         name_at, name = offset + _NAME_OFFSET, _CHUNK_NAMES[0]
         if self._data[offset] != Opcode.CHUNK or self._data[name_at : name_at + len(name)] != name:
             return
@@ -288,10 +288,10 @@ class _Walk:
         try:
             content = unpacked(packed, zstd_decompressor, MAX_CHUNK_BYTES, f"{self._source}: a chunk")
             self._unpacking.take(len(content))
-            records, _ = whole_records(content, self._source)
+            records, _ = complete_records(content, self._source)
         except TooLargeError:
             raise
-        except Exception:  # bad bytes may fail in any way
+        except Exception:  # bad bytes may raise any exception
             return
         _, _, size, crc, _ = _CHUNK_FIXED.unpack_from(self._data, offset + _FRAME.size)
         if len(content) == size and crc and zlib.crc32(content) != crc:
@@ -319,7 +319,7 @@ class _BadChunkError(Exception):
 def _chunk_records(body: bytes, unpacking: Unpacking, source: Path) -> list[ChunkRecord]:
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-    except Exception as error:  # bad bytes may fail in any way
+    except Exception as error:  # bad bytes may raise any exception
         raise _BadChunkError(framing_lost=True) from error
     length = _CHUNK_FIXED.size + len(chunk.compression) + 8 + len(chunk.data)
     try:

@@ -37,7 +37,7 @@ from service.recording.vehicle import Converter, Vehicle
 
 # A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
 MAX_INSTANT_DEG = 200.0
-INSTANT = "instant"  # scans that say so all the same
+INSTANT = "instant"  # scans that report it nevertheless
 
 
 @dataclass(slots=True)
@@ -45,19 +45,19 @@ class Session:
     """What a recording offers to a mapper.
 
     devices        topic -> frame_id -> sensor name; the topics and devices whose frames come out
-    scan_counts    laser -> how many of its scans the recording says it holds; where several devices share a
+    scan_counts    laser -> how many of its scans the recording states; where several devices share a
                    topic, by their shares at its beginning
     mountings      sensor name -> pose_base_sensor, for lasers; from /tf_static
     antennas       the same for GNSS antennas, "<sensor>/antenna" where one is distinguished from its sensor
     metadata       config, calibration, clocks as written by the recorder; empty in foreign recordings
-    upside_down    sensors that are mounted so; what they say is turned back
-    unmounted      lasers taken as sitting at the base's origin, for nothing says where they sit -> why
+    upside_down    sensors that are mounted so; their values are turned back
+    unmounted      lasers taken as sitting at the base's origin, for their mounting is unknown -> why
     events         topics whose events may be requests to the mapping session: ours has one, others have none
     converters     sensors whose messages are no LaserScan -> what makes scans of them
     warnings       what was chosen, or not found, and may not be what is meant; for people
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, messages without usable content, those refused
-                   because of a frame_id that is not expected, by topic what odometry_fault says and scans
+                   because of a frame_id that is not expected, by topic the text of odometry_fault and scans
                    all around that claim to be of one moment
     frame_ids      filled while reading: topic -> frame_id -> messages
     """
@@ -186,7 +186,7 @@ class Session:
             yield frame
 
     def decode(self, message: Message, sensor: str) -> Frame | None:
-        """What a message of one of the devices says, see encoding.decode_frame. Raises InputError."""
+        """Content of a message of one of the devices, see encoding.decode_frame. Raises InputError."""
         if (convert := self.converters.get(sensor)) is not None:
             return convert(message.payload, sensor, message.log_ns)
         over = sensor in self.upside_down

@@ -24,7 +24,7 @@ class Mounting:
 
     pose_base_sensor: SE2
     upside_down: bool  # its angles run clockwise seen from above
-    guessed: str = ""  # why, where nothing says where it sits
+    guessed: str = ""  # why its mounting is unknown
 
 
 class MountingError(Exception):
@@ -32,7 +32,7 @@ class MountingError(Exception):
 
 
 class Transforms(Protocol):
-    """A recording, as far as transforms are asked for."""
+    """A recording, as far as transforms are requested."""
 
     topics: list[Topic]
 
@@ -43,7 +43,7 @@ class StaticTree:
     """The static transforms of a recording: child -> parent with its 4 x 4 matrix.
 
     They stand in /tf_static. Where that does not lead from a sensor to the base, those edges of /tf that
-    never change are taken too: tf 1 knew no other way, and repeated them.
+    never change are taken too: tf 1 had no static topic and repeated them.
     """
 
     def __init__(self, recording: Transforms) -> None:
@@ -55,7 +55,7 @@ class StaticTree:
             self._add(transform)
 
     def learn_repeated(self) -> bool:
-        """Add what /tf says again and again; False where that was done before, or there is nothing to add."""
+        """Add what /tf repeats; False where that was done before, or there is nothing to add."""
         if self._knows_repeated:
             return False
         self._knows_repeated = True
@@ -101,7 +101,7 @@ class StaticTree:
 
 
 def place_of(transform: Transform) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
-    """What a transform says but for its time: equal where nothing has moved."""
+    """A transform without its time: equal where nothing has moved."""
     return transform.frame, transform.translation_m, transform.rotation_wxyz
 
 

@@ -30,7 +30,7 @@ def is_recording(path: Path) -> bool:
 
 
 def name_of(path: Path) -> str:
-    """A recording's name, without what it says of its container: "drive" of drive/ and of drive.db3.zstd."""
+    """A recording's name without the suffix of its container: "drive" of drive/ and of drive.db3.zstd."""
     if path.is_dir():
         return path.resolve().name
     match = _RECORDING.fullmatch(path.name)

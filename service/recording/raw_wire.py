@@ -66,7 +66,7 @@ class WireReplay:
     new_session           what the registry's `session_maker` makes for the sensor's config
     frames                how many frames were given out
     chunks_without_start  chunks that were passed over for want of a connection before them
-    requests_not_repeated times the driver of then sent and that of today does not, or the other way round;
+    requests_not_repeated times the driver of then sent and that of today does not, or the reverse;
                           its frames may then differ
     """
 
@@ -87,7 +87,7 @@ class WireReplay:
         if session is None:
             self.chunks_without_start += not self._connected
             return []
-        if chunk.kind != "connected":  # some sessions have something to say before their first tick
+        if chunk.kind != "connected":  # some sessions have something to send before their first tick
             self.requests_not_repeated += bool(session.outbox) is not (chunk.kind == "sent")
             session.outbox.clear()
         frames: list[Frame] = []

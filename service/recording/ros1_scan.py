@@ -96,7 +96,7 @@ def scan_bag(path: Path) -> Scan:
 
 
 def _record(data: Bytes, at: int) -> tuple[Header, int, int] | None:
-    """Header, and where the data begins and ends; None where no whole header stands there."""
+    """Header, and where the data begins and ends; None where no complete header is there."""
     begin = at + _SIZE.size
     if begin > len(data):
         return None
@@ -127,7 +127,7 @@ def _take_chunk(
         content = unpacked_chunk(data[begin:end])
     except TooLargeError:
         raise
-    except Exception:  # bad bytes may fail in any way
+    except Exception:  # bad bytes may raise any exception
         scan.bad_chunks += 1
         return end
     used, found, orphans = 0, list[tuple[int, IndexData]](), 0
@@ -162,7 +162,7 @@ def _take_chunk(
 
 
 def _records(content: bytes) -> Iterator[tuple[int, Header, int]]:
-    """Whole connections and messages at the beginning of a chunk: from where to where."""
+    """Complete connections and messages at the beginning of a chunk: from where to where."""
     at = 0
     kinds = (bytes([RecordType.CONNECTION]), bytes([RecordType.MSGDATA]))
     while (record := _record(content, at)) is not None:

@@ -1,6 +1,6 @@
 """The devices in a recording, and which of them a mapper is to have.
 
-They are found by type; where several fit, one is chosen, and the notes say what was passed over. Each
+They are found by type; where several fit, one is chosen, and the notes list what was skipped. Each
 header.frame_id in a topic is a device of its own.
 """
 

@@ -1,4 +1,6 @@
-"""Odometry of robots that say it in /tf only: the edge from its frame to the base, as nav_msgs/Odometry."""
+"""Odometry of robots that publish it in /tf only: the edge from its frame to the base, as
+nav_msgs/Odometry.
+"""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence

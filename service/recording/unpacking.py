@@ -1,4 +1,4 @@
-"""Recordings as files that readers can seek in: unpacked where they are compressed as a whole."""
+"""Recordings as files that readers can seek in: unpacked where they are compressed as one file."""
 
 import bz2
 import lzma
@@ -53,7 +53,7 @@ class Unpacked:
 
     given      as it was named
     path       itself, or a copy in a temporary folder, which goes with this object
-    is_packed  whether it is compressed as a whole
+    is_packed  whether it is compressed as one file
     kind       MCAP, ROS1, SQLITE; "" for none of them
     beginning  its first bytes, for people
     size       of the file as it was named, bytes
@@ -65,7 +65,7 @@ class Unpacked:
     def __init__(self, given: Path) -> None:
         self.given = self.path = given
         refuse_unreadable(given)
-        self.size = given.stat().st_size or 0  # a web server may not say
+        self.size = given.stat().st_size or 0  # a web server may not state it
         self.losses: list[str] = []
         magic = _magic(given)
         new = decompressor_of(magic)
@@ -178,7 +178,7 @@ def _contents(stream: Any, block: bytes) -> Iterator[bytes]:
         yield stream.decompress(block, _PART_BYTES)
         while not (stream.eof or stream.needs_input):
             yield stream.decompress(b"", _PART_BYTES)
-    except Exception as error:  # bad bytes fail in another way in each library
+    except Exception as error:  # bad bytes raise another exception in each library
         raise UnpackError(str(error)) from error
 
 

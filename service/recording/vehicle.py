@@ -113,7 +113,7 @@ class Vehicle:
         ]
 
     def _of_one_base(self, scans: list[Source]) -> tuple[list[Source], str | None]:
-        """The lasers of one vehicle, and the prefix of its frames, None where nothing says one."""
+        """The lasers of one vehicle, and the prefix of its frames, None where it is unknown."""
         base = self._choice.base_frame
         bases = {source: self._bases_above(source) for source in scans}
         if base is not None:

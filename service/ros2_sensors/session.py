@@ -76,7 +76,7 @@ class Ros2Session:
         return b""
 
     def _messages(self) -> Iterator[bytes]:
-        """Those that are whole."""
+        """Those that are complete."""
         while len(self._unread) >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(self._unread)
             if length > LARGEST_MESSAGE:

@@ -56,7 +56,7 @@ class BackEndProcess:
 
     Each back end gets a process that is forked from this one, so it comes there whatever its size: what a
     vehicle looks for itself in is 280 MB for an office. A profile without a graph has none. The process
-    before ends once it has done what it was asked. When one dies where nothing can replace it, that is logged
+    before ends once it has finished its request. When one dies where nothing can replace it, that is logged
     once, and all work from then on is lost; it ends when this process ends, however it ends.
 
     is_waiting       called several times a second while result() waits
@@ -111,7 +111,7 @@ class BackEndProcess:
         return self._answered < self._submitted and not self.fault
 
     def look(self) -> None:
-        """Take in what it says; whether it is there at all shows by that."""
+        """Receive its messages, which also show that it is alive."""
         self._receive(0.0)
 
     def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
@@ -201,7 +201,7 @@ class BackEndProcess:
         raise WorkLostError(late)
 
     def _leave(self) -> None:
-        """Tell the process nothing more. A copy that it was asked to make is still someone's."""
+        """Send the process nothing more. A requested copy is still in use."""
         if self._listener is not None:
             self._close_listener()
         self._unsent.clear()

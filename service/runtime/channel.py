@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 _SIZE = struct.Struct("<I")
 _READ_BYTES = 1 << 18
-BUFFER_BYTES = 1 << 20  # asked of the system, which may give less
+BUFFER_BYTES = 1 << 20  # requested from the system, which may give less
 MAX_WAITING_BYTES = 256 << 20  # of a reader that stands still
 
 
@@ -36,7 +36,8 @@ class End(Protocol):
 class Channel:
     """One end of a connection. `send` and `flush` from any thread, `receive` from one.
 
-    Messages are any objects that can be pickled; they come in the order in which they were sent, and whole.
+    Messages are any objects that can be pickled; they come in the order in which they were sent, and
+    complete.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -80,7 +81,7 @@ class Channel:
             return not self._waiting
 
     def receive(self) -> list[Any]:
-        """All messages that are there whole; does not wait. Raises ChannelClosedError after the last."""
+        """All messages that are there completely; does not wait. Raises ChannelClosedError after the last."""
         ended = ""
         while not ended:
             try:
@@ -95,7 +96,7 @@ class Channel:
             self._read += data
             if len(data) < _READ_BYTES:
                 break
-        messages = self._take_whole()  # what came before the end is handed out first
+        messages = self._take_complete()  # what came before the end is handed out first
         if ended and not messages:
             raise ChannelClosedError(ended)
         return messages
@@ -115,7 +116,7 @@ class Channel:
     def close(self) -> None:
         self._socket.close()
 
-    def _take_whole(self) -> list[Any]:
+    def _take_complete(self) -> list[Any]:
         messages = []
         at = 0
         with memoryview(self._read) as view:

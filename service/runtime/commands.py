@@ -109,7 +109,7 @@ class CarryOut(Protocol):
 
 
 class Commands:
-    """Verbs for a CommandDispatcher. Whoever is asked settles the outcome when it is done.
+    """Verbs for a CommandDispatcher. The receiver settles the outcome when it is done.
 
     put        takes a message for all sinks, and only queues it
     recorder   for start_recording and stop_recording
@@ -137,7 +137,7 @@ class Commands:
         self._lock = threading.Lock()  # of the outcomes that are open
         self._open: list[Outcome] = []
         self._switch = switch
-        self._loading = threading.Lock()  # held while a stored map is read and taken: one after the other
+        self._loading = threading.Lock()  # locked while a stored map is read and taken: one after the other
 
     def verbs(self) -> dict[str, Verb]:
         return {

@@ -104,7 +104,7 @@ class EarlyMapper:
     def tell(self, mapping: Mapping[str, Any]) -> None:
         """The section "mapping" of the config, unchecked; which kernels to load follows from it."""
         assert self.process.stdin is not None
-        with suppress(BrokenPipeError):  # it has failed, which the link will say
+        with suppress(BrokenPipeError):  # it has failed, which the link will report
             self.process.stdin.write(json.dumps(dict(mapping)).encode())
             self.process.stdin.close()
 
@@ -116,7 +116,7 @@ def mapping_section(path: Path) -> dict[str, Any]:
             return {}
         root = load(path.read_text(encoding="utf-8")).value
     except (OSError, ValueError):
-        return {}  # who checks the config says so
+        return {}  # the check of the config reports it
     section = root.get("mapping") if isinstance(root, dict) else None
     return section if isinstance(section, dict) else {}
 

@@ -30,7 +30,7 @@ FAULTS = {
 
 
 class GnssHealth:
-    """Remembers what was counted, so that it can say what is counted now."""
+    """Remembers what was counted, so that it can report what is counted now."""
 
     def __init__(self) -> None:
         self._counted: dict[str, int] = {}

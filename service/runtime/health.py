@@ -140,7 +140,7 @@ class HealthReport:
 
     @property
     def scans_dropped(self) -> int:
-        """Scans that came in whole and were not mapped, for whatever reason."""
+        """Scans that were received completely and not mapped, for whatever reason."""
         counters = self._outputs.counters
         late = sum(count for name, count in counters.items() if name.startswith("scans_dropped"))
         return sum(dict(self._outputs.passed_over).values()) + late + self._outputs.unusable_scans
@@ -164,7 +164,7 @@ class HealthReport:
 
     @property
     def line(self) -> str:
-        """One line for people who ask `systemctl status`."""
+        """One line for `systemctl status`."""
         state, _ = self.mapping_state
         streaming = sum(link.state == "streaming" for link in self._links.values())
         words = [

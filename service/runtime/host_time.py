@@ -1,6 +1,6 @@
-"""Host monotonic clock -> Unix time, by one offset for the whole life of the service.
+"""Host monotonic clock -> Unix time, by one offset for the life of the service.
 
-Everything is measured on the monotonic clock; Unix time only labels it on the way out. The label's offset is
+Everything is measured on the monotonic clock; Unix time only labels it at output. The label's offset is
 fixed at start, so a step of the wall clock (NTP, an operator) in mid-session never tears the map: it is
 reported, not applied.
 """

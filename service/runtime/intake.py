@@ -86,11 +86,11 @@ class Intake:
         self._link.submit(LoadItem(self._link.next_number(), log_ns, folder, version), answered)
 
     def request_profile(self, mapping: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
-        """Within `then` of a mark: have the mapper begin again at its place, as this section says."""
+        """Within `then` of a mark: have the mapper begin again at its place, as in this section."""
         self._link.submit(SwitchItem(self._link.next_number(), log_ns, mapping), answered)
 
     def request_graph(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
-        """Within `then` of a mark: ask the graph for something."""
+        """Within `then` of a mark: request something of the graph."""
         self._link.submit(GraphItem(self._link.next_number(), log_ns, name, payload), answered)
 
     def request_tiles(self, log_ns: int, answered: Answered) -> None:

@@ -63,7 +63,7 @@ STANDBY_S = 5.0  # that a stand-by which has just been made may take to come her
 
 
 class MapperListener(Protocol):
-    """Who gets what the mapper says; all calls come from one thread."""
+    """Who gets the messages of the mapper; all calls come from one thread."""
 
     def heard(self, message: Heard) -> None: ...
 
@@ -150,13 +150,13 @@ class MapperLink:
         return self._ready.wait(timeout_s)
 
     def start(self) -> None:
-        """Start the process; it is ready when `is_ready` says so. `run` must turn meanwhile."""
+        """Start the process; it is ready when `is_ready` is true. `run` must turn meanwhile."""
         self._silence.begin()
         if self._early is not None:
             self._process = self._early.process
             return
         command = [sys.executable, "-m", MODULE, str(self._mapper_socket.folder)]
-        # A session of its own: Ctrl-C is for ingest, which says when it is over.
+        # A session of its own: Ctrl-C is for ingest, which decides when it ends.
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, env=mapper_environment(), start_new_session=True
         )
@@ -430,7 +430,7 @@ class MapperLink:
         self._take_over()
 
     def _take_over(self) -> None:
-        """Put the stand-by in the mapper's place; it may be on its way still."""
+        """Put the stand-by in the mapper's place; it may still be starting."""
         assert self._orphaned is not None
         how, since_s = self._orphaned
         if self._standby is None:

@@ -2,7 +2,7 @@
 
 Everything that ingest hands to the mapper has a number, one more than the last, and is taken in that order.
 Numbers, and what the mapper decided by the clock (`ResultApplied`, `PassedOver`), are all that a stand-by
-needs to go the same way again.
+needs to be taken again.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ class FrameItem(NamedTuple):
 
 
 def is_sample(item: "Item") -> TypeGuard[FrameItem]:
-    """Whether it only says how the vehicle moves: without a scan after it nothing comes of it."""
+    """Whether it only measures how the vehicle moves: without a scan after it nothing comes of it."""
     return isinstance(item, FrameItem) and item.type != LASER_SCAN
 
 
@@ -52,7 +52,7 @@ class LoadItem(NamedTuple):
 
 
 class SwitchItem(NamedTuple):
-    """Begin again, mapped as this section of a config says."""
+    """Begin again, mapped by this section of a config."""
 
     number: int
     log_ns: int
@@ -79,7 +79,7 @@ Item = FrameItem | SessionItem | LoadItem | SwitchItem | GraphItem | TilesItem
 
 
 class Decisions(NamedTuple):
-    """What the mapper that died had decided by the clock, by the number of the item it stood before."""
+    """What the mapper that died had decided by the clock, by the number of its next item."""
 
     applied: Mapping[int, int]  # how many results of the graph's back end it applied
     passed_over: frozenset[int]
@@ -133,20 +133,20 @@ class GraphKept(NamedTuple):
     fault: str
 
 
-class GraphDrawn(NamedTuple):
+class GraphRendered(NamedTuple):
     """The graph of the present map, for people to look at."""
 
     picture: GraphPicture
 
 
-class StandingDrawn(NamedTuple):
+class StandingRendered(NamedTuple):
     """How long things stand around the vehicle, for people to look at; see Mapper.standing."""
 
     grid: Grid
     stamp_ns: int  # Unix time of the newest scan in it
 
 
-class ChangesDrawn(NamedTuple):
+class ChangesRendered(NamedTuple):
     """What has changed since the map was stored in which the vehicle is localised; see MapChanges.as_grid."""
 
     grid: Grid
@@ -254,7 +254,7 @@ class BackEndDied(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The last word of a process that was asked to finish."""
+    """The last word of a process that was requested to finish."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,9 +279,9 @@ Heard = (
     | Tiles
     | Status
     | GraphKept
-    | GraphDrawn
-    | StandingDrawn
-    | ChangesDrawn
+    | GraphRendered
+    | StandingRendered
+    | ChangesRendered
     | PoseRefused
 )
 FromMapper = Heard | Answer | Ready | CanCopy | Progress | LongWork | Finished

@@ -2,9 +2,9 @@
 earlier by early_mapper.py.
 
 It has one thread and waits in one place. Every few seconds, when nothing waits, it forks: the child, a
-stand-by, holds the whole state as it was at that item and costs nothing but the pages that change afterwards.
-When the mapper dies, the newest stand-by is asked to go on, gets all items after its own last one again, and
-is where the mapper was a second later. What it says is in mapper_messages.py.
+stand-by, has the complete state as it was at that item and costs only the pages that change afterwards.
+When the mapper dies, the newest stand-by continues, gets all items after its own last one again, and
+is where the mapper was a second later. Its messages are in mapper_messages.py.
 """
 
 import gc
@@ -111,7 +111,7 @@ class MapperProcess:
             nonlocal config
             config = mapping_config(dict(mapping))
             warm_up_kernels(back_end_elsewhere=True, progress=_progress(self._channel))
-            self._can_copy = True  # until its parts say otherwise
+            self._can_copy = True  # until its parts report otherwise
 
         self._loop = MappingLoop(
             MappingSession(new_mapper, setup.lasers, apply_after_ns=None),
@@ -128,7 +128,7 @@ class MapperProcess:
         self._schedule = StandbySchedule()
 
     def run(self) -> None:
-        """Until ingest says that nothing more comes, or is gone. Raises ChannelClosedError."""
+        """Until ingest reports that nothing more comes, or is gone. Raises ChannelClosedError."""
         try:
             if not self._copy():
                 self._send(Ready(self._can_copy))
@@ -282,7 +282,7 @@ def _progress(channel: Channel) -> KernelProgress:
 
 
 def _reported() -> MappingConfig | None:
-    """What an EarlyMapper says that will be mapped; None: nothing, or what no config may say."""
+    """The mapping that an EarlyMapper reports; None: nothing, or what no config allows."""
     if REPORTED not in sys.argv:
         return None
     try:
@@ -299,7 +299,7 @@ def _load(channel: Channel) -> list[Job]:
 
 def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # ingest hears them, and says when it is over
+        signal.signal(number, signal.SIG_IGN)  # ingest hears them, and decides when it ends
     folder = Path(sys.argv[1])
     try:
         facts = _reported()
@@ -310,7 +310,7 @@ def main() -> int:
             set_up_logging(logging.INFO)
             left = _load(channel)
         while not (messages := channel.receive_within(CONNECT_S)):
-            pass  # ingest is on its way, or gone, which ends this
+            pass  # ingest is starting, or gone, which ends this
         (setup,) = messages
         set_up_logging(setup.log_level)
         config = mapping_config(dict(setup.mapping))
@@ -318,7 +318,7 @@ def main() -> int:
             left = _load(channel)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when no one needs them any more
         gc.collect()
-        gc.freeze()  # what stands now stands for the whole run; a full collection would stall a scan
+        gc.freeze()  # these objects live as long as the process; a full collection would stall a scan
         process = MapperProcess(folder, setup, channel, SeldomKernels(left) if left else None)
         process.run()
     except ChannelClosedError:

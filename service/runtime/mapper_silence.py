@@ -5,7 +5,7 @@ import time
 from service.runtime.standstill import Standstill
 
 STUCK_S = 10.0  # items wait, and the mapper has sent nothing for so long: it is ended
-# So early where it stood still for half of that, or computed for half of it and has announced no long work:
+# So early where it was stopped for half of that, or computed for half of it and has announced no long work:
 # a scan takes milliseconds, and one that a busy machine leaves without a processor does neither.
 STILL_S = 2.0
 

@@ -22,13 +22,13 @@ from service.outputs import NO_GRAPH, GraphPicture, MapperOutput
 from service.runtime.mapper_messages import (
     MAX_AGE_NS,
     Answer,
-    ChangesDrawn,
+    ChangesRendered,
     Decisions,
     FrameItem,
     Go,
-    GraphDrawn,
     GraphItem,
     GraphKept,
+    GraphRendered,
     Heard,
     Item,
     LoadItem,
@@ -38,7 +38,7 @@ from service.runtime.mapper_messages import (
     PoseRefused,
     ResultApplied,
     SessionItem,
-    StandingDrawn,
+    StandingRendered,
     Status,
     SwitchItem,
     Tiles,
@@ -55,7 +55,7 @@ TILES_OVERDUE_NS = 1_000_000_000  # then they are handed over though items wait
 MAX_TILES = 64
 STATUS_INTERVAL_NS = 200_000_000
 STANDING_INTERVAL_NS = 2_000_000_000
-STANDING_OVERDUE_NS = 8_000_000_000  # then it is drawn though items wait, which takes 1 to 3 ms
+STANDING_OVERDUE_NS = 8_000_000_000  # then it is rendered though items wait, which takes 1 to 3 ms
 
 log = logging.getLogger(__name__)
 
@@ -110,7 +110,7 @@ class MappingLoop:
         self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
         self._tiles_due_ns = self._status_due_ns = self._standing_due_ns = 0
-        self._standing_stamp_ns = 0  # of the newest scan in what was drawn last
+        self._standing_stamp_ns = 0  # of the newest scan in what was rendered last
         self._reported_graph: Any = None  # the newest checkpoint that ingest knows of
         self._shown_graph: GraphPicture | None = None  # the newest that ingest has
         self._shown_changes: MapChanges | None = None  # likewise
@@ -203,7 +203,7 @@ class MappingLoop:
         picture = self.mapper.graph_picture
         if picture is not self._shown_graph and self.is_up_to_date:
             self._shown_graph = picture
-            self._send(GraphDrawn(picture if picture is not None else NO_GRAPH))
+            self._send(GraphRendered(picture if picture is not None else NO_GRAPH))
 
     def _show_changes(self) -> None:
         """Where other cells are reported than before; nothing where no one watches."""
@@ -213,14 +213,14 @@ class MappingLoop:
         self._shown_changes = facts
         if facts is None or not facts.has_same_cells(shown):
             grid = NOTHING_CHANGED if facts is None else facts.as_grid()
-            self._send(ChangesDrawn(grid, self._map_stamp_ns))
+            self._send(ChangesRendered(grid, self._map_stamp_ns))
 
     def _show_standing(self) -> None:
         if not self.is_up_to_date or self._map_stamp_ns == self._standing_stamp_ns:
             return
         self._standing_stamp_ns = self._map_stamp_ns
         if (grid := self.mapper.standing()) is not None:
-            self._send(StandingDrawn(grid, self._map_stamp_ns))
+            self._send(StandingRendered(grid, self._map_stamp_ns))
 
     def tell_status(self) -> None:
         warnings = tuple(self._timing.warnings)

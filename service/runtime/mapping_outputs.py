@@ -15,16 +15,16 @@ from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime.mapper_messages import (
     MAX_AGE_NS,
-    ChangesDrawn,
+    ChangesRendered,
     FrameItem,
-    GraphDrawn,
     GraphKept,
+    GraphRendered,
     Heard,
     Mapped,
     PassedOver,
     PoseRefused,
     ResultApplied,
-    StandingDrawn,
+    StandingRendered,
     Status,
     Tiles,
     Unusable,
@@ -105,11 +105,11 @@ class MappingOutputs:
                 self._pose_refused(message)
             case GraphKept():
                 self._graph_kept(message)
-            case GraphDrawn():
+            case GraphRendered():
                 self._put(encode_graph(message.picture, self._log_ns()), None)
-            case StandingDrawn():
+            case StandingRendered():
                 self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), STANDING), None)
-            case ChangesDrawn():
+            case ChangesRendered():
                 self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), CHANGES), None)
             case Unusable():
                 self.unusable[message.sensor] += 1

@@ -1,6 +1,6 @@
 """Another profile while the service runs.
 
-    asked --refused at once, or--> its kernels, where they are not compiled yet --> the map saved --> at one
+    request --refused at once, or--> its kernels, where they are not compiled yet --> the map saved --> at one
     place among the frames: the mapper begins a new map with it --> the map before saved --> answered
 
 Until that place nothing has changed: what fails before it leaves the profile as it is.
@@ -41,7 +41,7 @@ class ProfileRequest(Request):
 
 
 class PresentMapping:
-    """How frames are mapped now: as the config says, or since a switch otherwise.
+    """How frames are mapped now: as configured, or since a switch otherwise.
 
     A later switch back to the profile of the config takes its settings from there again.
     """

@@ -16,7 +16,7 @@ STOP_S = 3.0  # for all; a connect to a silent host takes 3 s
 
 
 class Readers:
-    """`start`, at last `stop`; `links` says meanwhile how each sensor is.
+    """`start`, at last `stop`; `links` gives the state of each sensor.
 
     sensors         name -> the config model of its type
     put_frame       takes each frame, in the thread of its reader

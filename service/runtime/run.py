@@ -30,7 +30,7 @@ def run(
 ) -> Summary:
     """Run the service until SIGTERM, SIGINT or SIGHUP, or for `seconds` from READY on. Main thread only.
 
-    `give_up` is asked several times a second and may say why to stop as a failure; `watch` is called as
+    `give_up` is called several times a second and may return why to stop as a failure; `watch` is called as
     often, during the start too. `early` is a mapper's process that was begun for this config.
 
     Whatever ends the run, the recording is finished and the map saved first. Raises CorridorError where a

@@ -55,7 +55,7 @@ log = logging.getLogger(__name__)
 HEALTH_INTERVAL_NS = 1_000_000_000
 WARM_UP_ASK_S = 5.0  # how often systemd hears that kernels are still being compiled
 WARM_UP_MORE_S = 60.0  # and how long it may take from then on
-WARM_UP_TELL_S = 2.0  # how often the log says that it goes on
+WARM_UP_TELL_S = 2.0  # how often the log reports that it goes on
 GRAPH_FINISH_S = 20.0  # for the last loops, at the end of a run
 WAKE_S = 0.1  # how often a start looks whether it is cancelled
 MAPPING_STOP_S = GRAPH_FINISH_S + 20.0
@@ -196,7 +196,7 @@ class Service:
         return self._link.kernels_share
 
     def start(self, cancelled: Callable[[], bool] = lambda: False) -> bool:
-        """Bring everything up, the mapper first and drivers last; False if `cancelled` said so on the way.
+        """Bring everything up, the mapper first and drivers last; False if `cancelled` meanwhile.
 
         Raises StorageError where a sink cannot begin, CorridorError where the mapper does not start.
         """
@@ -212,7 +212,7 @@ class Service:
         self._resume.start()
         self._readers.start()
         gc.collect()
-        gc.freeze()  # what stands now stands for the whole run; a full collection would stall the readers
+        gc.freeze()  # these objects live as long as the process; a full collection would stall the readers
         self._ready_ns, self._cpu_s = time.monotonic_ns(), self._processor_s()
         self._notifier.ready()
         log.info("ready; %s", "; ".join(f"{name}: {place}" for name, place in self.places.items()))
@@ -286,7 +286,7 @@ class Service:
         """Start the mapper's process, which compiles or loads the kernels; systemd hears that it goes on."""
         self._notifier.status("compiling kernels")
         self._notifier.need_more_time(WARM_UP_MORE_S)
-        began_s = asked_s = reported_s = time.monotonic()
+        began_s = requested_s = reported_s = time.monotonic()
         self._link.start()
         self._mapping = self._workers.start("mapping", self._link.run)
         warm_up_encoding()
@@ -295,8 +295,8 @@ class Service:
                 return False
             if self.failure:
                 raise CorridorError(self.failure)
-            if time.monotonic() - asked_s >= WARM_UP_ASK_S:
-                asked_s = time.monotonic()
+            if time.monotonic() - requested_s >= WARM_UP_ASK_S:
+                requested_s = time.monotonic()
                 self._notifier.need_more_time(WARM_UP_MORE_S)
             if time.monotonic() - reported_s >= WARM_UP_TELL_S:
                 reported_s = time.monotonic()
@@ -346,7 +346,9 @@ class Service:
         return time.process_time() + self.outputs.cpu_s
 
     def _tell_health(self, now_ns: int) -> None:
-        """Counts as they are, freshness as of now_ns: the last time when the drivers were asked to end."""
+        """Counts as they are, freshness as of now_ns: the last time when the drivers were requested to
+        end.
+        """
         step_before_ns = self._report.clock_step_ns
         self._report.update(now_ns, self.host_time.step_ns(HostTime.now()))
         self._sinks.put(self._report.message(self._unix_ns()))

@@ -10,7 +10,7 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 class Standstill:
     """For how long a process has neither run nor waited for a processor, and how much of one it has used, as
-    far as it was asked since its last word.
+    far as it was measured since its last message.
 
     One that is stopped, sleeps or waits for a disk stands still; one that a busy machine starves does
     neither.
@@ -18,10 +18,10 @@ class Standstill:
 
     def __init__(self) -> None:
         self._since_s: float | None = None  # host monotonic
-        self._used_s: float | None = None  # processor time up to its last word, or when first asked after it
+        self._used_s: float | None = None  # processor time at its last message, or first measured since
 
     def seconds(self, pid: int) -> tuple[float, float]:
-        """Stood still, 0.0 while it runs; and computed since. pid: of a process without further threads."""
+        """Stopped, 0.0 while it runs; and computed since. pid: of a process without further threads."""
         now = _now(pid)
         if self._used_s is None:
             self._used_s = now.used_s

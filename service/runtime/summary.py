@@ -21,7 +21,7 @@ class Summary:
     rates_hz: dict[str, float]  # by sensor
     cpu_percent: float  # of one core: this process and the mapper's
     written: Mapping[str, list[Path]]  # what each sink has completed on disk, by name of the sink
-    utc_offset_ns: int  # Unix time minus host monotonic time, for the whole run
+    utc_offset_ns: int  # Unix time minus host monotonic time, for the run
 
     @property
     def sessions(self) -> list[Path]:

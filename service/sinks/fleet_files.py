@@ -1,10 +1,10 @@
 """Files of a vehicle for its fleet, in parts: finished recordings go out, maps come in.
 
-Below cmd/fleet/, so who may command may ask:
+Below cmd/fleet/, so a client that may command may query:
 
     recordings                          JSON: name, bytes and modified_ns of each, oldest name first
     recordings/<name>?offset=<n>        at most PART_BYTES from there
-    recordings/<name>?sha256=1          of the whole file, in hexadecimal
+    recordings/<name>?sha256=1          of the file, in hexadecimal
     journal?after=<Unix ns>             JSON lines: what the vehicle did then, see FleetJournal.page
     map/<name>                          JSON: sha256 of each file of the stored map; {} where there is none
     map/<name>/<file>                   JSON: bytes that have come of it
@@ -39,11 +39,13 @@ PART_BYTES = 1 << 20  # of a recording, at most
 MAP_PART_BYTES = 512 << 10  # below MAX_COMMAND_BYTES of the routers between
 MAP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _FILE_NAME = re.compile(r"\w[\w.]{0,99}", re.ASCII)
-_INCOMING = ".incoming-"  # begins the folder of a map that is not whole yet
+_INCOMING = ".incoming-"  # begins the folder of a map that is not complete yet
 _ABANDONED_S = 7 * 86_400.0
 _KEPT_SUMS = 1000
 
-Asked = tuple[list[str], zenoh.Parameters, bytes]  # what stands behind the key, behind the ?, and the payload
+FileRequest = tuple[
+    list[str], zenoh.Parameters, bytes
+]  # what stands behind the key, behind the ?, and the payload
 
 
 class FleetFiles:
@@ -71,11 +73,11 @@ class FleetFiles:
         for queryable in self._queryables:
             queryable.undeclare()  # type: ignore[no-untyped-call]
 
-    def _take(self, root: str, answer: Callable[[Asked], bytes], query: zenoh.Query) -> None:
+    def _take(self, root: str, answer: Callable[[FileRequest], bytes], query: zenoh.Query) -> None:
         with query:
             key = str(query.key_expr)
             if "*" in key:
-                return  # who asks for everything asks for no file
+                return  # a query for everything is for no file
             payload = query.payload.to_bytes() if query.payload is not None else b""
             try:
                 parts = key.removeprefix(root).strip("/").split("/")
@@ -86,8 +88,8 @@ class FleetFiles:
             else:
                 query.reply(key, body)
 
-    def _recording(self, asked: Asked) -> bytes:
-        names, parameters, _ = asked
+    def _recording(self, requested: FileRequest) -> bytes:
+        names, parameters, _ = requested
         if self._recordings is None:
             raise InputError("this vehicle records nothing")
         if not names:
@@ -104,8 +106,8 @@ class FleetFiles:
             file.seek(_number(parameters, "offset"))
             return file.read(PART_BYTES)
 
-    def _line(self, asked: Asked) -> bytes:
-        return b"" if self._journal is None else self._journal.page(_number(asked[1], "after"))
+    def _line(self, requested: FileRequest) -> bytes:
+        return b"" if self._journal is None else self._journal.page(_number(requested[1], "after"))
 
     def _sha256(self, path: Path) -> str:
         stat = path.stat()
@@ -117,8 +119,8 @@ class FleetFiles:
                 self._sums[known] = hashlib.file_digest(file, "sha256").hexdigest()
         return self._sums[known]
 
-    def _map(self, asked: Asked) -> bytes:
-        names, parameters, payload = asked
+    def _map(self, requested: FileRequest) -> bytes:
+        names, parameters, payload = requested
         if self._maps is None:
             raise InputError("this vehicle stores no maps")
         if not names or MAP_NAME.fullmatch(names[0]) is None or len(names) > 2:
@@ -140,7 +142,7 @@ class FleetFiles:
 
 
 def sums_of(folder: Path, number: int | None = None) -> dict[str, str]:
-    """File -> SHA-256 of a version of a stored map (None: the current one), as its manifest says; {} where
+    """File -> SHA-256 of a version of a stored map (None: the current one), by its manifest; {} where
     there is no map. Raises InputError.
     """
     if not is_map_folder(folder):

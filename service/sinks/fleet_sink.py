@@ -82,7 +82,7 @@ class FleetSink(Sink):
     def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
         if (publisher := self._publisher) is not None and self._config.fleet.tiles:
             followed = self._followers is not None and self._followers.are_there
-            publisher.map_changed(tiles if followed else (), stamp_ns, log_ns)  # who comes asks for them
+            publisher.map_changed(tiles if followed else (), stamp_ns, log_ns)  # later they are queried
 
     def health(self) -> Status:
         fault = self._fault  # before the values, which are written before it

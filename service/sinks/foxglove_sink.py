@@ -33,7 +33,7 @@ def open_sink(config: FoxgloveConfig, context: SinkContext) -> "FoxgloveSink | N
     if not config.enabled:
         return None
     try:
-        import foxglove  # noqa: F401 - asked for before the service starts
+        import foxglove  # noqa: F401 - needed before the service starts
     except ImportError as error:
         raise StorageError(
             f"foxglove.enabled needs foxglove-sdk ({error}): {install_command('viewer')}; or set "
@@ -45,7 +45,7 @@ def open_sink(config: FoxgloveConfig, context: SinkContext) -> "FoxgloveSink | N
 class FoxgloveSink(Sink):
     """Topics, types and bytes are those of a recording, so one layout shows both.
 
-    A message goes out while someone subscribes to its topic. The whole map is made from the tiles, once a
+    A message goes out while someone subscribes to its topic. The complete map is made from the tiles, once a
     second while it changes and someone looks.
     """
 
@@ -60,7 +60,7 @@ class FoxgloveSink(Sink):
         self._changed = threading.Condition()  # of what follows, down to _is_closing
         self._waiting: deque[Message] = deque()
         self._kept: dict[str, Message] = {}  # of KEPT
-        self._asked: set[str] = set()  # channels that someone has just subscribed to
+        self._requested: set[str] = set()  # channels that someone has just subscribed to
         self._map_stamp_ns = 0
         self._dropped = 0
         self._is_closing = False
@@ -116,7 +116,7 @@ class FoxgloveSink(Sink):
     def on_subscribe(self, client: Any, channel: Any) -> None:
         with self._changed:
             self._subscriptions += 1
-            self._asked.add(channel.topic.removeprefix("/"))
+            self._requested.add(channel.topic.removeprefix("/"))
             self._changed.notify()
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
@@ -131,19 +131,19 @@ class FoxgloveSink(Sink):
         if server is None:
             return
         with self._changed:
-            self._asked.update(self._kept)  # they came before there was anybody to tell
+            self._requested.update(self._kept)  # they came before there was anybody to tell
         try:
             while True:
                 with self._changed:
-                    if not (self._waiting or self._asked or self._is_closing):
+                    if not (self._waiting or self._requested or self._is_closing):
                         self._changed.wait(MAP_PERIOD_S)
                     messages, self._waiting = self._waiting, deque()
-                    asked, self._asked = self._asked, set()
-                    messages.extend(self._kept[channel] for channel in asked & self._kept.keys())
+                    requested, self._requested = self._requested, set()
+                    messages.extend(self._kept[channel] for channel in requested & self._kept.keys())
                     is_closing = self._is_closing
                 for message in messages:
                     self._send(context, message)
-                self._send_map(context, MAP in asked)
+                self._send_map(context, MAP in requested)
                 if is_closing:
                     return
         finally:
@@ -201,13 +201,13 @@ class FoxgloveSink(Sink):
             self._channels[message.channel] = opened
         return opened
 
-    def _send_map(self, context: "foxglove.Context", is_asked: bool) -> None:
-        """The whole map where someone looks and it has changed, or someone has just come."""
+    def _send_map(self, context: "foxglove.Context", is_requested: bool) -> None:
+        """The complete map where someone subscribes and it has changed, or someone has just come."""
         version, now_s = self._tiles.version, time.monotonic()
         opened = self._channels.get(MAP)
         if version == 0 or (opened is not None and not opened.has_sinks()):
             return
-        if not is_asked and (version == self._map_version or now_s < self._map_due_s):
+        if not is_requested and (version == self._map_version or now_s < self._map_due_s):
             return
         self._map_due_s = now_s + MAP_PERIOD_S
         try:

@@ -1,4 +1,4 @@
-"""The map on its way to the disk, as a sink: to the recording every few seconds, to its folder now and then.
+"""Saves the map, as a sink: to the recording every few seconds, to its folder now and then.
 
 It reads the TileStore from a thread of its own: neither a slow disk nor a large picture holds up mapping.
 """
@@ -26,8 +26,8 @@ from service.writable import make_writable
 
 log = logging.getLogger(__name__)
 
-EMIT_INTERVAL_S = 10.0  # a whole map a second would outgrow the scans
-GRAPH_S = 5.0  # that the graph may take to be put away when someone asks for the map
+EMIT_INTERVAL_S = 10.0  # a complete map a second would outgrow the scans
+GRAPH_S = 5.0  # that the graph may take to be put away when the map is requested
 MAX_UNSAVED = 8  # maps that a reset ended and the disk has not taken yet
 MAX_ASKED = 64
 # A graph folder that has not changed for so long, while checkpoints come, is of a session that was killed.
@@ -38,14 +38,14 @@ def open_sink(config: MapConfig, context: SinkContext) -> "MapSaver":
     return MapSaver(config, context)
 
 
-class _Asked(NamedTuple):
+class _Requested(NamedTuple):
     saved: SavedHeard
     name: str
     with_graph: bool
     number: int  # of the map that was the present one then
 
 
-class _GraphAsked(NamedTuple):
+class _GraphRequest(NamedTuple):
     then: Callable[[], None]
 
 
@@ -67,8 +67,8 @@ class MapSaver(Sink):
     def __init__(self, config: MapConfig, context: SinkContext) -> None:
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(context.start_unix_ns / 1e9))
         self._started = started
-        self._anew = config.directory / f"{context.vehicle}_{started}"
-        self._folder = context.map_folder or config.load or self._anew
+        self._again = config.directory / f"{context.vehicle}_{started}"
+        self._folder = context.map_folder or config.load or self._again
         self.graph_folder = self._folder.with_name(f".{self._folder.name}.graph-{os.getpid()}")
         is_going_on = self._folder == config.load and not context.is_localizing
         self._goes_on_in = (self._folder, context.load_version) if is_going_on else None
@@ -89,11 +89,11 @@ class MapSaver(Sink):
         self._unsaved: list[NumberedMap] = []  # ended by a reset
         self._ended: dict[int, tuple[SavedMap | None, str]] = {}  # by number: where it is, or why nowhere
         self._wake = threading.Condition()  # of the two that follow
-        self._asked: deque[_Asked | _GraphAsked] = deque()
+        self._requested: deque[_Requested | _GraphRequest] = deque()
         self._stopping = False
         self._newest: tuple[int, SavedMap] | None = None  # map number
         self._thread = threading.Thread(target=self._run, name="map-saver", daemon=True)
-        self._held_back = ""  # why the present map is not stored yet, though nothing failed
+        self._delayed = ""  # why the present map is not stored yet, though nothing failed
         self._given_up = ""  # which map of this run is lost, and why
         self.fault = ""  # why the last save failed, "" if it did not
 
@@ -128,11 +128,11 @@ class MapSaver(Sink):
             keep_version(folder, version, f"a session of {self._vehicle} began in it, {self._started}")
 
     def let_go(self, folder: Path) -> None:
-        """It was held, and is not begun in. A map of this run that is saved there keeps it."""
+        """It was reserved, and is not begun in. A map of this run that is saved there keeps it."""
         self._in_use.let_go(folder)
 
     def begun_in(self, folder: Path) -> None:
-        """The present map is that of this folder, which was held; call it when the one before has ended.
+        """The present map is that of this folder, which was reserved; call it when the one before has ended.
 
         Others may change the folder again when this map has ended and is saved.
         """
@@ -143,7 +143,7 @@ class MapSaver(Sink):
         """The present map is a new one, also where what was begun in had no tile yet when it was reset."""
         number = self._tiles.number
         if number == 1 and self._begun_in.get(number) == self._folder:
-            self._folder = self._anew
+            self._folder = self._again
         self._let_go_of(number)
         self._begun_in.pop(number, None)
 
@@ -165,7 +165,7 @@ class MapSaver(Sink):
         A map that has ended before it is saved so is saved in its folder alone, and `saved` hears of that.
         Where MAX_ASKED wait already, it hears so at once, in the caller's thread.
         """
-        if refused := self._take(_Asked(saved, name, with_graph, self._tiles.number)):
+        if refused := self._take(_Requested(saved, name, with_graph, self._tiles.number)):
             saved(None, f"not saved: {refused}")
 
     def put_graph_away(self, then: Callable[[], None]) -> None:
@@ -173,18 +173,18 @@ class MapSaver(Sink):
         in the sink's thread: when it is, or not within GRAPH_S. Raises StorageError where MAX_ASKED wait
         already; then it is never called.
         """
-        if refused := self._take(_GraphAsked(then)):
+        if refused := self._take(_GraphRequest(then)):
             raise StorageError(refused)
 
-    def _take(self, asked: _Asked | _GraphAsked) -> str:
+    def _take(self, requested: _Requested | _GraphRequest) -> str:
         """Why it is not taken, "" if it is."""
         with self._wake:
-            if len(self._asked) >= MAX_ASKED:
+            if len(self._requested) >= MAX_ASKED:
                 return (
                     f"{MAX_ASKED} requests wait for the disk of {self.folder.parent}; look whether it is "
                     "full, slow or gone, and ask again"
                 )
-            self._asked.append(asked)
+            self._requested.append(requested)
             self._wake.notify()
         return ""
 
@@ -237,7 +237,7 @@ class MapSaver(Sink):
         finally:
             shutil.rmtree(self.graph_folder, ignore_errors=True)
             self._in_use.let_all_go()
-        if why := self._given_up or self._held_back:
+        if why := self._given_up or self._delayed:
             raise StorageError(why)
 
     def close(self) -> None:
@@ -265,11 +265,11 @@ class MapSaver(Sink):
             self._ended[lost.number] = (None, self._given_up)
             log.error("%s", self._given_up)
         while self._unsaved:
-            held_back = self._store(self._unsaved[0])
+            delayed = self._store(self._unsaved[0])
             number = self._unsaved.pop(0).number
             self._let_go_of(number)
-            self._ended[number] = (self._newest_of(number), held_back)
-        self._held_back = self._store(present)
+            self._ended[number] = (self._newest_of(number), delayed)
+        self._delayed = self._store(present)
         self.fault = ""
         return self._newest_of(present.number)
 
@@ -280,12 +280,12 @@ class MapSaver(Sink):
         """Why it is not stored, though nothing failed; "" where it is, or holds nothing new."""
         if numbered.tiles and self._would_lose_its_graph(numbered):
             folder = self.folder_of(numbered.number)
-            held_back = (
+            delayed = (
                 f"{folder} stays as it is, for the graph of what was mapped since is not put away; a replay "
                 "of the recording with --map and --out maps it again"
             )
-            log.warning("%s", held_back)
-            return held_back
+            log.warning("%s", delayed)
+            return delayed
         newest = self._newest_of(numbered.number)
         if (
             newest is not None
@@ -316,14 +316,14 @@ class MapSaver(Sink):
             log.warning("graphs of this session that are not needed any more cannot be removed: %s", error)
 
     def _run(self) -> None:
-        if self._asks_for_graph:
+        if self._requests_graph:
             self._remove_abandoned_graphs()
         ask_at_s = time.monotonic() + 0.5 * self._checkpoint_s
         save_at_s = ask_at_s + 0.5 * self._checkpoint_s
         while self._wait():
             self._answer()
             self._emit_map()
-            if self._asks_for_graph and time.monotonic() >= ask_at_s:
+            if self._requests_graph and time.monotonic() >= ask_at_s:
                 ask_at_s = time.monotonic() + self._checkpoint_s
                 self._command("checkpoint", b"{}")  # the graph comes to the TileStore when it is written
             if time.monotonic() >= save_at_s:
@@ -331,7 +331,7 @@ class MapSaver(Sink):
                 self.try_to_save()
 
     @property
-    def _asks_for_graph(self) -> bool:
+    def _requests_graph(self) -> bool:
         return self._profile_of(self._tiles.number).stores_graph and not self._is_localizing
 
     def _profile_of(self, number: int) -> _Profile:
@@ -358,7 +358,7 @@ class MapSaver(Sink):
             self._wake.notify()
 
     def _emit_map(self) -> None:
-        """Hand the whole map to all sinks if it changed; the recording keeps it."""
+        """Hand the complete map to all sinks if it changed; the recording keeps it."""
         version = self._tiles.version
         if version == self._emitted_version:
             return
@@ -373,48 +373,51 @@ class MapSaver(Sink):
             self._emit(encode_grid(grid, unix_ns, unix_ns))
 
     def _wait(self) -> bool:
-        """Until someone asks or it is time to look; False when there is nothing more to do."""
+        """Until requested or it is time to look; False when there is nothing more to do."""
         with self._wake:
-            if not self._asked and not self._stopping:
+            if not self._requested and not self._stopping:
                 self._wake.wait(min(EMIT_INTERVAL_S, 0.5 * self._checkpoint_s))
             return not self._stopping
 
     def _answer(self) -> None:
         with self._wake:
-            asked, self._asked = self._asked, deque()
-        if not asked:
+            requested, self._requested = self._requested, deque()
+        if not requested:
             return
-        if any(isinstance(one, _GraphAsked) or one.with_graph for one in asked):
+        if any(isinstance(one, _GraphRequest) or one.with_graph for one in requested):
             self._put_graph_away()
-        to_save = [one for one in asked if isinstance(one, _Asked)]
+        to_save = [one for one in requested if isinstance(one, _Requested)]
         if to_save:
             self._save_for(to_save)
-        for one in asked:
-            if isinstance(one, _GraphAsked):
+        for one in requested:
+            if isinstance(one, _GraphRequest):
                 one.then()
 
-    def _save_for(self, asked: Sequence[_Asked]) -> None:
+    def _save_for(self, requested: Sequence[_Requested]) -> None:
         saved = self.try_to_save()
-        for one in asked:
+        for one in requested:
             if not self.fault and one.number in self._ended:
                 one.saved(*self._of_ended(one))
                 continue
             if not one.name or self.fault:
-                one.saved(saved, self.fault or self._held_back)
+                one.saved(saved, self.fault or self._delayed)
                 continue
             try:
                 one.saved(self._save_as(one.name), "")
             except StorageError as error:
                 one.saved(None, str(error))
 
-    def _of_ended(self, asked: _Asked) -> tuple[SavedMap | None, str]:
-        saved, fault = self._ended[asked.number]
-        if saved is None or not asked.name:
+    def _of_ended(self, requested: _Requested) -> tuple[SavedMap | None, str]:
+        saved, fault = self._ended[requested.number]
+        if saved is None or not requested.name:
             return saved, fault
-        return None, f"not saved as {asked.name}: the map has ended meanwhile; it is stored in {saved.folder}"
+        return (
+            None,
+            f"not saved as {requested.name}: the map has ended meanwhile; it is stored in {saved.folder}",
+        )
 
     def _put_graph_away(self) -> None:
-        if not self._asks_for_graph or self._tiles.finest_count == 0:
+        if not self._requests_graph or self._tiles.finest_count == 0:
             return
         before = self._tiles.graph
         if self._command("checkpoint", b"{}").ok and not self._tiles.wait_for_graph(before, GRAPH_S):

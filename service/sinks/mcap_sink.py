@@ -63,7 +63,7 @@ class McapSink(Sink):
 
     def begin_session(self, first: Message, heard: SessionHeard) -> None:
         """As McapRecorder.begin_session. A session holds all that its replay needs: one that begins after a
-        switch of the profile, or in a pause, says so in the messages after its first.
+        switch of the profile, or in a pause, states it in the messages after its first.
         """
         self._recorder.begin_session(first, heard)
         if (profile := self._present_profile()) != self._profile:

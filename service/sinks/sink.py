@@ -22,13 +22,13 @@ PartT = TypeVar("PartT")
 
 
 class Shared:
-    """What several sinks of one service use: a session, say. Sinks are opened one after the other."""
+    """What several sinks of one service use: for example a session. Sinks are opened one after the other."""
 
     def __init__(self) -> None:
         self._made: dict[type, object] = {}
 
     def of(self, part: type[PartT]) -> PartT:
-        """The same for all; the first who asks has it made."""
+        """The same for all; the first call makes it."""
         if part not in self._made:
             self._made[part] = part()
         made = self._made[part]
@@ -46,7 +46,7 @@ class SinkContext:
     is_localizing: bool  # whether the map is a stored one that stays as it is
     start_unix_ns: int  # Unix time at which the service was constructed
     load_version: int | None  # of the stored map that the session begins in; None: it begins a new one
-    map_folder: Path | None  # where this run's map is to be stored, if the caller asked for a folder
+    map_folder: Path | None  # where this run's map is to be stored, if the caller requested a folder
     folders: Mapping[str, Path]  # section of the config -> its directory, of those that have one
     metadata: Mapping[str, Mapping[str, str]]  # name -> key -> text: version, config as YAML, clock
     tiles: TileStore  # the newest version of every tile of the map
@@ -67,7 +67,7 @@ class Sink(Protocol):
     `put`, `put_tiles`, `put_metadata` and `health` come from any thread, before `start` too, and never wait:
     what cannot go out at once waits in a queue of bounded size; what the queue cannot take is dropped and
     counted. Work is done in threads of the sink, named `<name>` or `<name>-...`: when one of them dies, the
-    fan-out says so in health, and mapping and the other sinks go on.
+    fan-out reports it in health, and mapping and the other sinks go on.
     """
 
     name: str  # of its row in health and of its threads
@@ -190,11 +190,11 @@ class MapStorage(Protocol):
         ...
 
     def let_go(self, folder: Path) -> None:
-        """It was held, and is not begun in. A map of this run that is saved there keeps it."""
+        """It was reserved, and is not begun in. A map of this run that is saved there keeps it."""
         ...
 
     def begun_in(self, folder: Path) -> None:
-        """The present map is that of this folder, which was held; call it when the one before has ended.
+        """The present map is that of this folder, which was reserved; call it when the one before has ended.
 
         Others may change the folder again when this map has ended and is saved.
         """

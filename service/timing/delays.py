@@ -1,4 +1,4 @@
-"""What the delays from stamp to log time say of a topic's stamps.
+"""Faults of a topic's stamps by the delays from stamp to log time.
 
 A message comes after it was measured, and soon: a constant delay out of the ordinary is the offset between
 two clocks. What delays a message only makes it later, so the fastest ones are nearest to that offset.
@@ -18,7 +18,7 @@ MIN_AGREEING_SHARE = 0.6  # of the messages, whose delays agree
 MIN_ORDINARY = 0.3  # of the messages, where the newest are: the others were stamped by a clock that was set
 MIN_MESSAGES = 3
 FASTEST_SHARE = 0.05  # of the delays are passed over in search of the fastest: single stamps may be ahead
-SHORTEST_WAY_NS = 2_000_000  # of a message to the log; 0.3 to 3 ms by device, docs/decisions/0003-time.md
+SHORTEST_DELAY_NS = 2_000_000  # of a message to the log; 0.3 to 3 ms by device, docs/decisions/0003-time.md
 MIN_SIGMA_NS = 5_000_000  # of an offset, as log times do not tell that
 
 Verdict = Literal["ordinary", "offset", "coarse", "inconsistent"]
@@ -58,7 +58,7 @@ def clock_of(stamp_ns: Sequence[int], log_ns: Sequence[int]) -> Clock:
     sigma_ns = max(int((near - fastest_ns).mean()), MIN_SIGMA_NS)
     distinct = len(np.unique(stamps))
     return Clock(
-        _verdict(stamps, logs, near, is_kept), fastest_ns - SHORTEST_WAY_NS, sigma_ns, len(stamps), distinct
+        _verdict(stamps, logs, near, is_kept), fastest_ns - SHORTEST_DELAY_NS, sigma_ns, len(stamps), distinct
     )
 
 

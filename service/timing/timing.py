@@ -15,7 +15,7 @@ MAX_WAIT_NS = 5_000_000_000  # ... where they have few messages
 MAX_WAITING = 5_000  # frames after the first scan: log times may stand still
 MAX_SAMPLES = 200_000  # before the first scan
 LONG_BEFORE_NS = 5_000_000_000  # the first scan: then a topic has ended
-ELSEWHERE_NS = 60_000_000_000  # between stamps that are of one drive, where log times say nothing
+ELSEWHERE_NS = 60_000_000_000  # between stamps that are of one drive, where log times give nothing
 MIN_MESSAGES_LIVE = 100  # of a topic, before the share that is dropped is a warning
 
 KINDS: dict[type[Frame], str] = {
@@ -204,7 +204,7 @@ class Timing:
 
 
 def _log_offset_ns(clocks: Mapping[Topic, Clock]) -> int | None:
-    """Log times less this are on the clock of all stamps; None: log times say nothing.
+    """Log times less this are on the clock of all stamps; None: log times give nothing.
 
     The clock of the log is that of all where any topic keeps to it; else that of the scans counts.
     """

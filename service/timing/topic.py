@@ -11,7 +11,7 @@ from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.timing.delays import (
     MAX_AHEAD_NS,
     MAX_LATENCY_NS,
-    SHORTEST_WAY_NS,
+    SHORTEST_DELAY_NS,
     Clock,
     clock_of,
     is_ordinary,
@@ -24,7 +24,7 @@ NEW_CLOCK = 10  # messages in a row whose delay has changed by the same: then th
 SAME_CHANGE_NS = 250_000_000  # between two of their delays
 FASTEST_FADES_NS = 5_000_000  # a message
 FARTHEST_AHEAD_NS = 1_000_000_000  # that a clock may drift to: then it counts as set
-MAX_STEP_NS = 60_000_000_000  # from stamp to stamp, where log times say nothing
+MAX_STEP_NS = 60_000_000_000  # from stamp to stamp, where log times give nothing
 PERIOD_SCANS = 20  # by which the period of scans is known well
 COARSE_NS = 1_000_000_000
 MIN_SAME, MAX_SAME = 5, 0.3  # messages with the stamp of the one before, and their share, of coarse stamps
@@ -139,7 +139,7 @@ class Topic:
     def judged(self, frame: Frame, log_offset_ns: int | None, has_waited: bool) -> Frame | str:
         """The frame with the times that are used, or why it is dropped.
 
-        log_offset_ns  log times less this are on the clock of all stamps; None: they say nothing
+        log_offset_ns  log times less this are on the clock of all stamps; None: they give nothing
         """
         if not has_waited:
             self._note(frame)
@@ -216,11 +216,11 @@ class Topic:
         stamp_ns = (
             frame.stamp_ns + self.shift_ns
             if self.source == "stamp"
-            else log_ns - self.sweep_ns - SHORTEST_WAY_NS
+            else log_ns - self.sweep_ns - SHORTEST_DELAY_NS
         )
         last_ns = self._stamp_ns
         if stamp_ns == last_ns and log_offset_ns is not None and self._is_too_coarse(log_ns):
-            stamp_ns = log_ns - self.sweep_ns - SHORTEST_WAY_NS
+            stamp_ns = log_ns - self.sweep_ns - SHORTEST_DELAY_NS
         if last_ns is not None and stamp_ns <= last_ns:
             return SAME if stamp_ns == last_ns else LATE
         self._stamp_ns, self._log_ns = stamp_ns, log_ns

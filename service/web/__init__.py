@@ -8,5 +8,5 @@ resources.py    stored sessions and maps: list, rename, delete, export, look at,
 jobs.py         the processes in which these are exported, looked at and edited
 access.py       token, Host, Origin, response headers
 server.py       the thread with its own event loop that serves all of it
-static/         the page: plain ES modules, drawn on a canvas; no build step, no external resource
+static/         the page: plain ES modules, rendered on a canvas; no build step, no external resource
 """

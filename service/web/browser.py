@@ -1,4 +1,4 @@
-"""One browser's websocket: what it gets, and what it may ask."""
+"""One browser's websocket: what it gets and what it may request."""
 
 import asyncio
 import logging
@@ -10,11 +10,11 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from service.allowance import Allowance
 from service.web.protocol import (
-    AskedError,
-    CommandAsked,
-    ResourceAsked,
+    CommandRequest,
+    RequestError,
+    ResourceRequest,
     TokenShown,
-    read_asked,
+    read_request,
     to_json,
 )
 from service.web.send_queue import SendQueue
@@ -41,7 +41,7 @@ class Gate:
     attempts: Attempts
 
 
-CarryOut = Callable[[CommandAsked | ResourceAsked], Awaitable[dict[str, Any]]]  # -> the answer's body
+CarryOut = Callable[[CommandRequest | ResourceRequest], Awaitable[dict[str, Any]]]  # -> the answer's body
 
 
 class Browser:
@@ -69,7 +69,7 @@ class Browser:
         self._tiles_due_s = 0.0
         self._wrong_tokens = 0
         self._commands: set[asyncio.Task[None]] = set()
-        self._asking = Allowance(MAX_ASKED_PER_S, ASKED_BURST)
+        self._requesting = Allowance(MAX_ASKED_PER_S, ASKED_BURST)
 
     @property
     def is_guest(self) -> bool:
@@ -145,20 +145,20 @@ class Browser:
 
     async def _read(self) -> None:
         async for message in self._socket:
-            if message.type is not WSMsgType.TEXT or not self._asking.takes_one():
+            if message.type is not WSMsgType.TEXT or not self._requesting.takes_one():
                 await self.let_go(WSCloseCode.POLICY_VIOLATION, "more or other messages than are read")
                 return
             try:
-                asked = read_asked(message.data)
-            except AskedError as error:
+                requested = read_request(message.data)
+            except RequestError as error:
                 self.send_queue.answer(to_json("refused", error=str(error)))
                 continue
-            match asked:
+            match requested:
                 case TokenShown(token=token):
                     if not await self._look_at(token):
                         return
-                case CommandAsked() | ResourceAsked():
-                    self._begin(asked)
+                case CommandRequest() | ResourceRequest():
+                    self._begin(requested)
 
     async def _look_at(self, token: str) -> bool:
         """False where it has tried too often and is let go."""
@@ -181,22 +181,22 @@ class Browser:
             to_json("access", may_control=self.may_control, name=name, role=role, error=error)
         )
 
-    def _begin(self, asked: CommandAsked | ResourceAsked) -> None:
-        is_looking = isinstance(asked, ResourceAsked) and asked.action == "list"
+    def _begin(self, requested: CommandRequest | ResourceRequest) -> None:
+        is_looking = isinstance(requested, ResourceRequest) and requested.action == "list"
         if not self.may_control and not is_looking:
             self._answer(
-                asked.n, {"ok": False, "error": "this needs the token of an operator; you may only look"}
+                requested.n, {"ok": False, "error": "this needs the token of an operator; you may only look"}
             )
         elif len(self._commands) >= MAX_COMMANDS:
             words = f"{MAX_COMMANDS} commands of this page are being carried out; wait for one to end"
-            self._answer(asked.n, {"ok": False, "error": words})
+            self._answer(requested.n, {"ok": False, "error": words})
         else:
-            task = asyncio.create_task(self._command(asked))
+            task = asyncio.create_task(self._command(requested))
             self._commands.add(task)
             task.add_done_callback(self._commands.discard)
 
-    async def _command(self, asked: CommandAsked | ResourceAsked) -> None:
-        self._answer(asked.n, await self._carry_out(asked))
+    async def _command(self, requested: CommandRequest | ResourceRequest) -> None:
+        self._answer(requested.n, await self._carry_out(requested))
 
     def _answer(self, n: int, body: dict[str, Any]) -> None:
         self.send_queue.answer(to_json("answer", n=n, body=body))

@@ -45,12 +45,12 @@ class WebConfig(Section):
     # Names, besides IP addresses, localhost and this machine's own name, by which browsers may open the page.
     hosts: tuple[Annotated[str, AfterValidator(_check_host_name)], ...] = ()
     token_file: Path | None = None  # None: corridor/web.token in the state folder, see access.state_folder
-    tls_certificate: Path | None = None  # PEM, the whole chain; None: plain HTTP
+    tls_certificate: Path | None = None  # PEM, the complete chain; None: plain HTTP
     tls_key: Path | None = None  # PEM
     most_browsers: int = Field(default=32, ge=1, le=1000)  # at the same time
 
     @model_validator(mode="after")
-    def _tls_is_whole(self) -> "WebConfig":
+    def _tls_is_complete(self) -> "WebConfig":
         if (self.tls_certificate is None) != (self.tls_key is None):
             raise ValueError("tls_certificate and tls_key go together; give both, or neither for plain HTTP")
         return self

@@ -1,6 +1,6 @@
 """Who is let in at the port: so many connections at once, none of which may stay without asking for anything.
 
-Every connection is a file that the whole process may open less: recordings and devices need some, too.
+Every connection is a file that the process may open less: recordings and devices need some, too.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 CONNECTIONS_A_BROWSER = 4  # one is its websocket; more to fetch the page faster
 MIN_CONNECTIONS = 32
-IDLE_S = 15.0  # without a whole request; a websocket is one that lasts
+IDLE_S = 15.0  # without a complete request; a websocket is one that lasts
 HANDSHAKE_S = 10.0  # of TLS
 AT_ONCE = 16  # connections that asyncio accepts before any of them counts: so many may be too many
 

@@ -1,6 +1,6 @@
 """Stored sessions and maps for browsers: actions carried out beside the event loop, downloads by ticket.
 
-A download is asked for over the websocket, where the token counts; the answer names an address that works
+A download is requested over the websocket, where the token counts; the answer names an address that works
 once, so that the browser itself can fetch what may be gigabytes.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 from aiohttp import web
 
 from service.web.jobs import ResourceError
-from service.web.protocol import ResourceAsked
+from service.web.protocol import ResourceRequest
 from service.web.resources import Download, Resources
 
 TICKET_S = 60.0
@@ -42,10 +42,10 @@ class Downloads:
         if self._resources is not None:
             self._resources.close()
 
-    async def carry_out(self, asked: ResourceAsked, workers: Executor) -> dict[str, Any]:
+    async def carry_out(self, requested: ResourceRequest, workers: Executor) -> dict[str, Any]:
         if self._resources is None:
             return {"ok": False, "error": "this service stores nothing"}
-        work = self._work(self._resources, asked)
+        work = self._work(self._resources, requested)
         try:
             return {"ok": True, **await asyncio.get_running_loop().run_in_executor(workers, work)}
         except ResourceError as error:
@@ -65,28 +65,28 @@ class Downloads:
             await asyncio.to_thread(download.clean_up)
         return response
 
-    def _work(self, resources: Resources, asked: ResourceAsked) -> Callable[[], dict[str, Any]]:
-        match asked.action:
+    def _work(self, resources: Resources, requested: ResourceRequest) -> Callable[[], dict[str, Any]]:
+        match requested.action:
             case "list":
                 return resources.listing
             case "rename":
-                return lambda: {"name": resources.rename(asked.kind, asked.name, asked.to)}
+                return lambda: {"name": resources.rename(requested.kind, requested.name, requested.to)}
             case "delete":
-                return lambda: {"undo": resources.delete(asked.kind, asked.name)}
+                return lambda: {"undo": resources.delete(requested.kind, requested.name)}
             case "undo":
-                return lambda: {"name": resources.undo(asked.to)}
+                return lambda: {"name": resources.undo(requested.to)}
             case "look":
-                return lambda: resources.look(asked.name)
+                return lambda: resources.look(requested.name)
             case "keyframe":
-                return lambda: resources.keyframe(asked.name, asked.request)
+                return lambda: resources.keyframe(requested.name, requested.request)
             case "download":
                 loop = asyncio.get_running_loop()
-                return partial(self._prepare, resources, asked, loop)
+                return partial(self._prepare, resources, requested, loop)
 
     def _prepare(
-        self, resources: Resources, asked: ResourceAsked, loop: asyncio.AbstractEventLoop
+        self, resources: Resources, requested: ResourceRequest, loop: asyncio.AbstractEventLoop
     ) -> dict[str, Any]:
-        download = resources.download(asked.kind, asked.name, asked.to)
+        download = resources.download(requested.kind, requested.name, requested.to)
         ticket = secrets.token_urlsafe(16)
         loop.call_soon_threadsafe(self._issue, ticket, download)
         return {"url": f"/download/{ticket}/{download.name}"}

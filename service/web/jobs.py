@@ -17,7 +17,7 @@ CLOSE_TIMEOUT_S = 2.0
 
 
 class ResourceError(Exception):
-    """Why something is not done, in words for who asked."""
+    """Why something is not done, as text for the client."""
 
 
 def run(*arguments: str) -> str:
@@ -34,7 +34,7 @@ def run(*arguments: str) -> str:
 
 
 class SessionMapProcess:
-    """Asks service.offline.maps.session_commands, which is started by the first question. Thread-safe."""
+    """Queries service.offline.maps.session_commands, which is started by the first request. Thread-safe."""
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
@@ -84,7 +84,7 @@ class SessionMapProcess:
                 self.close()
                 raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended")
             facts = _line(answers)
-        except (OSError, ValueError) as error:  # ended while it was asked
+        except (OSError, ValueError) as error:  # ended during the request
             raise ResourceError(f"the process that works on maps was ended: {words_of(error)}") from error
         if not facts:
             raise ResourceError("the process that works on maps has ended; the log of the service says why")

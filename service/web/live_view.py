@@ -1,6 +1,6 @@
 """What the page shows, kept from the service's messages: the newest of each, and the path driven.
 
-Any thread puts; the event loop asks what is due. Messages are decoded when they are due, not when they come:
+Any thread puts; the event loop takes what is due. Messages are decoded when they are due, not when they come:
 most are replaced before.
 """
 
@@ -179,7 +179,7 @@ class LiveView:
         """What every browser should get now."""
         now_ns = self._monotonic_ns()
         came = self._take(now_ns)
-        shown = self._show_way(came)
+        shown = self._show_path(came)
         shown += [self._keep(key, payload) for key, payload in came.ready.items()]
         for channel, message in came.newest.items():
             try:
@@ -243,7 +243,7 @@ class LiveView:
                     self._due_ns[channel] = now_ns + GRAPH_PERIOD_NS
         return came
 
-    def _show_way(self, came: _Streams) -> list[Shown]:
+    def _show_path(self, came: _Streams) -> list[Shown]:
         shown = []
         if came.path is not None:
             self._kept.pop("path", None)  # that someone else had made ready

@@ -17,7 +17,7 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
     STANDING u8 5, u8 known, u16 0, f32 cell_m, i32 column, i32 row of the lower left cell, counted from the
             map's origin, u32 width, u32 height, then zlib of width x height x i8 by rows (-1 nothing stands,
             1..100 for how long something has, per cent of what counts in full); known 0: nothing is known
-    CHANGED u8 6, else as STANDING (-1 as the stored map says, 100 something stands there now, 0 what stood is
+    CHANGED u8 6, else as STANDING (-1 as in the stored map, 100 occupied now, 0 what was there is
             gone); known 0: no one watches
 
 All little-endian. From the browser only text comes: see `Asked`.
@@ -51,13 +51,13 @@ FloatArray = npt.NDArray[np.float32]
 
 
 class TokenShown(Section):
-    """Asks for the right to change something."""
+    """Requests the right to change something."""
 
     type: Literal["token"]
     token: Annotated[str, Field(max_length=200)]
 
 
-class CommandAsked(Section):
+class CommandRequest(Section):
     """A command of docs/commands.md; `n` comes back with the answer."""
 
     type: Literal["command"]
@@ -66,11 +66,11 @@ class CommandAsked(Section):
     request: dict[str, Any] = Field(default_factory=dict)
 
 
-class ResourceAsked(Section):
+class ResourceRequest(Section):
     """Something about stored sessions and maps, see resources.py; only to list them needs no token.
 
     to        rename: the new name; download: the format; undo: the number that delete gave
-    request   keyframe and edit: what service.offline.maps.session_commands is asked
+    request   keyframe and edit: what service.offline.maps.session_commands receives
     """
 
     type: Literal["resource"]
@@ -82,20 +82,20 @@ class ResourceAsked(Section):
     request: dict[str, Any] = Field(default_factory=dict)
 
 
-Asked = TokenShown | CommandAsked | ResourceAsked
-_ASKED: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="type")])
+BrowserRequest = TokenShown | CommandRequest | ResourceRequest
+_ASKED: TypeAdapter[BrowserRequest] = TypeAdapter(Annotated[BrowserRequest, Field(discriminator="type")])
 
 
-class AskedError(Exception):
+class RequestError(Exception):
     """Why a browser's message cannot be read, in words."""
 
 
-def read_asked(text: str) -> Asked:
-    """A browser's message. Raises AskedError."""
+def read_request(text: str) -> BrowserRequest:
+    """A browser's message. Raises RequestError."""
     try:
         return _ASKED.validate_json(text, strict=True)
     except ValidationError as error:
-        raise AskedError(fault_words(error)) from error
+        raise RequestError(fault_words(error)) from error
 
 
 def to_json(kind: str, **content: Any) -> str:

@@ -48,7 +48,7 @@ class Resources:
 
     folders    where each kind lies
     in_use     paths that the service itself writes to now
-    scratch    folder for exports on their way; made when it is needed
+    scratch    folder for unfinished exports; made when it is needed
     """
 
     def __init__(

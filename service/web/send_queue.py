@@ -26,8 +26,8 @@ class SendQueue:
         self.filled.set()
 
     def answer(self, payload: Payload) -> None:
-        """What the browser waits for: none is left out. It grows by what the browser may ask within the time
-        after which one that does not read is let go.
+        """What the browser waits for: none is left out. It grows by what the browser may request within the
+        time after which one that does not read is let go.
         """
         self._answers.append(payload)
         self.filled.set()

@@ -19,7 +19,7 @@ from service.encoding import Pose, Status
 
 PERIOD_S = 1.0  # also of health
 EARLY_S = 0.25  # health comes about so much before its second is over
-MAX_ROWS = 2000  # of a whole recording; those of a long one are of more than a second each
+MAX_ROWS = 2000  # of a complete recording; those of a long one are of more than a second each
 BACK_S = 5.0  # a clock that was set: rows that much older than the newest belong to another run
 
 

@@ -38,7 +38,7 @@ from service.web.connections import Listener
 from service.web.downloads import Downloads
 from service.web.help import Manual
 from service.web.live_view import LiveView, Shown
-from service.web.protocol import LARGEST_ASKED, CommandAsked, FloatArray, ResourceAsked, to_json
+from service.web.protocol import LARGEST_ASKED, CommandRequest, FloatArray, ResourceRequest, to_json
 from service.web.resources import Kind, Resources
 from service.web.seats import Seats
 from service.web.send_queue import Payload
@@ -77,7 +77,7 @@ class CommandAnswer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What the page says of the service, from the first moment."""
+    """What the page shows of the service, from the first moment."""
 
     vehicle: str
     profile: str
@@ -93,7 +93,7 @@ class WebServer:
     token     who shows it may give commands
     granted   file of further tokens, see tokens.py; None: there are none
     folders   where sessions and maps are stored; None: the page shows none
-    retry_s   until a place to serve at is tried again; None: one try is all, and health says why it failed
+    retry_s   until a place to serve at is tried again; None: one try is all, and health gives the reason
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class WebServer:
         self._view = LiveView(time.monotonic_ns)
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._edition, self._files = _static_files()
-        self._packed: dict[str, bytes] = {}  # by name, once somebody has asked for it
+        self._packed: dict[str, bytes] = {}  # by name, once it has been requested
         self._manual = Manual()
         self._downloads = Downloads(self._resources(folders) if folders else None)
         self._browsers: dict[Browser, None] = {}  # the oldest first
@@ -302,7 +302,7 @@ class WebServer:
         return web.Response(body=content, headers={"Content-Type": content_type, "ETag": tag})
 
     async def _lasting_file(self, name: str, request: web.Request) -> web.Response:
-        """By an address that no other content will have: a browser that has it asks no more."""
+        """By an address that no other content will have: a browser that has it requests it no more."""
         content, content_type, _ = self._files[name]
         headers = {"Content-Type": content_type, "Cache-Control": LASTING, "Vary": "Accept-Encoding"}
         if "gzip" in request.headers.get("Accept-Encoding", ""):
@@ -378,12 +378,12 @@ class WebServer:
             shown += self._view.map_reset()
         return shown
 
-    async def _carry_out(self, asked: CommandAsked | ResourceAsked) -> dict[str, Any]:
-        if isinstance(asked, ResourceAsked):
-            return await self._downloads.carry_out(asked, self._workers)
+    async def _carry_out(self, requested: CommandRequest | ResourceRequest) -> dict[str, Any]:
+        if isinstance(requested, ResourceRequest):
+            return await self._downloads.carry_out(requested, self._workers)
         loop = asyncio.get_running_loop()
-        request = json.dumps(asked.request).encode()
-        answer = await loop.run_in_executor(self._workers, self._answer, asked.verb, request)
+        request = json.dumps(requested.request).encode()
+        answer = await loop.run_in_executor(self._workers, self._answer, requested.verb, request)
         body: dict[str, Any] = json.loads(answer.body)
         return body
 
@@ -412,7 +412,7 @@ def _post(browser: Browser, shown: Shown) -> None:
 
 def _static_files() -> tuple[str, Mapping[str, tuple[bytes, str, str]]]:
     """Name of their edition, another one for other content; and by name: content, type, tag. Read once;
-    nothing else of the disk can be asked for.
+    nothing else of the disk can be requested.
     """
     files = {}
     for file in package_files("service.web").joinpath("static").iterdir():

@@ -1,4 +1,4 @@
-"""Map tiles newer than a browser's version, encoded once for all browsers that ask for the same."""
+"""Map tiles newer than a browser's version, encoded once for all browsers that request the same."""
 
 import asyncio
 from collections import OrderedDict
@@ -32,7 +32,7 @@ class Batch:
 
 
 class TileFeed:
-    """Asked from the event loop; deflating is done in a thread, which leaves the interpreter to others."""
+    """Called from the event loop; deflating is done in a thread, which leaves the interpreter to others."""
 
     def __init__(self, source: MapSource) -> None:
         self._source = source
@@ -45,7 +45,7 @@ class TileFeed:
 
     async def after(self, version: int) -> Batch | None:
         """The next tiles for a browser that has all up to `version`; None where it has the newest."""
-        async with self._lock:  # the second who asks for the same finds it made
+        async with self._lock:  # a second request for the same finds it made
             newest = self._source.version
             if version >= newest:
                 return None

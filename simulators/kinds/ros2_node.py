@@ -17,7 +17,7 @@ class NodeOptions(BaseModel):
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # of its router; 0: any free
     domain: int = Field(default=0, ge=0, le=232)
-    topic: Annotated[str, AfterValidator(absolute_name)] = ""  # "": as each type says
+    topic: Annotated[str, AfterValidator(absolute_name)] = ""  # "": as each type states
     clock_drift_ppm: float = 40.0
 
 

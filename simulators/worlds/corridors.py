@@ -1,4 +1,4 @@
-"""Corridors, where a scan says little of the position along."""
+"""Corridors, where a scan hardly constrains the position along."""
 
 import math
 

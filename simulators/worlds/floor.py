@@ -13,7 +13,7 @@ OUTER, INNER = (8.0, 8.0, 42.0, 32.0), (10.4, 10.4, 39.6, 29.6)  # sides of the 
 
 def floor(limits: Limits = WALKING, layout: int = SEED) -> World:
     """2000 m2; a lap of 115 m round the ring, and a passage through the core. Doors and furniture stand as
-    the number of the layout says.
+    the number of the layout gives.
     """
     rng = np.random.default_rng(layout)
     plan = Plan()

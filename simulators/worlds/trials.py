@@ -1,4 +1,4 @@
-"""Places and drives that are hard in one way each: turns, crowds, glass, nothing to hold on to."""
+"""Places and drives that are hard for one reason each: turns, crowds, glass, no geometry to match."""
 
 import math
 
@@ -47,9 +47,9 @@ def stop_and_go() -> World:
     legs: list[Leg] = []
     here = np.array(START_XY)
     for corner in np.array(LAP):
-        pieces = max(1, round(float(np.hypot(*(corner - here))) / 2.0))
-        for k in range(1, pieces + 1):
-            x, y = here + (corner - here) * k / pieces
+        segments = max(1, round(float(np.hypot(*(corner - here))) / 2.0))
+        for k in range(1, segments + 1):
+            x, y = here + (corner - here) * k / segments
             legs += [Follow([(float(x), float(y))]), Pause(0.5)]
         here = corner
     limits = Limits(acceleration_mps2=1.5, turn_rate_radps=1.5)
@@ -86,7 +86,7 @@ def _companion(drive: Trajectory, number: int, ahead_m: float, left_m: float) ->
     )
     with_it = np.clip(with_it, 0.5, (19.5, 13.5))
     corner = np.array([17.5 + 0.4 * number, 11.0 + 0.5 * number])
-    side = drive.start.y_m + math.copysign(1.6, left_m)  # clear of the vehicle on the way out and back
+    side = drive.start.y_m + math.copysign(1.6, left_m)  # clear of the vehicle on the drive out and back
     stepped, passed = np.array([with_it[-1][0], side]), np.array([10.0, side])
     gone_s = float(along_s[-1])
     times_s = [*along_s, gone_s + 2.0, gone_s + LEAVING_S / 2.0, gone_s + LEAVING_S]

@@ -252,9 +252,9 @@ def live(serve: Callable[..., Any], scene: Scene, page: Page, tmp_path: Path) ->
     return server
 
 
-def asked(fake: FakeDispatcher) -> list[tuple[str, Any]]:
+def requested(fake: FakeDispatcher) -> list[tuple[str, Any]]:
     """Verb and request of each command that came."""
-    return [(verb, json.loads(payload)) for verb, payload in fake.asked]
+    return [(verb, json.loads(payload)) for verb, payload in fake.requested]
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.browser.conftest import asked, begin_live, store_map
+from tests.browser.conftest import begin_live, requested, store_map
 from tests.browser.test_control import put_health
 from tests.browser.test_edit import optimise, residuals_m
 from tests.browser.test_edit_live import (
@@ -41,7 +41,7 @@ def test_saving_the_map_takes_two_presses(stocked, dispatcher):
     stocked.choose("control")
     stocked.element("do-save_map").click()
     stocked.wait_for_answers()
-    assert asked(dispatcher) == [("save_map", {})]
+    assert requested(dispatcher) == [("save_map", {})]
     assert presses(stocked) == 2
 
 
@@ -51,7 +51,7 @@ def test_loading_a_map_and_localising_in_it_takes_three_presses(stocked, dispatc
     stocked.press("Load\u2026 office")
     stocked.element("confirm-other").click()
     stocked.wait_for_text("notices", "office is loaded.")
-    assert asked(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
+    assert requested(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
     assert presses(stocked) == 3
 
 
@@ -61,7 +61,7 @@ def test_setting_the_pose_of_a_lost_vehicle_takes_three_presses(stocked, dispatc
     stocked.element("do-set_pose").click()
     stocked.pointer().drag_and_drop_by_offset(stocked.element("map"), 0, -60).perform()
     stocked.wait_for_answers()
-    assert [verb for verb, _ in asked(dispatcher)] == ["set_pose"]
+    assert [verb for verb, _ in requested(dispatcher)] == ["set_pose"]
     assert presses(stocked) == 3
 
 

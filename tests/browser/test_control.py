@@ -3,7 +3,7 @@
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from tests.browser.conftest import asked
+from tests.browser.conftest import requested
 
 
 @pytest.fixture
@@ -13,7 +13,7 @@ def control(still, still_dispatcher):
     verbs = "['mark', 'save_map', 'reset_map', 'set_pose']"
     still.run(f"corridor.connection.on.hello({{run_id: '', vehicle: 'v', verbs: {verbs}}})")
     still.run("document.getElementById('notices').replaceChildren()")
-    still_dispatcher.asked.clear()
+    still_dispatcher.requested.clear()
     return still
 
 
@@ -23,7 +23,7 @@ def test_commands_are_given_with_the_token(control, still_dispatcher):
     page.wait_for_text("notices", "Save map: done.")
     page.element("mark-text").send_keys("a door", Keys.ENTER)
     page.wait_for_text("notices", "Set mark: done.")
-    assert asked(still_dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
+    assert requested(still_dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
 
 
 def test_a_reset_asks_first(control, still_dispatcher):
@@ -33,7 +33,7 @@ def test_a_reset_asks_first(control, still_dispatcher):
     page.element("do-reset_map").click()
     page.answer()
     page.wait_for_text("notices", "Reset map: done.")
-    assert asked(still_dispatcher) == [("reset_map", {})]
+    assert requested(still_dispatcher) == [("reset_map", {})]
 
 
 def test_a_name_that_cannot_be_is_refused_before_it_is_sent(control, still_dispatcher):
@@ -46,7 +46,7 @@ def test_a_name_that_cannot_be_is_refused_before_it_is_sent(control, still_dispa
         assert page.run("return document.getElementById('confirm').open")
     name.send_keys("lap_1", Keys.ENTER)
     page.wait_for_text("notices", "done")
-    assert asked(still_dispatcher) == [("save_map", {"name": "lap_1"})]
+    assert requested(still_dispatcher) == [("save_map", {"name": "lap_1"})]
 
 
 def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispatcher):
@@ -58,7 +58,7 @@ def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispat
     )  # asked again before the browser reports the answer
     page.answer()
     page.wait_for_text("notices", "Reset map: done.")
-    assert asked(still_dispatcher) == [("reset_map", {})]
+    assert requested(still_dispatcher) == [("reset_map", {})]
 
 
 def put_health(page, mapping, recording="stopped"):
@@ -101,7 +101,7 @@ def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control,
         control.choose("control")
         control.element("do-set_mode").click()
         control.wait_for_answers()
-        assert asked(still_dispatcher)[-1] == ("set_mode", {"mode": wanted})
+        assert requested(still_dispatcher)[-1] == ("set_mode", {"mode": wanted})
     control.choose("edit")
     assert not control.element("draw-wall").is_enabled()
     assert "choose Map again under Control" in control.text("edit-note")
@@ -123,6 +123,6 @@ def test_the_pose_is_set_by_dragging(control, still_dispatcher):
     canvas = page.element("map")
     page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
     page.wait_for_text("notices", "done.")
-    ((verb, request),) = asked(still_dispatcher)
+    ((verb, request),) = requested(still_dispatcher)
     assert verb == "set_pose"
     assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)

@@ -34,12 +34,12 @@ class Mapping:
     back_end: LoopBackEnd
     tiles: list
     folder: Path
-    asked: list[tuple[str, dict]] = field(default_factory=list)
+    requested: list[tuple[str, dict]] = field(default_factory=list)
     fault: str = ""  # of save_map
 
     def answer(self, verb: str, payload: bytes) -> Answer:
         request = json.loads(payload)
-        self.asked.append((verb, request))
+        self.requested.append((verb, request))
         if verb == "save_map" and self.fault:
             return answer_of(ok=False, error=self.fault)
         if verb == "save_map":
@@ -112,8 +112,8 @@ def test_an_area_is_erased_and_brought_back(page, session, mapping):
     before = points_within(mapping.graph())
     assert before > 50
     erase(page, mapping)
-    assert [verb for verb, _ in mapping.asked] == ["edit_map"]
-    assert mapping.asked[0][1]["change"]["becomes"] == "as_seen"
+    assert [verb for verb, _ in mapping.requested] == ["edit_map"]
+    assert mapping.requested[0][1]["change"]["becomes"] == "as_seen"
     page.element("edit-undo").click()
     wait_for_change(page, "took back: erased")
     assert points_within(mapping.graph()) == before
@@ -158,7 +158,7 @@ def test_a_bent_map_is_straightened_once_pairs_that_are_far_apart_are_confirmed(
     assert far
     assert f": {', '.join(far)}." in question
     page.answer("no")
-    assert [verb for verb, _ in mapping.asked] == ["save_map"]
+    assert [verb for verb, _ in mapping.requested] == ["save_map"]
     assert len(residuals_m(page)) == 3
     optimise(page)
     wait_for_change(page, "pairs 0 to 2; key frames moved by up to ")

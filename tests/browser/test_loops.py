@@ -97,8 +97,8 @@ def test_a_loop_of_a_running_session_is_listed_shown_refused_and_accepted(page, 
     press(page, "Loops not accepted", refused, "Accept")
     page.answer()
     wait_for_change(page, "accepted the loop from key frame")
-    asked = [request["change"] for verb, request in mapping.asked if verb == "edit_map"]
-    assert [(change["what"], change["stamps_ns"]) for change in asked] == [
+    requested = [request["change"] for verb, request in mapping.requested if verb == "edit_map"]
+    assert [(change["what"], change["stamps_ns"]) for change in requested] == [
         ("refuse-loop", worst["stamps_ns"]),
         ("accept-loop", worst["stamps_ns"]),
     ]

@@ -8,7 +8,7 @@ from selenium.webdriver.common.keys import Keys
 from drivers.frames import no_distance
 from service.encoding import Status, encode_diagnostics, encode_frame, encode_graph
 from service.outputs import GraphPicture
-from tests.browser.conftest import DESKTOP, PHONE, asked, begin_live
+from tests.browser.conftest import DESKTOP, PHONE, begin_live, requested
 from tests.browser.scene import event, stamp
 from tests.in_background import started
 from tests.service.web.conftest import TOKEN
@@ -209,7 +209,7 @@ def test_without_the_token_one_only_looks(page, serve, scene, dispatcher):
     assert not page.element("do-mark").is_enabled()
     assert "You may look" in page.text("access-words")
     page.run("return corridor.connection.command('mark', {text: 'x'})")
-    assert dispatcher.asked == []
+    assert dispatcher.requested == []
     page.element("token").send_keys("wrong", Keys.ENTER)
     page.wait_for_text("notices", "not the token")
     page.element("token").send_keys(TOKEN, Keys.ENTER)
@@ -349,7 +349,7 @@ def test_a_replay_is_steered_from_its_strip(page, scene, live, dispatcher):
     assert page.run("return corridor.view.isLive")
     page.element("replay-toggle").click()
     page.wait_for_answers()
-    assert asked(dispatcher) == [
+    assert requested(dispatcher) == [
         ("replay_pause", {}),
         ("replay_go_to", {"position_s": 21}),
         ("replay_rate", {"rate": 0}),
@@ -376,7 +376,7 @@ def test_the_slider_of_a_replay_is_not_dragged_back_before_its_end(page, scene, 
         position = "20" if seconds == "5" else seconds
         assert page.run("return window.shown") == [position, "forward only"]
     page.wait_for_answers()
-    assert asked(dispatcher) == [("replay_go_to", {"position_s": 30})]
+    assert requested(dispatcher) == [("replay_go_to", {"position_s": 30})]
 
 
 def test_the_path_goes_on_where_a_replay_leaves_poses_out(page, scene, live):

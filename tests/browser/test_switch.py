@@ -7,7 +7,7 @@ from selenium.webdriver.common.keys import Keys
 
 from service.encoding import Status, encode_diagnostics
 from service.publishing.commands import Answer
-from tests.browser.conftest import PHONE, asked, begin_live, store_map
+from tests.browser.conftest import PHONE, begin_live, requested, store_map
 from tests.browser.scene import stamp
 from tests.service.web.conftest import TOKEN
 
@@ -42,7 +42,7 @@ def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, d
     ]
 
     def answer(verb, payload):
-        dispatcher.asked.append((verb, payload))
+        dispatcher.requested.append((verb, payload))
         return Answer(True, json.dumps(answers.pop(0)).encode())
 
     monkeypatch.setattr(live, "_answer", answer)
@@ -52,12 +52,12 @@ def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, d
     assert "keeps the map on disk" in page.text("control")
     page.element("do-switch_profile").click()
     page.answer("no")
-    assert dispatcher.asked == []
+    assert dispatcher.requested == []
     page.element("do-switch_profile").click()
     assert "begins a new, empty map" in page.text("confirm-text")
     page.answer()
     page.wait_for_text("notices", "imle maps now; the map before is in /maps/a.")
-    (first, request), second = asked(dispatcher)
+    (first, request), second = requested(dispatcher)
     assert (first, request["profile"]) == ("switch_profile", "imle")
     assert second == (first, request)  # with the same id, so that it is not done twice
     live.put(health_of("imle"))
@@ -100,7 +100,7 @@ def test_a_stored_map_is_loaded(page, serve, dispatcher, tmp_path):
     assert "lost until it is found" in page.text("confirm-text")
     page.answer()
     page.wait_for_text("notices", "office is loaded.")
-    assert asked(dispatcher) == [("load_map", {"map": "office"})]
+    assert requested(dispatcher) == [("load_map", {"map": "office"})]
 
 
 def test_a_map_that_is_loaded_but_cannot_be_localised_in_is_reported(page, serve, dispatcher, tmp_path):
@@ -108,7 +108,7 @@ def test_a_map_that_is_loaded_but_cannot_be_localised_in_is_reported(page, serve
     ask_to_load(page, serve, tmp_path, ["load_map", "set_mode", "set_pose"])
     page.answer("other")
     page.wait_for_text("notices", "office is loaded, but the vehicle maps in it: there is no map yet")
-    assert asked(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
+    assert requested(dispatcher) == [("load_map", {"map": "office"}), ("set_mode", {"mode": "localization"})]
 
 
 def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, scene, dispatcher, tmp_path):
@@ -129,7 +129,7 @@ def test_a_copy_is_saved_and_loaded_again_where_the_vehicle_was(page, serve, sce
     page.wait_for_text("notices", "copy is loaded. Is it a copy of that one")
     page.driver.find_element("xpath", "//div[@id='notices']//button[text()='Set its pose']").click()
     page.wait_for_text("notices", "looked for where it was")
-    (_, saved), (_, loaded), (verb, posed) = asked(dispatcher)
+    (_, saved), (_, loaded), (verb, posed) = requested(dispatcher)
     assert (saved, loaded, verb) == ({"name": "copy"}, {"map": "copy"}, "set_pose")
     pose = scene.pose(2.0)
     assert posed == pytest.approx({"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad})

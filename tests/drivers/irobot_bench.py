@@ -28,8 +28,8 @@ class Curve:
         return self.speed * time_s, self.turn * (1.0 - math.cos(0.7 * time_s)) / 0.7
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        way_m, heading_rad = self.motion(now_ns / S)
-        return way_m - self.half_m * heading_rad, way_m + self.half_m * heading_rad
+        path_length_m, heading_rad = self.motion(now_ns / S)
+        return path_length_m - self.half_m * heading_rad, path_length_m + self.half_m * heading_rad
 
     def pose_between(self, from_ns: int, to_ns: int) -> tuple[float, float, float]:
         """True pose at the later moment in the frame of the earlier, by small steps."""

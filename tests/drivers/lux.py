@@ -25,8 +25,8 @@ class Room:
         self.first_rays_ns.append(first_ray_ns)
         return Sweep(np.full(beam_count, 20.0, np.float32), np.full(beam_count, 0.5, np.float32))
 
-    def sweep_layers(self, layer_count, *asked):
-        return [self.sweep(*asked)] * layer_count
+    def sweep_layers(self, layer_count, *requested):
+        return [self.sweep(*requested)] * layer_count
 
 
 def config(**changes):

@@ -51,8 +51,8 @@ def test_messages_survive_any_cutting_of_the_stream():
     assert b"".join(map(encode, whole)) == stream
     for size in (1, 2, 3, 7, 24, 25, 61):
         decoder = Decoder()
-        pieces = [stream[i : i + size] for i in range(0, len(stream), size)]
-        assert [m for piece in pieces for m in decoder.receive_data(piece)] == whole
+        segments = [stream[i : i + size] for i in range(0, len(stream), size)]
+        assert [m for piece in segments for m in decoder.receive_data(piece)] == whole
         assert decoder.skipped_bytes == decoder.cut_messages == decoder.buffered_bytes == 0
 
 

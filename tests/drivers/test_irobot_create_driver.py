@@ -85,10 +85,10 @@ class Remembering(Curve):
 
     def __init__(self) -> None:
         super().__init__()
-        self.asked_ns: list[int] = []
+        self.requested_ns: list[int] = []
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        self.asked_ns.append(now_ns)
+        self.requested_ns.append(now_ns)
         return super().wheel_travel_m(now_ns)
 
 
@@ -107,7 +107,7 @@ def test_stamps_scatter_little_under_jitter_bursts_and_drift_and_a_restart_is_ov
     before, restarted_ns = len(t.frames), t.now_ns
     t.device.restart(t.now_ns)
     t.run(16.0)
-    truth_ns = np.array(wheels.asked_ns)
+    truth_ns = np.array(wheels.requested_ns)
     stamps_ns = np.array([sample.stamp_ns for sample in t.frames])
     late_ms = (stamps_ns - truth_ns[np.abs(stamps_ns[:, None] - truth_ns).argmin(axis=1)]) / MS
     old = (stamps_ns > 10 * S) & (stamps_ns < restarted_ns)

@@ -18,14 +18,14 @@ class Room:
     """Ranges that depend on the beam alone, every tenth without echo; remembers what was asked."""
 
     def __init__(self):
-        self.asked = []
+        self.requested = []
 
     @property
     def first_rays_ns(self):
-        return [first_ray_ns for first_ray_ns, *_ in self.asked]
+        return [first_ray_ns for first_ray_ns, *_ in self.requested]
 
     def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
-        self.asked.append((first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count))
+        self.requested.append((first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count))
         range_m = (1.0 + np.arange(beam_count) * 1e-3).astype(np.float32)
         range_m[::10] = np.nan
         return Sweep(range_m, np.linspace(0.1, 1.0, beam_count, dtype=np.float32))

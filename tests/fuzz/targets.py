@@ -33,7 +33,7 @@ from service.offline.score.score import read_relations
 from service.offline.score.trajectory import read_tum
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recovery import recover
-from service.web.protocol import AskedError, read_asked
+from service.web.protocol import RequestError, read_request
 from tests.drivers import irobot_bench, lms100, lux, mtig, utm30lx
 from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import tile
@@ -203,6 +203,6 @@ TARGETS: dict[str, Target] = {
     "relations": of_text("a.relations", read_relations, "1.0 2.0 0.5 0.1 0.0 0.0 0.0 0.2\n" * 3),
     "tum": of_text("a.tum", read_tum, "1.0 2.0 0.5 0.0 0.0 0.0 0.0 1.0\n2.0 2.0 0.5 0.0 0.0 0.0 0.0 1.0\n"),
     "asked": Target(
-        lambda data: read_asked(data.decode(errors="replace")), lambda: list(ASKED), (AskedError,)
+        lambda data: read_request(data.decode(errors="replace")), lambda: list(ASKED), (RequestError,)
     ),
 }

@@ -104,9 +104,9 @@ def test_a_chunk_that_is_not_what_its_header_says_is_damaged(tmp_path, chunk, di
 def test_a_chunk_holds_no_more_records_than_the_limit(monkeypatch):
     monkeypatch.setattr(mcap_chunks, "MAX_CHUNK_RECORDS", 99)
     of_another_version = b"\x90" + bytes(8)
-    assert mcap_chunks.whole_records(of_another_version * 99, "x") == ([], 99 * 9)
+    assert mcap_chunks.complete_records(of_another_version * 99, "x") == ([], 99 * 9)
     with pytest.raises(TooLargeError, match="x: a chunk: 100 records, at most 99"):
-        mcap_chunks.whole_records(of_another_version * 100, "x")
+        mcap_chunks.complete_records(of_another_version * 100, "x")
 
 
 def test_messages_that_wait_to_be_put_in_order_are_counted(tmp_path, monkeypatch):

@@ -102,15 +102,15 @@ def test_wheels_slip_for_their_time(world: World) -> None:
     frozen = WheelTruth(ride, "base", replace(exact, slips=(Slip(2.0, 5.0),)), 1)
     spinning = WheelTruth(ride, "base", replace(exact, slips=(Slip(2.0, 5.0, 1.5),)), 1)
     true_m = world.drive.travel(np.array([1.5, 2.0, 5.0, 6.0]))[:, 0]
-    way_m = true_m[2] - true_m[1]
+    path_length_m = true_m[2] - true_m[1]
 
     def way(wheels: WheelTruth, time_s: float) -> float:
         return sum(wheels.wheel_travel_m(round(time_s * 1e9))) / 2.0
 
     assert way(frozen, 1.5) == pytest.approx(true_m[0])
     assert way(frozen, 3.0) == pytest.approx(true_m[1])
-    assert way(frozen, 6.0) == pytest.approx(true_m[3] - way_m)
-    assert way(spinning, 6.0) == pytest.approx(true_m[3] + 0.5 * way_m)
+    assert way(frozen, 6.0) == pytest.approx(true_m[3] - path_length_m)
+    assert way(spinning, 6.0) == pytest.approx(true_m[3] + 0.5 * path_length_m)
 
 
 def test_a_turn_before_the_drive_delays_what_moves(world: World) -> None:

@@ -191,7 +191,7 @@ def test_single_scan_leaves_after_the_next_sweep_and_its_status_is_00():
     (reply,) = ReplyDecoder().receive_data(message)
     assert (reply.echo, reply.status) == ("GE0100020002", "00")
     assert read_scan(reply).distance_mm.shape == (1, 51)
-    first_ray_ns, interval_ns, first_rad, _, beams = bench.room.asked[0]
+    first_ray_ns, interval_ns, first_rad, _, beams = bench.room.requested[0]
     assert beams == 101
     assert first_rad == pytest.approx(np.radians((100 - 540) * 0.25))
     assert left_ns == pytest.approx(first_ray_ns + 100 * interval_ns + 300_000, abs=1_000)
@@ -234,7 +234,9 @@ def test_short_values_saturate_at_4095():
     bench.say("GS0000108001")
     scan = read_scan(ReplyDecoder().receive_data(bench.let(60.0)[0][1])[0])
     assert scan.distance_mm.max() == 2079
-    bench.room.sweep = lambda *asked: replace(Room().sweep(*asked), range_m=np.full(1081, 20.0, np.float32))
+    bench.room.sweep = lambda *requested: replace(
+        Room().sweep(*requested), range_m=np.full(1081, 20.0, np.float32)
+    )
     bench.say("GS0000108001")
     assert read_scan(ReplyDecoder().receive_data(bench.let(60.0)[0][1])[0]).distance_mm.min() == 4095
 
@@ -253,9 +255,9 @@ def test_ethernet_unit_sees_behind_things_where_it_can():
 
 def test_what_cannot_be_measured_has_a_code():
     class Odd:
-        def sweep(self, *asked):
+        def sweep(self, *requested):
             return replace(
-                Room().sweep(*asked), range_m=np.array([np.nan, 0.01, 70.0, 5.0] * 100, np.float32)
+                Room().sweep(*requested), range_m=np.array([np.nan, 0.01, 70.0, 5.0] * 100, np.float32)
             )
 
     for setup, none in ((USB, 1), (replace(ETHERNET, no_return_mm=65_533), 65_533)):

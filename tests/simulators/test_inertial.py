@@ -120,9 +120,9 @@ def test_samples_do_not_depend_on_when_or_how_many_are_asked_for(world):
     together, singly = truth(world, MTI_G, seed=5), truth(world, MTI_G, seed=5)
     singly.inertial(at[-1:])
     whole = together.inertial(at)
-    pieces = [singly.inertial(at[k : k + 7]) for k in range(0, len(at), 7)]
-    np.testing.assert_array_equal(np.vstack([p.rate_radps for p in pieces]), whole.rate_radps)
-    np.testing.assert_array_equal(np.vstack([p.force_mps2 for p in pieces]), whole.force_mps2)
+    segments = [singly.inertial(at[k : k + 7]) for k in range(0, len(at), 7)]
+    np.testing.assert_array_equal(np.vstack([p.rate_radps for p in segments]), whole.rate_radps)
+    np.testing.assert_array_equal(np.vstack([p.force_mps2 for p in segments]), whole.force_mps2)
     assert not np.array_equal(truth(world, MTI_G, seed=6).inertial(at).rate_radps, whole.rate_radps)
     assert together.place(int(at[5])) == singly.place(int(at[5]))
 

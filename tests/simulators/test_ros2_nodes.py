@@ -58,9 +58,9 @@ def test_odometry_follows_the_drive(ride: Ride):
     assert isinstance(last, OdometrySample)
     at_ns = START_NS + round((len(samples) - 1) * 2e7)
     true = begin.inverse() @ ride.pose(at_ns)
-    way_m = math.hypot(true.x_m, true.y_m)
-    assert way_m > 1.0
-    assert math.hypot(last.x_m - true.x_m, last.y_m - true.y_m) < 0.1 * way_m  # wheels slip
+    path_length_m = math.hypot(true.x_m, true.y_m)
+    assert path_length_m > 1.0
+    assert math.hypot(last.x_m - true.x_m, last.y_m - true.y_m) < 0.1 * path_length_m  # wheels slip
     assert last.twist_mps_radps[0] > 0.1
 
 

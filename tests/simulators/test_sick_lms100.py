@@ -29,11 +29,11 @@ class Corridor:
     """Ranges that depend on the beam alone: 1 m, 1.001 m, ...; remembers what was asked."""
 
     def __init__(self, range_m=None):
-        self.asked = []
+        self.requested = []
         self._range_m = range_m
 
     def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
-        self.asked.append((first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count))
+        self.requested.append((first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count))
         range_m = self._range_m
         if range_m is None:
             range_m = (1.0 + np.arange(beam_count) * 1e-3).astype(np.float32)
@@ -107,10 +107,10 @@ def test_liblms1xx_and_mrpt_get_through_their_start_up(shared):
         assert answer.startswith(b"\x02")
         assert answer.count(b"\x03") == 1
         assert answer.endswith(b"\x03")
-        [asked], [said] = Decoder().receive_data(request), Decoder().receive_data(answer)
-        assert (said.kind, said.name) == (KINDS[asked.kind], asked.name)
-        answers[asked.name] = answer
-        if asked.name == "LMCstartmeas":
+        [requested], [said] = Decoder().receive_data(request), Decoder().receive_data(answer)
+        assert (said.kind, said.name) == (KINDS[requested.kind], requested.name)
+        answers[requested.name] = answer
+        if requested.name == "LMCstartmeas":
             bench.let(1000)
         elif request.endswith(b"LMDscandata 1\x03"):
             messages = bench.let(200)
@@ -311,10 +311,10 @@ def test_client_that_died_leaves_a_deaf_device_for_a_while():
 def test_scan_leaves_after_its_last_ray_and_its_stamps_are_a_real_ones():
     bench = streaming(Lms100Setup(clock_drift_ppm=100.0))
     scans = bench.scans(20_000)
-    first_rays_ns = np.array([asked[0] for asked in bench.source.asked])
+    first_rays_ns = np.array([requested[0] for requested in bench.source.requested])
     leaves_ns = np.array([at_ns for at_ns, _ in scans])
     assert len(scans) == len(first_rays_ns)
-    sweep_ns = 540 * bench.source.asked[0][1]
+    sweep_ns = 540 * bench.source.requested[0][1]
     assert ((leaves_ns - first_rays_ns) > sweep_ns).all()
     assert ((leaves_ns - first_rays_ns) < sweep_ns + 500_000).all()
     start_us = np.array([scan.start_us for _, scan in scans])

@@ -170,8 +170,8 @@ def test_setup_is_for_the_config_state_alone(make):
 
 def test_effective_rates_come_back_and_stay():
     host = Host(mtdata2(baud=921_600)).configured()
-    asked = [(0x1020, 100), (0x8020, 0), (0x4020, 150), (0xC020, 400), (0x3010, 0xFFFF), (0x7010, 10)]
-    answer = host.ask(Mid.OUTPUT_CONFIGURATION, write_output_configuration(asked).hex())
+    requested = [(0x1020, 100), (0x8020, 0), (0x4020, 150), (0xC020, 400), (0x3010, 0xFFFF), (0x7010, 10)]
+    answer = host.ask(Mid.OUTPUT_CONFIGURATION, write_output_configuration(requested).hex())
     effective = [(0x1020, 0xFFFF), (0x8020, 400), (0x4020, 100), (0xC020, 100), (0x3010, 50), (0x7010, 4)]
     assert read_output_configuration(answer.data) == effective
     assert host.ask(Mid.OUTPUT_CONFIGURATION).data == answer.data
@@ -189,15 +189,15 @@ def test_effective_rates_come_back_and_stay():
 def test_every_item_a_unit_can_send_is_sent_and_read():
     kinds = [k for k in Kind if k not in (0x7020, 0xA010, 0xA020, 0xE090)]
     host = Host(mtdata2(baud=None)).configured()
-    asked = [
+    requested = [
         (kind | precision, 100)
         for kind in kinds
         for precision in ((2,) if kind in (0x4020, 0x2010) else (0,))
     ]
-    host.ask(Mid.OUTPUT_CONFIGURATION, write_output_configuration(asked).hex())
+    host.ask(Mid.OUTPUT_CONFIGURATION, write_output_configuration(requested).hex())
     host.ask(Mid.GO_TO_MEASUREMENT)
     items = {item.id: item.value for m in host.wait(2.0) for item in decode_items(m.data)}
-    assert set(items) == {identifier for identifier, _ in asked}
+    assert set(items) == {identifier for identifier, _ in requested}
     earth_m = math.sqrt(sum(v * v for v in items[0x5030]))
     assert earth_m == pytest.approx(6.3624e6, rel=1e-3)  # of the ellipsoid at 60 deg
     assert items[0x8030][0] == pytest.approx(1.0, abs=0.01)
@@ -208,10 +208,10 @@ def test_every_item_a_unit_can_send_is_sent_and_read():
 def test_reset_is_acknowledged_then_silence_then_wake_up(make):
     host = Host(make())
     host.wait(0.3)
-    asked_ns = host.now_ns
+    requested_ns = host.now_ns
     host.unit.receive_data(encode(Mid.RESET), host.now_ns)
     host.wait(0.9)
-    mids = [(t - asked_ns, m.mid) for t, m in host.heard if t > asked_ns]
+    mids = [(t - requested_ns, m.mid) for t, m in host.heard if t > requested_ns]
     assert mids[-2][1] == Mid.RESET + 1
     assert mids[-1][1] == Mid.WAKE_UP
     assert mids[-1][0] == pytest.approx(800 * MS, abs=2 * MS)

@@ -182,10 +182,10 @@ def _check_that_nothing_is_lost(run: DemoRun) -> list[Path]:
     losses, too_old = _losses(facts[-1]), 0
     for name, kind in CHANNELS.items():
         status = facts[-1][f"sensor/{name}"]
-        frames, held_back = int(status["frames"]), int(status.get("count.frames_before_clock", "0"))
+        frames, delayed = int(status["frames"]), int(status.get("count.frames_before_clock", "0"))
         received, discarded = _received(status)
         assert received - discarded <= frames <= received
-        assert counts[f"/{name}/{kind}"] == frames - held_back > RATES_HZ[name]
+        assert counts[f"/{name}/{kind}"] == frames - delayed > RATES_HZ[name]
         too_old += int(status["dropped"])  # recorded, and not mapped
         lost = losses.pop(name, 0)
         if name in NUMBERED or run.was_in_time:

@@ -191,7 +191,7 @@ def _tracks(
 ) -> tuple[
     dict[str, LaserTrack], dict[str, list[OdometrySample]], dict[str, list[ImuSample]], dict[str, str]
 ]:
-    """One walk through the recording; the notes say why a laser has no track."""
+    """One walk through the recording; the notes give the reason where a laser has no track."""
     mappings = {name: LaserMapping(name) for name in lasers}
     wheels: defaultdict[str, list[OdometrySample]] = defaultdict(list)
     gyros: defaultdict[str, list[ImuSample]] = defaultdict(list)

@@ -194,7 +194,7 @@ def _turn_between(from_steps: Floats, to_steps: Floats) -> float:
 def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], way: Floats) -> Fit:
     """Gauss and Newton with weights. Raises InputError where the numbers make no sense.
 
-    way     (N,) of each step: the variance of a step is q * way + 2 r^2, and neighbours share -r^2, with q
+    way     (N,) of each step: the variance of a step is q * path + 2 r^2, and neighbours share -r^2, with q
             the noise that grows with the distance and r that of a pose; both are read off the residuals
     """
     start = np.array([unknown.start for unknown in unknowns])
@@ -230,8 +230,8 @@ def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], w
 def _whiten(jacobian: Floats, r: Floats, way: Floats, weigh: Floats) -> tuple[Floats, Floats]:
     """Both multiplied by the inverse of the Cholesky factor of the residuals' covariance, which has three
     diagonals."""
-    pose_variance, way_noise = _noise(r, way)
-    diagonal = (way_noise * way + 2.0 * pose_variance) * weigh**2
+    pose_variance, path_noise = _noise(r, way)
+    diagonal = (path_noise * way + 2.0 * pose_variance) * weigh**2
     beside = -pose_variance * np.ones(len(r) - 1)
     lower = np.empty(len(r))
     factor = np.zeros(len(r))
@@ -255,5 +255,5 @@ def _noise(r: Floats, way: Floats) -> tuple[float, float]:
     core = core - core.mean()
     variance = float(core @ core) / len(core)
     pose_variance = min(max(-float(core[1:] @ core[:-1]) / (len(core) - 1), 1e-3 * variance), 0.5 * variance)
-    way_noise = max(variance - 2.0 * pose_variance, 1e-3 * variance) / max(float(way.mean()), 1e-12)
-    return max(pose_variance, 1e-16), max(way_noise, 1e-12)
+    path_noise = max(variance - 2.0 * pose_variance, 1e-3 * variance) / max(float(way.mean()), 1e-12)
+    return max(pose_variance, 1e-16), max(path_noise, 1e-12)

@@ -52,7 +52,7 @@ def _words(detail: ErrorDetails) -> str:
 
 
 def patched(changes: Changes, config: ServiceConfig | None) -> tuple[str, str]:
-    """The patch, and the whole config with it; that is empty where there is no config.
+    """The patch, and the complete config with it; that is empty where there is no config.
 
     changes   of a sensor that the config has: as why_not_taken lets them pass
 

@@ -1,4 +1,4 @@
-"""What each sensor alone says of the vehicle's motion: a laser by its own map, the wheels, a gyro."""
+"""The vehicle's motion as each sensor alone measures it: a laser by its own map, the wheels, a gyro."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -90,7 +90,7 @@ class Processes:
                 except BrokenProcessPool:
                     self._pool = None
                     yield futures[future], None
-        finally:  # whoever asks for no more of them goes on with others
+        finally:  # a caller that takes no more of them goes on with others
             for future in futures:
                 future.cancel()
 

@@ -24,7 +24,7 @@ from service.offline.replay.setup import ReplayOptions
 from service.readable import refuse_unreadable
 from service.version import VERSION
 
-DONE_FILE = "done.json"  # written last: a folder that has it is whole
+DONE_FILE = "done.json"  # written last: a folder that has it is complete
 LOGGER = logging.getLogger("service")
 
 
@@ -33,11 +33,11 @@ class AnyTask(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the session, say, for who reads why it failed."""
+        """Of the session, for the report of a failure."""
 
     @property
     def program(self) -> str:
-        """Digest of the sources of whoever asks for it; "": any."""
+        """Digest of the sources of the client; "": any."""
 
     def work(self) -> "Done":
         """Do it. Raises CorridorError."""
@@ -45,7 +45,7 @@ class AnyTask(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """program    digest of the sources of whoever asks for it
+    """program    digest of the sources of the client
     is_again   do it although it is done
     """
 

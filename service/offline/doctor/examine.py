@@ -1,4 +1,4 @@
-"""`corridor doctor`: looks at everything, changes nothing on this machine, and says what is wrong."""
+"""`corridor doctor`: looks at everything, changes nothing on this machine, and reports what is wrong."""
 
 import threading
 from collections.abc import Sequence
@@ -76,10 +76,10 @@ def _devices(machine: Machine, config: ServiceConfig, patience: Patience) -> lis
     stop = threading.Event()
     with ThreadPoolExecutor(max_workers=len(config.sensors), thread_name_prefix="doctor") as workers:
         try:
-            asked = [
+            requested = [
                 workers.submit(examine_sensor, machine, sensor, patience, stop)
                 for sensor in config.sensors.values()
             ]
-            return [finding for future in asked for finding in future.result()]
+            return [finding for future in requested for finding in future.result()]
         finally:
             stop.set()  # Ctrl-C: let the devices go in good order

@@ -100,7 +100,9 @@ def _is_being_written(path: Path) -> bool:
 
 
 def cannot_write(folder: Path) -> str:
-    """Why, "" where we can. Tried, not asked: root has every right, yet a read-only mount refuses."""
+    """Why, "" where we can. Tried rather than looked up: root has every right, yet a read-only mount
+    refuses.
+    """
     try:
         with tempfile.TemporaryFile(dir=folder):
             return ""

@@ -1,4 +1,4 @@
-"""What the doctor asks of the machine it runs on; each in one place, so that a test can answer it."""
+"""What the doctor queries of the machine it runs on; each in one place, so that a test can replace it."""
 
 import ctypes
 import os
@@ -16,7 +16,7 @@ TIME_ERROR = 5
 
 
 class KernelClock(NamedTuple):
-    """What adjtimex(2) says of the system clock."""
+    """State of the system clock by adjtimex(2)."""
 
     is_synchronised: bool
     max_error_s: float

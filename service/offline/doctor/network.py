@@ -101,7 +101,7 @@ def call_failed(machine: Machine, who: str, address: str, port: int, error: Exce
             "it serves another host or program: end that one; after a broken connection wait a minute",
         )
     if number in (errno.EHOSTUNREACH, errno.ETIMEDOUT) or isinstance(error.__cause__, TimeoutError):
-        return _nobody_there(machine, who, address, port)
+        return _no_host_there(machine, who, address, port)
     return fault(
         who,
         f"cannot connect to {where}: {error.__cause__ or error}",
@@ -110,7 +110,7 @@ def call_failed(machine: Machine, who: str, address: str, port: int, error: Exce
     )
 
 
-def _nobody_there(machine: Machine, who: str, address: str, port: int) -> Finding:
+def _no_host_there(machine: Machine, who: str, address: str, port: int) -> Finding:
     route = route_to(machine, address)
     if route is not None and route.gateway:
         return fault(

@@ -1,6 +1,7 @@
 """Runs a sensor's own session for some seconds and keeps what came of it.
 
-It does what the live driver does on the first connection, and nothing more: the session says what is written.
+It does what the live driver does on the first connection, and nothing more: the session decides what is
+written.
 """
 
 import statistics

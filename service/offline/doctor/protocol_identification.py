@@ -26,7 +26,7 @@ _STRANGERS = (
 
 
 def recognise_sensor(data: bytes, kind: str = "") -> str:
-    """A type of sensor that speaks like this, in words; `kind` asks for one type alone."""
+    """A type of sensor that speaks like this, in words; `kind` restricts it to one type."""
     for name, sensor in SENSOR_KINDS.items():
         if kind in ("", name) and (words := sensor.advice.recognise(data)):
             return words

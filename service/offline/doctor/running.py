@@ -1,4 +1,4 @@
-"""The service runs already: then its devices are its own, and it is asked for their state instead."""
+"""The service runs already: then its devices are its own, and it is queried for their state instead."""
 
 import queue
 import re

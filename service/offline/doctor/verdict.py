@@ -1,4 +1,4 @@
-"""From what a probe saw to findings: one function for each way a device can disappoint, one for success."""
+"""From what a probe saw to findings: one function for each way a device can fail, one for success."""
 
 import errno
 from typing import Any
@@ -17,7 +17,7 @@ from service.offline.doctor.protocol_identification import (
     recognise_stranger,
 )
 
-RATE_SHARE = 0.95  # of the configured rate; motors turn up to 1 % slower than they say
+RATE_SHARE = 0.95  # of the configured rate; motors turn up to 1 % slower than stated
 STAMP_AHEAD_MS = 0.5  # jitter of the estimate; more is a wrong latency setting
 
 

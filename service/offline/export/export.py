@@ -28,7 +28,7 @@ from service.offline.export.point_cloud import write_pcd, write_ply
 from service.offline.importing.session_file import refuse_to_overwrite
 from service.offline.past.result import GRAPH_FILE, Result, is_ros_map, open_result
 from service.offline.score.trajectory import write_tum
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 from service.readable import refuse_unreadable
 from service.recording.mcap_reader import Recording
 
@@ -46,9 +46,9 @@ def export(source: Path, to: Format, out: Path) -> None:
     to        the map: pgm with its yaml, png with its world file, geotiff, ply, pcd; the map and, where the
               source has one, the trajectory: svg, dxf, geojson; the trajectory: tum, csv, kml; the graph: g2o
 
-    Where the source says where the map lies on the earth, png and geotiff are in UTM, svg has north, and csv
+    Where the source has the geodetic position of the map, png and geotiff are in UTM, svg has north, and csv
     has columns for it; geojson and kml are refused without. Raises InputError where the source does not hold
-    what is asked for, UsageError for a PGM by another name and for a session as its own export, StorageError,
+    what is requested, UsageError for a PGM by another name and for a session as its own export, StorageError,
     CorridorError where a library that only this format needs is not installed.
     """
     if to == "pgm" and out.suffix != ".pgm":
@@ -61,7 +61,7 @@ def export(source: Path, to: Format, out: Path) -> None:
     if is_map_folder(source) and source.resolve() in out.resolve().parents:
         raise UsageError(f"--out {out} lies inside the stored map {source}, which would damage it")
     write = _writer(_Session(source) if source.is_file() and not is_ros_map(source) else _Folder(source), to)
-    with whole_files(out) as path:
+    with complete_files(out) as path:
         write(path)
 
 
@@ -75,9 +75,9 @@ def _writer(source: "_Source", to: Format) -> Callable[[Path], object]:
         case "geotiff":
             return _to_path(write_geotiff, source.picture(), source.geo())
         case "svg":
-            return _to_path(write_svg, source.picture(), _way(source), source.geo())
+            return _to_path(write_svg, source.picture(), _path(source), source.geo())
         case "dxf":
-            return _to_path(write_dxf, source.picture(), _way(source))
+            return _to_path(write_dxf, source.picture(), _path(source))
         case "ply":
             return _to_path(write_ply, source.picture())
         case "pcd":
@@ -110,7 +110,7 @@ def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> N
     write_world_file(out, picture, reference)
 
 
-def _way(source: "_Source") -> list[SE2]:
+def _path(source: "_Source") -> list[SE2]:
     """Where the source has one."""
     return [pose for _, pose in source.poses()] if source.has_poses else []
 

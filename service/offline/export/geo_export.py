@@ -120,7 +120,7 @@ def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[i
     """Zone, whether it is in the south, and what takes column and row to UTM, at the middles of pixels.
 
     Zone and hemisphere are those of the map's origin, wherever its corners are. One affine map stands for the
-    whole picture: within 1 km UTM's scale changes by a few millionths.
+    complete picture: within 1 km UTM's scale changes by a few millionths.
     Raises InputError, which names `path`, where UTM ends.
     """
     latitude_deg, longitude_deg = reference.to_geodetic(0.0, 0.0)

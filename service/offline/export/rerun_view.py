@@ -99,7 +99,7 @@ def _log_graph(stream: "rr.RecordingStream", graph: GraphPicture) -> None:
 
 
 def _log_path(stream: "rr.RecordingStream", read: Trajectory) -> None:
-    """The whole of it, and the vehicle at each stamp."""
+    """The complete path, and the vehicle at each stamp."""
     import rerun as rr
 
     path = _raised(read.pose[:, :2].astype(np.float32), PATH_Z_M)

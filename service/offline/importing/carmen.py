@@ -6,7 +6,7 @@ Sources: the comment lines CARMEN's logger puts at the head of its logs; GMappin
 carmenconfiguration; the course's instruct.txt.
 
 Many published logs are "corrected": their poses are the result of someone's SLAM. Those never become
-odometry unless asked for.
+odometry unless requested.
 """
 
 import gzip
@@ -39,7 +39,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 OdometryChoice = Literal["auto", "logged", "none"]
 Ranges = npt.NDArray[np.float32]  # m
 
-FLASER_RANGE_MAX_M = 50.0  # logs cap at 50 m or flag with 81.9 m; FLASER does not say which
+FLASER_RANGE_MAX_M = 50.0  # logs cap at 50 m or flag with 81.9 m; FLASER does not state which
 SICK_RANGE_MAX_M = 80.0  # SICK flags errors with 81.83 m and more, whatever the line gives as its maximum
 RIGID_M, RIGID_RAD = 0.02, math.radians(1.0)  # how constant laser against robot must be to be a mounting
 LASERS = {
@@ -328,7 +328,7 @@ def _o_line(fields: list[str]) -> _Odometry:
 
 
 def _guessed_angles(count: int) -> tuple[float, float]:
-    """First angle and step of a laser that only says how many beams it has.
+    """First angle and step of a laser that only states how many beams it has.
 
     180 or 181 beams are 1 deg apart, 360 or 361 0.5 deg, from -90 deg on; 401 are the 100 deg mode of the
     SICK LMS with 0.25 deg. Any other number is taken to span 180 deg evenly, both ends included.

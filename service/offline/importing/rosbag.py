@@ -81,7 +81,7 @@ def import_rosbag(bag_path: Path, out_path: Path, choice: Choice = NO_CHOICE) ->
 
 
 def _usable(session: Session) -> Iterator[Frame]:
-    """Frames whose stamps a ROS message can say; others are counted as unusable."""
+    """Frames whose stamps a ROS message can represent; others are counted as unusable."""
     for step in session.steps():
         if isinstance(step, Step):
             continue

@@ -1,4 +1,4 @@
-"""changes.csv: the cells that are not what a stored map says, for who looks after it."""
+"""changes.csv: the cells that differ from the stored map, for its maintainer."""
 
 import csv
 from io import StringIO
@@ -15,7 +15,7 @@ COLUMNS = ("x_m", "y_m", "change", "first_stamp_ns", "last_stamp_ns", "scans")
 
 
 def write_changes(path: Path, changes: MapChanges | None) -> None:
-    """A line a cell: its middle in the map; "new" where something stands now, "gone" where something stood;
+    """A line a cell: its middle in the map; "new" where something is now, "gone" where something was;
     the stamps of the first and of the last scan that saw it, and how many did. None: there is no file then,
     nor does one of before stay. Raises OSError.
     """

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.errors import InputError
 from service.mapper.map_changes import MapChanges
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 from service.readable import read_text
 
 CHANGED_PLACES_FILE = "changes.json"
@@ -20,7 +20,7 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class ChangedPlace:
-    """A place where something stood that is "gone", or where something "new" stands.
+    """A place where an object is "gone" or "new".
 
     x_m, y_m        middle, map frame
     seen_from_ns    begin of the first session that saw it as it was, Unix time
@@ -76,7 +76,7 @@ class ChangedPlaces:
 
 def write_changed_places(folder: Path, changed: ChangedPlaces) -> None:
     """Raises StorageError."""
-    with whole_files(folder / CHANGED_PLACES_FILE) as path:
+    with complete_files(folder / CHANGED_PLACES_FILE) as path:
         path.write_text(json.dumps({"format": FORMAT, **asdict(changed)}) + "\n", encoding="utf-8")
 
 

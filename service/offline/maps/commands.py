@@ -1,4 +1,4 @@
-"""Carries out what the operator's page asks of a stored map, by the same code as `corridor map edit`."""
+"""Carries out requests of the operator's page to a stored map, by the same code as `corridor map edit`."""
 
 import base64
 import json
@@ -17,8 +17,8 @@ from service.mapper import edit_requests as edits
 from service.mapper.by_hand import pairs_of
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, load_map
-from service.offline.maps import asked as asked_for
 from service.offline.maps import edit as map_edit
+from service.offline.maps import requests as requested_by
 from service.offline.maps.disagreeing_passes import disagreeing_passes
 from service.offline.maps.log import map_log
 from service.offline.maps.loops import as_pairs, loops_of
@@ -42,18 +42,18 @@ class MapCommands:
         self._show = show
         self._changing = threading.Lock()
         self._user = map_edit.user_name()
-        self._table: asked_for.Table = {
-            "map_look": (TypeAdapter(asked_for.Look), lambda _: self._look()),
-            "map_keyframe": (TypeAdapter(asked_for.LookAtKeyframe), self._keyframe),
-            "map_version": (TypeAdapter(asked_for.LookAtVersion), self._version),
-            "map_edit": (TypeAdapter(asked_for.Edit), self._edit),
+        self._table: requested_by.Table = {
+            "map_look": (TypeAdapter(requested_by.Look), lambda _: self._look()),
+            "map_keyframe": (TypeAdapter(requested_by.LookAtKeyframe), self._keyframe),
+            "map_version": (TypeAdapter(requested_by.LookAtVersion), self._version),
+            "map_edit": (TypeAdapter(requested_by.Edit), self._edit),
         }
         self.verbs = tuple(self._table)
 
     def answer(self, verb: str, payload: bytes) -> Answer:
         """JSON in, JSON out; what cannot be done is answered with the reason."""
         try:
-            facts = asked_for.carry_out(self._table, verb, payload)
+            facts = requested_by.carry_out(self._table, verb, payload)
         except CorridorError as error:
             return refusal(str(error).removeprefix(f"{self._folder}: "))  # the page shows one map
         return Answer(True, json.dumps({"ok": True, **facts}).encode())
@@ -63,41 +63,43 @@ class MapCommands:
         versions = {"versions": log["versions"][-MAX_VERSIONS:], "problems": log["problems"]}
         return {**look(self._stored), **versions, "loops": _loops(self._stored.graph), "user": self._user}
 
-    def _keyframe(self, asked: asked_for.LookAtKeyframe) -> dict[str, Any]:
+    def _keyframe(self, requested: requested_by.LookAtKeyframe) -> dict[str, Any]:
         stored = self._stored
-        if asked.version != stored.number:
+        if requested.version != stored.number:
             raise InputError(
-                f"the map is at version {stored.number}, and this is of version {asked.version}; "
+                f"the map is at version {stored.number}, and this is of version {requested.version}; "
                 "look at it again"
             )
-        return look_at_keyframe(stored, asked.keyframe)
+        return look_at_keyframe(stored, requested.keyframe)
 
-    def _version(self, asked: asked_for.LookAtVersion) -> dict[str, Any]:
+    def _version(self, requested: requested_by.LookAtVersion) -> dict[str, Any]:
         """Its tiles as a message of service.web.protocol, base64."""
-        tiles = load_map(self._folder, asked.version).tiles
+        tiles = load_map(self._folder, requested.version).tiles
         if not tiles:
-            raise InputError(f"version {asked.version} of the map has no tiles; there is nothing to compare")
-        return {"version": asked.version, "tiles": base64.b64encode(encode_tiles(tiles)).decode()}
+            raise InputError(
+                f"version {requested.version} of the map has no tiles; there is nothing to compare"
+            )
+        return {"version": requested.version, "tiles": base64.b64encode(encode_tiles(tiles)).decode()}
 
-    def _edit(self, asked: asked_for.Edit) -> dict[str, Any]:
+    def _edit(self, requested: requested_by.Edit) -> dict[str, Any]:
         if not self._changing.acquire(blocking=False):
             raise InputError("another change of this map is being made; wait until it is done")
         try:
-            return self._edit_alone(asked)
+            return self._edit_alone(requested)
         except map_edit.OvertakenError:
             self._take(load_map(self._folder))
             raise
         finally:
             self._changing.release()
 
-    def _edit_alone(self, asked: asked_for.Edit) -> dict[str, Any]:
-        who, now_ns = asked.who.strip() or self._user, time.time_ns()
-        change = asked.change
-        if isinstance(change, asked_for.UndoTo):
-            facts = map_edit.undo(self._folder, change.to, who, now_ns, asked.version)
+    def _edit_alone(self, requested: requested_by.Edit) -> dict[str, Any]:
+        who, now_ns = requested.who.strip() or self._user, time.time_ns()
+        change = requested.change
+        if isinstance(change, requested_by.UndoTo):
+            facts = map_edit.undo(self._folder, change.to, who, now_ns, requested.version)
         else:
             edit = as_edit(change)
-            facts = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, asked.version)
+            facts = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, requested.version)
         self._take(load_map(self._folder))
         return facts
 
@@ -118,7 +120,7 @@ def look(stored: StoredMap) -> dict[str, Any]:
 
 
 def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
-    """Its pose and its points in the map; its stamp in digits, for JavaScript knows no such whole numbers.
+    """Its pose and its points in the map; its stamp in digits, for JavaScript cannot represent such integers.
 
     Raises InputError where there is none.
     """
@@ -155,7 +157,7 @@ def _loops(graph: SavedGraph | None) -> dict[str, Any]:
     }
 
 
-def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
+def as_edit(change: requested_by.ChangeRequest) -> map_edit.Change:
     match change:
         case edits.Erase():
             return map_edit.erase(np.ravel(change.corners).tolist(), change.becomes)
@@ -166,13 +168,13 @@ def as_edit(change: asked_for.ChangeAsked) -> map_edit.Change:
         case edits.AddPairs():
             pairs = [(np.ravel(pair.points).tolist(), pair.keyframes) for pair in change.pairs]
             return map_edit.add_pairs(pairs)
-        case asked_for.RefuseLoop():
+        case requested_by.RefuseLoop():
             return map_edit.refuse_loops([change.loop])
         case edits.RemovePair():
             return map_edit.remove_pair(change.pair)
         case edits.Optimize():
             return map_edit.optimize()
-        case asked_for.UndoTo():
+        case requested_by.UndoTo():
             raise TypeError("an undo is no change of what the map holds")
 
 

@@ -13,10 +13,10 @@ from service.mapstore.annotated import PALETTE, annotated
 from service.mapstore.difference import COLOURS, Difference
 from service.mapstore.files import StoredMap, load_map
 from service.mapstore.png import write_png
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 
 MOVED_M, MOVED_RAD = 0.001, 0.0002  # a key frame that went so far has moved
-_ROWS = {  # what is counted both ways
+_ROWS = {  # what is counted in both directions
     "area, m2": ("area_new_m2", "area_gone_m2"),
     "cells of walls": ("wall_cells_new", "wall_cells_gone"),
     "key frames": ("keyframes_new", "keyframes_gone"),
@@ -27,7 +27,7 @@ Named = tuple[Path, int | None]  # folder, version
 
 
 def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
-    """What the second has and the first has not, and the other way round; for JSON.
+    """What the second has and the first has not, and the reverse; for JSON.
 
     out   file of a PNG that shows it; None: none is written
 
@@ -52,14 +52,14 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
     if out is not None:
         if out.suffix != ".png":
             raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
-        with whole_files(out) as path:
+        with complete_files(out) as path:
             write_png(path, annotated(difference.picture()), {**PALETTE, **COLOURS})
         facts["picture"] = str(out)
     return {**facts, "problems": [*before.problems, *after.problems]}
 
 
 def diff_table(facts: dict[str, Any]) -> tuple[list[list[str]], dict[str, Any]]:
-    """Rows of words, heads first: what is counted both ways beside each other; and the rest."""
+    """Rows of words, heads first: what is counted in both directions beside each other; and the rest."""
     rows = [["", "new", "gone"]]
     rows += [[what, str(facts[new]), str(facts[gone])] for what, (new, gone) in _ROWS.items() if new in facts]
     in_table = {key for keys in _ROWS.values() for key in keys}

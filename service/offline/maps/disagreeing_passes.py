@@ -22,8 +22,8 @@ _FITS = (NOT_SUPPORTED, CONTRADICTED, TOO_FAR)  # reasons that leave the alignme
 
 
 def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:
-    """One for each two stretches of the path that disagree with the map by more than two loops that say the
-    same; that with the best fit first.
+    """One for each two stretches of the path that disagree with the map by more than two loops that measure
+    the same; that with the best fit first.
 
     keyframes     the earlier and the later one
     points        (POINTS, 2, 2) m, map frame: a point of the earlier pass, and where the later one draws it

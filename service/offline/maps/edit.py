@@ -121,7 +121,7 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None =
 def _held(folder: Path) -> InUse:
     """Raises InputError where `folder` holds no map: nothing is written there then; StorageError as InUse."""
     if not is_map_folder(folder):
-        load_map(folder)  # it says why
+        load_map(folder)  # it gives the reason
     return InUse(folder, "corridor map edit")
 
 
@@ -233,7 +233,7 @@ def refuse_loops(numbers: Sequence[int]) -> Change:
 
 
 def optimize() -> Change:
-    """All is solved and drawn again."""
+    """Solve the graph and render the map again."""
 
     def change(stored: StoredMap) -> Changed:
         return _solved(stored, _graph_of(stored), "optimised", {})

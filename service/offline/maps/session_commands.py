@@ -4,7 +4,7 @@ The session goes on extending its map while a person looks at it. So what is loo
 saved, kept here. Key frames of it and of the map as it is later are the same where their stamps are.
 
 One request a line of stdin, its answer a line of stdout, both JSON: {"verb", "map", "request"} and
-{"ok", "error" or what was asked for}. It ends with its stdin, or where nothing is asked for IDLE_S.
+{"ok", "error" or the result}. It ends with its stdin, or without a request for IDLE_S.
 """
 
 import json
@@ -20,8 +20,8 @@ from pydantic import TypeAdapter
 from service.errors import CorridorError, InputError
 from service.mapstore.files import StoredMap, load_map
 from service.offline.maps import edit as map_edit
-from service.offline.maps.asked import KeyframeOfSession, Look, Table, carry_out
 from service.offline.maps.commands import look, look_at_keyframe
+from service.offline.maps.requests import KeyframeOfSession, Look, Table, carry_out
 
 IDLE_S = 900.0  # then the memory of the map is given back; the page looks again
 
@@ -37,14 +37,14 @@ class SessionMapCommands:
 
     def answer(self, line: bytes) -> dict[str, Any]:
         """What becomes of a request; what cannot be done is answered with the reason."""
-        asked = json.loads(line)
-        folder, request = Path(asked["map"]), json.dumps(asked["request"]).encode()
+        requested = json.loads(line)
+        folder, request = Path(requested["map"]), json.dumps(requested["request"]).encode()
         table: Table = {
             "look": (_LOOK, lambda _: self._look(folder)),
             "keyframe": (_KEYFRAME, self._keyframe),
         }
         try:
-            return {"ok": True, **carry_out(table, asked["verb"], request)}
+            return {"ok": True, **carry_out(table, requested["verb"], request)}
         except CorridorError as error:
             return {"ok": False, "error": str(error).removeprefix(f"{folder}: ")}
 
@@ -52,10 +52,10 @@ class SessionMapCommands:
         self._seen, self._name = load_map(folder), secrets.token_hex(8)
         return {**look(self._seen), "seen": self._name, "user": map_edit.user_name()}
 
-    def _keyframe(self, asked: KeyframeOfSession) -> dict[str, Any]:
-        if self._seen is None or asked.seen != self._name:
+    def _keyframe(self, requested: KeyframeOfSession) -> dict[str, Any]:
+        if self._seen is None or requested.seen != self._name:
             raise InputError("another page has fetched key frames since, or it is long ago; fetch them again")
-        return look_at_keyframe(self._seen, asked.keyframe)
+        return look_at_keyframe(self._seen, requested.keyframe)
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:

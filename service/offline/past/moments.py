@@ -32,7 +32,7 @@ GO_TO = "moment_go_to"
 STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of a running service
 
 
-class GoToAsked(Section):
+class GoToRequest(Section):
     """Seconds since the first moment; behind the last one it means that."""
 
     position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -45,12 +45,12 @@ class Moment:
     at_ns        which, Unix time
     poses        base in map, by rising stamps: those around each scan, and the newest as the last of them;
                  what is not known of one is NaN
-    path         first and last + 1 of the points of the whole path that were driven by then
+    path         first and last + 1 of the points of the path that were driven by then
     scans        the newest of each laser, none STALE_NS older than the moment
     mountings    sensor -> pose_base_sensor
     graph        None: as it was shown before
     standing     for how long things stand around the vehicle; None: that is not known
-    changes      what is not as the stored map says; None: as it was shown before
+    changes      what differs from the stored map; None: as it was shown before
     statuses     with the Unix time, s, since when each is as it is
     events       Unix time, s, and text of each, oldest first
     map_words    of when the map is that lies below
@@ -104,8 +104,8 @@ class MomentCommands:
         if verb != GO_TO:
             return refusal(f"this is a recording; it knows {GO_TO}")
         try:
-            asked = GoToAsked.model_validate_json(payload, strict=True)
-            self.go_to(self._moments.first_ns + round(asked.position_s * 1e9))
+            requested = GoToRequest.model_validate_json(payload, strict=True)
+            self.go_to(self._moments.first_ns + round(requested.position_s * 1e9))
         except ValidationError as error:
             return refusal(f"{verb}: {fault_words(error)}")
         except CorridorError as error:

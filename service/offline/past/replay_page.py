@@ -58,17 +58,17 @@ MIN_REST = 20.0  # looking at all tiles may take a share of 1 / MIN_REST of the 
 VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
 
 
-class NothingAsked(Section):
+class NoRequest(Section):
     """Of replay_pause and replay_resume."""
 
 
-class RateAsked(Section):
+class RateRequest(Section):
     """Seconds of the recording a second; 0: as fast as it goes."""
 
     rate: Annotated[float, Field(ge=0.0, le=10_000.0)]
 
 
-class GoToAsked(Section):
+class GoToRequest(Section):
     """Seconds since the beginning of the recording."""
 
     position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -78,7 +78,7 @@ class ReplayPage:
     """A Watch that serves the page from its construction until `close`.
 
     listen      as web.listen in a config
-    name        what the page says that it shows
+    name        title of what the page shows
     rate        as of Pace
 
     Raises StorageError where the page cannot be served.
@@ -95,7 +95,7 @@ class ReplayPage:
         self._output: MapperOutput | None = None  # the newest
         self._scans: dict[str, LaserScan] = {}  # the newest of each laser
         self._graph: GraphPicture | None = None  # the newest that is shown
-        self._way: list[tuple[float, float]] = []  # driven since the last picture
+        self._path: list[tuple[float, float]] = []  # driven since the last picture
         self._stamps: list[tuple[int, int]] = []  # of each scan mapped in the present map: measured, logged
         self.moments: MomentCommands | None = None  # of the finished map
         self._phase = "starting"  # replaying, closing loops, finished
@@ -135,7 +135,7 @@ class ReplayPage:
         self._output, self._scans[scan.sensor] = output, scan
         self._stamps.append((output.stamp_ns, self._log_ns))
         pose = output.pose_map_base
-        self._way.append((pose.x_m, pose.y_m))
+        self._path.append((pose.x_m, pose.y_m))
         now_s = time.monotonic()
         if now_s < self._picture_due_s:
             return
@@ -155,7 +155,7 @@ class ReplayPage:
         self.server.put_ready({STANDING: encode_standing(None)})  # reported before the last loops
         self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
         self._show_graph()
-        self._way.clear()
+        self._path.clear()
         self._phase = "finished"
         self._look_back(poses_map_base)
         self._tell_status()
@@ -188,7 +188,7 @@ class ReplayPage:
         self._changes = None
         self.server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
         self.server.put_path(np.empty((0, 2), np.float32))
-        self._way.clear()
+        self._path.clear()
         self.server.put(encode_graph(NO_GRAPH, self._log_ns))
         self._scans.clear()
         self._output = None
@@ -203,8 +203,8 @@ class ReplayPage:
         self._picture_due_s = now_s + PICTURE_S
         if self._output is None:
             return
-        self.server.put_way(np.array(self._way, np.float32).reshape(-1, 2))
-        self._way.clear()
+        self.server.put_way(np.array(self._path, np.float32).reshape(-1, 2))
+        self._path.clear()
         for scan in self._scans.values():
             self.server.put(encode_frame(scan, log_ns=self._log_ns))
         self.server.put(encode_pose(self._output, self._log_ns))
@@ -298,17 +298,17 @@ class ReplayPage:
     def _carry_out(self, verb: str, payload: bytes, first_ns: int) -> Answer:
         match verb:
             case "replay_rate":
-                self._pace.set_rate(RateAsked.model_validate_json(payload, strict=True).rate)
+                self._pace.set_rate(RateRequest.model_validate_json(payload, strict=True).rate)
             case "replay_go_to":
-                asked = GoToAsked.model_validate_json(payload, strict=True)
-                if asked.position_s < (now_s := self._position_s()):
+                requested = GoToRequest.model_validate_json(payload, strict=True)
+                if requested.position_s < (now_s := self._position_s()):
                     return refusal(
                         f"the replay is at {now_s:.1f} s and goes forward only; replay the recording again "
                         "to see what was before"
                     )
-                self._pace.go_to(first_ns + round(asked.position_s * 1e9))
+                self._pace.go_to(first_ns + round(requested.position_s * 1e9))
             case _:
-                NothingAsked.model_validate_json(payload, strict=True)
+                NoRequest.model_validate_json(payload, strict=True)
                 act: Callable[[], Any] = self._pace.pause if verb == "replay_pause" else self._pace.resume
                 act()
         return Answer(True, json.dumps({"ok": True, "position_s": round(self._position_s(), 3)}).encode())

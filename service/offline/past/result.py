@@ -1,4 +1,4 @@
-"""A result of a replay, a stored map or a ROS map, in its newest version: who reads one asks here.
+"""A result of a replay, a stored map or a ROS map, in its newest version.
 
 A replay stores its map as version 1 of DIR/map. A later version, made by an edit or by a session that extends
 the map, has its own tiles and graph; its trajectory is that of the drive, bent to where the key frames are.
@@ -69,7 +69,7 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 class Drive:
-    """What a replay wrote of its drive, before any edit. Each is read once, when it is asked for."""
+    """What a replay wrote of its drive, before any edit. Each is read once, when it is requested."""
 
     def __init__(self, out: Path) -> None:
         self._out = out

@@ -1,4 +1,4 @@
-"""What a page shows of a map that is given to it whole, again and again."""
+"""What a page shows of a map that is given to it complete at each update."""
 
 from collections.abc import Sequence
 from dataclasses import replace

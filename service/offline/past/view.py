@@ -92,7 +92,7 @@ class View:
         now_ns = time.time_ns()
         tiles, trajectory = result.tiles, result.trajectory or NO_TRAJECTORY
         self._tiles.take(tiles)
-        self._show_way(trajectory.stamp_ns, trajectory.pose)
+        self._show_path(trajectory.stamp_ns, trajectory.pose)
         self.server.put(encode_graph(graph_picture(result), now_ns))
         facts = {} if result.stored is None else {"version": str(result.stored.number)}
         if (geo := result.geo) is not None:
@@ -109,15 +109,15 @@ class View:
 
     def _changes(self, result: Result, tiles: Sequence[TileUpdate]) -> MapChanges | None:
         """Of a site what changed from session to session; of a drive that was localised in a stored map what
-        is not as that says.
+        differs from it.
         """
         if result.stored is not None:
             changed = read_changed_places(self._source, result.stored.number)
             return None if changed is None else changed.as_map_changes()
         return read_changes(self._source / CHANGES_FILE, tiles[0].cell_m) if tiles else None
 
-    def _show_way(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
-        """The whole of it, and of its moments the one that was shown before; at first the last."""
+    def _show_path(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
+        """The complete path, and of its moments the one that was shown before; at first the last."""
         if not len(stamp_ns):
             self._moments = None
             path = encode_path(np.empty((0, 2), np.float32))

@@ -14,7 +14,7 @@ class ProfileSwitches:
     """How frames are mapped from each switch on; the map begins again at each in any case.
 
     configured     as the replay begins; a switch back to its profile takes its settings from here
-    is_followed    False: --profile names the profile of the whole replay. One that is only localised in a
+    is_followed    False: --profile names the profile of the replay. One that is only localised in a
                    stored map does not follow either, for no other profile can do that
     """
 

@@ -57,7 +57,7 @@ def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def _drive_of(file: Path) -> str:
-    """What files of one drive have in common, else the whole name; `ros2 bag record` numbers the files in a
+    """What files of one drive have in common, else the full name; `ros2 bag record` numbers the files in a
     folder of their name, which has no metadata.yaml where it was killed.
     """
     if part_of := _SESSION_FILE.fullmatch(file.name):
@@ -98,7 +98,7 @@ def replay_all(
     watch: Watch | None = None,
     extras: Collection[Extra] = (),
 ) -> list[Outcome]:
-    """Replay each session and write what `write_replay` says to its folder; their outcomes, in order. One
+    """Replay each session and write the files of `write_replay` to its folder; their outcomes, in order. One
     that fails keeps none of the others back. Several at a time: see service.offline.cluster.
     """
     outcomes: list[Outcome] = []

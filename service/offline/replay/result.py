@@ -39,10 +39,10 @@ from service.offline.replay.result_session import RESULT_SESSION, write_result_s
 from service.offline.replay.states_file import STATES_FILE, write_states
 from service.offline.report import REPORT_FILE
 from service.offline.score.trajectory import write_tum
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 from service.outputs import MapperOutput, TileUpdate
 
-Extra = Literal["mcap", "report"]  # what is written only where it is asked for
+Extra = Literal["mcap", "report"]  # what is written only on request
 
 
 @dataclass(slots=True)
@@ -111,7 +111,7 @@ def rewrite_result(folder: Path) -> None:
     assert trajectory is not None
     try:
         _keep_unedited(out)
-        with whole_files(out / TRAJECTORY_FILE) as path:
+        with complete_files(out / TRAJECTORY_FILE) as path:
             poses = list(trajectory.poses())
             _write_files(path.parent, poses, result.picture, result.g2o or "", result.geo, result.summary)
             if trajectory is result.drive.trajectory:  # then to the last digit

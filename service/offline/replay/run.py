@@ -58,7 +58,7 @@ class ReplayRun:
     """Maps one recording by `run`, once. The kernels of its profile are compiled by then.
 
     begin                  the stored map to begin in; None: an empty one
-    is_profile_followed    the profile changes where the recording says so
+    is_profile_followed    the profile changes where the recording has it so
     compile_kernels        called after each such change
     """
 

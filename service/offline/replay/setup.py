@@ -47,7 +47,7 @@ class ReplaySetup:
 
     poses_base_sensor   mountings of lasers, lever arms of antennas
     lasers              whose scans are mapped
-    unmounted           of them, those of which neither config nor recording says where they sit
+    unmounted           of them, those without a mounting in config and recording
     map_version         of the stored map to begin in; None: the current one
     is_as_live          all is as it was live: what the mapper left out and when it applied results is
                         repeated from the recording
@@ -135,7 +135,7 @@ def _version(options: ReplayOptions, begun_in: MapVersion | None) -> int | None:
 def _begins_as_live(
     recorded: ReplayConfig, begun_in: MapVersion | None, options: ReplayOptions, version: int | None
 ) -> bool:
-    """Older recordings do not say in which version they began: any passes for it then."""
+    """Older recordings do not record in which version they began: any passes for it then."""
     if begun_in is None or options.map is None:
         return (recorded.begin_in is None) == (options.map is None)
     return version == begun_in.number and has_version(options.map, version, begun_in.digest)
@@ -179,7 +179,7 @@ def overlaid(section: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, A
 
 
 def _lasers(session: Session, config: ReplayConfig | None, are_named: bool) -> Sequence[str]:
-    """Whose scans are mapped: as the config says. Where that knows none of them, those of every laser that
+    """Whose scans are mapped: as configured. Where that knows none of them, those of every laser that
     was named or whose mounting is known; where none is, of the one with most scans.
     """
     scans = session.scan_counts

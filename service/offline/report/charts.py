@@ -1,4 +1,4 @@
-"""Charts over the time of a drive: one time axis for all, drawn in a width that the page decides.
+"""Charts over the time of a drive: one time axis for all, rendered in a width that the page decides.
 
 Lines are SVG that is stretched; words stand beside it as HTML, so that they keep their size.
 """

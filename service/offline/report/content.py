@@ -105,7 +105,7 @@ class Content:
 
     @property
     def begin_ns(self) -> int:
-        """Of the first scan; 0 where nothing says when that was."""
+        """Of the first scan; 0 where that is unknown."""
         for stamps in (self.states, self.trajectory):
             if stamps is not None and len(stamps.stamp_ns):
                 return int(stamps.stamp_ns[0])

@@ -129,7 +129,7 @@ def _path(content: Content, frame: _Frame) -> Markup | None:
             tag("polyline", class_=f"halo {state}", points=_points(at[begin:end]))
             for begin, end in _runs(is_so)
         ]
-    worst = np.maximum.reduceat(classes, rows)  # between two points that are drawn, the worst counts
+    worst = np.maximum.reduceat(classes, rows)  # between two points that are plotted, the worst counts
     for begin, end in _stretches(worst):
         name = "way" if worst[begin] < 0 else f"way s{worst[begin]}"
         last = min(end, len(rows) - 1)

@@ -16,7 +16,7 @@ from service.offline.report.charts import clock, timeline
 from service.offline.report.content import Content, path_length_m, read_content
 from service.offline.report.map_figure import map_figure
 from service.offline.report.markup import Markup, joined, tag
-from service.offline.writing import refuse_unwritable_file, whole_files
+from service.offline.writing import complete_files, refuse_unwritable_file
 
 REPORT_FILE = "report.html"
 OLDEST_NS = 946_684_800_000_000_000  # the year 2000: stamps before it tell no date
@@ -34,7 +34,7 @@ def write_report(result: Path, out: Path) -> list[str]:
     content = read_content(result)
     refuse_unwritable_file(out)
     page = page_of(content, links=out.resolve().parent == result.resolve())
-    with whole_files(out) as path:
+    with complete_files(out) as path:
         path.write_text(page, encoding="utf-8")
     return content.missing
 

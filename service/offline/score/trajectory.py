@@ -1,6 +1,6 @@
 """Trajectories in the plane and their TUM files: `stamp tx ty tz qx qy qz qw`, seconds and metres.
 
-Stamps are whole nanoseconds throughout; a float of seconds would lose 100 ns of a Unix time.
+Stamps are integer nanoseconds throughout; a float of seconds would lose 100 ns of a Unix time.
 """
 
 import math
@@ -34,7 +34,7 @@ class Trajectory:
         return zip(self.stamp_ns.tolist(), (SE2(*pose) for pose in self.pose.tolist()), strict=True)
 
     def at(self, stamp_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """(M, 3) poses at stamps within it: straight between neighbours, turning the short way."""
+        """(M, 3) poses at stamps within it: straight between neighbours, turning by the smaller angle."""
         right = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self.stamp_ns) - 1)
         left = right - 1
         span_ns = self.stamp_ns[right] - self.stamp_ns[left]

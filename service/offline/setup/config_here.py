@@ -19,7 +19,7 @@ from service.located_yaml import Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapstore.begin_in import stored_for
 
-NAME_TIMEOUT_S = 2.0  # for the addresses of a name: a dead name server is asked for 10 s and more
+NAME_TIMEOUT_S = 2.0  # for the addresses of a name: a dead name server is queried for 10 s and more
 
 
 class SharedDevice(NamedTuple):

@@ -1,8 +1,8 @@
-"""Which of our devices is at a host or a port: asked as the live driver asks, until it has named itself.
+"""Which of our devices is at a host or a port: queried as by the live driver, until it is identified.
 
 Nothing is sent to a host or a port that no one named, but for the serial ports of this machine. On a serial
-port it first listens, then asks in an order that cannot start a robot: bytes of another protocol are commands
-to it only after it was asked to begin, which its own driver alone does.
+port it first listens, then queries in an order that cannot start a robot: bytes of another protocol are
+commands to it only after the command to begin, which only its own driver sends.
 """
 
 import threading
@@ -31,7 +31,7 @@ PORT_NAMES = ("corridor/*", "serial/by-id/*", "ttyACM*", "ttyUSB*")  # the names
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Where to ask: a host, with a port or with that of each type; or a device file. type "": any."""
+    """Where to query: a host, with a port or with that of each type; or a device file. type "": any."""
 
     host: str = ""
     port: int | None = None
@@ -44,7 +44,7 @@ class Wire:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What one wire holds. type "": no device of ours, `words` say what there is instead."""
+    """What is at one wire. type "": no device of ours, `words` state what there is instead."""
 
     wire: Wire
     type: str = ""
@@ -81,7 +81,7 @@ def serial_ports(dev: Path = Path("/dev")) -> list[Wire]:
 
 
 def discover(wires: Sequence[Wire], ask_s: float = ASK_S) -> list[Found]:
-    """Ask them all side by side; what each holds, in their order.
+    """Query them all in parallel; what is at each, in their order.
 
     ask_s   how long each type of device has for its first answer
     """
@@ -94,7 +94,7 @@ def discover(wires: Sequence[Wire], ask_s: float = ASK_S) -> list[Found]:
 
 
 def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
-    candidates: Mapping[str, Mapping[str, Any]] = {wire.type: {}} if wire.type else _asked_at(wire)
+    candidates: Mapping[str, Mapping[str, Any]] = {wire.type: {}} if wire.type else _queried_at(wire)
     if not wire.type and wire.device.startswith(("/", ".")) and (heard := _heard(wire.device, stop)):
         recognised = {kind: candidates[kind] for kind in candidates if recognise_sensor(heard, kind)}
         candidates = recognised or candidates
@@ -111,15 +111,15 @@ def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
     return Found(wire, words="; ".join(dict.fromkeys(words)))
 
 
-def _asked_at(wire: Wire) -> dict[str, Mapping[str, Any]]:
-    """Types that may be there, in the order of asking, and the settings to ask with."""
+def _queried_at(wire: Wire) -> dict[str, Mapping[str, Any]]:
+    """Types that may be there, in the order of the queries, and their settings."""
     advice = {name: kind.advice for name, kind in SENSOR_KINDS.items()}
     settings = {name: one.at_port if wire.device else one.at_host for name, one in advice.items()}
-    return {name: asked for name, asked in settings.items() if asked is not None}
+    return {name: requested for name, requested in settings.items() if requested is not None}
 
 
 def _heard(device: str, stop: threading.Event) -> bytes:
-    """What comes by itself; b"" where the port cannot be opened, which is reported when it is asked."""
+    """What comes by itself; b"" where the port cannot be opened, which is reported by the query."""
     return listen(partial(SerialTransport, device, LISTEN_BAUD), LISTEN_S, stop)
 
 

@@ -58,7 +58,7 @@ def write_new_config(
     data: Path = Path(EXAMPLE_DATA),
     ask_s: float = ASK_S,
 ) -> NewConfig:
-    """Ask the wires and write a config for what answers.
+    """Query the wires and write a config for what answers.
 
     data   folder below which sessions and maps go
 
@@ -73,15 +73,15 @@ def write_new_config(
         )
     at_host = next(name for name, kind in SENSOR_KINDS.items() if kind.advice.at_host is not None)
     stand_in = Found(wires[0], at_host, {"host": "192.168.0.1"})
-    parse_config(render({"any": stand_in}, vehicle, data, out), str(out))  # devices are asked for a minute
+    parse_config(render({"any": stand_in}, vehicle, data, out), str(out))  # devices are queried for a minute
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{out} cannot be written: {error.strerror or error}") from error
     refuse_unwritable_file(out)
-    asked = discover(wires, ask_s)
-    silent = {str(found.wire): found.words for found in asked if not found.type}
-    sensors = named([found for found in asked if found.type])
+    requested = discover(wires, ask_s)
+    silent = {str(found.wire): found.words for found in requested if not found.type}
+    sensors = named([found for found in requested if found.type])
     if not sensors:
         facts = "\n".join(f"  {wire}: {words}" for wire, words in silent.items())
         raise CorridorError(f"no device answers, so there is nothing to write:\n{facts}")

@@ -101,7 +101,7 @@ def site_build(
         if not isinstance(outcome, CorridorError)
         for words in outcome["warnings"]
     ]
-    return report | {"warnings": [*passed_over, *of_replays, *_doubted(changed)]}
+    return report | {"warnings": [*passed_over, *of_replays, *_uncertain(changed)]}
 
 
 def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
@@ -274,7 +274,7 @@ def _report(
     }
 
 
-def _doubted(changed: ChangedPlaces | None) -> list[str]:
+def _uncertain(changed: ChangedPlaces | None) -> list[str]:
     """A warning for each session that looks as if it were of another place, and is in the map."""
     compared = {} if changed is None else changed.compared
     return [

@@ -51,7 +51,7 @@ def seen_by(graph: SavedGraph, cell_m: float) -> RenderedMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """A place where something stood that is gone, or stands now where it was free.
+    """A place where an object is gone, or is now where it was free.
 
     cells          (K, 2) row and column
     is_new         something stands there now
@@ -143,8 +143,8 @@ class Layers:
             held[is_taken] = evidence[is_taken]
 
     def newest(self, shown: RenderedMap) -> RenderedMap:
-        """A map drawn from all sessions with the newest state in the cells that changed: older sessions may
-        have drawn last, or oftener.
+        """A map rendered from all sessions with the newest state in the cells that changed: older sessions
+        may have been rendered last, or more often.
         """
         evidence = shown.evidence.copy()
         drawn = _tiles(replace(shown, evidence=evidence))

@@ -163,7 +163,7 @@ def grow(
 
     folder   for what tasks read; it is there, and on a cluster on a shared disk
     known    members that sessions were looked for in before, by name: the first so many
-    joined   names of those that are of this place, whatever the others say
+    joined   names of those that are of this place, whatever the others give
     """
     waiting, looked = list(sessions), dict(known or {})
     while any(looked.get(one.name, 0) < len(site.members) for one in waiting):
@@ -193,7 +193,7 @@ class _Round:
         """Where sessions lie in the site, (3,) each, by name; looked for where they were not yet."""
         site, found = self.site, dict[str, Floats]()
         firsts: dict[int, Path] = {}
-        asked, tasks = [], []
+        requested, tasks = [], []
         for k, session in enumerate(self.waiting):
             if (pose := self._by_fixes(session)) is not None:
                 found[session.name] = pose
@@ -203,9 +203,9 @@ class _Round:
                 seen = seen_enough(site.graph, site.begins[members])
                 firsts[members] = keep_graph(only(site.graph, seen), self.folder / f"from_{members}")
             own = keep_graph(session.graph, self.folder / f"own_{k}")
-            asked.append(session)
+            requested.append(session)
             tasks.append(Find(session.name, (firsts[members],), own, program_digest()))
-        for one, outcome in zip(asked, self._run(tasks, "looking for sessions"), strict=True):
+        for one, outcome in zip(requested, self._run(tasks, "looking for sessions"), strict=True):
             if "pose_first_second" in outcome:
                 found[one.name] = np.array(outcome["pose_first_second"])
             else:
@@ -213,7 +213,7 @@ class _Round:
         return found
 
     def _by_fixes(self, session: Session) -> Floats | None:
-        """(3,) of its map frame in the site's, where fixes say it well enough."""
+        """(3,) of its map frame in the site's, where fixes determine it well enough."""
         geo, anchors = session.geo, self.site.anchors()
         if geo is None or anchors.reference is None:
             return None
@@ -323,7 +323,7 @@ class _Round:
 
     def _of_elsewhere(self, joined: Site, added: Sequence[int]) -> list[int]:
         """Of those added behind the members: whom these, and those added before it in time, contradict as
-        another place would. `left_out` says why.
+        another place would. `left_out` gives the reason.
         """
         count, found = len(self.site.members), list[int]()
 

@@ -15,7 +15,7 @@ from service.mapper.components import RenderedMap
 from service.mapper.maps.occupancy import NO_CELLS
 from service.mapstore.arrays import read_arrays, write_arrays
 from service.offline.score.trajectory import Trajectory
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 
 KEPT = "kept"  # below the map of the site
 SAME_M, SAME_RAD = 0.01, 0.001  # a fifth of a cell of 5 cm, and the same 10 m away
@@ -48,7 +48,7 @@ def write_kept(out: Path, name: str, seen: Seen, path: Trajectory) -> None:
         "stamp_ns": path.stamp_ns,
         "pose": path.pose,
     }
-    with whole_files(out / KEPT / f"{name}.npz") as new, new.open("wb") as file:
+    with complete_files(out / KEPT / f"{name}.npz") as new, new.open("wb") as file:
         write_arrays(file, arrays)
 
 

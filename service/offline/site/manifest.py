@@ -17,7 +17,7 @@ from service.geometry.geo_reference import GeoReference
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap
 from service.offline.site.growth import Member
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 
 SITE_FILE = "site.json"
 FORMAT = 1
@@ -41,7 +41,7 @@ def write_manifest(folder: Path, members: Sequence[Member], left_out: Mapping[st
         "members": [_as_dict(one) for one in members],
         "left_out": {name: asdict(one) for name, one in left_out.items()},
     }
-    with whole_files(folder / SITE_FILE) as path:
+    with complete_files(folder / SITE_FILE) as path:
         path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

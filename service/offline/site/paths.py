@@ -9,7 +9,7 @@ from service.mapper.corrections import bent
 from service.offline.past.result import open_result
 from service.offline.score.trajectory import Trajectory, read_tum, write_tum
 from service.offline.site.growth import Site
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 
 PATHS = "paths"  # below the map of the site
 
@@ -21,7 +21,7 @@ def write_paths(
     without a trajectory those of the key frames alone.
 
     results   folders of the results of new members, by name; the others are bent from where they were
-    known     where they were, as far as that is known; of the rest the files say it
+    known     where they were, as far as that is known; of the rest the files have it
 
     Returns the paths by name. Raises InputError, StorageError.
     """
@@ -41,6 +41,6 @@ def write_paths(
             was = Trajectory(at_ns, now)
         poses = bent(was.stamp_ns, was.pose, at_ns, was.at(at_ns), now)
         written[member.name] = Trajectory(was.stamp_ns, poses)
-        with whole_files(path) as new:
+        with complete_files(path) as new:
             write_tum(new, written[member.name].poses())
     return written

@@ -13,7 +13,7 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.graph_files import read_graph, write_graph
 from service.offline.cluster.tasks import Done
 
-ENOUGH = 4  # places of a session that say the same of where it lies
+ENOUGH = 4  # places of a session that agree on where it lies
 EVERY_M = 4.0  # along the path a loop to the other sessions; every 2 m adds nothing on intel
 
 

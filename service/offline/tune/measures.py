@@ -1,4 +1,4 @@
-"""How good the result of a replay is: against a truth, or by what the result says of itself. Less is better.
+"""How good the result of a replay is: against a truth, or by figures of the result itself. Less is better.
 
 By itself: a map whose walls, seen from different passes, lie on one another, whose cells are sure, and whose
 scans were placed. Map entropy as a measure without truth: Droeschel, Behnke, Efficient continuous-time SLAM
@@ -108,7 +108,7 @@ def _placed(graph: SavedGraph) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
 
 
 def map_entropy(tiles: Sequence[TileUpdate]) -> float:
-    """Mean of the known cells, bit: 0 where each is surely free or occupied, 1 where none says anything."""
+    """Mean of the known cells, bit: 0 where each is surely free or occupied, 1 where all are unknown."""
     cells = np.concatenate([tile.cells.ravel() for tile in tiles if tile.level == 0])
     p = np.clip(cells[cells >= 0] / 100.0, 0.005, 0.995)
     return float((-p * np.log2(p) - (1.0 - p) * np.log2(1.0 - p)).mean()) if len(p) else 1.0

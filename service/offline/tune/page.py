@@ -15,7 +15,7 @@ from service.offline.report.markup import Markup, joined, tag
 from service.offline.report.page import html_page, section, table
 from service.offline.tune.search import COST_MS, Outcome
 from service.offline.tune.space import section_of
-from service.offline.writing import whole_files
+from service.offline.writing import complete_files
 from service.version import VERSION
 
 PAGE_FILE, PATCH_FILE = "tune.html", "patch.yaml"
@@ -25,7 +25,7 @@ MIN_TRIALS = 4  # that came to their end, before importances mean anything
 def write_outcome(outcome: Outcome, profile: str, out: Path) -> None:
     """tune.html and patch.yaml. Raises StorageError."""
     for name, text in ((PAGE_FILE, page_of(outcome, profile)), (PATCH_FILE, patch_of(outcome, profile))):
-        with whole_files(out / name) as path:
+        with complete_files(out / name) as path:
             path.write_text(text, encoding="utf-8")
 
 
@@ -39,7 +39,7 @@ def patch_of(outcome: Outcome, profile: str) -> str:
 
 
 def verdict(outcome: Outcome) -> list[str]:
-    """Costs before and after, of the searched and of the held-out sessions; a line each."""
+    """Costs before and after, of the searched and of the validation sessions; a line each."""
     truth = any(drive.truth is not None for drive in outcome.drives)
     what = "error against the truth, m" if truth else "cost by the results themselves"
     lines = []

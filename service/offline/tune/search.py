@@ -197,7 +197,7 @@ def _open_study(optuna: Any, out: Path, about: str, parameters: Sequence[Paramet
         )
     study.set_user_attr(ABOUT, about)
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
-        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)  # cut off: it is asked once more
+        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)  # cut off: it is evaluated once more
     waiting = study.get_trials(states=[optuna.trial.TrialState.WAITING])
     if not _ended(study) and not waiting and all(one.low <= one.present <= one.high for one in parameters):
         study.enqueue_trial({one.name: one.present for one in parameters})

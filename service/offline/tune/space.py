@@ -40,7 +40,7 @@ class Parameter:
         return self.tried(suggest_number(self.name, self.low, self.high, log=True))
 
     def tried(self, value: float) -> float:
-        """To so many digits as the patch has: what is measured is what it says."""
+        """To so many digits as the patch has: what is measured is what it states."""
         return round(value) if self.is_whole else float(f"{value:.{DIGITS}g}")
 
 

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from service.encoding import OK, Status, encode_diagnostics, encode_pose
-from service.fleet.asking import RefusedError, ask
 from service.fleet.pull import JOURNAL_FILE, pull
+from service.fleet.queries import RefusedError, ask
 from service.sinks.fleet_files import JOURNAL
 from service.sinks.fleet_journal import PAGE_LINES, PERIOD_NS, FleetJournal
 from tests.service.fleet.conftest import is_in_fleet

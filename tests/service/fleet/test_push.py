@@ -7,8 +7,8 @@ import pytest
 
 from service.encoding import OK, Status, encode_diagnostics
 from service.errors import StorageError
-from service.fleet.asking import RefusedError, ask
 from service.fleet.push import push
+from service.fleet.queries import RefusedError, ask
 from service.mapstore.files import load_map, save_map
 from service.mapstore.manifest import MANIFEST
 from service.sinks.fleet_files import MAPS

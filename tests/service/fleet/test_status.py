@@ -107,11 +107,11 @@ def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_veh
 def test_a_vehicle_that_comes_while_the_router_is_asked_is_not_forgotten(
     endpoint, router, start_vehicle, open_client, monkeypatch
 ):
-    watch, asked = Watch(open_client(endpoint)), []
+    watch, requested = Watch(open_client(endpoint)), []
 
     def asked_just_before(session):
-        asked.append(session)
-        if len(asked) > 1:
+        requested.append(session)
+        if len(requested) > 1:
             return vehicles_module.present(session)
         start_vehicle(endpoint)
         wait_until(lambda: watch.vehicle("veh1").sessions)
@@ -119,7 +119,7 @@ def test_a_vehicle_that_comes_while_the_router_is_asked_is_not_forgotten(
 
     monkeypatch.setattr(watch_module, "present", asked_just_before)
     threading.Thread(target=watch.run, args=(lambda _: None, 60.0, False), daemon=True).start()
-    wait_until(lambda: len(asked) > 1)
+    wait_until(lambda: len(requested) > 1)
     watch.close()
     assert watch.vehicle("veh1").sessions
 

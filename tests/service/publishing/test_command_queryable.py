@@ -33,15 +33,15 @@ class Asked:
 
 
 @pytest.fixture
-def asked() -> Asked:
+def requested() -> Asked:
     return Asked()
 
 
 @pytest.fixture
-def served(publisher: ZenohPublisher, asked: Asked) -> Iterator[ZenohPublisher]:
-    publisher.answer_commands(asked)
+def served(publisher: ZenohPublisher, requested: Asked) -> Iterator[ZenohPublisher]:
+    publisher.answer_commands(requested)
     yield publisher
-    asked.go.set()
+    requested.go.set()
 
 
 def ask(session: zenoh.Session, key: str, payload: str | None = None) -> list[tuple[bool, str, str]]:
@@ -55,11 +55,11 @@ def ask(session: zenoh.Session, key: str, payload: str | None = None) -> list[tu
 
 
 def test_verb_and_payload_go_in_and_json_comes_out(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked
+    served: ZenohPublisher, client: zenoh.Session, requested: Asked
 ):
     assert ask(client, "cmd/mark", '{"text": "bump"}') == [(True, "application/json", '{"ok": true}')]
     assert ask(client, "cmd/refuse") == [(False, "application/json", '{"ok": false, "error": "no"}')]
-    assert asked.heard == [("mark", b'{"text": "bump"}'), ("refuse", b"")]
+    assert requested.heard == [("mark", b'{"text": "bump"}'), ("refuse", b"")]
 
 
 def test_what_was_asked_and_what_came_of_it_is_in_the_log(
@@ -96,20 +96,20 @@ def test_a_command_for_which_there_is_no_thread_is_refused_and_the_next_is_done(
 def test_commands_that_are_not_done_when_the_session_closes_are_in_the_log(
     publisher: ZenohPublisher,
     client: zenoh.Session,
-    asked: Asked,
+    requested: Asked,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ):
     monkeypatch.setattr(query_workers, "CLOSE_TIMEOUT_S", 0.05)
-    publisher.answer_commands(asked)
-    asked.go.clear()
+    publisher.answer_commands(requested)
+    requested.go.clear()
     asking = [started(partial(ask, client, f"cmd/{verb}")) for verb in ("mark", "pause")]
     for _ in asking:
-        assert asked.entered.acquire(timeout=10.0)
+        assert requested.entered.acquire(timeout=10.0)
     answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-command"]
     publisher.close()
     facts = [record.getMessage() for record in caplog.records]
-    asked.go.set()
+    requested.go.set()
     for asker in asking:
         asker.result(20.0)
     for thread in answering:

@@ -129,7 +129,7 @@ def test_two_who_ask_at_once_with_one_id_share_one_outcome():
     dispatcher = CommandDispatcher({"wash": Verb(Request, start)})
     asking = [started(partial(dispatcher.answer, "wash", b'{"id": "7"}')) for _ in range(2)]
     begun.get(timeout=5.0).done(number=1)
-    answers = [json.loads(asked.result(10.0).body) for asked in asking]
+    answers = [json.loads(requested.result(10.0).body) for requested in asking]
     assert answers == [{"ok": True, "id": "7", "number": 1}] * 2
     assert dispatcher.counts() == {"wash": 1}
 

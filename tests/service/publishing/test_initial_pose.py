@@ -33,25 +33,29 @@ def behind(client: zenoh.Session) -> None:
 
 
 @pytest.fixture
-def asked() -> Asked:
+def requested() -> Asked:
     return Asked()
 
 
 @pytest.fixture
-def served(publisher: ZenohPublisher, asked: Asked):
-    publisher.answer_commands(asked)
+def served(publisher: ZenohPublisher, requested: Asked):
+    publisher.answer_commands(requested)
     yield publisher
-    asked.go.set()
+    requested.go.set()
 
 
 @pytest.mark.parametrize("frame", ["map", "/map"])
 def test_a_pose_becomes_set_pose(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked, frame: str, caplog: pytest.LogCaptureFixture
+    served: ZenohPublisher,
+    client: zenoh.Session,
+    requested: Asked,
+    frame: str,
+    caplog: pytest.LogCaptureFixture,
 ):
     caplog.set_level(logging.INFO, initial_pose.log.name)
     client.put(KEY, payload_of(SE2(1.25, -2.5, 3.0), frame))
-    assert asked.entered.acquire(timeout=20.0)
-    verb, payload = asked.heard[0]
+    assert requested.entered.acquire(timeout=20.0)
+    verb, payload = requested.heard[0]
     assert verb == "set_pose"
     assert json.loads(payload) == pytest.approx({"x_m": 1.25, "y_m": -2.5, "theta_rad": 3.0}, abs=1e-9)
     served.close()
@@ -70,27 +74,27 @@ def test_a_pose_becomes_set_pose(
     ],
 )
 def test_what_is_no_pose_of_the_map_is_refused_and_reported(
-    served: ZenohPublisher, client: zenoh.Session, asked: Asked, payload: bytes, words: str, caplog
+    served: ZenohPublisher, client: zenoh.Session, requested: Asked, payload: bytes, words: str, caplog
 ):
     client.put(KEY, payload)
     behind(client)
     served.close()
     assert served.pose_refused.startswith(words)
     assert words in caplog.text
-    assert asked.heard == []
+    assert requested.heard == []
 
 
 def test_a_refusal_of_the_command_is_reported_in_its_words(
-    publisher: ZenohPublisher, client: zenoh.Session, asked: Asked
+    publisher: ZenohPublisher, client: zenoh.Session, requested: Asked
 ):
     def refused(verb: str, payload: bytes):
-        asked(verb, payload)
-        return asked("refuse", b"")
+        requested(verb, payload)
+        return requested("refuse", b"")
 
     publisher.answer_commands(refused)
     client.put(KEY, payload_of(SE2()))
-    assert asked.entered.acquire(timeout=20.0)
-    assert asked.entered.acquire(timeout=20.0)
+    assert requested.entered.acquire(timeout=20.0)
+    assert requested.entered.acquire(timeout=20.0)
     publisher.close()
     assert publisher.pose_refused == "initialpose: no"
 
@@ -98,27 +102,27 @@ def test_a_refusal_of_the_command_is_reported_in_its_words(
 def test_a_pose_that_is_not_answered_when_the_session_closes_is_in_the_log(
     publisher: ZenohPublisher,
     client: zenoh.Session,
-    asked: Asked,
+    requested: Asked,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ):
     monkeypatch.setattr(initial_pose, "CLOSE_TIMEOUT_S", 0.05)
-    publisher.answer_commands(asked)
-    asked.go.clear()
+    publisher.answer_commands(requested)
+    requested.go.clear()
     client.put(KEY, payload_of(SE2()))
-    assert asked.entered.acquire(timeout=20.0)
+    assert requested.entered.acquire(timeout=20.0)
     answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-initialpose"]
     publisher.close()
     facts = [record.getMessage() for record in caplog.records]
-    asked.go.set()
+    requested.go.set()
     for thread in answering:
         thread.join(20.0)
     assert facts == ["initialpose: what came last is not answered after 0 s"]
 
 
-def test_a_pose_for_all_vehicles_is_refused(served: ZenohPublisher, client: zenoh.Session, asked: Asked):
+def test_a_pose_for_all_vehicles_is_refused(served: ZenohPublisher, client: zenoh.Session, requested: Asked):
     client.put("corridor/v1/*/initialpose", payload_of(SE2(1.0, 0.0, 0.0)))
     behind(client)
     served.close()
     assert served.pose_refused.startswith("initialpose: a pose for corridor/v1/*/initialpose; a pose, as a")
-    assert asked.heard == []
+    assert requested.heard == []

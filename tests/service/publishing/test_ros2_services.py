@@ -33,7 +33,7 @@ INITIAL_POSE_KEY = (
 
 
 @pytest.fixture
-def asked() -> Asked:
+def requested() -> Asked:
     return Asked()
 
 
@@ -44,12 +44,12 @@ def maps(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def topics(asked: Asked, store: TileStore, maps: Path) -> Iterator[Ros2Topics]:
+def topics(requested: Asked, store: TileStore, maps: Path) -> Iterator[Ros2Topics]:
     shared = SharedZenoh()
     opened = Ros2Topics(CONFIG, shared, store)
-    opened.answer(asked, maps)
+    opened.answer(requested, maps)
     yield opened
-    asked.go.set()
+    requested.go.set()
     opened.close()
 
 
@@ -89,16 +89,16 @@ def save(session: zenoh.Session, map_url: str = "", image_format: str = "pgm", m
     ("name", "verb"),
     [("pause", "pause"), ("resume", "resume"), ("save", "save_map"), ("reset", "reset_map")],
 )
-def test_a_trigger_is_a_command(session, asked, name, verb):
+def test_a_trigger_is_a_command(session, requested, name, verb):
     response = answer(session, name, ros_services.TRIGGER)
     assert (response.success, response.message) == (True, '{"ok": true}')
-    assert asked.heard == [(verb, b"")]
+    assert requested.heard == [(verb, b"")]
 
 
 def test_a_command_that_fails_is_an_answer_without_success_and_counted(
-    session, topics, asked, monkeypatch, caplog
+    session, topics, requested, monkeypatch, caplog
 ):
-    monkeypatch.setattr(type(asked), "__call__", lambda self, verb, payload: refusal("the disk is full"))
+    monkeypatch.setattr(type(requested), "__call__", lambda self, verb, payload: refusal("the disk is full"))
     response = answer(session, "save", ros_services.TRIGGER)
     assert (response.success, response.message) == (False, "the disk is full")
     assert not save(session, "office")
@@ -107,10 +107,12 @@ def test_a_command_that_fails_is_an_answer_without_success_and_counted(
 
 
 @pytest.mark.parametrize("attachment", [b"", bytes(77)])
-def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session, topics, asked, attachment):
+def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(
+    session, topics, requested, attachment
+):
     (reply,) = ask(session, "pause", ros_services.TRIGGER, b"\x00\x01\x00\x00\x00", attachment)
     assert "expected 33" in reply.err.payload.to_string()
-    assert asked.heard == []
+    assert requested.heard == []
     assert topics.counts()["answered"]["refused"] == 1
 
 
@@ -125,12 +127,12 @@ def test_a_request_without_its_attachment_gets_an_error_and_is_not_done(session,
     ],
 )
 def test_load_map_takes_a_name_or_the_file_of_a_map_in_the_folder_of_maps(
-    session, asked, store, maps, url, name
+    session, requested, store, maps, url, name
 ):
     url, name = url.format(maps=maps), name.format(maps=maps)
     store.update([TileUpdate(0, 0, 0, 3, 0.05, np.full((64, 64), 3, np.int8))])
     response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
-    assert asked.heard == [("load_map", json.dumps({"map": name}).encode())]
+    assert requested.heard == [("load_map", json.dumps({"map": name}).encode())]
     assert (response.result, response.map.info.width, response.map.data.max()) == (0, 64, 3)
 
 
@@ -144,47 +146,47 @@ def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
     [("nowhere", 1), ("office", 255), ("package://nav2/maps/office.yaml", 255), ("/etc", 1), ("../..", 1)],
 )
 def test_load_map_says_whether_the_map_is_missing_or_wrong(
-    session, topics, asked, monkeypatch, caplog, url, result
+    session, topics, requested, monkeypatch, caplog, url, result
 ):
-    monkeypatch.setattr(type(asked), "__call__", lambda self, verb, payload: refusal("not so"))
+    monkeypatch.setattr(type(requested), "__call__", lambda self, verb, payload: refusal("not so"))
     response = answer(session, "load_map", ros_services.LOAD_MAP, map_url=url)
     assert response.result == result
     assert caplog.records
     assert topics.counts()["answered"]["refused"] == 1
 
 
-def test_save_map_saves_under_the_name(session, asked):
+def test_save_map_saves_under_the_name(session, requested):
     assert save(session, "office")
     assert save(session)
-    assert asked.heard == [("save_map", b'{"name": "office"}'), ("save_map", b"{}")]
+    assert requested.heard == [("save_map", b'{"name": "office"}'), ("save_map", b"{}")]
 
 
 @pytest.mark.parametrize("request_bytes", [b"", b"\x00\x01\x00\x00", b"\xff" * 40])
-def test_garbage_is_refused_and_the_service_goes_on(session, asked, topics, request_bytes):
+def test_garbage_is_refused_and_the_service_goes_on(session, requested, topics, request_bytes):
     (reply,) = ask(session, "load_map", ros_services.LOAD_MAP, request_bytes)
     response = JAZZY.deserialize_cdr(reply.ok.payload.to_bytes(), "x/msg/LoadMapResponse")
     assert response.result == 255
-    assert asked.heard == []
+    assert requested.heard == []
     assert answer(session, "pause", ros_services.TRIGGER).success
     assert topics.counts()["answered"]["refused"] == 1
 
 
-def test_too_many_requests_at_once_are_refused_with_the_reason(session, asked, monkeypatch):
+def test_too_many_requests_at_once_are_refused_with_the_reason(session, requested, monkeypatch):
     monkeypatch.setattr(query_workers, "MAX_AT_ONCE", 0)
     response = answer(session, "pause", ros_services.TRIGGER)
     assert not response.success
     assert "ask again in a moment" in response.message
 
 
-def test_a_pose_on_initialpose_becomes_set_pose(session, topics, asked):
+def test_a_pose_on_initialpose_becomes_set_pose(session, topics, requested):
     session.put(INITIAL_POSE_KEY, payload_of(SE2(1.25, -2.5, 3.0)))
-    assert asked.entered.acquire(timeout=20.0)
-    verb, payload = asked.heard[0]
+    assert requested.entered.acquire(timeout=20.0)
+    verb, payload = requested.heard[0]
     assert verb == "set_pose"
     assert json.loads(payload) == pytest.approx({"x_m": 1.25, "y_m": -2.5, "theta_rad": 3.0}, abs=1e-9)
 
 
-def test_a_pose_that_is_refused_is_kept_for_health(session, topics, asked):
+def test_a_pose_that_is_refused_is_kept_for_health(session, topics, requested):
     session.put(INITIAL_POSE_KEY, payload_of(SE2(1.0, 2.0, 3.0), "odom"))
     list(session.get("behind/what/went/before"))
     topics.close()

@@ -25,19 +25,19 @@ ROLES = {"viewer": ["viewer"], "operator": ["operator"], "vehicle": ["veh1"]}
 
 
 @pytest.fixture
-def asked() -> list[tuple[str, bytes]]:
+def requested() -> list[tuple[str, bytes]]:
     return []
 
 
 @pytest.fixture
-def service(site, open_publisher, store, asked) -> ZenohPublisher:
+def service(site, open_publisher, store, requested) -> ZenohPublisher:
     config = PublishingConfig(
         listen=("tls/127.0.0.1:0",), security={"tls": tls(site, "veh1"), "roles": ROLES}
     )
     opened = open_publisher(config)
 
     def answer(verb: str, payload: bytes) -> Answer:
-        asked.append((verb, payload))
+        requested.append((verb, payload))
         return Answer(True, b"{}")
 
     opened.answer_commands(answer)
@@ -55,7 +55,7 @@ def answers(session: zenoh.Session, key: str) -> list[str]:
     return [str(reply.ok.key_expr) for reply in session.get(key, timeout=20.0) if reply.ok is not None]
 
 
-def test_a_viewer_reads_and_commands_nothing(service, client_of, asked):
+def test_a_viewer_reads_and_commands_nothing(service, client_of, requested):
     viewer = client_of(service.endpoints[0], "viewer")
     assert answers(viewer, f"{ROOT}/health") == [f"{ROOT}/health"]
     for key in (
@@ -68,14 +68,14 @@ def test_a_viewer_reads_and_commands_nothing(service, client_of, asked):
         assert f"{ROOT}/cmd/pause" not in answers(viewer, key)
     viewer.put(f"{ROOT}/initialpose", b"\0\1\0\0")
     assert answers(viewer, f"{ROOT}/health")  # what it put before has passed, if it passes
-    assert asked == []
+    assert requested == []
     assert service.pose_refused == ""
 
 
-def test_an_operator_commands(service, client_of, asked):
+def test_an_operator_commands(service, client_of, requested):
     operator = client_of(service.endpoints[0], "operator")
     assert answers(operator, f"{ROOT}/cmd/pause") == [f"{ROOT}/cmd/pause"]
-    assert asked == [("pause", b"")]
+    assert requested == [("pause", b"")]
 
 
 def test_subscribers_of_every_role_get_what_is_published(service, client_of):
@@ -150,16 +150,18 @@ def test_a_vehicle_publishes_below_its_own_name_alone(site, client_of, open_sess
     ("user", "password", "verbs"),
     [("operator", "o1", ["pause"]), ("viewer", "v1", []), ("idle", "i1", [])],
 )
-def test_a_user_has_the_role_of_its_name(site, open_publisher, open_session, user, password, verbs, asked):
+def test_a_user_has_the_role_of_its_name(
+    site, open_publisher, open_session, user, password, verbs, requested
+):
     security = {"users": {"file": str(site / "users")}}
     service = open_publisher(PublishingConfig(listen=("tcp/127.0.0.1:0",), security=security))
-    service.answer_commands(lambda verb, payload: asked.append(verb) or Answer(True, b"{}"))
+    service.answer_commands(lambda verb, payload: requested.append(verb) or Answer(True, b"{}"))
     settings = {"mode": "client", "connect/endpoints": service.endpoints}
     by_password = {"transport/auth/usrpwd": {"user": user, "password": password}}
     with pytest.raises(zenoh.ZError):
         open_session(zenoh_config(settings | {"connect/timeout_ms": REFUSED_MS}))
     answers(open_session(zenoh_config(settings | by_password)), f"{ROOT}/cmd/pause")
-    assert asked == verbs
+    assert requested == verbs
 
 
 def test_programs_of_this_machine_need_no_certificate_at_an_endpoint_of_it(site, open_publisher, open_client):
@@ -191,14 +193,16 @@ def test_a_vehicle_commands_itself_and_follows_others():
     assert rules("corridor/v1/veh2/pose") == {"declare_subscriber", *LIVELINESS}
 
 
-def test_the_program_of_docs_security_md_commands_by_a_certificate(service, site, monkeypatch, capsys, asked):
+def test_the_program_of_docs_security_md_commands_by_a_certificate(
+    service, site, monkeypatch, capsys, requested
+):
     for kind in ("pem", "key"):
         (site / f"anna.{kind}").write_bytes((site / f"operator.{kind}").read_bytes())
     monkeypatch.chdir(site)
     (block,) = [block for block in written_in("python") if block.page == "docs/security.md"]
     here = block.text.replace("tls/192.168.1.7:7448", service.endpoints[0])
     exec(compile(here, "docs/security.md", "exec"), {})
-    assert (capsys.readouterr().out, asked) == ("{}\n", [("pause", b"")])
+    assert (capsys.readouterr().out, requested) == ("{}\n", [("pause", b"")])
 
 
 LIVELINESS = ("declare_liveliness_subscriber", "liveliness_query")

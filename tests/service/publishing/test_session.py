@@ -35,11 +35,11 @@ def test_a_flood_of_commands_is_refused_at_once_and_others_are_served(service, e
     dispatcher = CommandDispatcher({"mark": Verb(Request, hang)}, answer_timeout_s=SERVED_S)
     service.answer_commands(dispatcher.answer)
     flood, honest = open_client(endpoints["tcp"]), open_client(endpoints["tcp"])
-    asked = [flood.get(f"{ROOT}/cmd/mark", timeout=20.0) for _ in range(200)]
+    requested = [flood.get(f"{ROOT}/cmd/mark", timeout=20.0) for _ in range(200)]
     began_s = time.monotonic()
     assert answers(honest, f"{ROOT}/health")
     assert time.monotonic() - began_s < SERVED_S
-    refused = [reply.err.payload.to_string() for replies in asked for reply in replies]
+    refused = [reply.err.payload.to_string() for replies in requested for reply in replies]
     assert len(refused) == 200
     at_once = sum("being worked on" in words or "come faster" in words for words in refused)
     assert at_once >= 200 - 2 * MAX_AT_ONCE

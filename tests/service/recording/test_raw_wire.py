@@ -47,18 +47,18 @@ class AskingSession:
         self.clock_offset_ns = None
         self.clock_sigma_ns = None
         self._count = count
-        self._asked_ns: int | None = None
+        self._requested_ns: int | None = None
 
     def tick(self, now_ns: int) -> None:
-        if self._asked_ns is None:
-            self._asked_ns = now_ns
+        if self._requested_ns is None:
+            self._requested_ns = now_ns
             self.outbox += b"how far?"
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
         if data == b"garbage":
             raise ProtocolError("garbage")
-        assert self._asked_ns is not None
-        stamp_ns, self._asked_ns = (self._asked_ns + arrived_ns) // 2, None
+        assert self._requested_ns is not None
+        stamp_ns, self._requested_ns = (self._requested_ns + arrived_ns) // 2, None
         self._count[0] += 1
         return [
             OdometrySample(

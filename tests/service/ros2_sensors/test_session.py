@@ -18,14 +18,14 @@ from tests.service.ros2_sensors.nodes import (
 
 @pytest.mark.parametrize("size", [1, 3, 700, 100_000])
 def test_bytes_may_be_cut_anywhere(size):
-    whole, pieces, speaking = session(), session(), node()
+    whole, segments, speaking = session(), session(), node()
     for number in range(3):
         content = pack(speaking.due(speaking.next_due_ns(0)))
         at_ns = START_NS + (number + 1) * PERIOD_NS
         (expected,) = whole.receive_data(content, at_ns)
         found = []
         for begin in range(0, len(content), size):
-            found += pieces.receive_data(content[begin : begin + size], at_ns)
+            found += segments.receive_data(content[begin : begin + size], at_ns)
         assert [frame.stamp_ns for frame in found] == [expected.stamp_ns]
         assert np.array_equal(found[0].range_m, expected.range_m)
 

@@ -141,11 +141,11 @@ def test_who_compiles_beside_the_mapping_takes_one_core_and_needs_no_helpers(
 def test_what_is_compiled_already_is_not_compiled_again(
     monkeypatch: pytest.MonkeyPatch, is_all_compiled: bool, compiled: list[object]
 ):
-    asked: list[object] = []
+    requested: list[object] = []
     monkeypatch.setattr(profile_switch, "is_warm", lambda: is_all_compiled)
-    monkeypatch.setattr(profile_switch, "compile_kernels", asked.append)
+    monkeypatch.setattr(profile_switch, "compile_kernels", requested.append)
     profile_switch.make_kernels_ready({"profile": "imle"})
-    assert asked == compiled
+    assert requested == compiled
 
 
 @pytest.mark.soak

@@ -259,11 +259,11 @@ def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Pa
     """The mapper puts it away a moment after it was asked to."""
     tiles = TileStore()
     kept = GraphFolder(tmp_path / "graphs")
-    asked: list[str] = []
+    requested: list[str] = []
 
     def command(verb: str, payload: bytes) -> Answer:
-        asked.append(verb)
-        folder = Path(kept(graph_of(4 + len(asked))).folder)
+        requested.append(verb)
+        folder = Path(kept(graph_of(4 + len(requested))).folder)
         threading.Timer(0.05, tiles.keep_graph, [folder]).start()
         return Answer(True, b"{}")
 
@@ -280,7 +280,7 @@ def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Pa
             graph = load_map(saved.folder).graph
             assert graph is not None
             assert len(graph) == count
-        assert asked == ["checkpoint", "checkpoint"]
+        assert requested == ["checkpoint", "checkpoint"]
     finally:
         saver.flush()
 

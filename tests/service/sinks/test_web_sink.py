@@ -67,19 +67,19 @@ def test_what_is_put_is_shown_before_the_start_too(open_page):
 
 
 def test_commands_reach_the_service_from_the_start_on_with_the_token_of_the_file(open_page, tmp_path):
-    asked = []
+    requested = []
 
     def command(verb, payload):
-        asked.append((verb, payload))
+        requested.append((verb, payload))
         return Answer(True, b'{"ok": true}')
 
     sink = open_page(command=command)
     token = (tmp_path / "web.token").read_text().strip()
     assert "still starting" in ask_at(sink, token)["error"]
-    assert asked == []
+    assert requested == []
     sink.start()
     assert ask_at(sink, token) == {"ok": True}
-    assert asked == [("mark", b'{"text": "x"}')]
+    assert requested == [("mark", b'{"text": "x"}')]
     assert not ask_at(sink, "another")["ok"]
 
 

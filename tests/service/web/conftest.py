@@ -26,12 +26,12 @@ TIMEOUT_S = 20.0
 class FakeDispatcher:
     """Answers commands, and holds one back until it is asked to go on."""
 
-    asked: list[tuple[str, bytes]] = field(default_factory=list)
+    requested: list[tuple[str, bytes]] = field(default_factory=list)
     go_on: threading.Event = field(default_factory=threading.Event)
     faults: dict[str, str] = field(default_factory=dict)  # by verb
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        self.asked.append((verb, payload))
+        self.requested.append((verb, payload))
         if verb == "wait":
             assert self.go_on.wait(TIMEOUT_S)
         if fault := self.faults.get(verb):

@@ -26,13 +26,13 @@ def test_commands_need_the_token(serve, dispatcher):
             )
             await client.ask(socket, type="command", n=2, verb="mark")
             assert not (await client.next(socket, "answer"))["body"]["ok"]
-            assert dispatcher.asked == []
+            assert dispatcher.requested == []
             await client.ask(socket, type="token", token=TOKEN)
             assert (await client.next(socket, "access"))["may_control"]
             await client.ask(socket, type="command", n=3, verb="mark", request={"text": "x"})
             answer = await client.next(socket, "answer")
             assert (answer["n"], answer["body"]) == (3, {"ok": True, "verb": "mark"})
-        assert [(verb, json.loads(payload)) for verb, payload in dispatcher.asked] == [
+        assert [(verb, json.loads(payload)) for verb, payload in dispatcher.requested] == [
             ("mark", {"text": "x"})
         ]
 
@@ -58,7 +58,7 @@ def test_a_wrong_token_takes_the_right_away_again(serve, dispatcher):
             assert not (await client.next(socket, "access"))["may_control"]
             await client.ask(socket, type="command", n=1, verb="mark")
             assert not (await client.next(socket, "answer"))["body"]["ok"]
-        assert dispatcher.asked == []
+        assert dispatcher.requested == []
 
     talk(serve(), ask)
 
@@ -153,7 +153,7 @@ def test_sockets_without_a_token_do_not_keep_out_one_that_has_it(serve, dispatch
     server = serve(most_browsers=32)
     talk(server, look)
     assert server.health().values["refused"] == "21"
-    assert [verb for verb, _ in dispatcher.asked] == ["mark"]
+    assert [verb for verb, _ in dispatcher.requested] == ["mark"]
 
 
 def test_who_shows_no_token_where_the_places_without_one_are_taken_has_to_go(serve, monkeypatch):
@@ -194,7 +194,7 @@ def test_a_viewers_token_gives_no_commands_and_a_revoked_one_no_more(serve, tmp_
 
     server = serve(granted=path)
     talk(server, ask)
-    assert dispatcher.asked == []
+    assert dispatcher.requested == []
     path.chmod(0o644)
 
     async def guess(client):

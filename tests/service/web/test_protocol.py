@@ -11,15 +11,15 @@ from service.encoding import Pose, Status
 from service.geometry.se2 import SE2
 from service.web.protocol import (
     RANGE_STEP_M,
-    AskedError,
-    CommandAsked,
+    CommandRequest,
+    RequestError,
     TokenShown,
     encode_path,
     encode_scan,
     encode_tiles,
     health_json,
     pose_json,
-    read_asked,
+    read_request,
     to_json,
 )
 from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
@@ -91,16 +91,16 @@ def test_health_says_since_when():
 
 
 def test_a_token_and_a_command_are_read():
-    assert read_asked('{"type": "token", "token": "abc"}') == TokenShown(type="token", token="abc")
-    asked = read_asked('{"type": "command", "n": 3, "verb": "mark", "request": {"text": "x"}}')
-    assert asked == CommandAsked(type="command", n=3, verb="mark", request={"text": "x"})
+    assert read_request('{"type": "token", "token": "abc"}') == TokenShown(type="token", token="abc")
+    requested = read_request('{"type": "command", "n": 3, "verb": "mark", "request": {"text": "x"}}')
+    assert requested == CommandRequest(type="command", n=3, verb="mark", request={"text": "x"})
 
 
 def test_a_look_at_a_key_frame_is_read():
-    asked = read_asked(
+    requested = read_request(
         '{"type": "resource", "n": 1, "action": "keyframe", "name": "a", "request": {"keyframe": 3}}'
     )
-    assert (asked.action, asked.name, asked.request) == ("keyframe", "a", {"keyframe": 3})
+    assert (requested.action, requested.name, requested.request) == ("keyframe", "a", {"keyframe": 3})
 
 
 @pytest.mark.parametrize(
@@ -124,5 +124,5 @@ def test_a_look_at_a_key_frame_is_read():
     ],
 )
 def test_anything_else_is_refused_in_words(text):
-    with pytest.raises(AskedError, match=r"\w"):
-        read_asked(text)
+    with pytest.raises(RequestError, match=r"\w"):
+        read_request(text)

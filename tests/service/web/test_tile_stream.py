@@ -8,10 +8,10 @@ from tests.service.mapstore.tile_makers import EDGE, tile
 
 
 class CountingStore(TileStore):
-    asked = 0
+    requested = 0
 
     def since(self, version):
-        self.asked += 1
+        self.requested += 1
         return super().since(version)
 
 
@@ -44,7 +44,7 @@ def test_browsers_that_ask_for_the_same_share_one_message():
         assert first.payload is second.payload
 
     asyncio.run(ask())
-    assert store.asked == 1
+    assert store.requested == 1
 
 
 def test_a_large_map_comes_in_parts_between_versions(monkeypatch):

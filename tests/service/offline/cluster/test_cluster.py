@@ -144,9 +144,9 @@ def test_the_command_tells_how_far_it_is_and_writes_one_table(
     capfd: pytest.CaptureFixture[str],
 ):
     bad = tmp_path / "in" / "bad.mcap"
-    asked = ["replay", str(record_drive(scans=10).parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    requested = ["replay", str(record_drive(scans=10).parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
     bad.write_text("no recording")
-    assert main([*asked, "--json"]) == InputError.exit_code
+    assert main([*requested, "--json"]) == InputError.exit_code
     assert "2 of 2 sessions, 1 failed" in capfd.readouterr().err
     table = parquet.read_table(tmp_path / "out" / TABLE_FILE).to_pylist()
     assert [(row["session"], row["scans"]) for row in table] == [
@@ -158,7 +158,7 @@ def test_the_command_tells_how_far_it_is_and_writes_one_table(
     assert table[1]["input"][0].startswith("sha256 ")
     summary = json.loads((Path(table[1]["result"]) / "summary.json").read_text())
     assert table[1]["scan_ms_p50"] == summary["scan_ms"]["p50"]
-    assert main(asked) == InputError.exit_code
+    assert main(requested) == InputError.exit_code
     assert "1 of 2 sessions are done already" in capfd.readouterr().err
 
 

@@ -51,12 +51,12 @@ def test_health_is_read_from_zenoh(publisher: ZenohPublisher):
     (endpoint,) = publisher.endpoints
     running = RunningService(PROCESS, endpoint)
     with ThreadPoolExecutor(1) as worker:
-        asked = worker.submit(ask_health, running, "veh1", None, 5.0)
+        requested = worker.submit(ask_health, running, "veh1", None, 5.0)
         for number in range(100):  # as the service does each second
             publisher.put(encode_diagnostics("health", STATUSES, number, number))
-            if wait([asked], timeout=0.1).done:
+            if wait([requested], timeout=0.1).done:
                 break
-        assert asked.result() == STATUSES
+        assert requested.result() == STATUSES
 
 
 def test_health_is_read_over_tls_from_an_endpoint_at_every_address(site):
@@ -71,12 +71,12 @@ def asked_while_published(publisher: ZenohPublisher, security: SecurityConfig) -
     port = publisher.endpoints[0].rpartition(":")[2]
     running = RunningService(PROCESS, f"tls/0.0.0.0:{port}")
     with ThreadPoolExecutor(1) as worker:
-        asked = worker.submit(ask_health, running, "veh1", security, 5.0)
+        requested = worker.submit(ask_health, running, "veh1", security, 5.0)
         for number in range(100):  # as the service does each second
             publisher.put(encode_diagnostics("health", STATUSES, number, number))
-            if wait([asked], timeout=0.1).done:
+            if wait([requested], timeout=0.1).done:
                 break
-        return asked.result()
+        return requested.result()
 
 
 def test_no_one_at_the_endpoint_ends_in_time(closed_port: int):

@@ -59,10 +59,10 @@ def test_who_has_no_rights_learns_which_group_to_join(
     group = os.stat(port).st_gid
     monkeypatch.setattr("service.offline.doctor.serial_ports.group_name", lambda _: "dialout")
     port.resolve().chmod(0o660)
-    asked: list[Path] = []
-    machine = tree.machine(may_read_and_write=lambda path: bool(asked.append(path)))
+    requested: list[Path] = []
+    machine = tree.machine(may_read_and_write=lambda path: bool(requested.append(path)))
     (finding,) = look_at_port(machine, "base", PORT).findings
-    assert asked == [port]
+    assert requested == [port]
     assert "user driver may not read and write /dev/ttyUSB0" in finding.measured
     assert "crw-rw----" in finding.measured
     assert finding.remedy.startswith("sudo usermod -aG dialout driver")

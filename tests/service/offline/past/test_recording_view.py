@@ -68,10 +68,10 @@ class Line:
     first_ns, last_ns = 10**9, 11 * 10**9
 
     def __init__(self) -> None:
-        self.asked = []
+        self.requested = []
 
     def at(self, at_ns):
-        self.asked.append(at_ns)
+        self.requested.append(at_ns)
         return Moment(at_ns, (), (0, 0), "no map")
 
 
@@ -92,7 +92,7 @@ def test_what_cannot_be_meant_is_refused(verb, request_, words):
     )
     assert not answer.ok
     assert words in json.loads(answer.body)["error"]
-    assert shown == line.asked == []
+    assert shown == line.requested == []
 
 
 def test_a_path_is_thinned_evenly():

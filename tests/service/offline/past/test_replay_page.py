@@ -122,10 +122,10 @@ def test_when_it_is_finished_any_moment_can_be_gone_to(
             last = await client.next(socket, "moment")
             assert last["duration_s"] == pytest.approx((done.outputs[-1].stamp_ns - first_ns) / 1e9)
             for k in (30, 5, 59):
-                asked = {"position_s": (done.outputs[k].stamp_ns - first_ns) / 1e9 + 1e-6}
-                await client.ask(socket, type="command", n=k, verb="moment_go_to", request=asked)
+                requested = {"position_s": (done.outputs[k].stamp_ns - first_ns) / 1e9 + 1e-6}
+                await client.ask(socket, type="command", n=k, verb="moment_go_to", request=requested)
                 moment = {"position_s": -1.0}
-                while abs(moment["position_s"] - asked["position_s"]) > 1e-5:
+                while abs(moment["position_s"] - requested["position_s"]) > 1e-5:
                     moment = await client.next(socket, "moment")
                 assert moment["map_words"] == "map as it is in the end"
                 newest, truth = moment["poses"][-1], done.poses_map_base[k]

@@ -96,8 +96,8 @@ def test_a_result_is_looked_at_where_the_vehicle_was_at_any_moment(show, tmp_pat
             assert (last["position_s"], last["duration_s"], last["path"]) == (3.0, 3.0, [0, 4])
             await client.ask(socket, type="token", token=view.token)
             for seconds, x_m, path in ((1.5, 1.0, [0, 2]), (0.0, 0.0, [0, 1]), (2.0, 2.0, [0, 3])):
-                asked = {"position_s": seconds}
-                await client.ask(socket, type="command", n=1, verb="moment_go_to", request=asked)
+                requested = {"position_s": seconds}
+                await client.ask(socket, type="command", n=1, verb="moment_go_to", request=requested)
                 moment = await client.next(socket, "moment")
                 assert moment["position_s"] == pytest.approx(seconds)
                 (pose,) = moment["poses"]
@@ -122,8 +122,8 @@ def test_a_moment_stays_when_the_map_is_edited_and_its_pose_goes_with_the_map(
     put_ready = view.server.put_ready
     monkeypatch.setattr(view.server, "put_ready", lambda ready: (facts.append(ready), put_ready(ready)))
     k = ROUND + 20
-    asked = {"position_s": (graph.stamp_ns[k] - graph.stamp_ns[0]) / 1e9}
-    assert view.answer("moment_go_to", json.dumps(asked).encode()).ok
+    requested = {"position_s": (graph.stamp_ns[k] - graph.stamp_ns[0]) / 1e9}
+    assert view.answer("moment_go_to", json.dumps(requested).encode()).ok
     pairs = [
         {"points": points.tolist(), "keyframes": [near, near + ROUND]}
         for near in (6, 22)
@@ -132,7 +132,7 @@ def test_a_moment_stays_when_the_map_is_edited_and_its_pose_goes_with_the_map(
     change = {"version": 1, "change": {"what": "add-pair", "pairs": pairs}}
     assert view.answer("map_edit", json.dumps(change).encode()).ok
     before, after = (json.loads(ready["moment"]) for ready in facts if "moment" in ready)
-    assert before["position_s"] == after["position_s"] == pytest.approx(asked["position_s"])
+    assert before["position_s"] == after["position_s"] == pytest.approx(requested["position_s"])
     (was,), (now,) = before["poses"], after["poses"]
     assert (was["x_m"], was["y_m"]) == pytest.approx(tuple(graph.map[k, :2]), abs=1e-6)
     assert (now["x_m"], now["y_m"]) == pytest.approx(tuple(bent.truth[k, :2]), abs=0.1)

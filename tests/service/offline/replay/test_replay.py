@@ -344,8 +344,8 @@ def test_a_session_that_cannot_be_read_keeps_no_other_back(
 ):
     bad, good, old = tmp_path / "bad.mcap", record_drive(), record_drive("old", config="sensors: {}")
     bad.write_text("no recording")
-    asked = ["replay", *map(str, (bad, good, old)), "--out", str(tmp_path / "out"), "--jobs", jobs]
-    assert main([*asked, "--json"]) == InputError.exit_code
+    requested = ["replay", *map(str, (bad, good, old)), "--out", str(tmp_path / "out"), "--jobs", jobs]
+    assert main([*requested, "--json"]) == InputError.exit_code
     said = capfd.readouterr()
     facts = json.loads(said.out)
     assert "bad.mcap is no recording" in facts[str(bad)]["error"]

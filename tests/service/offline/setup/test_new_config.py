@@ -99,9 +99,9 @@ def test_what_a_device_says_of_itself_cannot_become_part_of_the_config(tmp_path:
 
 def test_a_name_that_cannot_be_a_vehicle_s_is_a_config_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """And no device is asked for it, nor for a file that cannot be written."""
-    asked: list[Wire] = []
+    requested: list[Wire] = []
     monkeypatch.setattr(
-        "service.offline.setup.new_config.discover", lambda wires, ask_s: asked.extend(wires) or []
+        "service.offline.setup.new_config.discover", lambda wires, ask_s: requested.extend(wires) or []
     )
     wires = [Wire(host="10.0.0.1")]
     with pytest.raises(ConfigError, match="Veh 1"):
@@ -109,5 +109,5 @@ def test_a_name_that_cannot_be_a_vehicle_s_is_a_config_error(tmp_path: Path, mon
     (tmp_path / "file").touch()
     with pytest.raises(StorageError, match="cannot be written"):
         write_new_config(wires, tmp_path / "file" / "v.yaml")
-    assert asked == []
+    assert requested == []
     assert not (tmp_path / "v.yaml").exists()

@@ -188,8 +188,18 @@ def test_the_command_searches_real_drives_without_a_truth(
 ):
     sessions = [str(record_drive(name, scans=12)) for name in "ab"]
     out = tmp_path / "out"
-    asked = ["tune", *sessions, "--self", "--trials", "1", "--out", str(out), "--parameter", "wall_sigma_m"]
-    assert main(asked) == 0
+    requested = [
+        "tune",
+        *sessions,
+        "--self",
+        "--trials",
+        "1",
+        "--out",
+        str(out),
+        "--parameter",
+        "wall_sigma_m",
+    ]
+    assert main(requested) == 0
     said = capfd.readouterr()
     assert "cost by the results themselves" in said.out
     assert "1 of 1 trials" in said.err
@@ -198,9 +208,9 @@ def test_the_command_searches_real_drives_without_a_truth(
     assert {path.name for path in (out / "best").iterdir()} == {
         path.name for path in (out / "present").iterdir()
     }
-    assert main([*asked[:1], sessions[0], "--truth", str(tmp_path)]) == InputError.exit_code
+    assert main([*requested[:1], sessions[0], "--truth", str(tmp_path)]) == InputError.exit_code
     assert "the truth of" in capfd.readouterr().err
-    assert main([*asked[:3], "--truth", sessions[0]]) == UsageError.exit_code
+    assert main([*requested[:3], "--truth", sessions[0]]) == UsageError.exit_code
 
 
 @pytest.mark.soak

@@ -17,7 +17,7 @@ ResultT = TypeVar("ResultT")
 
 
 class RefusedError(CorridorError):
-    """The vehicle answered, and says no."""
+    """The vehicle has refused."""
 
 
 def ask(
@@ -67,7 +67,7 @@ def for_each(vehicles: Sequence[str], work: Callable[[str], ResultT]) -> dict[st
 
 
 def namesakes(sessions: Sequence[Presence]) -> RefusedError | None:
-    """Why none of two vehicles by one name is asked: which of them answers is chance. None: there is one."""
+    """Why none of two vehicles by one name is queried: either might answer. None: there is one."""
     if len(sessions) < 2:
         return None
     return RefusedError(

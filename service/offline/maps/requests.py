@@ -1,4 +1,4 @@
-"""What the operator's page may ask of a stored map, as JSON; all of it bounded."""
+"""Requests of the operator's page to a stored map, as JSON; all of it bounded."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
@@ -58,7 +58,7 @@ class UndoTo(Undo):
     to: Number | None = None
 
 
-ChangeAsked = Annotated[
+ChangeRequest = Annotated[
     Erase | Wall | Cut | AddPairs[Pair] | RemovePair | RefuseLoop | Optimize | UndoTo,
     Field(discriminator="what"),
 ]
@@ -69,7 +69,7 @@ class Edit(RequestModel):
 
     version: Number
     who: Who = ""
-    change: ChangeAsked
+    change: ChangeRequest
 
 
 class KeyframeOfSession(RequestModel):
@@ -83,12 +83,12 @@ Table = Mapping[str, tuple[TypeAdapter[Any], Callable[[Any], dict[str, Any]]]]  
 
 
 def carry_out(table: Table, verb: str, payload: bytes) -> dict[str, Any]:
-    """What a page asks, read and done. Raises InputError, which names what is wrong."""
+    """Carries out the request of a page. Raises InputError, which names what is wrong."""
     if verb not in table:
         raise InputError(f"{verb}: this is a stored map; it knows {', '.join(table)}")
     kind, do = table[verb]
     try:
-        asked = kind.validate_json(payload)
+        requested = kind.validate_json(payload)
     except ValidationError as error:
         raise InputError(fault_words(error)) from error
-    return do(asked)
+    return do(requested)
