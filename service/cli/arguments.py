@@ -117,10 +117,8 @@ def _add_simulate(commands: Any) -> None:
     simulate.add_argument("arguments", nargs=argparse.REMAINDER)
 
 
-def _add_replay(commands: Any) -> None:
-    replay = _add(
-        commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
-    )
+def _add_replay_input(replay: argparse.ArgumentParser) -> None:
+    """Recordings, and how they are mapped."""
     replay.add_argument("files", nargs="+", metavar="FILE", help=f"{RECORDINGS}; a path or a URL")
     _add_profile(replay, "map with this profile instead of the recorded one")
     replay.add_argument(
@@ -156,6 +154,13 @@ def _add_replay(commands: Any) -> None:
         action="store_true",
         help="run the recorded bytes (/<sensor>/raw) through the drivers again and map what comes out",
     )
+
+
+def _add_replay(commands: Any) -> None:
+    replay = _add(
+        commands, "replay", "recordings through the same mapper; same input, same output, bit for bit"
+    )
+    _add_replay_input(replay)
     _add_engine(replay)
     replay.add_argument(
         "--again",

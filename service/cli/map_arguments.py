@@ -53,9 +53,8 @@ def add_maps(commands: Any, add: Add) -> None:
     _add_edit(add(works, "edit", "change a stored map by hand; each change is a version, and none is lost"))
 
 
-def _add_edit(edit: argparse.ArgumentParser) -> None:
-    edit.add_argument("map", type=Path, metavar="MAP")
-    change = edit.add_mutually_exclusive_group(required=True)
+def _add_changes(change: Any) -> None:
+    """One of which an edit makes."""
     change.add_argument(
         "--erase",
         type=float,
@@ -95,6 +94,11 @@ def _add_edit(edit: argparse.ArgumentParser) -> None:
     change.add_argument(
         "--undo", action="store_true", help="take the newest edit back; again: the one before it"
     )
+
+
+def _add_edit(edit: argparse.ArgumentParser) -> None:
+    edit.add_argument("map", type=Path, metavar="MAP")
+    _add_changes(edit.add_mutually_exclusive_group(required=True))
     becomes = edit.add_mutually_exclusive_group()
     becomes.add_argument("--free", action="store_true", help="with --erase: all of the area is free then")
     becomes.add_argument(

@@ -221,8 +221,9 @@ class HealthReport:
         self._mapping_state_reported, self._mapping_reported_ns = state, self._now_ns
         return state, reason
 
-    def _mapping(self) -> Status:
-        outputs, last, config = self._outputs, self._outputs.last, self._mapping_config()
+    def _mapping_values(self) -> dict[str, str]:
+        """Those that do not depend on the newest scan."""
+        outputs, config = self._outputs, self._mapping_config()
         values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
             "profile": config.profile,
@@ -239,6 +240,10 @@ class HealthReport:
         for name, histogram in (("latency_ms", self._latency), ("scan_cpu_ms", outputs.scan_cpu)):
             percentiles = histogram.percentiles().as_dict()
             values |= {f"{name}_{percentile}": f"{ms:.3f}" for percentile, ms in percentiles.items()}
+        return values
+
+    def _mapping(self) -> Status:
+        outputs, last, values = self._outputs, self._outputs.last, self._mapping_values()
         if self._intake.paused:
             values |= {"state": "paused", "reason_id": "paused"}
             words = "paused by a command; scans are recorded, not mapped. Resume maps again"
@@ -246,17 +251,7 @@ class HealthReport:
         if outputs.graph_fault:
             values["graph_fault"] = outputs.graph_fault
         if last is None:
-            lasers = " or ".join(outputs.lasers)
-            words = (
-                f"no scan of {lasers} mapped yet (expected within {_seconds(FIRST_POSE_NS)})"
-                if lasers
-                else "no laser is mapped (expected one at least); configure one, or remove its map: false"
-            )
-            since_ns = max(self._began_ns, outputs.last_ns)  # the latter where the map was reset
-            level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
-            why = self._why_unmapped() if lasers else ""
-            values["reason_id"] = "no_scan"
-            return Status("mapping", level, ": ".join(filter(None, (words, why))), values)
+            return self._no_scan_mapped(values | {"reason_id": "no_scan"})
         age_s = max(self._now_ns - outputs.last_ns, 0) / 1e9
         reason: ReasonId | HealthReasonId = last.reason.id
         values |= {"state": last.state, "reason_id": reason}
@@ -285,6 +280,18 @@ class HealthReport:
                 f"at most {MAX_RESTARTS}); at the last time its process {outputs.restart_reason}; {_RESTART}"
             )
         return Status("mapping", level, words, values | {"reason_id": reason})
+
+    def _no_scan_mapped(self, values: dict[str, str]) -> Status:
+        lasers = " or ".join(self._outputs.lasers)
+        words = (
+            f"no scan of {lasers} mapped yet (expected within {_seconds(FIRST_POSE_NS)})"
+            if lasers
+            else "no laser is mapped (expected one at least); configure one, or remove its map: false"
+        )
+        since_ns = max(self._began_ns, self._outputs.last_ns)  # the latter where the map was reset
+        level = WARNING if self._now_ns - since_ns <= FIRST_POSE_NS else ERROR
+        why = self._why_unmapped() if lasers else ""
+        return Status("mapping", level, ": ".join(filter(None, (words, why))), values)
 
     def _why_unmapped(self) -> str:
         """Why no pose comes, and what to do."""

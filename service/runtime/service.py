@@ -92,34 +92,7 @@ class Service:
         links = {name: LinkHealth(name) for name in config.sensors}
         self._present = PresentMapping(config.mapping)
         self._sinks = Sinks()
-        context = SinkContext(
-            vehicle=config.vehicle,
-            profile=config.mapping.profile,
-            stores_graph=begins_in_stored(config.mapping),
-            is_localizing=config.mapping.mode == "localization",
-            start_unix_ns=self._unix_ns(),
-            map_folder=map_folder,
-            load_version=None if self._begun_in is None else self._begun_in.number,
-            folders={
-                key: model.directory for key, model in config.sinks.items() if hasattr(model, "directory")
-            },
-            metadata={
-                "corridor": {"version": VERSION, "vehicle": config.vehicle},
-                "config": {"yaml": config.text},
-                "clock": self._clock_metadata(0),
-                **({} if self._begun_in is None else {"map": self._begun_in.as_metadata()}),
-            },
-            tiles=self._tiles,
-            links=links,
-            command=self._command,
-            verbs=lambda: self._dispatcher.verbs,
-            emit=self._sinks.put,
-            unix_ns=self._unix_ns,
-            is_paused=lambda: self._intake.paused,
-            present_profile=lambda: self._present.profile,
-            pose_sent=self._latency.add,
-        )
-        self._sinks.open(SINKS, config.sinks, context)
+        self._sinks.open(SINKS, config.sinks, self._sink_context(links, map_folder))
         self.outputs = MappingOutputs(
             mapped_lasers(config),
             self._tiles,
@@ -162,6 +135,36 @@ class Service:
         self._cpu_s = 0.0
         self._last_turn = -1
         self.stopped = False
+
+    def _sink_context(self, links: dict[str, LinkHealth], map_folder: Path | None) -> SinkContext:
+        config, begun_in = self._config, self._begun_in
+        return SinkContext(
+            vehicle=config.vehicle,
+            profile=config.mapping.profile,
+            stores_graph=begins_in_stored(config.mapping),
+            is_localizing=config.mapping.mode == "localization",
+            start_unix_ns=self._unix_ns(),
+            map_folder=map_folder,
+            load_version=None if begun_in is None else begun_in.number,
+            folders={
+                key: model.directory for key, model in config.sinks.items() if hasattr(model, "directory")
+            },
+            metadata={
+                "corridor": {"version": VERSION, "vehicle": config.vehicle},
+                "config": {"yaml": config.text},
+                "clock": self._clock_metadata(0),
+                **({} if begun_in is None else {"map": begun_in.as_metadata()}),
+            },
+            tiles=self._tiles,
+            links=links,
+            command=self._command,
+            verbs=lambda: self._dispatcher.verbs,
+            emit=self._sinks.put,
+            unix_ns=self._unix_ns,
+            is_paused=lambda: self._intake.paused,
+            present_profile=lambda: self._present.profile,
+            pose_sent=self._latency.add,
+        )
 
     @property
     def frame_sink(self) -> Callable[[Frame], None]:
