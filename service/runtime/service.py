@@ -93,24 +93,15 @@ class Service:
         self._present = PresentMapping(config.mapping)
         self._sinks = Sinks()
         self._sinks.open(SINKS, config.sinks, self._sink_context(links, map_folder))
+        put = self._sinks.put
         self.outputs = MappingOutputs(
-            mapped_lasers(config),
-            self._tiles,
-            self._sinks.put,
-            self._put_tiles,
-            lambda: self._intake.log_ns(),
+            mapped_lasers(config), self._tiles, put, self._put_tiles, lambda: self._intake.log_ns()
         )
         self._link = MapperLink(self._setup(), self.outputs, early)
-        self._intake = Intake(self._link, self.host_time, self._sinks.put)
-        parts = self._intake, self.outputs, self._sinks.put
-        storage = self._sinks.map_storage()
-        self._commands = Commands(
-            *parts,
-            self._sinks.session_recorder(),
-            storage,
-            self._find_map,
-            ProfileSwitch(self._present, *parts, storage),
-        )
+        self._intake = Intake(self._link, self.host_time, put)
+        parts, storage = (self._intake, self.outputs, put), self._sinks.map_storage()
+        switch = ProfileSwitch(self._present, *parts, storage)
+        self._commands = Commands(*parts, self._sinks.session_recorder(), storage, self._find_map, switch)
         self._dispatcher = CommandDispatcher(self._commands.verbs())
         self._report = HealthReport(
             links,
@@ -127,7 +118,7 @@ class Service:
             links,
             self._workers,
             self.frame_sink,
-            self._sinks.put if self._sinks.wants_raw else None,
+            put if self._sinks.wants_raw else None,
             self.host_time.offset_ns,
         )
         self._ready_ns = self._health_due_ns = self._watchdog_due_ns = 0
