@@ -194,10 +194,10 @@ def _path_length_m(drive: Trajectory, time_s: Floats, speed_mps: float | None) -
 def _beside_path(drive: Trajectory, time_s: Floats, path_length_m: Floats, left_m: Floats) -> Floats:
     """(N, 3) x m, y m, theta rad left of the vehicle's path; straight on beyond its ends."""
     seconds = np.arange(0.0, float(time_s[-1]) + LOOK_AHEAD_S, STEP_S / 2.0)
-    way, first = np.unique(drive.travel(seconds)[:, 0], return_index=True)
+    travel_m, first = np.unique(drive.travel(seconds)[:, 0], return_index=True)
     poses = drive.poses(seconds[first])
-    ahead_m = path_length_m - np.clip(path_length_m, way[0], way[-1])
-    x, y, theta = (np.interp(path_length_m, way, column) for column in poses.T)
+    ahead_m = path_length_m - np.clip(path_length_m, travel_m[0], travel_m[-1])
+    x, y, theta = (np.interp(path_length_m, travel_m, column) for column in poses.T)
     c, s = np.cos(theta), np.sin(theta)
     beside_path: Floats = np.column_stack([x + ahead_m * c - left_m * s, y + ahead_m * s + left_m * c, theta])
     return beside_path

@@ -202,7 +202,7 @@ class Faulty:
             return
         messages = [message]
         for scheduled in active:
-            messages = [harmed for whole in messages for harmed in self._harm(whole, scheduled)]
+            messages = [harmed for intact in messages for harmed in self._harm(intact, scheduled)]
         leaves_ns = self._leaves_ns(now_ns, active)
         self._held += [(leaves_ns, harmed) for harmed in messages if harmed]
 

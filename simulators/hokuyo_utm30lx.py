@@ -84,8 +84,8 @@ class FakeUtm30lx:
         if self._stream is None:
             return b""
         self._next_turn = self._turn_after(now_ns)
-        whole = self._scan_message(self._stream, self._stream_echo, self._next_turn - 1, "99")
-        return whole[len(whole) // 2 :]  # we come in the middle
+        telegram = self._scan_message(self._stream, self._stream_echo, self._next_turn - 1, "99")
+        return telegram[len(telegram) // 2 :]  # we come in the middle
 
     def disconnected(self, now_ns: int) -> None:
         self._single.clear()
@@ -329,8 +329,8 @@ class FakeUtm30lx:
     def _quit(self, text: str, echo: str, now_ns: int) -> bytes:
         stump = b""
         if self._stream is not None and self.setup.cuts_scan_on_quit:
-            whole = self._scan_message(self._stream, self._stream_echo, self._next_turn, "99")
-            stump = whole[: whole.index(b"\n", len(whole) // 2) + 1]
+            telegram = self._scan_message(self._stream, self._stream_echo, self._next_turn, "99")
+            stump = telegram[: telegram.index(b"\n", len(telegram) // 2) + 1]
         self._stop()
         self._asleep = False
         return stump + encode_reply(echo, OK)

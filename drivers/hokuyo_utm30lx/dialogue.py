@@ -129,12 +129,12 @@ class UtmDialogue:
 
     def _identify(self) -> Dialogue[None]:
         self.phase = "reading identity"
-        said = yield from self._understood("VV", dict)
-        self.identity |= {key: said[name] for key, name in IDENTITY if said.get(name)}
+        reported = yield from self._understood("VV", dict)
+        self.identity |= {key: reported[name] for key, name in IDENTITY if reported.get(name)}
         where = self._config.device or self._config.host
         if words := mismatch(self.identity.get("product", ""), self._config.model):
             raise DeviceError(f"{words}; is {where} the right laser?")
-        wanted, found = self._config.serial_number, said.get("SERI", "")
+        wanted, found = self._config.serial_number, reported.get("SERI", "")
         if wanted is not None and wanted.strip().casefold() != found.casefold():
             raise DeviceError(
                 f"this is unit {found or '(without a number)'}, expected serial_number {wanted}; are two "
@@ -147,11 +147,11 @@ class UtmDialogue:
         if reply is None or reply.status != OK:
             return
         try:
-            said = read_info(reply)
+            reported = read_info(reply)
         except ProtocolError:
             self.counters["answers_unusable"] += 1
             return
-        state = said.get("STAT", "")
+        state = reported.get("STAT", "")
         self.fault = "" if state.casefold().startswith(HEALTHY) or not state else state
 
     def _ask_the_time(self) -> Dialogue[None]:

@@ -206,10 +206,10 @@ def write_scan(scan: Scan, echo: str = "", status: str = SCAN_FOLLOWS) -> bytes:
 
 def _in_lines(payload: Bytes) -> bytes:
     """Cut into lines of 64, each with its sum."""
-    whole = payload.size // LINE_CHARS
-    lines = np.empty((whole, LINE_CHARS + 2), dtype=np.uint8)
-    lines[:, :LINE_CHARS] = payload[: whole * LINE_CHARS].reshape(whole, LINE_CHARS)
+    full_lines = payload.size // LINE_CHARS
+    lines = np.empty((full_lines, LINE_CHARS + 2), dtype=np.uint8)
+    lines[:, :LINE_CHARS] = payload[: full_lines * LINE_CHARS].reshape(full_lines, LINE_CHARS)
     lines[:, LINE_CHARS] = (lines[:, :LINE_CHARS].sum(axis=1, dtype=np.int64) & 0x3F) + 0x30
     lines[:, LINE_CHARS + 1] = LF
-    rest = payload[whole * LINE_CHARS :].tobytes()
+    rest = payload[full_lines * LINE_CHARS :].tobytes()
     return lines.tobytes() + (rest + bytes([checksum(rest), LF]) if rest else b"")

@@ -131,10 +131,10 @@ class Decoder:
             if len(buffer) < 2:
                 return None
             if self.dialect is Dialect.BINARY or (self.dialect is None and buffer[1] == STX[0]):
-                whole, telegram = self._binary_telegram()
+                is_complete, telegram = self._binary_telegram()
             else:
-                whole, telegram = self._ascii_telegram()
-            if not whole:
+                is_complete, telegram = self._ascii_telegram()
+            if not is_complete:
                 return None
             if telegram is not None:
                 return telegram

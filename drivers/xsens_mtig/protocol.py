@@ -236,5 +236,5 @@ def warning_text(message: Message) -> str:
     if len(message.data) < 4:
         return f"warning {message.data.hex() or 'without content'}"
     (code,) = struct.unpack_from(">I", message.data)
-    said = "".join(chr(byte) for byte in message.data[4:] if 0x20 <= byte < 0x7F).strip()
-    return f"warning {code}: {said or WARNINGS.get(code, 'a code that is in no manual')}"
+    wording = "".join(chr(byte) for byte in message.data[4:] if 0x20 <= byte < 0x7F).strip()
+    return f"warning {code}: {wording or WARNINGS.get(code, 'a code that is in no manual')}"

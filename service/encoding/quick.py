@@ -91,11 +91,11 @@ def read_odometry(payload: bytes) -> tuple[int, tuple[float, ...]] | None:
 @lru_cache(maxsize=256)
 def _texts(at: int, *texts: str) -> bytes:
     """Texts that begin there in the payload, and what is left free up to the first double behind them."""
-    whole = b""
+    content = b""
     for text in texts:
         encoded = text.encode() + b"\x00"
-        whole += bytes(-(at + len(whole)) % 4) + _SIZE.pack(len(encoded)) + encoded
-    return whole + bytes(_aligned(at + len(whole), 8) - at - len(whole))
+        content += bytes(-(at + len(content)) % 4) + _SIZE.pack(len(encoded)) + encoded
+    return content + bytes(_aligned(at + len(content), 8) - at - len(content))
 
 
 def _stamp_ns(payload: bytes) -> int:

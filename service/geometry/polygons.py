@@ -48,10 +48,10 @@ def cells_along(corners: Floats, cell_m: float) -> Cells:
 
 def _along(ends: Floats, cell_m: float) -> Cells:
     cells = _cells_about(ends, cell_m)
-    way = ends[1] - ends[0]
+    span = ends[1] - ends[0]
     to_centre = centres_of(cells, cell_m) - ends[0]
-    share = np.clip(to_centre @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
-    aside = to_centre - share[:, None] * way
+    share = np.clip(to_centre @ span / max(float(span @ span), 1e-12), 0.0, 1.0)
+    aside = to_centre - share[:, None] * span
     taken: Cells = cells[np.hypot(aside[:, 0], aside[:, 1]) <= HALF_WIDTH_CELLS * cell_m]
     return taken
 

@@ -183,7 +183,7 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
 
     Raises InputError where `folder` holds no map.
     """
-    whole: list[int] = []
+    complete: list[int] = []
     problems: list[str] = []
     for number in sorted(_versions_read(folder)):
         try:
@@ -191,10 +191,10 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
         except InputError as error:
             problems.append(str(error))
         else:
-            whole.append(number)
-    if not whole and not problems:
+            complete.append(number)
+    if not complete and not problems:
         raise _no_map(folder, [])
-    return whole, problems
+    return complete, problems
 
 
 def _no_map(folder: Path, problems: Sequence[str]) -> InputError:

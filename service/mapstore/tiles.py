@@ -88,8 +88,8 @@ class TileStore:
         with self._lock:
             for tile in tiles:
                 key = (tile.level, tile.ix, tile.iy)
-                held = self._tiles.get(key)
-                if held is not None and held.version >= tile.version:
+                stored = self._tiles.get(key)
+                if stored is not None and stored.version >= tile.version:
                     continue
                 self._tiles[key] = tile
                 self._version = max(self._version, tile.version)

@@ -293,11 +293,11 @@ class _Walk:
                 self._take(place.chunk_at, chunk_records(chunk, self._unpacking, what))
 
     def _is_wanted(self, chunk: ChunkIndex) -> bool:
-        held = chunk.message_index_offsets.keys()
+        indexed = chunk.message_index_offsets.keys()
         return (
             (self._from_ns is None or chunk.message_end_time >= self._from_ns)
             and (self._to_ns is None or chunk.message_start_time <= self._to_ns)
-            and (not held or not self._ids.isdisjoint(held))
+            and (not indexed or not self._ids.isdisjoint(indexed))
         )
 
     def _take(self, chunk_at: int, records: Iterable[object]) -> None:

@@ -59,13 +59,15 @@ class StaticTree:
         if self._knows_repeated:
             return False
         self._knows_repeated = True
-        said: dict[str, Transform] = {}
+        first_of: dict[str, Transform] = {}
         moving: set[str] = set()
         for transform in self._transforms(is_static=False):
-            first = said.setdefault(transform.child, transform)
+            first = first_of.setdefault(transform.child, transform)
             if place_of(first) != place_of(transform):
                 moving.add(transform.child)
-        repeated = [said[child] for child in said if child not in moving and child not in self.parents]
+        repeated = [
+            first_of[child] for child in first_of if child not in moving and child not in self.parents
+        ]
         for transform in repeated:
             self._add(transform)
         return bool(repeated)

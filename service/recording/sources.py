@@ -81,10 +81,10 @@ def name_sensors(chosen: Sequence[Source], sources: Mapping[str, Sequence[Source
     names: dict[str, str] = {}
     topics = list(dict.fromkeys(source.topic for source in chosen))
     for topic in topics:
-        whole = topic.name.strip("/").replace("/", "_")
-        name = whole.removesuffix(f"_{ENDINGS[topic.type]}") or whole
+        full_name = topic.name.strip("/").replace("/", "_")
+        name = full_name.removesuffix(f"_{ENDINGS[topic.type]}") or full_name
         taken = {names[t.name] for t in topics if t.name in names and ENDINGS[t.type] == ENDINGS[topic.type]}
-        names[topic.name] = whole if name in taken else name
+        names[topic.name] = full_name if name in taken else name
     return {
         source: names[source.topic.name]
         if source is sources[source.topic.name][0]

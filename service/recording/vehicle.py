@@ -346,6 +346,6 @@ def _antennas(
 
 def _nothing_to_map(recording: Readable, notes: Sequence[str]) -> str:
     where = ", ".join(map(str, recording.paths))
-    held = ", ".join(map(str, recording.topics)) or "nothing"
+    listed = ", ".join(map(str, recording.topics)) or "nothing"
     reasons = "".join(f"; {note}" for note in notes)
-    return f"{where}: no {', '.join(SCAN_TYPES)} that can be mapped; it holds {held}{reasons}"
+    return f"{where}: no {', '.join(SCAN_TYPES)} that can be mapped; it holds {listed}{reasons}"

@@ -92,7 +92,7 @@ class MapperLink:
         self._given_up: list[Channel] = []  # active ones that take nothing any more, until they are closed
         self._kept: deque[Item] = deque()  # those after the stand-by's last
         self._keeps_items = True  # as long as there may be a stand-by that needs them
-        self._held: list[FrameItem] = []  # samples that go with the next scan; no scan, no use of them
+        self._delayed: list[FrameItem] = []  # samples that go with the next scan; no scan, no use of them
         self._number = 0  # of the last item submitted
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
@@ -181,11 +181,11 @@ class MapperLink:
             if self._active is None or not self._ready.is_set():
                 return
             if is_sample(item):
-                self._held.append(item)
-                if item.arrived_ns - self._held[0].arrived_ns > HOLD_NS or len(self._held) > MAX_HELD:
-                    self._send_held()
+                self._delayed.append(item)
+                if item.arrived_ns - self._delayed[0].arrived_ns > HOLD_NS or len(self._delayed) > MAX_HELD:
+                    self._send_delayed()
             else:
-                self._send_held(item)
+                self._send_delayed(item)
 
     def run(self) -> None:
         """Listen until `close`. Raises MapperLostError."""
@@ -208,16 +208,16 @@ class MapperLink:
         with self._lock:
             self._is_finishing = True
             if self._active is not None:
-                self._send_held(Finish())
+                self._send_delayed(Finish())
         deadline_s = time.monotonic() + timeout_s
         while not self._finished.wait(LISTEN_S) and not self._over.is_set():
             if time.monotonic() > deadline_s:
                 break
         return self._finished.is_set()
 
-    def _send_held(self, *messages: Any) -> None:
-        held, self._held = self._held, []
-        self._send(*held, *messages)
+    def _send_delayed(self, *messages: Any) -> None:
+        delayed, self._delayed = self._delayed, []
+        self._send(*delayed, *messages)
 
     def _send(self, *messages: Any) -> None:
         """Under the lock, to the active mapper. One that is gone is left to the thread of `run`."""
@@ -384,8 +384,8 @@ class MapperLink:
         elif self._active is None and self._ready.is_set() and not self._finished.is_set():
             self._lost("closed its connection")
         with self._lock:
-            if self._held and time.monotonic_ns() - self._held[0].arrived_ns > HOLD_NS:
-                self._send_held()
+            if self._delayed and time.monotonic_ns() - self._delayed[0].arrived_ns > HOLD_NS:
+                self._send_delayed()
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
         is_owing = is_mapping and (self.waiting > 0 or self._is_finishing)
         if is_owing and self._silence.is_too_long(self._pid):
@@ -471,7 +471,7 @@ class MapperLink:
                     channel.close()
             self._active = None
             self._given_up.clear()
-            self._held.clear()  # they are among those kept
+            self._delayed.clear()  # they are among those kept
         pid, self._pid = self._pid, 0
         _kill(pid)
         if self._process is not None and self._process.pid == pid:

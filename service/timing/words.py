@@ -17,6 +17,6 @@ def seconds(duration_ns: int) -> str:
     return f"{s:.3f} s" + (f" ({s / DAY_S:.1f} days)" if abs(s) >= DAY_S else "")
 
 
-def share(part: int, whole: int) -> str:
+def share(part: int, total: int) -> str:
     """ "9 of 89 (10.1 %)" """
-    return f"{part} of {whole} ({100.0 * part / whole:.1f} %)"
+    return f"{part} of {total} ({100.0 * part / total:.1f} %)"

@@ -28,8 +28,10 @@ def run(*arguments: str) -> str:
     except subprocess.TimeoutExpired as error:
         raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended") from error
     if done.returncode != 0:
-        said = done.stderr.strip().splitlines()
-        raise ResourceError(said[-1] if said else f"{arguments[0]} ended with exit code {done.returncode}")
+        error_lines = done.stderr.strip().splitlines()
+        raise ResourceError(
+            error_lines[-1] if error_lines else f"{arguments[0]} ended with exit code {done.returncode}"
+        )
     return done.stdout
 
 

@@ -27,9 +27,9 @@ def streets(speed_mps: float = 5.0) -> World:
         begin, end = CORNERS[k], CORNERS[(k + 1) % 4]
         _draw_side(plan, rng, begin, end, outward=-1.0)
         _draw_side(plan, rng, begin, end, outward=1.0)
-    way: list[Point] = [*CORNERS[1:], CORNERS[0], (START.x_m + OVERLAP_M, 0.0)]
+    path: list[Point] = [*CORNERS[1:], CORNERS[0], (START.x_m + OVERLAP_M, 0.0)]
     limits = Limits(speed_mps=speed_mps, acceleration_mps2=1.0, lateral_mps2=1.5)
-    legs: list[Leg] = [Follow(way, corner_radius_m=8.0), Pause(1.0)]
+    legs: list[Leg] = [Follow(path, corner_radius_m=8.0), Pause(1.0)]
     return make_world("streets", plan, [], plan_drive(START, legs, limits))
 
 

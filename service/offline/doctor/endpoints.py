@@ -104,9 +104,9 @@ def _finding(machine: Machine, door: _Door, error: OSError | None) -> Finding:
         return ok(door.who, f"{door.text} is free" if door.port else f"{door.text} takes any free port")
     if _is_taken(error):
         owners, _ = listeners(machine, door.port, door.protocol)
-        held = " and ".join(map(str, owners)) or "another user's process, which only root sees"
+        owner_names = " and ".join(map(str, owners)) or "another user's process, which only root sees"
         remedy = f"stop that program, or change {door.key}"
-        return fault(door.who, f"{door.text} is taken by {held}", "a free port", remedy)
+        return fault(door.who, f"{door.text} is taken by {owner_names}", "a free port", remedy)
     words, remedy = str(error), f"change {door.key}"
     if error.errno == errno.EADDRNOTAVAIL:
         words, remedy = "this machine has no such address", f"{remedy}; host [::] takes every address"

@@ -69,10 +69,10 @@ def _with_descriptor(machine: Machine, targets: set[str]) -> list[Process]:
     found = []
     for folder in sorted(machine.path("/proc").glob("[0-9]*")) if targets else ():
         try:
-            held = any(str(descriptor.readlink()) in targets for descriptor in (folder / "fd").iterdir())
+            is_open = any(str(descriptor.readlink()) in targets for descriptor in (folder / "fd").iterdir())
         except OSError:
             continue  # gone meanwhile, or another user's
-        if held and (process := _read(folder)) is not None:
+        if is_open and (process := _read(folder)) is not None:
             found.append(process)
     return found
 

@@ -124,10 +124,10 @@ def busy_finding(who: str, device: str, others: list[Process]) -> Finding:
         remedy = "the service itself is running and uses it; stop it to look at the device"
     else:
         remedy = f"stop {others[0].name}: kill {others[0].number}, or end it where it was started"
-    held = " and ".join(map(str, others))
+    owners = " and ".join(map(str, others))
     return fault(
         who,
-        f"{device} is held by {held}",
+        f"{device} is held by {owners}",
         "nobody else on the port: two readers steal each other's bytes",
         remedy,
     )

@@ -70,8 +70,8 @@ class RecordedMoments:
 
     def __init__(self, paths: Sequence[Path], progress: Callable[[float], None] = lambda share: None) -> None:
         self._recording = recording = open_recording(paths)
-        held = {t.name for t in recording.topics if t.count and TOPICS.get(t.name) == t.type}
-        if "/pose" not in held:
+        recorded = {t.name for t in recording.topics if t.count and TOPICS.get(t.name) == t.type}
+        if "/pose" not in recorded:
             holds = ", ".join(map(str, recording.topics)) or "nothing"
             raise InputError(
                 f"{recording.paths[0]}: no /pose ({ODOMETRY}) in it, so there is nothing to look back at; it "
@@ -94,10 +94,10 @@ class RecordedMoments:
         self._since = StatusSince()
         self.rows: list[Row] = []  # of figures, over all of it
         xy_map: list[tuple[float, float]] = []
-        self._read(held, xy_map, progress)
-        way = np.array(xy_map, np.float64).reshape(-1, 2)
-        rows = thinned(way, PATH_STEP_M, MAX_PATH_POINTS)
-        self.path_map: Floats = way[rows]
+        self._read(recorded, xy_map, progress)
+        path_xy = np.array(xy_map, np.float64).reshape(-1, 2)
+        rows = thinned(path_xy, PATH_STEP_M, MAX_PATH_POINTS)
+        self.path_map: Floats = path_xy[rows]
         self._path_log_ns = [self._pose_log_ns[row] for row in rows]
         self._tiles_of = lru_cache(KEPT_TILINGS)(self._read_tiles)
         self._graph_of = lru_cache(1)(self._read_graph)
@@ -148,11 +148,11 @@ class RecordedMoments:
         return () if log_ns is None else self._tiles_of(log_ns)
 
     def _read(
-        self, held: set[str], xy_map: list[tuple[float, float]], progress: Callable[[float], None]
+        self, recorded: set[str], xy_map: list[tuple[float, float]], progress: Callable[[float], None]
     ) -> None:
         span_ns = max(self.last_ns - self.first_ns, 1)
         figures = FigureRows(max(PERIOD_S, span_ns / 1e9 / MAX_ROWS))
-        for message in self._recording.messages(held):
+        for message in self._recording.messages(recorded):
             log_ns = message.log_ns
             match message.channel:
                 case "pose":
