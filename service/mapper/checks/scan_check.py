@@ -1,7 +1,6 @@
 """Scans that are not mapped: repeated ones, and those before the odometry of their motion."""
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.frames import LaserScan
 from service.mapper.judgement import GAP_S
@@ -26,7 +25,8 @@ class ScanCheck:
         travel_m   m   since the previous scan, as predicted
         """
         last, self._last = self._last, scan
-        if last is None or not _are_same(last.range_m, scan.range_m) or not np.isfinite(scan.range_m).any():
+        is_same = last is not None and last.range_m.tobytes() == scan.range_m.tobytes()
+        if not is_same or not np.isfinite(scan.range_m).any():
             self._travel_m = 0.0
             return False
         self._travel_m += travel_m
@@ -69,15 +69,3 @@ class OdometryWait:
         if self._since_ns <= last_ns:  # no pause of odometry has ended since the previous scan
             return stamp_ns - newest_ns <= GAP_S * 1e9
         return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_NS
-
-
-def _are_same(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> bool:
-    """Whether the ranges of two scans are equal, with NaN equal to NaN; mostly decided by the first beam."""
-    if a.shape != b.shape or not len(a):
-        return a.shape == b.shape
-    differs = a != b
-    first = differs.argmax()
-    first = differs.argmax() if len(a) else 0
-    if a[first] == a[first] or b[first] == b[first]:  # not NaN
-        return not differs[first]
-    return bool((np.isnan(a) & np.isnan(b))[differs].all())
