@@ -45,8 +45,7 @@ class Recording:
         self.choice = choice
         self.lasers = tuple(self.session.scan_counts)
         self.mountings: Mapping[str, npt.NDArray[np.float64]] = {
-            name: np.array((pose.x_m, pose.y_m, pose.theta_rad))
-            for name, pose in (self.session.mountings | self.session.antennas).items()
+            name: np.array(pose) for name, pose in (self.session.mountings | self.session.antennas).items()
         }
         self.notes = tuple(self.session.notes)
         self.warnings = tuple(self.session.warnings)

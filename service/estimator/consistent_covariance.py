@@ -68,7 +68,7 @@ class ConsistentCovariance:
         weight = min(1.0, (STUDENT + 3.0) / (STUDENT + float(off @ prior @ off)))  # [12]
         take_match(
             self._packed,
-            np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+            np.array(pose),
             np.linalg.inv(measured.information + weight * prior),
             weight,
             measured.information,

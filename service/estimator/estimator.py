@@ -36,7 +36,7 @@ from service.kernels.filter_state import (
     views_of,
 )
 from service.kernels.source_noise import begin_window
-from service.kernels.sweep import begin_twist, motion_at, sweep_deviation
+from service.kernels.sweep import begin_twist, deskew_sweep, motion_at
 from service.kernels.tracks import Track
 from service.outputs import NO_REASON, Reason
 
@@ -52,11 +52,10 @@ ACCELERATION_S = 0.2  # time constant of an acceleration: a drive reaches its sp
 FADE_S = 1.0  # time constant of a speed that neither scans nor odometry confirm
 NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this path length
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
+DROPPED_TOGETHER = 64  # samples
 PAUSE_NS = 1_000_000_000  # of odometry; shorter pauses are bridged without notice
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
 MIN_ELAPSED_S = 0.05  # stamps of a burst may be closer together than the samples were taken
-NODE_S = 0.01  # of a sweep, between two times at which the motion is evaluated
-MAX_NODES = 65
 WARNING_INTERVAL_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry
 MIN_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
@@ -127,12 +126,11 @@ class _Samples:
         self.track.span[0] = self.track.span[1]
 
     def drop_before(self, stamp_ns: int) -> None:
-        """Drop the samples before a time, except two: a speed needs a pair."""
+        """Drop the samples before a time, except two for a speed; few of them later, with others."""
         first, end = self.track.span.tolist()
-        if end - first <= 2 or self.track.stamp_ns[first + 2] >= stamp_ns:
+        if end - first <= DROPPED_TOGETHER or self.track.stamp_ns[first + DROPPED_TOGETHER] >= stamp_ns:
             return
-        keep = first + int(np.searchsorted(self.track.stamp_ns[first:end], stamp_ns)) - 2
-        self.track.span[0] = min(max(first, keep), max(end - 2, 0))
+        self.track.span[0] = first + int(self.track.stamp_ns[first:end].searchsorted(stamp_ns)) - 2
 
     def take_dropped(self) -> int:
         """Number of samples dropped since the last call because too many waited."""
@@ -235,7 +233,7 @@ class Estimator:
 
     def predict(self, stamp_ns: int) -> Prediction:
         state = self.filter
-        x0_m, y0_m, theta0_rad = state.pose.tolist()
+        before = SE2(*state.pose.tolist())
         pause_s = 0.0
         if not self._has_begun:
             self._has_begun = True
@@ -252,28 +250,28 @@ class Estimator:
         is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
         self._odometry.drop_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.drop_before(stamp_ns - KEEP_BEFORE_NS)
-        is_measured = bool(state.increments[3]) and max(state.noise.tolist()) <= FAULT_NOISE
-        self._consistent.switch(self._packed, scan_alone(is_measured, float(state.noise[0])))
-        covariance = state.covariance
-        local = covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
-        gain = covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
-        x_m, y_m, theta_rad = state.pose.tolist()
+        noise, turn_noise = state.noise.tolist()
+        is_measured = bool(state.increments[3]) and max(noise, turn_noise) <= FAULT_NOISE
+        self._consistent.switch(self._packed, scan_alone(is_measured, noise))
+        local = state.covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
+        gain = state.covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
+        pose = SE2(*state.pose.tolist())
         return Prediction(
-            pose_odom_base=SE2(x_m, y_m, theta_rad),
+            pose_odom_base=pose,
             twist_base=self._twist(),
             covariance=self._consistent.pose_covariance(state),
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
-            travel_m=math.hypot(x_m - x0_m, y_m - y0_m)
-            + NEW_GROUND_M * abs(wrap_angle(theta_rad - theta0_rad)),
+            travel_m=math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m)
+            + NEW_GROUND_M * abs(wrap_angle(pose.theta_rad - before.theta_rad)),
             is_measured=is_measured,
-            odometry_noise=float(state.noise[0]),
+            odometry_noise=noise,
             pause_s=pause_s,
             is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
             increment=self._increment(),
             samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
-            deviation=self._deviation,
+            deskew=self._deskew,
         )
 
     def _increment(self) -> OdometryIncrement | None:
@@ -292,12 +290,9 @@ class Estimator:
             turn_rad2 = share * gyro_rad2
         return OdometryIncrement(SE2(x_m, y_m, turn_rad), distance_m2 * max(distance_noise, 1.0), turn_rad2)
 
-    def _deviation(self, begin_s: float, end_s: float) -> Matrix | None:
-        nodes = min(2 + int((end_s - begin_s) / NODE_S), MAX_NODES)
-        deviation = np.empty((nodes, 3))
+    def _deskew(self, beam_time_s: Matrix, xy_raw: Matrix, xy_base: Matrix) -> None:
         tracks = self._odometry.track, self._gyro.track
-        is_known = sweep_deviation(self._packed, *tracks, begin_s, end_s, self._settings, deviation)
-        return deviation if is_known else None
+        deskew_sweep(self._packed, *tracks, self._settings, beam_time_s, xy_raw, xy_base)
 
     def correct(self, measured: Measurement | None) -> Motion:
         state = self.filter
@@ -312,7 +307,7 @@ class Estimator:
             self._consistent.correct(self._packed, pose, measured, self._settings)
             take_match(
                 self._packed,
-                np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+                np.array(pose),
                 covariance,
                 measured.prior_weight,
                 measured.information,
@@ -339,7 +334,7 @@ class Estimator:
         covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
         off = (predicted.inverse() @ measured.pose_odom_base).log()
         step = SE2.exp(*(covariance @ measured.information @ off).tolist())
-        axes = poses.adjoint(poses.between(np.array([step.x_m, step.y_m, step.theta_rad]), np.zeros(3)))
+        axes = poses.adjoint(poses.between(np.array(step), np.zeros(3)))
         return predicted @ step, axes @ covariance @ axes.T
 
     def settle(self, share: float) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,7 @@ class Motion:
     covariance: Matrix  # (3, 3) of x, y, theta against the first scan, base axes; m^2, m rad, rad^2
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryIncrement:
+class OdometryIncrement(NamedTuple):
     """Odometry increment since the last scan, its rotation fused with the gyro's."""
 
     pose: SE2  # of the base in that of the last scan
@@ -50,9 +49,9 @@ class Prediction(Motion):
     is_unconfirmed_stop: bool = False
     increment: OdometryIncrement | None = None  # odometry and gyro alone; None: odometry was silent
     samples_dropped: int = 0  # since the last prediction: too many waited for it
-    # (begin_s, end_s) from the predicted time -> (K, 3) m, m, rad: measured deviation from the twist at K
-    # evenly spaced times, see service/kernels/sweep.py; None: unknown. Valid until the next prediction.
-    deviation: Callable[[float, float], Matrix | None] | None = None
+    # (beam_time_s, xy_raw, xy_base): deskew a sweep by the measured motion, as deskew_sweep in
+    # service/kernels/sweep.py; None: by the twist alone. Valid until the next prediction.
+    deskew: Callable[[Matrix, Matrix, Matrix], None] | None = None
 
     @property
     def is_scan_alone(self) -> bool:
@@ -77,8 +76,7 @@ def scan_alone(is_measured: bool, odometry_noise: float) -> bool:
     return not is_measured or odometry_noise > WRONG_ODOMETRY_NOISE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
+class Measurement(NamedTuple):
     """A matched pose, as input of a motion model.
 
     pose_odom_base    of prediction and scan together, or of the scan alone

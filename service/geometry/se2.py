@@ -1,8 +1,7 @@
 """Poses in the plane."""
 
 import math
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +14,11 @@ def wrap_angle(theta_rad: Angles) -> Angles:
     return -((-theta_rad + math.pi) % (2.0 * math.pi) - math.pi)
 
 
-@dataclass(frozen=True, slots=True)
-class SE2:
-    """pose_a_b: takes coordinates of b to a. pose_a_c = pose_a_b @ pose_b_c."""
+class SE2(NamedTuple):
+    """pose_a_b: takes coordinates of b to a. pose_a_c = pose_a_b @ pose_b_c.
+
+    np.array(pose) is (3,) float64, m, m, rad.
+    """
 
     x_m: float = 0.0
     y_m: float = 0.0

@@ -30,8 +30,8 @@ MAX_CLEAN_SCATTER = 1.0  # largest scatter across, over the expected
 MIN_RUNS, MAX_BEAM_GAP = 30, 4  # runs of three beams for the range noise; largest beam step within a run
 
 
-@kernel(Float64_2D, Float64_1D, float, float, float, Float64_2D, Float64_1D)
-def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals, aside_m):
+@kernel(Float64_2D, Float64_1D, float, float, float, Float64_2D, Float64_2D)
+def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazing_weight, normals, moved):
     """Normal and weight of each point from the principal axes of its contiguous neighbours.
 
     xy_base          (N, 2) float64   end points in beam order, m, base frame
@@ -43,8 +43,8 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
                                       up to grazing_weight on a plane, because range noise counts by the
                                       cosine of the incidence; ROUGH_WEIGHT off planes; 0 below
                                       MIN_COS_INCIDENCE
-    aside_m          (N,)   float64   out: shift of a point along its wall, left of the normal, to where its
-                                      beam meets the wall; 0 off planes; [24]
+    moved            (N, 2) float64   out: the points, shifted along their walls to where their beams meet
+                                      them; [24]
     """
     count = xy_base.shape[0]
     sums = np.zeros((count + 1, 5))  # of x, y, xx, xy, yy up to each point, relative to the sensor
@@ -86,35 +86,24 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
             reach -= 1
         low = max(first[i], i - reach)
         high = min(end, i + reach + 1)
-        nx, ny, weight, _, aside_m[i] = plane_at(
+        nx, ny, weight, _, aside_m = plane_at(
             xy_base, sensor_xy_m, range_m[i], sums, i, low, high, square_m2, grazing_weight
         )
         is_edge = reach * spacing_m > MIN_REACH_M and (end - first[i]) * spacing_m > MIN_WIDTH_M
         if weight == ROUGH_WEIGHT and is_edge:
-            ex, ey, of_side, aside = plane_beside_edge(
+            ex, ey, of_side, aside_of_side = plane_beside_edge(
                 xy_base, sensor_xy_m, range_m[i], sums, i, first[i], end, reach, square_m2, grazing_weight
             )
             if of_side != ROUGH_WEIGHT:
                 nx = ex
                 ny = ey
                 weight = of_side
-                aside_m[i] = aside
+                aside_m = aside_of_side
         normals[i, 0] = nx
         normals[i, 1] = ny
         normals[i, 2] = weight
-
-
-@kernel(Float64_2D, Float64_2D, Float64_1D, Float64_2D)
-def move_along_walls(xy_base, normals, aside_m, moved):
-    """Shift each point along its wall to where its beam meets the wall; [24].
-
-    xy_base   (N, 2) float64   m, base frame
-    normals   (N, 3) float64   from estimate_normals, as aside_m (N,)
-    moved     (N, 2) float64   out: m, base frame
-    """
-    for i in range(xy_base.shape[0]):
-        moved[i, 0] = xy_base[i, 0] - aside_m[i] * normals[i, 1]
-        moved[i, 1] = xy_base[i, 1] + aside_m[i] * normals[i, 0]
+        moved[i, 0] = xy_base[i, 0] - aside_m * ny
+        moved[i, 1] = xy_base[i, 1] + aside_m * nx
 
 
 @inner_kernel

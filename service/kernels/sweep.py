@@ -8,6 +8,7 @@ from service.geometry.chi2 import CHI2_99_OF_1
 from service.kernels.acceleration import transition_over
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.deskew import deskew_points
 from service.kernels.estimator import GYRO_SCALE, transform_pose_error
 from service.kernels.filter_state import (
     ACCELERATION,
@@ -20,6 +21,9 @@ from service.kernels.filter_state import (
 )
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import Track, gyro_angle_at, odometry_at
+
+NODE_S = 0.01  # of a sweep, between two times at which the motion is evaluated
+MAX_NODES = 65
 
 
 @inner_kernel
@@ -69,10 +73,27 @@ def covers(track, at_ns, begin_s, end_s):
     return track.stamp_ns[end - 1] > at_ns + np.int64(max(begin_s, 0.0) * 1e9)
 
 
-@kernel(PackedFilter, Track, Track, float, float, MotionSettings, Float64_2D)
-def sweep_deviation(packed, odometry, gyro, begin_s, end_s, settings, deviation):
-    """As deviation_over, of the Filter in a PackedFilter."""
-    return deviation_over(filter_in(packed), odometry, gyro, begin_s, end_s, settings, deviation)
+@kernel(PackedFilter, Track, Track, MotionSettings, Float64_1D, Float64_2D, Float64_2D)
+def deskew_sweep(packed, odometry, gyro, settings, beam_time_s, xy_raw, xy_base):
+    """Transform the points of a sweep to the base frame at the time of a prediction; [23].
+
+    packed        PackedFilter     after the prediction; its time is 0 s
+    odometry      Track
+    gyro          Track
+    settings      MotionSettings
+    beam_time_s   (N,)   float64   s, rising
+    xy_raw        (N, 2) float64   in: m, base frame at each point's time; out: base frame at that time for
+                                   constant twist
+    xy_base       (N, 2) float64   out: m, base frame at 0 s
+    """
+    state = filter_in(packed)
+    count = beam_time_s.shape[0]
+    if count > 0 and beam_time_s[count - 1] > beam_time_s[0]:
+        begin_s, end_s = beam_time_s[0], beam_time_s[count - 1]
+        deviation = np.empty((min(2 + int((end_s - begin_s) / NODE_S), MAX_NODES), 3))
+        if deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
+            apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw)
+    deskew_points(xy_raw, beam_time_s, state.twist, xy_base)
 
 
 @inner_kernel
@@ -204,12 +225,12 @@ def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance
             covariance[i, j] = P[MAP + i, MAP + j]
 
 
-@kernel(Float64_1D, float, float, Float64_2D, Float64_2D)
+@inner_kernel
 def apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw):
     """Move each point by the base's deviation from constant twist at its time.
 
     beam_time_s    (N,)   float64   s, within begin_s to end_s
-    deviation      (K, 3) float64   of sweep_deviation
+    deviation      (K, 3) float64   of deviation_over
     xy_raw         (N, 2) float64   in: m, base frame at each point's time; out: base frame at that time for
                                     constant twist
     """

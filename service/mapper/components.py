@@ -13,7 +13,6 @@ from drivers.section import Section
 from service.estimator.motion import Measurement, Motion, MotionModel, Prediction
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
-from service.kernels.usual_gap import usual_gap
 from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.known_pose import KnownPose
 from service.mapper.patch_store import MemoryPatches, NewPatchStore
@@ -21,8 +20,7 @@ from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
 from service.outputs import NO_REASON, GraphPicture, Reason, State, TileUpdate
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class Points(NamedTuple):
     """End points of the returns of one scan, in beam order."""
 
     xy_base: npt.NDArray[np.float64]  # (N, 2) m, base frame at one moment: deskewed
@@ -32,11 +30,7 @@ class Points:
     sensor_base: SE2  # pose of the sensor in the base frame (pose_base_sensor)
     scan: LaserScan
     range_sigma_m: float = 0.01  # noise of a range, estimated from the sensor's scans
-    usual_gap: int = 0  # beams between returns, above 1 where not all are measured; 0: from `beam`
-
-    def __post_init__(self) -> None:
-        if not self.usual_gap:
-            object.__setattr__(self, "usual_gap", usual_gap(self.beam))
+    usual_gap: int = 1  # beams from one return to the next, above 1 where not all are measured
 
     @property
     def spacing_rad(self) -> float:
@@ -44,8 +38,7 @@ class Points:
         return abs(self.scan.angle_step_rad) * self.usual_gap
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Match:
+class Match(NamedTuple):
     """Result of matching a scan, the same for every matcher. judgement.py sets the state.
 
     motion         of the base: matched, or the prediction
@@ -81,8 +74,7 @@ class MapChange:
     segment: int = 0  # number of the map segment that the scan belongs to
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MappedScan:
+class MappedScan(NamedTuple):
     """A mapped scan with its match in the local map, as the graph receives it, key frame or not."""
 
     stamp_ns: int

@@ -1,7 +1,7 @@
 """Accepts or rejects a match: one rule for the matchers of all profiles."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,8 +49,7 @@ class JudgementConfig(Section):
     degraded_sigma_m: float = Field(default=0.10, gt=0.0)  # above it the open direction is reported
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """How a scan lies on a map.
 
     used        number of returns evaluated

@@ -1,7 +1,6 @@
 """Pose of odom in the map by the newest result of the graph, and the state it allows for a scan."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from service.estimator.motion import Matrix, Motion
 from service.geometry.se2 import SE2
@@ -70,7 +69,7 @@ class Localisation:
                 return match
             blank_s = (at_ns - self._placed_ns) * 1e-9
             state, reason = judge_blank(few, sigmas_of(prior), blank_s)
-            return replace(match, state=state, reason=reason)
+            return match._replace(state=state, reason=reason)
         self._placed_ns = at_ns if match.state != "lost" else None
         return match
 
@@ -84,13 +83,13 @@ class Localisation:
             and change.segment == unconfirmed.segment
         ):
             self.pose_map_odom, self._known_here = unconfirmed.pose_map_odom, unconfirmed.known
-            match = replace(match, state="degraded", reason=UNCONFIRMED_PLACE)
+            match = match._replace(state="degraded", reason=UNCONFIRMED_PLACE)
         if not self.is_found:
-            match = replace(match, state="lost", reason=match.reason or NOT_PLACED)
+            match = match._replace(state="lost", reason=match.reason or NOT_PLACED)
         elif not self.is_proven and match.state == "ok":
-            match = replace(match, state="degraded", reason=UNPROVEN)
+            match = match._replace(state="degraded", reason=UNPROVEN)
         if match.state == "lost":
-            match = replace(match, reason=self._why_lost(match.reason))
+            match = match._replace(reason=self._why_lost(match.reason))
         return match
 
     def covariance_of(self, motion: Motion) -> Matrix:

@@ -117,7 +117,7 @@ class ChangeWatch:
         weigh_changes(
             points.xy_base,
             np.array([sensor.x_m, sensor.y_m]),
-            np.array([pose_map_base.x_m, pose_map_base.y_m, pose_map_base.theta_rad]),
+            np.array(pose_map_base),
             MAX_RANGE_M,
             self.votes,
             Moment(self._scans, self._poses, (stamp_ns - self._began_ns) // 1_000_000),

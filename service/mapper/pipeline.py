@@ -1,7 +1,6 @@
 """The mapper: one frame in, at most one MapperOutput out. Read this file first."""
 
 from collections import Counter
-from dataclasses import replace
 from typing import Generic
 
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
@@ -217,21 +216,22 @@ class Mapper(Generic[ReadableMap]):
         prior = self._checks.comparison_prior(scan.sensor, at_ns, predicted)
         if prior is not None:
             return self._compared(points, at_ns, prior)
-        if is_motion_unmeasured(predicted) and s.graph.finds_segments and isinstance(s.local_map, Detachable):
+        is_unmeasured = is_motion_unmeasured(predicted)
+        if is_unmeasured and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(predicted.pause_s)
         match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
         reason = of_laser(scan.sensor, match.reason)
-        match = replace(match, motion=s.motion_model.correct(match.measured), reason=reason)
+        match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
         checked = self._checks.judge(match, at_ns, s.motion_model.fault)
         if isinstance(checked, Verdict):
             return self._output(scan, at_ns, match.motion, checked, match.inlier_ratio)
-        match = self._insert(checked, at_ns, predicted)
+        match = self._insert(checked, at_ns, predicted, is_unmeasured)
         watch.lap("insert")
         self._state = Verdict(match.state, match.reason)
         return self._output(scan, at_ns, match.motion, self._state, match.inlier_ratio)
 
-    def _insert(self, match: Match, at_ns: int, predicted: Prediction) -> Match:
+    def _insert(self, match: Match, at_ns: int, predicted: Prediction, is_unmeasured: bool) -> Match:
         """Insert a match into local map, graph and shown map; sets its state by its place in the map."""
         s = self.components
         change = s.local_map.insert(match.points, match)
@@ -241,20 +241,12 @@ class Mapper(Generic[ReadableMap]):
             s.motion_model.settle(change.error_left)
         prior = predicted.local_covariance
         covariance = prior if match.measured is None else match.measured.covariance
+        elapsed_s = predicted.elapsed_s
         pose_map_odom = s.graph.add(
-            MappedScan(
-                at_ns,
-                static,
-                match,
-                change,
-                covariance,
-                prior,
-                predicted.elapsed_s,
-                is_motion_unmeasured(predicted),
-            )
+            MappedScan(at_ns, static, match, change, covariance, prior, elapsed_s, is_unmeasured)
         )
         is_shown = match.state != "lost" and self._localisation.is_found and not self.is_localizing
-        match = self._localisation.judged(match, change, pose_map_odom, at_ns, predicted.local_covariance)
+        match = self._localisation.judged(match, change, pose_map_odom, at_ns, prior)
         if is_shown:  # not while the place in the map is unknown
             s.free_space.insert(static, pose_map_odom @ match.motion.pose_odom_base)
         if match.state == "ok" and self._localisation.is_proven and self._changes is not None:
@@ -313,4 +305,4 @@ def _static_points(match: Match) -> Points:
     if match.is_moving is None:
         return match.points
     kept = {name: getattr(match.points, name)[~match.is_moving] for name in POINT_ARRAYS}
-    return replace(match.points, **kept)
+    return match.points._replace(**kept)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.normals import estimate_normals, move_along_walls
+from service.kernels.normals import estimate_normals
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,10 +33,7 @@ def walls_of(
     Range noise moves a point along its beam. Its component across the wall is a measurement error; along
     the wall the bearing is more precise, so the point is moved there; [24] of docs/estimator.md.
     """
-    normals, aside_m = np.empty((len(xy_base), 3)), np.empty(len(xy_base))
-    estimate_normals(
-        xy_base, np.array(sensor_xy_m), angle_step_rad, range_sigma_m, grazing_weight, normals, aside_m
-    )
-    moved = np.empty_like(xy_base)
-    move_along_walls(xy_base, normals, aside_m, moved)
+    normals, moved = np.empty((len(xy_base), 3)), np.empty_like(xy_base)
+    sensor = np.array(sensor_xy_m)
+    estimate_normals(xy_base, sensor, angle_step_rad, range_sigma_m, grazing_weight, normals, moved)
     return Walls(moved, normals)

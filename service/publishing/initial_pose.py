@@ -75,7 +75,7 @@ class InitialPoseSubscriber:
             return f"{CHANNEL}: {error}"
         if frame.lstrip("/") != MAP_FRAME:
             return f"{CHANNEL}: a pose in the frame {frame!r}; expected {MAP_FRAME!r}"
-        if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
+        if not all(map(math.isfinite, pose)):
             return f"{CHANNEL}: ({pose.x_m}, {pose.y_m}) m, {pose.theta_rad} rad is no pose"
         request = {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad}
         answer = self._answer("set_pose", json.dumps(request).encode())

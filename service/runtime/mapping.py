@@ -350,7 +350,7 @@ class MappingLoop:
             raise MapperError(item.number, words) from error
         if output is not None:
             pose = output.pose_map_base
-            if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
+            if not all(map(math.isfinite, pose)):
                 words = f"{kind} of {frame.sensor} stamped {frame.stamp_ns} gave the pose {pose}"
                 raise MapperError(item.number, words)
         return output

@@ -299,7 +299,7 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
 
 def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:
     pose = output.pose_map_base
-    away = se2.between(true, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+    away = se2.between(true, np.array(pose))
     return math.hypot(away[0], away[1]), abs(math.degrees(away[2]))
 
 
@@ -311,16 +311,13 @@ def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[Begi
     graph = finished.update.saved
     assert graph is not None
     poses = corrected(outputs, finished.corrections)
-    at = {
-        output.stamp_ns: np.array([pose.x_m, pose.y_m, pose.theta_rad])
-        for output, pose in zip(outputs, poses, strict=True)
-    }
+    at = {output.stamp_ns: np.array(pose) for output, pose in zip(outputs, poses, strict=True)}
     return BeginIn(graph, rendered_of(mapper.changed_tiles())), at
 
 
 def _seen_from(frame: SE2, truth: Mapping[int, SE2]) -> dict[int, Floats]:
     seen = {stamp_ns: frame @ pose for stamp_ns, pose in truth.items()}
-    return {ns: np.array([pose.x_m, pose.y_m, pose.theta_rad]) for ns, pose in seen.items()}
+    return {ns: np.array(pose) for ns, pose in seen.items()}
 
 
 def _clearance_m(world: World, place: SE2) -> float:

@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, patch
 
+from service.kernels.deskew import deskew_points
+from service.kernels.filter_state import PackedFilter, views_of
 from service.kernels.normals import estimate_normals
+from service.kernels.tracks import Track
 from service.mapper.components import Points
 from service.mapper.filters.deskew import DeskewByTwist
 from service.mapper.scan_match.narrow_walls import Matrix, NarrowWalls
@@ -28,9 +31,17 @@ NEVER_KNOWN = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
 
 
 def normals_of_points_as_they_are(*arguments: Any) -> None:
-    """As estimate_normals, whose last argument is how far each point is to be moved."""
+    """As estimate_normals, whose first argument is the points, and the last one those moved."""
     estimate_normals(*arguments)
-    arguments[-1][:] = 0.0
+    arguments[-1][:] = arguments[0]
+
+
+def deskewed_by_twist(
+    packed: PackedFilter, _odometry: Track, _gyro: Track, _settings: Any, *arrays: Matrix
+) -> None:
+    """In place of deskew_sweep."""
+    beam_time_s, xy_raw, xy_base = arrays
+    deskew_points(xy_raw, beam_time_s, views_of(packed).twist, xy_base)
 
 
 def by_single_scans(walls: NarrowWalls, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
@@ -54,7 +65,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "motion within a sweep ([23])",
         "service.estimator.estimator",
-        {"sweep_deviation": lambda *_: False},
+        {"deskew_sweep": deskewed_by_twist},
     ),
     (
         "acceleration that lasts",

@@ -70,7 +70,7 @@ def same_place(scans: list[tuple[Points, Match]], local_map: ContourMap) -> floa
     equal = 0
     for points, match in scans:
         pose = match.motion.pose_odom_base
-        begin = np.array([pose.x_m, pose.y_m, pose.theta_rad]) + noise.uniform(-1.0, 1.0, 3) * BESIDE
+        begin = np.array(pose) + noise.uniform(-1.0, 1.0, 3) * BESIDE
         window = SearchWindow(begin, *WINDOW)
         found = [search_exhaustive(points.xy_base, kind, window)[0].pose for kind in (layer, product)]
         equal += bool((found[0] == found[1]).all())

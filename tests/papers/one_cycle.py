@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 from unittest.mock import patch
@@ -202,7 +202,7 @@ def contour_cycle(seeds: Sequence[int]) -> Section:
         )
     motion = cycle.mapper.components.motion_model.correct(match.measured)
     moved = farthest(match.points.xy_base, points.xy_base)
-    change = local_map.insert(match.points, replace(match, motion=motion))
+    change = local_map.insert(match.points, match._replace(motion=motion))
     after = read(local_map, beside)[:, 0]
     raised, lowered = int((after > before + CHANGED).sum()), int((after < before - CHANGED).sum())
     boxes += [
@@ -332,7 +332,7 @@ def owolm_boxes(cycle: Cycle, seed: int) -> tuple[Boxes, tuple[str, str]] | None
             "",
         ),
     ]
-    if not local_map.insert(match.points, replace(match, motion=motion)).is_keyframe:
+    if not local_map.insert(match.points, match._replace(motion=motion)).is_keyframe:
         return None
     after = read_orthogonal(local_map, beside)
     raised = int((after > before + CHANGED).sum())
@@ -370,7 +370,7 @@ def mean_at_centre(sums: npt.NDArray[np.float32], xy: Array) -> float:
 def read_orthogonal(local_map: OrthogonalMap, xy: Array) -> Array:
     """(N,) likelihood between the cells of the finest level, at places in odom."""
     at = local_map.pose_axes_odom
-    pose = np.array([at.x_m, at.y_m, at.theta_rad])
+    pose = np.array(at)
     likely: Array = values_at(np.ascontiguousarray(xy), pose, local_map.field())[:, 0]
     return likely
 

@@ -1,7 +1,6 @@
 """Checks of the sensors before and after a match: whether a scan is mapped, and why not."""
 
 from collections import Counter
-from dataclasses import replace
 from typing import NamedTuple
 
 from drivers.frames import LaserScan, OdometrySample
@@ -128,7 +127,7 @@ class SensorChecks:
         self._stamps.add(sensor, at_ns, heading_rad)
         self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
         fault = self._odometry_mounting.fault or motion_fault
-        return replace(match, state="degraded", reason=fault) if fault else match
+        return match._replace(state="degraded", reason=fault) if fault else match
 
     def _contradicted(self, match: Match, other: str, few: Reason) -> Verdict:
         """Verdict on a scan that fits nowhere while another laser confirms the pose: its laser is at fault.

@@ -10,12 +10,11 @@ from drivers.frames import LaserScan
 from drivers.section import Section
 from service.errors import InputError
 from service.estimator.motion import Motion, Prediction
-from service.geometry.polygons import is_inside
 from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns, deskew_points, project_returns
-from service.kernels.normals import range_noise
-from service.kernels.sweep import apply_deviation
 from service.mapper.components import Points
+
+Floats = npt.NDArray[np.float64]
 
 NOISE_SCANS = 100  # over which the range noise of a laser is averaged
 MIN_NOISE_M = 0.003  # of a range: no supported laser is better
@@ -45,7 +44,7 @@ class DeskewByTwist:
         self._outline_m = np.array(outline_m, np.float64).reshape(-1, 2)
         self._mountings = dict(mountings)
         self._noise: dict[str, tuple[int, float]] = {}
-        self._directions: dict[tuple[str, float, float, int], npt.NDArray[np.float64]] = {}
+        self._directions: dict[tuple[str, float, float, int], Floats] = {}
 
     def moment_of(self, scan: LaserScan) -> int:
         """Time of the deskewed points: that of the first beam."""
@@ -62,42 +61,25 @@ class DeskewByTwist:
             )
         beam_count = len(scan.range_m)
         returns = Returns(np.empty((beam_count, 2)), np.empty(beam_count), np.empty(beam_count, np.int32))
-        count = project_returns(
+        config = self._config
+        count, noise_m, gap = project_returns(
             scan.range_m,
             self._directions_of(scan, mounting),
             np.array([mounting.x_m, mounting.y_m]),
-            np.array(
-                [
-                    max(scan.range_min_m, self._config.nearest_m),
-                    min(scan.range_max_m, self._config.farthest_m),
-                ]
-            ),
+            np.array([max(scan.range_min_m, config.nearest_m), min(scan.range_max_m, config.farthest_m)]),
+            self._outline_m,
             scan.beam_interval_ns * 1e-9,
+            0.0 if at_ns is None else (at_ns - scan.stamp_ns) * 1e-9,
             returns,
         )
-        if len(self._outline_m):
-            count = self._leave_out_itself(returns, count)
-        xy_raw, beam_time_s = returns.xy_raw[:count], returns.beam_time_s[:count]
-        if at_ns is not None and at_ns != scan.stamp_ns:
-            beam_time_s -= (at_ns - scan.stamp_ns) * 1e-9
-        sensor_xy_m = np.array([mounting.x_m, mounting.y_m])
-        sigma_m = self._noise_of(scan.sensor, range_noise(xy_raw, returns.beam[:count], sensor_xy_m))
-        self._take_out_deviation(xy_raw, beam_time_s, motion)
+        xy_raw, beam_time_s, beam = returns.xy_raw[:count], returns.beam_time_s[:count], returns.beam[:count]
+        sigma_m = self._noise_of(scan.sensor, noise_m)
         xy_base = np.empty((count, 2))
+        self._deskew(beam_time_s, xy_raw, motion, xy_base)
+        return Points(xy_base, xy_raw, beam_time_s, beam, mounting, scan, sigma_m, gap)
+
+    def _deskew(self, beam_time_s: Floats, xy_raw: Floats, motion: Motion, xy_base: Floats) -> None:
         deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
-        return Points(xy_base, xy_raw, beam_time_s, returns.beam[:count], mounting, scan, sigma_m)
-
-    def _take_out_deviation(
-        self, xy_raw: npt.NDArray[np.float64], beam_time_s: npt.NDArray[np.float64], motion: Motion
-    ) -> None:
-        """Subtract the measured deviation from the twist; here there is none."""
-
-    def _leave_out_itself(self, returns: Returns, count: int) -> int:
-        """Drop the returns inside the vehicle; returns the number of the others."""
-        outside = np.flatnonzero(~is_inside(returns.xy_raw[:count], self._outline_m))
-        for array in returns:
-            array[: len(outside)] = array[outside]
-        return len(outside)
 
     def _noise_of(self, sensor: str, shown_m: float) -> float:
         """Mean range noise over at most the newest NOISE_SCANS scans."""
@@ -108,7 +90,7 @@ class DeskewByTwist:
             self._noise[sensor] = count, mean_m
         return mean_m
 
-    def _directions_of(self, scan: LaserScan, mounting: SE2) -> npt.NDArray[np.float64]:
+    def _directions_of(self, scan: LaserScan, mounting: SE2) -> Floats:
         key = (scan.sensor, scan.first_angle_rad, scan.angle_step_rad, len(scan.range_m))
         if key not in self._directions:
             angle = mounting.theta_rad + scan.first_angle_rad + np.arange(key[3]) * scan.angle_step_rad
@@ -125,11 +107,8 @@ class DeskewByMotion(DeskewByTwist):
         """
         return scan.stamp_ns + scan.beam_interval_ns * (len(scan.range_m) - 1) // 2
 
-    def _take_out_deviation(
-        self, xy_raw: npt.NDArray[np.float64], beam_time_s: npt.NDArray[np.float64], motion: Motion
-    ) -> None:
-        if not (isinstance(motion, Prediction) and motion.deviation and len(beam_time_s)):
-            return
-        begin_s, end_s = float(beam_time_s[0]), float(beam_time_s[-1])
-        if end_s > begin_s and (deviation := motion.deviation(begin_s, end_s)) is not None:
-            apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw)
+    def _deskew(self, beam_time_s: Floats, xy_raw: Floats, motion: Motion, xy_base: Floats) -> None:
+        if isinstance(motion, Prediction) and motion.deskew is not None:
+            motion.deskew(beam_time_s, xy_raw, xy_base)
+        else:
+            super()._deskew(beam_time_s, xy_raw, motion, xy_base)

@@ -28,5 +28,5 @@ class KnownGround:
 
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
         """Points, (N, 2) m in the base frame, on walls and in free space."""
-        at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        at = np.array(pose)
         return Overlap(*count_overlap(xy_base, at, self._canvas.grid()))

@@ -93,7 +93,7 @@ class Canvas:
         trace_scan(
             xy_base,
             sensor,
-            np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+            np.array(pose),
             self.grid(),
             self._evidence,
             self._free_range_m,

@@ -286,8 +286,7 @@ def _matched(aligned: Aligned, predicted: Prediction, verdict: _Verdict) -> Matc
 
 def _alone(aligned: Aligned, chi2: float) -> Aligned:
     """The result of a search by the scan alone, to be fused with a prior of reduced weight."""
-    measured = replace(
-        aligned.measured,
+    measured = aligned.measured._replace(
         covariance=np.asarray(np.linalg.inv(aligned.measured.information), np.float64),
         prior_weight=min(1.0, (STUDENT + 3.0) / (STUDENT + chi2)),
         is_joined=False,

@@ -54,7 +54,7 @@ def search_around(
     None where the map is empty within reach.
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, section V.
     """
-    window = window_around(np.array([pose.x_m, pose.y_m, pose.theta_rad]), reach, layer, step_rad)
+    window = window_around(np.array(pose), reach, layer, step_rad)
     found = search_bounded(thinned(xy_base, SEARCH_BEAMS), layer, window, layer.offset)
     if not found.score > layer.offset:
         return None

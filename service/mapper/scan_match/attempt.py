@@ -1,7 +1,8 @@
 """Data passed between the parts of the default profile's matcher."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.kernels.match import MatchResult, Prior
 from service.mapper.components import Points
-from service.mapper.judgement import chi2_between
+from service.mapper.judgement import Evidence, chi2_between, is_contradicted
 from service.mapper.scan_match.posts import Posts
 from service.mapper.scan_match.submaps import Submap
 from service.outputs import Reason, State
@@ -18,8 +19,7 @@ from service.outputs import Reason, State
 Matrix = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Attempt:
+class Attempt(NamedTuple):
     """A scan to be aligned with a map, with its predicted pose there."""
 
     points: Points  # shifted along their walls, [24]
@@ -35,8 +35,7 @@ class Attempt:
         return self.points.scan.stamp_ns
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Aligned:
+class Aligned(NamedTuple):
     """The result on one sub-map."""
 
     result: MatchResult
@@ -44,7 +43,7 @@ class Aligned:
     submap: Submap
     state: State
     reason: Reason
-    is_contradicted: bool  # by free space and walls of the map; False if the inlier ratio is high
+    evidence: Evidence
     is_moving: npt.NDArray[np.bool_] | None = None  # as in Match
 
     def agreement(self, attempt: Attempt) -> float:
@@ -56,9 +55,13 @@ class Aligned:
         return on_map / (on_map + wrong) if wrong else 1.0
 
     @property
+    def is_contradicted(self) -> bool:
+        """Whether free space and walls of the map contradict it; False if the inlier ratio is high."""
+        return is_contradicted(self.evidence)
+
+    @property
     def pose(self) -> SE2:
-        x_m, y_m, theta_rad = self.result.pose.tolist()
-        return SE2(x_m, y_m, theta_rad)
+        return SE2(*self.result.pose.tolist())
 
 
 def turned_about(sensor_base: SE2, predicted: Prediction) -> Prediction:

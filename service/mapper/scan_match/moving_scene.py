@@ -16,7 +16,7 @@ model for scan matching, moving object detection and motion estimation, ICRA 201
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -319,7 +319,7 @@ class MovingScene:
         is_static = np.isfinite(residual_m)
         normals = attempt.normals.copy()
         normals[~is_static, 2] = 0.0
-        static = replace(attempt, normals=normals, prior=prior)
+        static = attempt._replace(normals=normals, prior=prior)
         return self._align(static, prior.pose, submap, True), float(is_static.mean())
 
     def _start(self, static: Aligned, attempt: Attempt) -> Aligned:
@@ -350,7 +350,7 @@ class MovingScene:
         chi2 = chi2_of(static.pose, attempt.prior)
         weight = min(1.0, (STUDENT + 3.0) / (STUDENT + chi2))
         result = static.result._replace(prior_weight=weight)
-        return replace(static, result=result, state=state, reason=reason, is_moving=is_moving)
+        return static._replace(result=result, state=state, reason=reason, is_moving=is_moving)
 
     def _is_drifting(self, static: Aligned, attempt: Attempt) -> bool:
         """Whether matches of entire scans drift from the static path.
@@ -390,5 +390,5 @@ def _dynamic_share(aligned: Aligned) -> float:
 
 def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:
     pose = conflict.pose
-    at = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+    at = np.array(pose)
     return attempt.prior._replace(pose=at, covariance=conflict.covariance)

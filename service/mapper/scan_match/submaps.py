@@ -1,7 +1,6 @@
 """The local map of the default profile: two overlapping sub-maps of surfels; scans match the older one."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -94,15 +93,17 @@ class Submap:
         return SurfelGrid(self._fine_tiles.index(), surfels, field, cell_m)  # type: ignore[arg-type]
 
     def weighed(
-        self, points: Points, normals: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+        self,
+        points: Points,
+        normals: npt.NDArray[np.float64],
+        pose: npt.NDArray[np.float64],
+        grid: SurfelGrid,
     ) -> npt.NDArray[np.float64]:
-        """The normals of a scan to be matched from a pose (3,), weighed by the static score."""
+        """The normals of a scan to be matched from a pose (3,), weighed by the static score. grid: grid()."""
         if self._dynamic_filter.full_score == 0:
             return normals
         weighed = normals.copy()
-        weigh_static_score(
-            points.xy_base, pose, self.grid(), self._observations(), self._dynamic_filter, weighed
-        )
+        weigh_static_score(points.xy_base, pose, grid, self._observations(), self._dynamic_filter, weighed)
         return weighed
 
     def contradicting(
@@ -176,7 +177,7 @@ class Submap:
         self._tiles.cover_around(near, reach_m, cell_m, TILE_BITS, SPLAT_REACH_CELLS)
         self._fine_tiles.cover_around(near, reach_m, cell_m / PARTS, TILE_BITS)
         grid = self.grid()
-        pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        pose_vector = np.array(pose)
         if self._last_pose is not None:
             self._path_m += math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
         self._last_pose = pose
@@ -371,7 +372,7 @@ class SurfelSubmaps:
             GRAZING_WEIGHT,
         )
         xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm; rotation within the sweep neglected
-        return replace(points, xy_base=xy_base, xy_raw=xy_raw), normals
+        return points._replace(xy_base=xy_base, xy_raw=xy_raw), normals
 
     def insert(self, points: Points, match: Match) -> MapChange:
         if not len(points.xy_base):

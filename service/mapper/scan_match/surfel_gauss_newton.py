@@ -1,7 +1,7 @@
 """The matcher of the default profile: Gauss-Newton on surfels, with a coarse map for other initial poses."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,6 @@ from service.mapper.judgement import (
     Evidence,
     JudgementConfig,
     begun,
-    is_contradicted,
     is_loose,
     judge,
     sigmas_of,
@@ -166,7 +165,7 @@ class SurfelGaussNewton:
             points, turned_about(points.sensor_base, predicted), local_map, local_map.matched_to
         )
         match = self._as_match(aligned, attempt, aligned.state, aligned.reason)
-        return replace(match, advantage=aligned.agreement(attempt) - turned.agreement(turned_attempt))
+        return match._replace(advantage=aligned.agreement(attempt) - turned.agreement(turned_attempt))
 
     def _aligned_near(
         self, points: Points, predicted: Prediction, local_map: SurfelSubmaps, submap: Submap
@@ -174,7 +173,7 @@ class SurfelGaussNewton:
         attempt = self._attempt(points, predicted, local_map)
         aligned = self._align(attempt, attempt.prior.pose, submap)
         if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
-            attempt = replace(attempt, usual_ratio=0.0)  # no other initial pose is tried
+            attempt = attempt._replace(usual_ratio=0.0)  # no other initial pose is tried
             aligned = self._align(attempt, attempt.prior.pose, submap)
         return attempt, aligned
 
@@ -219,7 +218,7 @@ class SurfelGaussNewton:
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
-        attempt = replace(attempt, prior=_prior_of(predicted, None))
+        attempt = attempt._replace(prior=_prior_of(predicted, None))
         detached = self._align(attempt, attempt.prior.pose, local_map.detached)
         if detached.state == "lost" or self._scene.is_displaced(attempt, detached):
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
@@ -241,16 +240,14 @@ class SurfelGaussNewton:
         return self._confirmation.confirms(aligned.pose, attempt.predicted.pose_odom_base)
 
     def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
-        result = aligned.result
-        forward, left, turn = result.twist.tolist()
-        pose = aligned.pose
-        gap = None
+        result, pose, gap = aligned.result, aligned.pose, None
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
         measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
+        forward, left, turn = result.twist.tolist()
         motion = Motion(pose, (forward, left, turn), result.covariance)
         moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
-        deskewed = replace(attempt.unmoved, xy_base=aligned.xy_base - moved_m)
+        deskewed = attempt.unmoved._replace(xy_base=aligned.xy_base - moved_m)
         number, is_moving = aligned.submap.number, aligned.is_moving
         return Match(motion, deskewed, result.share, state, reason, number, measured, is_moving=is_moving)
 
@@ -260,10 +257,10 @@ class SurfelGaussNewton:
         sensor = attempt.points.scan.sensor
         if attempt.posts is not None or not self._bias.is_due(sensor, attempt.predicted.travel_m):
             return
-        deskewed = replace(attempt.points, xy_base=aligned.xy_base)
+        deskewed = attempt.points._replace(xy_base=aligned.xy_base)
         offset_m = self._bias.learn(
             deskewed,
-            aligned.submap.weighed(deskewed, attempt.normals, aligned.result.pose),
+            aligned.submap.weighed(deskewed, attempt.normals, aligned.result.pose, aligned.submap.grid()),
             aligned.result.pose,
             aligned.submap,
             local_map.laser_of(sensor),
@@ -279,27 +276,28 @@ class SurfelGaussNewton:
 
         is_constrained: the prior is Gaussian, and contradictions by the map are evaluated.
         """
-        points = attempt.points
+        points, predicted = attempt.points, attempt.predicted
         xy_base, normals = points.xy_base.copy(), attempt.normals
         if attempt.posts is None:
             normals = submap.narrow_walls.directed(points, normals, start)
-        normals = submap.weighed(points, normals, start)
+        grid = submap.grid()
+        normals = submap.weighed(points, normals, start, grid)
         returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
         if attempt.posts is not None:
             returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
-        chance_chi2 = _chance_chi2(attempt.predicted)
+        is_scan_alone, chance_chi2 = predicted.is_scan_alone, _chance_chi2(predicted)
         result: MatchResult = match_scan(
             returns,
             normals,
             attempt.prior,
             start,
-            submap.grid(),
+            grid,
             # Half cells have noisier normals; where only scans measure the motion, chance would be followed.
-            submap.grid() if attempt.predicted.is_scan_alone else submap.fine_grid(),
+            grid if is_scan_alone else submap.fine_grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
-                repeats=max(1.0, SAME_WALL_M / _travel_m(attempt.predicted)),
-                chance_chi2=0.0 if attempt.predicted.is_scan_alone else chance_chi2,
+                repeats=max(1.0, SAME_WALL_M / _travel_m(predicted)),
+                chance_chi2=0.0 if is_scan_alone else chance_chi2,
                 information_chance_chi2=chance_chi2,
                 degrees_of_freedom=GAUSSIAN if is_constrained else STUDENT,
             ),
@@ -308,9 +306,7 @@ class SurfelGaussNewton:
         )
         xy_base = xy_base[: len(points.xy_base)]
         evidence = self._evidence(result, xy_base, attempt, submap, is_constrained)
-        return Aligned(
-            result, xy_base, submap, *judge(evidence, self._config), is_contradicted=is_contradicted(evidence)
-        )
+        return Aligned(result, xy_base, submap, *judge(evidence, self._config), evidence)
 
     def _evidence(
         self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap, is_checked: bool
@@ -369,7 +365,7 @@ class SurfelGaussNewton:
         start = self._steady.pose_at(attempt.stamp_ns)
         if start is None:
             return aligned
-        begin = np.array([start.x_m, start.y_m, start.theta_rad])
+        begin = np.array(start)
         if _chi2(begin, attempt.prior) < JUMP_CHI2:
             return aligned  # the same initial pose
         found = self._align(attempt, begin, aligned.submap)
@@ -383,7 +379,7 @@ class SurfelGaussNewton:
         the map may be on new ground, and elsewhere more of them may lie on it by chance. A match that the map
         does not contradict is therefore replaced only by a pose that is about as likely by the prediction.
         """
-        prior = sigmas_of(attempt.prior.covariance)
+        prior = aligned.evidence.prior
         share = aligned.result.share
         if aligned.state != "lost" and (not is_loose(prior) or share >= DOUBT_RATIO * attempt.usual_ratio):
             return aligned
@@ -400,7 +396,7 @@ class SurfelGaussNewton:
         )
         if start is None:
             return aligned
-        found = self._align(attempt, np.array([start.x_m, start.y_m, start.theta_rad]), aligned.submap)
+        found = self._align(attempt, np.array(start), aligned.submap)
         if found.state == "lost" or found.result.share < share + MIN_INLIER_GAIN:
             return aligned
         less_likely = _chi2(found.result.pose, attempt.prior) - _chi2(aligned.result.pose, attempt.prior)
@@ -453,7 +449,7 @@ def _chi2(pose: Matrix, prior: Prior) -> float:
 def _off(pose: Matrix, prior: Prior) -> Matrix:
     """(3,) m, m, rad: a pose (3,) relative to the prediction, in its axes."""
     away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
-    return np.array([away.x_m, away.y_m, away.theta_rad])
+    return np.array(away)
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
@@ -471,7 +467,7 @@ def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
         )
         predicted = predicted.with_added_covariance(carry @ gap.covariance @ carry.T)
     return Prior(
-        np.array([pose.x_m, pose.y_m, pose.theta_rad]),
+        np.array(pose),
         np.array(predicted.twist_base),
         predicted.local_covariance,
         predicted.twist_gain,

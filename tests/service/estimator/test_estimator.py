@@ -153,7 +153,7 @@ def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
     covariance = np.linalg.inv(np.linalg.inv(prior.local_covariance) + information)
     step = SE2.exp(*(covariance @ information @ off))
     mean = prior.pose_odom_base @ step
-    covariance = carried(covariance, np.array([step.x_m, step.y_m, step.theta_rad]))
+    covariance = carried(covariance, np.array(step))
     first = alone.correct(scan)
     second = joined.correct(Measurement(mean, covariance, information))
     for got in (first, second):
@@ -213,7 +213,7 @@ def test_what_a_step_adds_is_the_same_however_far_the_pose_has_drifted() -> None
                 before, began = model.filter.covariance[MAP_BLOCK, MAP_BLOCK].copy(), motion.pose_odom_base
             pose, wheels = pose @ SE2.exp(0.1, 0.0, 0.02), wheels @ SE2.exp(0.1, 0.01, 0.05)
         step = began.inverse() @ motion.pose_odom_base
-        away = np.array([step.x_m, step.y_m, step.theta_rad])
+        away = np.array(step)
         added.append(motion.covariance - carried(before, away))
     np.testing.assert_allclose(added[1], added[0], atol=1e-9)
 

@@ -27,8 +27,9 @@ def test_returns_keep_their_beam_and_its_moment() -> None:
     range_m.setflags(write=False)
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
     returns = Returns(np.empty((5, 2)), np.empty(5), np.empty(5, np.int32))
-    count = project_returns(range_m, direction, np.array([0.2, 0.1]), np.array([0.1, 50.0]), 0.001, returns)
-    assert count == 2
+    sensor, gate_m, no_outline = np.array([0.2, 0.1]), np.array([0.1, 50.0]), np.zeros((0, 2))
+    count, noise_m, gap = project_returns(range_m, direction, sensor, gate_m, no_outline, 0.001, 0.0, returns)
+    assert (count, noise_m, gap) == (2, 0.0, 3)
     np.testing.assert_allclose(returns.xy_raw[:2], [[0.2, 2.1], [-2.8, 0.1]])
     np.testing.assert_allclose(returns.beam_time_s[:2], [0.001, 0.004])
     assert returns.beam[:2].tolist() == [1, 4]

@@ -102,8 +102,8 @@ def test_the_velocity_leads_from_one_pose_to_the_next(turn: float) -> None:  # A
     end = start @ SE2.exp(*(0.02 * rate for rate in twist))
     found = np.empty(3)
     velocity_between(
-        np.array([start.x_m, start.y_m, start.theta_rad]),
-        np.array([end.x_m, end.y_m, end.theta_rad]),
+        np.array(start),
+        np.array(end),
         0.02,
         found,
     )

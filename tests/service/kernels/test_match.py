@@ -67,7 +67,7 @@ def room_scan(pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 def normals_of(xy: np.ndarray, sigma_m: float = SIGMA_M) -> np.ndarray:
     normals = np.empty((len(xy), 3))
-    estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, 5.0, normals, np.empty(len(xy)))
+    estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, 5.0, normals, np.empty((len(xy), 2)))
     return normals
 
 

@@ -21,10 +21,10 @@ def walls_at(
     sigma_m: float = SIGMA_M,
     step_rad: float = STEP_RAD,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normals, and how far aside the points are moved, m."""
-    normals, aside_m = np.full((len(xy), 3), np.nan), np.full(len(xy), np.nan)
-    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), step_rad, sigma_m, 5.0, normals, aside_m)
-    return normals, aside_m
+    """Normals, and the points moved along their walls."""
+    normals, moved = np.full((len(xy), 3), np.nan), np.full((len(xy), 2), np.nan)
+    estimate_normals(np.ascontiguousarray(xy), np.array(sensor), step_rad, sigma_m, 5.0, normals, moved)
+    return normals, moved
 
 
 def wall(distance_m: float, angles: np.ndarray) -> np.ndarray:
@@ -332,9 +332,9 @@ def test_the_side_of_a_door_is_a_plane_for_a_laser_of_one_degree() -> None:
         xy, is_side = sunk_door(0.2, step_rad)
         towards = xy / np.hypot(*xy.T)[:, None]
         xy = xy + towards * np.random.default_rng(seed).normal(0.0, SIGMA_M, len(xy))[:, None]
-        normals, aside_m = walls_at(xy, step_rad=step_rad)
+        normals, there = walls_at(xy, step_rad=step_rad)
         of_side = normals[is_side & (normals[:, 2] > 0.5)]
-        moved += int((aside_m[is_side & (normals[:, 2] > 0.5)] != 0.0).sum())
+        moved += int((there != xy)[is_side & (normals[:, 2] > 0.5)].any(axis=1).sum())
         planar += len(of_side)
         off_rad += list(np.arctan2(of_side[:, 1], -of_side[:, 0]))
     assert is_side.sum() == 3
@@ -363,9 +363,8 @@ def test_noise_along_the_beam_is_taken_out_along_the_wall_and_left_across_it(
     for of_scan_m in noise_m:
         range_m = 1.5 / np.cos(angles) + of_scan_m
         xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-        normals, aside_m = walls_at(xy, sigma_m=sigma_m)
-        there = xy + aside_m[:, None] * np.column_stack([-normals[:, 1], normals[:, 0]])
-        assert (aside_m[normals[:, 2] < 0.5] == 0.0).all()
+        normals, there = walls_at(xy, sigma_m=sigma_m)
+        assert (there == xy)[normals[:, 2] < 0.5].all()
         aslant = (np.abs(angles) > 0.6) & (normals[:, 2] >= 1.0)
         along += list((xy[:, 1] - 1.5 * np.tan(angles))[aslant])
         moved += list((there[:, 1] - 1.5 * np.tan(angles))[aslant])
@@ -376,8 +375,8 @@ def test_noise_along_the_beam_is_taken_out_along_the_wall_and_left_across_it(
 
 
 def test_a_point_without_noise_stays_where_it_is() -> None:
-    _, aside_m = walls_at(wall(2.0, np.arange(-1.0, 1.0, STEP_RAD)), sigma_m=1e-4)
-    np.testing.assert_allclose(aside_m, 0.0, atol=1e-6)
+    xy = wall(2.0, np.arange(-1.0, 1.0, STEP_RAD))
+    np.testing.assert_allclose(walls_at(xy, sigma_m=1e-4)[1], xy, atol=1e-6)
 
 
 def test_noise_parts_no_wall_that_is_seen_aslant() -> None:

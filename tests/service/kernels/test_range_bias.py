@@ -41,7 +41,7 @@ def seen_from(x_m: float, bias_m: np.ndarray, rng: np.random.Generator) -> tuple
         range_m[:, None] * np.column_stack([np.cos(ANGLES), np.sin(ANGLES)]),
         np.empty((len(ANGLES), 3)),
     )
-    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals, np.empty(len(xy)))
+    estimate_normals(xy, np.zeros(2), STEP_RAD, SIGMA_M, 5.0, normals, np.empty((len(xy), 2)))
     return xy, normals
 
 

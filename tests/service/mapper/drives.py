@@ -5,7 +5,7 @@ Written apart from the simulators on purpose: an error in one of them cannot hid
 
 import math
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def poses_in_sweep(motion: Motion, begin_s: float) -> np.ndarray:
     """
     sweep_s = (BEAMS - 1) * BEAM_NS * 1e-9
     begin, middle, end = (motion(begin_s + share * sweep_s) for share in (0.0, 0.5, 1.0))
-    before, after = (np.array(astuple(middle.inverse() @ pose)) for pose in (begin, end))
+    before, after = (np.array(middle.inverse() @ pose) for pose in (begin, end))
     u = np.linspace(-1.0, 1.0, BEAMS)[:, None]
     x, y, turn = (0.5 * u * (after - before) + 0.5 * u * u * (after + before)).T
     c, s = math.cos(middle.theta_rad), math.sin(middle.theta_rad)
@@ -89,7 +89,7 @@ def scan_at(
     mounting: SE2 = MOUNTING,
 ) -> LaserScan:
     """One sweep; every beam leaves from where the laser is at its own moment."""
-    laser = compose(poses_in_sweep(motion, (stamp_ns - start_ns) * 1e-9), np.array(astuple(mounting)))
+    laser = compose(poses_in_sweep(motion, (stamp_ns - start_ns) * 1e-9), np.array(mounting))
     origins, angle = laser[:, :2], laser[:, 2] + FIRST_RAD + STEP_RAD * np.arange(BEAMS)
     paths = np.column_stack((np.cos(angle), np.sin(angle)))
     range_m = cast(walls, origins, paths) + sigma_m * noise.standard_normal(BEAMS)

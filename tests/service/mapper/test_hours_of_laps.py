@@ -7,7 +7,7 @@ import gc
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,7 @@ def frames(ride: Ride, seconds: float) -> Iterator[Frame]:
             odometry_pose @ SE2.exp(path[0] + sigma[0], path[1], path[2] + 0.5 * sigma[1]),
             now,
         )
-        yield OdometrySample("base", stamp_ns, stamp_ns, *astuple(odometry_pose), (0.0, 0.0, 0.0), (0.0,) * 9)
+        yield OdometrySample("base", stamp_ns, stamp_ns, *odometry_pose, (0.0, 0.0, 0.0), (0.0,) * 9)
         yield from scans_at(source, LASER, stamp_ns, [1])
 
 

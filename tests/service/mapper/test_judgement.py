@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,11 +16,11 @@ GOOD = Evidence(
     is_measured=True,
     is_far=False,
 )
-NEW_GROUND = replace(GOOD, on_map=50, in_free=5)
+NEW_GROUND = GOOD._replace(on_map=50, in_free=5)
 
 
 def state(evidence: Evidence, **changes: object) -> str:
-    return judge(replace(evidence, **changes), RATIOS)[0]  # type: ignore[arg-type]
+    return judge(evidence._replace(**changes), RATIOS)[0]  # type: ignore[arg-type]
 
 
 def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> None:
@@ -52,12 +51,12 @@ def test_new_ground_is_degraded_where_the_prediction_is_tight_and_measured() -> 
     ],
 )
 def test_odometry_carries_the_pose_onto_unknown_ground(changes: dict[str, object], expected: str) -> None:
-    unknown = replace(GOOD, on_map=0, in_free=0, behind=0)
+    unknown = GOOD._replace(on_map=0, in_free=0, behind=0)
     assert state(unknown, **changes) == expected
 
 
 def test_once_a_scan_has_contradicted_the_map_walls_that_should_be_seen_count() -> None:
-    back = replace(GOOD, on_map=170, in_free=70, behind=230)  # carried 5 m along a corridor of an office
+    back = GOOD._replace(on_map=170, in_free=70, behind=230)  # carried 5 m along a corridor of an office
     assert state(back) == "degraded"
     assert state(back, is_in_doubt=True) == "lost"
     assert state(back, behind=90, is_in_doubt=True) == "degraded"
@@ -82,12 +81,12 @@ def test_once_a_scan_has_contradicted_the_map_walls_that_should_be_seen_count() 
 def test_new_ground_beside_walls_that_fix_the_pose_is_ok_where_nothing_contradicts(
     changes: dict[str, object], expected: str
 ) -> None:
-    assert state(replace(GOOD, on_map=215, in_free=0, behind=0), **changes) == expected
+    assert state(GOOD._replace(on_map=215, in_free=0, behind=0), **changes) == expected
 
 
 def test_a_handful_of_returns_confirms_no_place() -> None:
     assert state(GOOD, used=20, on_map=20, in_free=0) == "ok"
-    few, reason = judge(replace(GOOD, used=19, on_map=19, in_free=0), RATIOS)
+    few, reason = judge(GOOD._replace(used=19, on_map=19, in_free=0), RATIOS)
     assert few == "degraded"
     assert reason.startswith("19 returns (expected at least 20)")
 
@@ -96,7 +95,7 @@ def test_returns_in_free_space_contradict_any_prediction() -> None:
     assert state(NEW_GROUND, in_free=60) == "lost"
     assert state(GOOD, on_map=240, in_free=200) == "ok"  # people close by
     assert state(GOOD, on_map=240, in_free=250) == "lost"
-    reason = judge(replace(GOOD, on_map=240, in_free=250), RATIOS)[1]
+    reason = judge(GOOD._replace(on_map=240, in_free=250), RATIOS)[1]
     assert "in its free space (of those on known ground 49% on its walls, expected 50%)" in reason
 
 
@@ -140,22 +139,22 @@ def test_an_uncertain_pose_is_degraded_or_lost(sigma: tuple[float, float], expec
 def test_an_uncertain_position_along_an_open_direction_is_not_lost(
     changes: dict[str, object], expected: str
 ) -> None:
-    slipped = replace(GOOD, sigma=(1.4, 0.01), prior=(1.4, 0.01), weakest=(5.0, 0.0), behind=0, in_free=0)
+    slipped = GOOD._replace(sigma=(1.4, 0.01), prior=(1.4, 0.01), weakest=(5.0, 0.0), behind=0, in_free=0)
     assert state(slipped, **changes) == expected
 
 
 @pytest.mark.parametrize("much", [185363.8, math.inf])
 def test_a_sigma_that_measures_nothing_is_not_reported_as_a_number(much: float) -> None:
-    reason = judge(replace(GOOD, weakest=(much, 0.5)), RATIOS)[1]
+    reason = judge(GOOD._replace(weakest=(much, 0.5)), RATIOS)[1]
     assert "heading (sigma not known, expected at most 0.1 m)" in reason
     for sigma in ((much, 0.01), (0.01, much)):
-        state_then, reason = judge(replace(GOOD, sigma=sigma), RATIOS)
+        state_then, reason = judge(GOOD._replace(sigma=sigma), RATIOS)
         assert state_then == "lost"
         assert reason.startswith("the pose on the map is not known. Drive where")
-    assert "sigma 0.20 m" in judge(replace(GOOD, weakest=(0.2, 0.5)), RATIOS)[1]
+    assert "sigma 0.20 m" in judge(GOOD._replace(weakest=(0.2, 0.5)), RATIOS)[1]
     assert (
         "uncertain by 0.80 m and 0.6 deg (sigma, expected at most 0.75 m and 20 deg)"
-        in (judge(replace(GOOD, sigma=(0.8, 0.01)), RATIOS)[1])
+        in (judge(GOOD._replace(sigma=(0.8, 0.01)), RATIOS)[1])
     )
 
 
@@ -164,7 +163,7 @@ def test_a_sigma_that_measures_nothing_is_not_reported_as_a_number(much: float) 
     [(0.0, "0"), (0.4, "0"), (179.6, "0"), (180.0, "0"), (-0.3, "0"), (-1.0, "179"), (270.0, "90")],
 )
 def test_an_open_direction_is_an_axis_with_one_name(direction_deg: float, axis: str) -> None:
-    reason = judge(replace(GOOD, weakest=(0.2, math.radians(direction_deg))), RATIOS)[1]
+    reason = judge(GOOD._replace(weakest=(0.2, math.radians(direction_deg))), RATIOS)[1]
     assert f"the direction {axis} deg from" in reason
 
 

@@ -157,7 +157,7 @@ class ContourMap:
             self._skipped += 1
             return MapChange()
         learning = self._learning._replace(scans=1 + self._skipped)
-        pose_vector = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        pose_vector = np.array(pose)
         contour = np.empty(len(points.xy_base), np.int32)
         contours = self._config.contours
         extract_contours(points.xy_base, contours.longest_step_m, contours.most_ratio, contour)

@@ -1,7 +1,6 @@
 """Brute search on the coarsest level, then Levenberg-Marquardt down the pyramid with the velocity."""
 
 import math
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -112,7 +111,7 @@ class ContourLm:
         covariance = self._covariance(hessian, pose[2])
         x_m, y_m, theta_rad = pose.tolist()
         measured = self._measurement(SE2(x_m, y_m, theta_rad), covariance, predicted)
-        return Aligned(measured, replace(points, xy_base=xy_base))
+        return Aligned(measured, points._replace(xy_base=xy_base))
 
     def search(
         self, points: Points, local_map: ContourMap, pose: SE2, reach: tuple[float, float]
@@ -156,7 +155,7 @@ class ContourLm:
         """Initial pose: the prediction, or a clearly more likely candidate around it."""
         config = self._config.search
         begin = predicted.pose_odom_base
-        pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
+        pose = np.array(begin)
         sigma = [math.sqrt(float(variance)) for variance in np.diag(predicted.local_covariance)]
         window_m = min(config.window_sigmas * max(sigma[:2]), config.most_window_m)
         window_rad = min(config.window_sigmas * sigma[2], config.most_window_rad)
@@ -189,7 +188,7 @@ class ContourLm:
         """
         config = self._config
         to = predicted.pose_odom_base
-        prior_pose = np.array([to.x_m, to.y_m, to.theta_rad])
+        prior_pose = np.array(to)
         information = np.zeros((3, 3))
         if self._has_prior(predicted):
             rotate_information(np.linalg.inv(predicted.local_covariance), prior_pose[2], information)
@@ -206,7 +205,7 @@ class ContourLm:
                 weights_of_map,
                 prior_pose,
                 information,
-                np.array([start.x_m, start.y_m, start.theta_rad]),
+                np.array(start),
                 predicted.elapsed_s if number == 0 and config.estimate_velocity else 0.0,
                 twist_gain,
                 field,

@@ -115,7 +115,7 @@ class IcpThenSearch:
     def _widening(self, xy_base: Array, layer: LikelihoodLayer, begin: SE2) -> SearchResult:
         """Search the window, doubled while the best candidate lies on its border."""
         config = self._config
-        pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
+        pose = np.array(begin)
         while True:
             window = window_around(pose, (self.window_m, config.window_rad), layer, config.step_rad)
             if config.search == "narrowing":

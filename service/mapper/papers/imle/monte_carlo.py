@@ -47,7 +47,7 @@ class MonteCarloSearch:
         found, _, _ = monte_carlo_search(
             points.xy_base,
             layer,
-            np.array([begin.x_m, begin.y_m, begin.theta_rad]),
+            np.array(begin),
             self._noise.standard_normal((3 * config.trials, 3)),
             config.sigma_m,
             config.sigma_rad,

@@ -1,6 +1,5 @@
 """Scan-to-scan ICP: the start of a search, or a matcher by itself."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +62,7 @@ class ScanIcp:
         result = icp_point_to_point(
             newer,
             older,
-            np.array([guess.x_m, guess.y_m, guess.theta_rad]),
+            np.array(guess),
             config.pair_m,
             config.iterations,
             config.settled,
@@ -81,7 +80,7 @@ def deskewed(points: Points, predicted: Prediction, pose: SE2) -> Points:
     """The points deskewed with the twist at a matched pose."""
     xy_base = np.empty_like(points.xy_base)
     deskew_points(points.xy_raw, points.beam_time_s, np.array(predicted.twist_at(pose)), xy_base)
-    return replace(points, xy_base=xy_base)
+    return points._replace(xy_base=xy_base)
 
 
 class IcpScanToScanConfig(IcpConfig, JudgementConfig):

@@ -62,7 +62,7 @@ class BruteSearch:
         config = self._config
         window_m, window_rad = self._window(predicted)
         begin = local_map.pose_axes_odom @ predicted.pose_odom_base
-        pose = np.array([begin.x_m, begin.y_m, begin.theta_rad])
+        pose = np.array(begin)
         thin, weights = thin_evenly(points.xy_base, config.beams, config.residual_sigma)
         pose, steps = self._search(thin, pose, local_map, window_m, window_rad)
         field = local_map.field()

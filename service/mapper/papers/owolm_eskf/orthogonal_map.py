@@ -209,7 +209,7 @@ class OrthogonalMap:
 
     def _inlier_ratio(self, points: Points, pose: SE2) -> float:
         at = self.pose_axes_odom @ pose
-        values = values_at(points.xy_base, np.array([at.x_m, at.y_m, at.theta_rad]), self.field())
+        values = values_at(points.xy_base, np.array(at), self.field())
         return float((values[:, 0] >= self._config.on_map_likelihood).mean())
 
     def _is_due(self, points: Points, match: Match) -> bool:

@@ -176,7 +176,7 @@ class CountedSubmaps:
         return self.particles[int(np.argmax(self.weights))]
 
     def overlap(self, xy_base: npt.NDArray[np.float64], pose: SE2) -> Overlap:
-        return self._overlap(self.best.map, xy_base, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
+        return self._overlap(self.best.map, xy_base, np.array(pose))
 
     def overlap_of(self, particle: Particle, xy_base: npt.NDArray[np.float64]) -> Overlap:
         """Overlap of a scan with the map of a particle, at its pose."""
@@ -185,7 +185,7 @@ class CountedSubmaps:
     def gather(self, pose: SE2) -> None:
         """Set every particle to a pose in odom."""
         for particle in self.particles:
-            particle.pose = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+            particle.pose = np.array(pose)
 
     def start_over(self) -> None:
         """Close the sub-map as it is; the next one starts empty."""

@@ -111,7 +111,7 @@ class ParticleFilter:
 
     def move_particles(self, step: SE2, covariance: Array, local_map: CountedSubmaps) -> None:
         """Move each particle by a step, and by a sampled error if particles are sampled from the motion."""
-        vector = np.array([step.x_m, step.y_m, step.theta_rad])
+        vector = np.array(step)
         self._deviates = self._random.standard_normal((len(local_map.particles), 3))
         root = _root(covariance) if self._config.draw == "aligned" else np.zeros((3, 3))
         for particle, error in zip(local_map.particles, self._deviates @ root.T, strict=True):

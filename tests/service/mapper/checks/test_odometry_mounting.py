@@ -209,7 +209,7 @@ def test_a_laser_that_is_turned_by_three_degrees_is_named_within_a_lap():
     (made,) = Trip(WORLDS["office"], laser, 30.0, Wheels()).drives([11])
     right = run(mapping_config(), made)
     assert {output.state for output in right.outputs} == {"ok"}
-    turned = replace(laser.mounting, theta_rad=laser.mounting.theta_rad + math.radians(3.0))
+    turned = laser.mounting._replace(theta_rad=laser.mounting.theta_rad + math.radians(3.0))
     wrong = run(mapping_config(), made, mountings={laser.name: turned})
     last = wrong.outputs[-1]
     assert last.state == "degraded"

@@ -70,7 +70,7 @@ def predicted(pose: SE2, travel_m: float = 0.1) -> Prediction:
 
 
 def at(points: Points, stamp_s: float) -> Points:
-    return replace(points, scan=replace(points.scan, stamp_ns=round(stamp_s * 1e9)))
+    return points._replace(scan=replace(points.scan, stamp_ns=round(stamp_s * 1e9)))
 
 
 @pytest.fixture

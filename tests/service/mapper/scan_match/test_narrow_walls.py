@@ -50,7 +50,7 @@ def rough_face(noise: np.random.Generator, name: str) -> Points:
     xy = np.column_stack((6.04 + 0.01 * noise.uniform(-1.0, 1.0, 3), noise.uniform(1.0, 1.25, 3)))
     xy *= -1.0 if name == "rear" else 1.0
     points = points_of(xy)
-    return replace(points, scan=replace(points.scan, sensor=name))
+    return points._replace(scan=replace(points.scan, sensor=name))
 
 
 def rough(points: Points) -> np.ndarray:

@@ -75,7 +75,7 @@ def on_each_second_beam(points: Points) -> Points:
     range_m = np.full(2 * len(scan.range_m) - 1, np.nan, np.float32)
     range_m[::2] = scan.range_m
     scan = replace(scan, angle_step_rad=scan.angle_step_rad / 2.0, range_m=range_m)
-    return replace(points, beam=2 * points.beam, usual_gap=2, scan=scan)
+    return points._replace(beam=2 * points.beam, usual_gap=2, scan=scan)
 
 
 def test_a_wall_seen_on_each_second_beam_is_no_row_of_posts():

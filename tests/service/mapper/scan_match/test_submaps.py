@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def insert(
     """is_matched: of a lost scan, to the detached segment."""
     points, pose = square(), SE2(x_m, 0.0, theta_rad)
     measured = Measurement(pose, np.eye(3), np.eye(3)) if is_matched else None
-    return chain.insert(points, replace(match_at(pose, points, state), measured=measured))
+    return chain.insert(points, match_at(pose, points, state)._replace(measured=measured))
 
 
 def number(chain: SurfelSubmaps) -> int:
@@ -189,7 +188,7 @@ def test_points_where_nothing_stands_and_points_behind_walls_contradict_the_map(
     normals = np.ones((360, 3))
 
     def contradicting(xy_base: np.ndarray, pose: SE2 | None = None) -> tuple[int, int]:
-        at = np.zeros(3) if pose is None else np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        at = np.zeros(3) if pose is None else np.array(pose)
         return submap.contradicting(points_of(xy_base), xy_base, normals, at)
 
     square_m = square().xy_base
@@ -214,7 +213,7 @@ def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
     noisy = points_of(xy * (1.0 + noise / np.hypot(xy[:, 0], xy[:, 1]))[:, None])
 
     def planar_share(sigma_m: float) -> float:
-        _, normals = submaps().on_walls(replace(noisy, range_sigma_m=sigma_m))
+        _, normals = submaps().on_walls(noisy._replace(range_sigma_m=sigma_m))
         return float((normals[:, 2] >= 1.0).mean())
 
     assert planar_share(0.01) < 0.5
@@ -238,7 +237,7 @@ def test_of_a_standing_vehicle_each_scan_takes_over_no_more_than_its_share(
     chain = submaps()
     room = square()
     chain.insert(room, match_at(SE2(), room))
-    left = [chain.insert(room, replace(match_at(SE2(), room), inlier_ratio=0.6)).error_left for _ in range(3)]
+    left = [chain.insert(room, match_at(SE2(), room)._replace(inlier_ratio=0.6)).error_left for _ in range(3)]
     assert left == pytest.approx([0.6, 2.0 / 3.0, 0.75])
 
 
@@ -257,6 +256,6 @@ def test_the_map_takes_over_the_error_of_the_pose_as_far_as_it_shows_new_ground(
     chain = submaps()
     room = square()
     chain.insert(room, match_at(SE2(), room))
-    change = chain.insert(room, replace(match_at(SE2(0.0, 0.0, turn_rad), room), inlier_ratio=ratio))
+    change = chain.insert(room, match_at(SE2(0.0, 0.0, turn_rad), room)._replace(inlier_ratio=ratio))
     assert change.is_keyframe
     assert change.error_left == pytest.approx(left, rel=1e-9)

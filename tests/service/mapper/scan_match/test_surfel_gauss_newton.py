@@ -43,11 +43,11 @@ def match(points: Points, pose: SE2, chain: SurfelSubmaps, is_measured: bool = T
 
 def test_a_noisy_laser_does_not_spoil_the_walls_of_a_good_one() -> None:
     """Walls that a laser of 4 cm puts 4 cm aside move by the 17th part of that, not by half."""
-    chain = mapped(replace(square(), range_sigma_m=0.01))
-    aside = replace(square(), xy_base=square().xy_base + np.array([0.04, 0.0]), range_sigma_m=0.04)
+    chain = mapped(square()._replace(range_sigma_m=0.01))
+    aside = square()._replace(xy_base=square().xy_base + np.array([0.04, 0.0]), range_sigma_m=0.04)
     for _ in range(5):
         chain.insert(aside, match_at(SE2(), aside, submap=0))
-    pose = match(replace(square(), range_sigma_m=0.01), SE2(), chain).motion.pose_odom_base
+    pose = match(square()._replace(range_sigma_m=0.01), SE2(), chain).motion.pose_odom_base
     assert 0.0005 < pose.x_m < 0.005
 
 
@@ -217,7 +217,7 @@ def test_the_points_come_back_deskewed_with_the_matched_twist() -> None:
     still = square()
     time_s = np.linspace(0.0, 0.1, len(still.xy_base))
     raw = still.xy_base - np.outer(time_s, [1.0, 0.0])
-    skewed = replace(still, xy_base=raw.copy(), xy_raw=raw, beam_time_s=time_s)
+    skewed = still._replace(xy_base=raw.copy(), xy_raw=raw, beam_time_s=time_s)
     standing = replace(predicted(SE2(-0.1, 0.0, 0.0), sigma=0.2), twist_base=(0.0, 0.0, 0.0))
     result = new_matcher().match(skewed, standing, mapped(still))
     assert abs(result.motion.pose_odom_base.x_m) < 0.002
@@ -231,9 +231,8 @@ def corridor_of(
     """Both walls of a corridor along x."""
     x_m = np.linspace(first_m, last_m, beams)
     walls = [np.column_stack((x_m, np.full(beams, 1.0))), np.column_stack((x_m[::-1], np.full(beams, -1.0)))]
-    return replace(
-        points_of(np.vstack(walls) + rng.normal(0.0, sigma_m, (2 * beams, 2))), range_sigma_m=sigma_m
-    )
+    points = points_of(np.vstack(walls) + rng.normal(0.0, sigma_m, (2 * beams, 2)))
+    return points._replace(range_sigma_m=sigma_m)
 
 
 @pytest.mark.parametrize("seed", [12, 14])
@@ -338,7 +337,7 @@ def test_the_whole_window_is_searched_twice_a_second_at_most() -> None:
 
     def state_at(stamp_ns: int, points: Points) -> str:
         scan = replace(points.scan, stamp_ns=stamp_ns)
-        return matcher.match(replace(points, scan=scan), frozen, chain).state
+        return matcher.match(points._replace(scan=scan), frozen, chain).state
 
     assert state_at(10**9, elsewhere) == "lost"  # searched in vain
     assert state_at(10**9 + 499_999_999, nook()) == "lost"
@@ -366,9 +365,8 @@ def test_a_far_jump_needs_more_than_a_near_one() -> None:
 def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_were_measured() -> None:
     room, noise = square(), np.random.default_rng(6)
     beams = room.xy_base / np.hypot(*room.xy_base.T)[:, None]
-    noisy = replace(
-        points_of(room.xy_base + 0.04 * noise.standard_normal((len(beams), 1)) * beams), range_sigma_m=0.04
-    )
+    noisy = points_of(room.xy_base + 0.04 * noise.standard_normal((len(beams), 1)) * beams)
+    noisy = noisy._replace(range_sigma_m=0.04)
     chain = mapped(room)
     assert np.abs(chain.on_walls(noisy)[0].xy_base - noisy.xy_base).max() > 0.02
     found = match(noisy, SE2(), chain)

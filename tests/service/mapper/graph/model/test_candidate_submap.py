@@ -52,7 +52,7 @@ def out_and_back_in(walls: Walls, sigma_m: float) -> KeyframeList:
         range_m = range_m[seen] + sigma_m * noise.standard_normal(int(seen.sum()))
         xy = np.column_stack((range_m * np.cos(angle[seen]), range_m * np.sin(angle[seen])))
         normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
-        estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, 1.0, normals, np.empty(len(xy)))
+        estimate_normals(xy, np.zeros(2), STEP_RAD, sigma_m, 1.0, normals, np.empty((len(xy), 2)))
         thin_points(xy, 0.04, kept)
         nothing = np.zeros((0, 2), np.float32)
         frame = KeyFrame(k * 10**8, pose, np.eye(3), 0, 0.9, False, nothing, (0.0, 0.0), STEP_RAD, sigma_m)

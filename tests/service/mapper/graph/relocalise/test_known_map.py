@@ -63,7 +63,7 @@ def append(
     angle, range_m = angle[np.isfinite(range_m)], range_m[np.isfinite(range_m)]
     xy = np.column_stack((range_m * np.cos(angle), range_m * np.sin(angle)))
     normals, kept = np.empty((len(xy), 3)), np.empty(len(xy), np.bool_)
-    estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals, np.empty(len(xy)))
+    estimate_normals(xy, np.zeros(2), STEP_RAD, 0.012, 1.0, normals, np.empty((len(xy), 2)))
     thin_points(xy, 0.04, kept)
     nothing = np.zeros((0, 2), np.float32)
     odom = odom or pose

@@ -25,7 +25,7 @@ def seen(walls: list, x_m: float, y_m: float, theta_rad: float, seed: int, sigma
     is_seen = range_m < 20.0
     xy = range_m[is_seen, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=1)[is_seen]
     points = points_of(xy)
-    return replace(points, scan=replace(points.scan, angle_step_rad=STEP_RAD), range_sigma_m=sigma_m)
+    return points._replace(scan=replace(points.scan, angle_step_rad=STEP_RAD), range_sigma_m=sigma_m)
 
 
 def informations(walls: list, theta_rad: float = 0.0, sigma_m: float = 0.01, **config: object) -> tuple:

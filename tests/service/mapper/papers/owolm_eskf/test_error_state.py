@@ -94,7 +94,7 @@ def test_the_error_lies_within_its_covariance_over_100_runs():  # B7 B11 B12 B13
         error, covariance = flight.error(), flight.filter.covariance
         full.append(error @ np.linalg.solve(covariance, error))
         away = flight.base().inverse() @ flight.filter.pose
-        apart = np.array([away.x_m, away.y_m, away.theta_rad])
+        apart = np.array(away)
         pose.append(apart @ np.linalg.solve(flight.filter.pose_covariance(), apart))
     for nees, states in ((full, STRAPDOWN_STATES), (pose, 3)):
         low, high = chi2.ppf([0.025, 0.975], runs * states) / runs
