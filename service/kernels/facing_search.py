@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.kernels.arrays import Float64_2D, UInt8_4D
+from service.kernels.arrays import Bool_2D, Float64_2D, Int8_4D
+from service.kernels.beam_likelihood import FREE_DENSITY, ON_WALL, UNKNOWN_DENSITY, WALL_SIGMA_M
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
@@ -17,18 +18,21 @@ DIRECTIONS = 16  # bins of normals; a wall counts in the two neighbouring bins, 
 ANY = DIRECTIONS  # layer of points without a normal: posts, legs, leaves
 LAYERS = DIRECTIONS + 1
 SECTORS = 8  # of headings: a block keeps the best of each, as ambiguous poses differ by half turns
-FULL_BYTE = 255  # of a cell that contains a wall
+SUMMED_AT_ONCE = 8  # points, between two tests whether the rest can matter
+NATS_STEP = 1.0 / 16.0  # resolution of the log-likelihood ratios of a pyramid
 
 
 class FacingPyramid(NamedTuple):
-    """Likelihood of end points by the direction of their normals, and maxima over blocks of cells.
+    """Log-likelihood ratio of end points to unknown ground by the direction of their normals, and its maxima
+    over blocks of cells.
 
-    levels        (LAYERS, L, H, W) uint8   [d, l, r, c]: the maximum over 2^l x 2^l cells from (r, c) on
+    levels        (LAYERS, L, H, W) int8    in NATS_STEP; [d, l, r, c]: the maximum over 2^l x 2^l cells from
+                                            (r, c) on; 0 on unknown ground
     first_row, first_column   int           cell of the map at levels[:, :, 0, 0]
     cell_m        float
     """
 
-    levels: UInt8_4D
+    levels: Int8_4D
     first_row: int
     first_column: int
     cell_m: float
@@ -40,17 +44,35 @@ def direction_of(angle_rad):
     return math.floor(angle_rad / (2.0 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
-@kernel(Float64_2D, Float64_2D, FacingPyramid, float)
-def splat_facing(xy, normals, pyramid, sigma_m):
-    """Fill level 0: the likelihood of each cell by the nearest point in it or the cells beside.
+@inner_kernel
+def coarse_nats(likelihood, is_free):
+    """Log-likelihood ratio of a beam that ends in a cell, in NATS_STEP: weigh_ends with blurred walls.
+
+    likelihood   float   0..1, of the nearest wall; 1 at the wall
+    """
+    density = FREE_DENSITY if is_free else UNKNOWN_DENSITY
+    density += likelihood * ON_WALL / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M)
+    return np.int8(round(math.log(density / UNKNOWN_DENSITY) / NATS_STEP))
+
+
+@kernel(Float64_2D, Float64_2D, Bool_2D, FacingPyramid, float)
+def splat_facing(xy, normals, is_free, pyramid, sigma_m):
+    """Fill all levels: of each cell by the nearest point in it or the cells beside.
 
     xy        (N, 2) float64   m, frame of the map; no nearer than a cell to the border of the pyramid
     normals   (N, 3) float64   of estimate_normals; weight 1 or more: a wall
-    pyramid   FacingPyramid    in and out
-    sigma_m   float
+    is_free   (H, W) bool      cells of level 0 that are entirely observed as free
+    pyramid   FacingPyramid    out
+    sigma_m   float            of the blur
     """
     levels, cell_m = pyramid.levels, pyramid.cell_m
+    height, width = is_free.shape
     scale = -0.5 / (sigma_m * sigma_m)
+    in_free = coarse_nats(0.0, True)
+    for d in range(LAYERS):
+        for r in range(height):
+            for q in range(width):
+                levels[d, 0, r, q] = in_free if is_free[r, q] else 0
     for i in range(xy.shape[0]):
         column = math.floor(xy[i, 0] / cell_m)
         row = math.floor(xy[i, 1] / cell_m)
@@ -62,27 +84,44 @@ def splat_facing(xy, normals, pyramid, sigma_m):
             for u in range(column - 1, column + 2):
                 q = u - pyramid.first_column
                 dx = max(u * cell_m - xy[i, 0], xy[i, 0] - (u + 1) * cell_m, 0.0)
-                value = np.uint8(FULL_BYTE * math.exp(scale * (dx * dx + dy * dy)))
-                levels[ANY, 0, r, q] = max(levels[ANY, 0, r, q], value)
+                nats = coarse_nats(math.exp(scale * (dx * dx + dy * dy)), is_free[r, q])
+                levels[ANY, 0, r, q] = max(levels[ANY, 0, r, q], nats)
                 if is_wall:
                     for beside in range(-1, 2):
                         d = (own + beside) % DIRECTIONS
-                        levels[d, 0, r, q] = max(levels[d, 0, r, q], value)
+                        levels[d, 0, r, q] = max(levels[d, 0, r, q], nats)
+    for level in range(1, levels.shape[1]):
+        half = 1 << (level - 1)
+        for d in range(LAYERS):
+            for r in range(height):
+                below = min(r + half, height - 1)
+                for q in range(width):
+                    beside = min(q + half, width - 1)
+                    levels[d, level, r, q] = max(
+                        max(levels[d, level - 1, r, q], levels[d, level - 1, r, beside]),
+                        max(levels[d, level - 1, below, q], levels[d, level - 1, below, beside]),
+                    )
 
 
 @inner_kernel
-def facing_sum(cells, levels, level, row, column):
-    """Sum of a level at points shifted by so many cells: an upper bound of every pose in the block.
+def facing_sum(cells, levels, level, row, column, least):
+    """Sum of a level at points shifted by so many cells: an upper bound of every pose in the block. Once it
+    can not reach `least` any more, a number below that.
 
     cells   (N, 3) int64   row, column, layer
     """
-    height, width = levels.shape[2], levels.shape[3]
+    count, height, width = cells.shape[0], levels.shape[2], levels.shape[3]
+    on_wall = coarse_nats(1.0, False)
     total = 0
-    for n in range(cells.shape[0]):
-        r = cells[n, 0] + row
-        q = cells[n, 1] + column
-        if 0 <= r < height and 0 <= q < width:
-            total += levels[cells[n, 2], level, r, q]
+    for begin in range(0, count, SUMMED_AT_ONCE):
+        end = min(begin + SUMMED_AT_ONCE, count)
+        for n in range(begin, end):
+            r = cells[n, 0] + row
+            q = cells[n, 1] + column
+            if 0 <= r < height and 0 <= q < width:
+                total += levels[cells[n, 2], level, r, q]
+        if total + on_wall * (count - end) < least:
+            return least - 1
     return total
 
 
@@ -99,18 +138,17 @@ def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
             cells[n, 2] = direction_of(math.atan2(normals[n, 1], normals[n, 0]) + theta_rad)
 
 
-@kernel(Float64_2D, Float64_2D, FacingPyramid, int, float, float)
-def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind):
+@kernel(Float64_2D, Float64_2D, FacingPyramid, int, float)
+def search_facing(xy_base, normals, pyramid, heading_count, least):
     """The best pose of each block of the map and sector of headings.
 
     xy_base         (N, 2) float64   m, base frame
     normals         (N, 3) float64
     pyramid         FacingPyramid    rows and columns: multiples of the blocks of its highest level
     heading_count   int              headings evaluated, a full turn
-    least_score     float            0..1: worse poses are dropped
-    behind          float            poses worse than the best by more are dropped
-    Returns (poses (C, 4) float64: x m, y m, theta rad of the base in the frame of the map, mean likelihood
-    0..1; number of blocks evaluated).
+    least           float            nats, mean of the points: less likely poses are dropped
+    Returns (poses (C, 4) float64: x m, y m, theta rad of the base in the frame of the map, nats, mean of the
+    points; number of blocks evaluated).
     Source: Hess et al. 2016, Real-Time Loop Closure in 2D LIDAR SLAM, algorithm 3; here with layers of
     directions, and a best pose for each block.
     """
@@ -120,9 +158,8 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
     size = 1 << top
     rows, columns = levels.shape[2] // size, levels.shape[3] // size
     blocks = rows * columns
-    unit = FULL_BYTE * count
-    floor = np.int64(least_score * unit)
-    margin = np.int64(behind * unit)
+    unit = count / NATS_STEP
+    floor = np.int64(math.floor(least * unit))
 
     cells = np.empty((heading_count, count, 3), np.int64)
     bounds = np.empty(heading_count * blocks, np.int64)
@@ -132,7 +169,7 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
         for a in range(rows):
             for b in range(columns):
                 place = k * blocks + a * columns + b
-                bounds[place] = facing_sum(cells[k], levels, top, a * size, b * size)
+                bounds[place] = facing_sum(cells[k], levels, top, a * size, b * size, floor)
                 promising += bounds[place] > floor
     evaluated = bounds.size
     which = np.empty(promising, np.int64)
@@ -148,7 +185,6 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
 
     best = np.full(blocks * SECTORS, floor, np.int64)
     best_at = np.full((blocks * SECTORS, 3), -1, np.int64)  # heading, row, column
-    best_of_all = floor
     stack = np.empty((4 * top + 4, 3), np.int64)  # level, row, column of blocks to split, best on top
     stack_bounds = np.empty(4 * top + 4, np.int64)
     child = np.empty((4, 2), np.int64)
@@ -156,8 +192,6 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
     for place in order:
         k, block = which[place] // blocks, which[place] % blocks
         bound = bounds[which[place]]
-        if bound < best_of_all - margin:
-            break
         own = block * SECTORS + (k * SECTORS) // heading_count
         depth = 1
         stack[0, 0] = top
@@ -168,18 +202,17 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
             depth -= 1
             level, row, column = stack[depth, 0], stack[depth, 1], stack[depth, 2]
             bound = stack_bounds[depth]
-            if bound <= best[own] or bound < best_of_all - margin:
+            if bound <= best[own]:
                 continue
             if level == 0:
                 best[own] = bound
                 best_at[own, 0], best_at[own, 1], best_at[own, 2] = k, row, column
-                best_of_all = max(best_of_all, bound)
                 continue
             half = 1 << (level - 1)
             for a in range(2):
                 for b in range(2):
                     r, q = row + a * half, column + b * half
-                    total = facing_sum(cells[k], levels, level - 1, r, q)
+                    total = facing_sum(cells[k], levels, level - 1, r, q, best[own])
                     at = 2 * a + b
                     while at > 0 and child_bounds[at - 1] > total:  # rising: the best is pushed last
                         child_bounds[at] = child_bounds[at - 1]
@@ -196,11 +229,11 @@ def search_facing(xy_base, normals, pyramid, heading_count, least_score, behind)
                     depth += 1
     kept = 0
     for own in range(best.size):
-        kept += best_at[own, 0] >= 0 and best[own] >= best_of_all - margin
+        kept += best_at[own, 0] >= 0
     places = np.empty((kept, 4))
     kept = 0
     for own in range(best.size):
-        if best_at[own, 0] >= 0 and best[own] >= best_of_all - margin:
+        if best_at[own, 0] >= 0:
             places[kept, 0] = (pyramid.first_column + best_at[own, 2] + 0.5) * pyramid.cell_m
             places[kept, 1] = (pyramid.first_row + best_at[own, 1] + 0.5) * pyramid.cell_m
             places[kept, 2] = 2.0 * math.pi * best_at[own, 0] / heading_count

@@ -16,7 +16,8 @@ from service.geometry.se2 import SE2
 from service.mapper.background import BackEnd, InlineWorker
 from service.mapper.corrections import corrected
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.relocalise.detached_search import MIN_MARGIN_NATS, DetachedSearch
+from service.mapper.graph.relocalise.detached_search import DetachedSearch
+from service.mapper.graph.relocalise.known_map import MIN_MARGIN_NATS
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.outputs import FREE, MapperOutput

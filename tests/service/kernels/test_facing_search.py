@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from service.kernels import facing_search
-from service.kernels.branch_and_bound import pool_levels
 from service.kernels.facing_search import (
-    FULL_BYTE,
     LAYERS,
+    NATS_STEP,
     SECTORS,
     FacingPyramid,
     search_facing,
@@ -51,11 +50,9 @@ def pyramid_of(xy: np.ndarray, normals: np.ndarray) -> FacingPyramid:
     low = np.floor(xy.min(axis=0) / CELL_M).astype(int) - 1 - BLOCK
     high = np.floor(xy.max(axis=0) / CELL_M).astype(int) + 2 + BLOCK
     columns, rows = (-(-(high - low) // BLOCK) * BLOCK).tolist()
-    levels = np.zeros((LAYERS, LEVELS, rows, columns), np.uint8)
+    levels = np.empty((LAYERS, LEVELS, rows, columns), np.int8)
     pyramid = FacingPyramid(levels, int(low[1]), int(low[0]), CELL_M)
-    splat_facing(xy, normals, pyramid, SIGMA_M)
-    for layer in levels:
-        pool_levels(layer, 0.0)
+    splat_facing(xy, normals, np.zeros((rows, columns), np.bool_), pyramid, SIGMA_M)
     return pyramid
 
 
@@ -78,20 +75,19 @@ def asked_one_by_one(xy, normals, pyramid) -> dict[tuple[int, int], float]:
         for row in range(rows):
             for column in range(columns):
                 own = (row // BLOCK * (columns // BLOCK) + column // BLOCK, k * SECTORS // HEADINGS)
-                score = facing_sum(cells, pyramid.levels, 0, row, column) / (FULL_BYTE * len(xy))
+                score = facing_sum(cells, pyramid.levels, 0, row, column, -(10**9)) * NATS_STEP / len(xy)
                 best[own] = max(best.get(own, 0.0), score)
     return best
 
 
-@pytest.mark.parametrize("behind", [0.4, 0.6])
-def test_each_block_and_sector_gives_the_place_that_asking_all_gives(behind):
+@pytest.mark.parametrize("least", [0.5, 0.9])
+def test_each_block_and_sector_gives_the_place_that_asking_all_gives(least):
     xy, normals = room()
     pyramid = pyramid_of(xy, normals)
     there = seen_from(xy[::3], normals[::3], (2.1, 1.3, 0.5))
-    places, evaluated = search_facing(*there, pyramid, HEADINGS, 0.2, behind)
+    places, evaluated = search_facing(*there, pyramid, HEADINGS, least)
     expected = asked_one_by_one(*there, pyramid)
-    least = max(0.2, max(expected.values()) - behind)
-    wanted = sorted(score for score in expected.values() if score > least + 1e-3)
+    wanted = sorted(nats for nats in expected.values() if nats > least + 1e-3)
     assert len(wanted) > 1
     found = sorted(places[:, 3])
     np.testing.assert_allclose(found[len(found) - len(wanted) :], wanted, atol=1e-9)
@@ -101,7 +97,7 @@ def test_each_block_and_sector_gives_the_place_that_asking_all_gives(behind):
 def test_the_best_place_is_where_the_scan_was_taken():
     xy, normals = room()
     pose = (1.7, 0.9, 2.0 * math.pi * 7 / HEADINGS)
-    places, _ = search_facing(*seen_from(xy, normals, pose), pyramid_of(xy, normals), HEADINGS, 0.2, 0.1)
+    places, _ = search_facing(*seen_from(xy, normals, pose), pyramid_of(xy, normals), HEADINGS, 0.5)
     best = places[np.argmax(places[:, 3])]
     assert abs(best[0] - pose[0]) <= CELL_M
     assert abs(best[1] - pose[1]) <= CELL_M
@@ -114,19 +110,33 @@ def test_a_wall_is_not_found_from_its_other_side():
     pyramid = pyramid_of(xy, above)
     below = above * (1.0, -1.0, 1.0)
     turned_by_no_heading = 1  # of one: only the given heading
-    assert len(search_facing(xy, above, pyramid, turned_by_no_heading, 0.9, 0.1)[0]) > 0
-    assert len(search_facing(xy, below, pyramid, turned_by_no_heading, 0.3, 0.1)[0]) == 0
+    assert len(search_facing(xy, above, pyramid, turned_by_no_heading, 1.5)[0]) > 0
+    assert len(search_facing(xy, below, pyramid, turned_by_no_heading, 0.3)[0]) == 0
 
 
 def test_what_has_no_direction_lies_on_walls_of_every_direction():
     xy = np.column_stack((np.arange(0.0, 4.0, 0.1), np.zeros(40)))
     pyramid = pyramid_of(xy, np.tile([0.0, 1.0, 1.0], (40, 1)))
     rough = np.tile([0.0, -1.0, 0.5], (40, 1))
-    assert len(search_facing(xy, rough, pyramid, 1, 0.9, 0.1)[0]) > 0
+    assert len(search_facing(xy, rough, pyramid, 1, 1.5)[0]) > 0
 
 
 def test_a_map_in_which_nothing_fits_gives_no_place():
     xy, normals = room()
     elsewhere = np.column_stack((np.arange(0.0, 30.0, 0.3), np.tile([0.0, 9.0], 50)))
-    places, _ = search_facing(elsewhere, np.ones((100, 3)), pyramid_of(xy, normals), HEADINGS, 0.5, 0.1)
+    places, _ = search_facing(elsewhere, np.ones((100, 3)), pyramid_of(xy, normals), HEADINGS, 0.5)
     assert places.shape == (0, 4)
+
+
+def test_a_point_in_free_space_makes_a_pose_less_likely_than_new_ground():
+    xy = np.column_stack((np.arange(0.0, 4.0, 0.1), np.zeros(40)))
+    normals = np.tile([0.0, 1.0, 1.0], (40, 1))
+    pyramid = pyramid_of(xy, normals)
+    rows, columns = pyramid.levels.shape[2:]
+    is_free = np.arange(rows)[:, None] + pyramid.first_row > 1
+    splat_facing(xy, normals, np.repeat(is_free, columns, axis=1), pyramid, SIGMA_M)
+    beyond, cells = np.vstack((xy, xy + np.array([0.0, 1.0]))), np.empty((80, 3), np.int64)
+    turned_facing(beyond, np.vstack((normals, normals)), 0.0, CELL_M, cells)
+    cells[:, :2] -= pyramid.first_row, pyramid.first_column
+    assert facing_sum(cells, pyramid.levels, 0, 0, 0, -(10**9)) < 0
+    assert facing_sum(cells, pyramid_of(xy, normals).levels, 0, 0, 0, -(10**9)) > 0

@@ -146,7 +146,7 @@ def find_second(
         near = own[np.abs(keyframes.path_length_m[own] - keyframes.path_length_m[k]) <= 0.5 * config.place_m]
         near = near if enough is None else near[:: max(1, len(near) // QUERY_KEYFRAMES)]
         expected = [se2.compose(frame, keyframes.map[k]) for frame in frames]
-        places = search.places_of(near.tolist(), k, known, only_winners=enough is not None, expected=expected)
+        places = search.places_of(near.tolist(), k, known, expected=expected)
         best = search.best_of(places)
         if best is not None:
             at, _ = best

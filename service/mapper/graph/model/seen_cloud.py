@@ -33,6 +33,11 @@ class SeenCloud:
     shares: Floats
     walls: npt.NDArray[np.int64]
 
+    @property
+    def mass(self) -> float:
+        """Sum of the shares."""
+        return max(float(self.shares.sum()), 1e-9)
+
 
 def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) -> SeenCloud:
     """Query of key frames, placed by odometry, in the frame of `reference`."""

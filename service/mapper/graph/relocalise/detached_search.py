@@ -22,7 +22,13 @@ from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
 from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
-from service.mapper.graph.relocalise.known_map import Aligned, KnownMap, PlaceScore
+from service.mapper.graph.relocalise.known_map import (
+    MIN_MARGIN_NATS,
+    Aligned,
+    KnownMap,
+    PlaceScore,
+    margin_of,
+)
 from service.mapper.graph.relocalise.odometry_prior import (
     ODOMETRY_PROBABILITY_CONTINUOUS,
     ODOMETRY_PROBABILITY_MEASURED,
@@ -32,6 +38,7 @@ from service.mapper.graph.relocalise.odometry_prior import (
     places_in,
 )
 from service.mapper.graph.relocalise.place_search import (
+    EXPECTED_WINDOW,
     REFINE_MARGIN_NATS,
     SAME_PLACE_M,
     find_places,
@@ -43,10 +50,6 @@ from service.mapper.known_pose import KnownPose, covariance_added
 SUBMAP_RADIUS_M, MAX_SUBMAP_KEYFRAMES = 6.0, 40  # key frames around a pose set by the operator
 MAX_QUERY = 12  # key frames of a query
 MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
-# Margin by which the evidence of the best place must exceed every other (nats, by
-# service.kernels.beam_likelihood); plus a share of its unexplained evidence, since then the true place may
-# fit worse than one that looks alike.
-MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
 # Of dead reckoning without a scan gap, and per m of a segment.
 MAX_ODOMETRY_ERROR_M, MAX_ODOMETRY_ERROR_SHARE = 4.0, 0.2
 SEARCH_GRID_M = 10.0  # grid of the search area's centre
@@ -265,30 +268,28 @@ class DetachedSearch:
         known: npt.NDArray[np.int64],
         prior: OdometryPrior | None = None,
         reach_m: float = math.inf,
-        only_winners: bool = False,
         expected: Sequence[Floats] = (),
     ) -> list[CandidatePose]:
         """Candidate places of the key frames `own` in the known map, the most likely by the beams first;
-        within reach_m of dead reckoning.
+        within reach_m of dead reckoning. None is refined if none can exceed new ground in a session with a
+        known place.
 
-        only_winners   refine none if none can exceed new ground
-        expected       poses (3,) of the reference whose surroundings are searched; empty: the entire map
+        expected   poses (3,) of the reference whose surroundings are searched; empty: the entire map
         """
         seen = seen_cloud(self._keyframes, own, reference)
         self._query = seen
         at_m = self._keyframes.map[reference, :2]
-
-        def is_in_reach(pose: Floats) -> bool:
-            return math.dist(pose[:2], at_m) <= reach_m
-
-        guesses = [] if prior is None else [prior.pose]
+        near = [(pose, EXPECTED_WINDOW) for pose in expected]
+        if prior is not None:
+            near.append((prior.pose, prior.window))
         found = find_places(
             self._map_of(known),
             seen,
-            guesses,
-            lambda one: (prior is None and not only_winners) or _could_win(one, prior),
-            is_in_reach,
-            expected,
+            near,
+            not expected,
+            self._is_session_placed,
+            lambda one: not self._is_session_placed or _could_win(one, prior),
+            lambda pose: math.dist(pose[:2], at_m) <= reach_m,
         )
         self._places = [self._candidate(known, reference, one, seen.cloud, prior) for one in found]
         return self._places
@@ -486,11 +487,8 @@ def _fits(on_map: float, against: float) -> bool:
 
 
 def _margin(unexplained: float, is_at_dead_reckoning: bool) -> float:
-    """Nats by which the evidence of a place must exceed that of others.
-
-    is_at_dead_reckoning: dead reckoning confirms the place, so what the map does not explain is new ground.
-    """
-    return MIN_MARGIN_NATS + (0.0 if is_at_dead_reckoning else UNEXPLAINED_SHARE * unexplained)
+    """As margin_of; where dead reckoning confirms the place, what the map does not explain is new ground."""
+    return margin_of(0.0 if is_at_dead_reckoning else unexplained)
 
 
 def _could_win(one: Aligned, prior: OdometryPrior | None) -> bool:

@@ -20,11 +20,11 @@ from service.kernels.beam_likelihood import (
     count_beams_through,
     splat_points,
 )
-from service.kernels.branch_and_bound import MaxPyramid, pool_levels, search_branch_and_bound
+from service.kernels.branch_and_bound import MaxPyramid, search_branch_and_bound
 from service.kernels.facing_search import (
     DIRECTIONS,
-    FULL_BYTE,
     LAYERS,
+    SUMMED_AT_ONCE,
     FacingPyramid,
     search_facing,
     splat_facing,
@@ -57,11 +57,12 @@ from service.mapper.matchers.window_search import thinned, window_around
 
 COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, each with one candidate
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at LOOP_REACH_M, a cell
-MAP_SEARCH_POINTS = 80
-# Likelihood of a point on unobserved ground, as at the back of a wall: neutral. A point in free space has 0.
-MAP_UNKNOWN_LIKELIHOOD = 0.5
-MIN_PLACE_SCORE = 0.45  # least mean likelihood of the points
-MAX_SCORE_DEFICIT = 0.2  # of a candidate, below the best score
+MAP_SEARCH_POINTS = 10 * SUMMED_AT_ONCE
+SAMPLING_NATS = 0.15  # a beam: error of the evidence of so few points, in so coarse cells
+# Margin by which the evidence of the best place must exceed every other (nats, by
+# service.kernels.beam_likelihood); plus a share of its unexplained evidence, since then the true place may
+# fit worse than one that looks alike.
+MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
 MAX_CANDIDATES = 240
 REFINE_WINDOW = (0.3, 0.03, 0.006)  # m, rad around a candidate; step in rad
 REFINING_POINTS = 150
@@ -75,6 +76,21 @@ ON_MAP_RATIO = 0.5 * MAX_LOG_RATIO  # nats: a beam above it ends on a mapped obj
 WALLS_APART_M = 2.0
 MAX_NATS_PER_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
 SEEN_THROUGH_EVIDENCE = -10  # log-odds of a cell through which a beam passed without a hit
+
+
+def margin_of(unexplained: float) -> float:
+    """Nats by which the evidence of a place must exceed that of others."""
+    return MIN_MARGIN_NATS + UNEXPLAINED_SHARE * unexplained
+
+
+def winning_nats(mass: float) -> float:
+    """Least evidence of a cloud that exceeds unmapped ground by the margin, nats."""
+    return margin_of(MAX_LOG_RATIO * mass) / (1.0 + UNEXPLAINED_SHARE)
+
+
+def rival_nats(best: float, mass: float) -> float:
+    """Largest evidence that a best place exceeds by the margin, nats."""
+    return best - margin_of(max(0.0, MAX_LOG_RATIO * mass - best))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +133,22 @@ class KnownMap:
         known = self._ground.evidence[slots[slots != NO_TILE]] != 0
         return float(known.sum()) * CELL_M * CELL_M
 
-    def candidates(self, cloud: PointCloud) -> list[Floats]:
-        """Candidate poses (3,) of the cloud in the map, the most likely first; at most MAX_CANDIDATES."""
+    def candidates(self, seen: SeenCloud, least: float) -> Floats:
+        """Candidate poses of the cloud in the map that may have an evidence of `least`, and an upper bound of
+        it: (C, 4) m, m, rad, nats, the most likely first; at most MAX_CANDIDATES.
+        """
+        cloud, mass = seen.cloud, seen.mass
         near = np.flatnonzero((cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2)
-        near = near[:: max(1, len(near) // MAP_SEARCH_POINTS)]
-        xy, normals = cloud.xy[near], cloud.normals[near]
-        places, _ = search_facing(xy, normals, self._facing, HEADINGS, MIN_PLACE_SCORE, MAX_SCORE_DEFICIT)
+        weights = np.cumsum(seen.shares[near])
+        at = (np.arange(MAP_SEARCH_POINTS) + 0.5) / MAP_SEARCH_POINTS * weights[-1]
+        # The points that are summed first are of all sides of the query.
+        near = near[np.searchsorted(weights, at)].reshape(SUMMED_AT_ONCE, -1).T.ravel()
+        places, _ = search_facing(
+            cloud.xy[near], cloud.normals[near], self._facing, HEADINGS, least / mass - SAMPLING_NATS
+        )
         order = np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]
-        return list(places[order, :3])
+        places[:, 3] = mass * (places[:, 3] + SAMPLING_NATS)
+        return places[order]
 
     def align(
         self,
@@ -164,8 +188,8 @@ class KnownMap:
             return again
         return Aligned(Fit(pose, again.fit.information, again.fit.share), self.score(seen, pose))
 
-    def along(self, seen: SeenCloud, aligned: Aligned) -> list[Aligned]:
-        """Alignments beside a place, along its least certain direction."""
+    def along(self, seen: SeenCloud, aligned: Aligned, evidence: float = -math.inf) -> list[Aligned]:
+        """Alignments beside a place, along its least certain direction. evidence: `least` of score."""
         of_pose = aligned.fit.information
         turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
         known = of_pose[:2, :2] - turning
@@ -175,16 +199,15 @@ class KnownMap:
             self._walls.align(seen.cloud, aligned.fit.pose + off_m * axis) for off_m in [*-steps, *steps]
         ]
         least = ALONG_SHARE * aligned.fit.share
-        return [Aligned(fit, self.score(seen, fit.pose)) for fit in beside if fit.share >= least]
+        return [Aligned(fit, self.score(seen, fit.pose, evidence)) for fit in beside if fit.share >= least]
 
     def score(self, seen: SeenCloud, pose: Floats, least: float = -math.inf) -> PlaceScore:
         """Evidence of a cloud at a pose (3,); below `least` only an upper bound."""
         shares = seen.shares
         evidence, at_end, along_beam = self._beam_evidence(seen, pose, least)
-        merged = max(float(shares.sum()), 1e-9)
-        against = float(shares @ (at_end + along_beam < MIN_LOG_RATIO)) / merged
-        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / merged
-        return PlaceScore(evidence, max(0.0, MAX_LOG_RATIO * merged - evidence), against, on_map)
+        against = float(shares @ (at_end + along_beam < MIN_LOG_RATIO)) / seen.mass
+        on_map = float(shares @ (at_end > ON_MAP_RATIO)) / seen.mass
+        return PlaceScore(evidence, max(0.0, MAX_LOG_RATIO * seen.mass - evidence), against, on_map)
 
     def structure(self, seen: SeenCloud, pose: Floats) -> float:
         """Log-likelihood ratio of a pose (3,) to an unmapped building, nats: each wall or object counts once,
@@ -247,13 +270,9 @@ def _facing_pyramid(cloud: PointCloud, ground: OccupancyGrid) -> FacingPyramid:
     low = np.floor(cloud.xy.min(axis=0) / COARSE_CELL_M).astype(np.int64) - 1 - block
     high = np.floor(cloud.xy.max(axis=0) / COARSE_CELL_M).astype(np.int64) + 2 + block
     columns, rows = (-(-(high - low) // block) * block).tolist()
-    levels = np.zeros((LAYERS, MAP_SEARCH_LEVELS, rows, columns), np.uint8)
+    levels = np.empty((LAYERS, MAP_SEARCH_LEVELS, rows, columns), np.int8)
     pyramid = FacingPyramid(levels, int(low[1]), int(low[0]), COARSE_CELL_M)
-    splat_facing(cloud.xy, cloud.normals, pyramid, LOOP_FIELD_SIGMA_M)
-    unknown = np.uint8(FULL_BYTE * MAP_UNKNOWN_LIKELIHOOD) * ~_is_free(ground, pyramid)
-    np.maximum(levels[:, 0], unknown, out=levels[:, 0])
-    for layer in levels:
-        pool_levels(layer, 0.0)
+    splat_facing(cloud.xy, cloud.normals, _is_free(ground, pyramid), pyramid, LOOP_FIELD_SIGMA_M)
     return pyramid
 
 

@@ -9,6 +9,7 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import wrap_angle
 from service.mapper.graph.model.point_clouds import Fit
+from service.mapper.graph.relocalise.known_map import REFINE_WINDOW
 from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
 
 ODOMETRY_PROBABILITY_UNMEASURED = 0.5  # that dead reckoning is right, after motion that no sensor measured
@@ -52,6 +53,14 @@ class OdometryPrior:
     def is_vague(self) -> bool:
         """Whether dead reckoning is too uncertain to use."""
         return is_loose(sigmas_of(self.covariance))
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """Half the window about dead reckoning in which `explains` holds, m, rad; if vague a small one."""
+        if self.is_vague:
+            return REFINE_WINDOW[:2]
+        x_m, y_m, theta_rad = np.sqrt(JUMP_CHI2 * np.diag(self._of_find())).tolist()
+        return max(x_m, y_m), theta_rad
 
     def explains(self, pose: Floats) -> bool:
         """Whether a pose (3,) is within the gate of dead reckoning; False if that is too uncertain."""

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.seen_cloud import SeenCloud
-from service.mapper.graph.relocalise.known_map import Aligned, KnownMap
+from service.mapper.graph.relocalise.known_map import Aligned, KnownMap, rival_nats, winning_nats
 
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses in one room
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses that count as equal
@@ -19,56 +19,78 @@ PRUNE_MARGIN_NATS = 250.0  # this far below the best, the evidence is only an up
 MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = 8, 4  # places slid along walls per round, neighbours of each
 MAX_ROUNDS = 3  # of sliding; ends earlier once the best place stays
 EXPECTED_WINDOW = 1.5, 0.2  # m, rad: half the window about an expected pose
+Window = tuple[float, float]
 
 
 def find_places(
     known_map: KnownMap,
     seen: SeenCloud,
-    guesses: Sequence[Floats] = (),
+    near: Sequence[tuple[Floats, Window]] = (),
+    is_anywhere: bool = True,
+    must_win: bool = False,
     could_win: Callable[[Aligned], bool] = lambda _: True,
     is_possible: Callable[[Floats], bool] = lambda _: True,
-    expected: Sequence[Floats] = (),
 ) -> list[Aligned]:
     """Places of the cloud, the most likely first. Along walls that leave a direction open, neighbours of a
     candidate are evaluated, too.
 
-    guesses     poses (3,) of further candidates
+    near        poses (3,) whose surroundings are searched, and half the window, m, rad
+    is_anywhere whether the entire map is searched
+    must_win    a place counts only if it exceeds unmapped ground by the margin
     could_win   whether a candidate is worth refining; if none is, all are returned unrefined
     is_possible whether the cloud may be at a pose (3,)
-    expected    poses (3,) whose surroundings replace the search of the entire map
     """
-    if expected:
-        aligned = _distinct([known_map.align(seen, pose, window=EXPECTED_WINDOW) for pose in expected])
-    else:
-        aligned = _distinct(_aligned(known_map, seen, is_possible))
-    guessed = [known_map.align(seen, guess) for guess in guesses]
-    if not any(could_win(one) for one in [*aligned, *guessed]):
-        return _by_evidence([*aligned, *guessed])
-    places = _refined(known_map, seen, [*aligned[:MAX_REFINED], *guessed], [])
-    expanded: list[Aligned] = []
-    for _ in range(MAX_ROUNDS):
-        best, unexpanded = (
-            places[:1],
-            [place for place in places[:MAX_SLIDE_SOURCES] if place not in expanded],
-        )
-        expanded += unexpanded
-        beside = [
-            one for place in unexpanded for one in _distinct(known_map.along(seen, place))[:MAX_SLIDE_TARGETS]
-        ]
-        places = _refined(known_map, seen, _distinct(beside), places)
-        if places[:1] == best:
-            break
+    guessed = [known_map.align(seen, pose, window=window) for pose, window in near]
+    least = winning_nats(seen.mass) if must_win else 0.0
+    aligned = _distinct([*guessed, *(_aligned(known_map, seen, least, is_possible) if is_anywhere else ())])
+    if not any(map(could_win, aligned)):
+        return aligned
+    places = _explored(known_map, seen, [*aligned[:MAX_REFINED], *guessed], [])
+    best = places[0].score.evidence
+    rival = max(rival_nats(best, seen.mass), 0.0)
+    if is_anywhere and least > rival and (near or best >= least):
+        aligned = _distinct(_aligned(known_map, seen, rival, is_possible))
+        places = _explored(known_map, seen, aligned[:MAX_REFINED], places)
     others = [one for one in aligned[MAX_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
     return _by_evidence(places + others)
 
 
-def _aligned(known_map: KnownMap, seen: SeenCloud, is_possible: Callable[[Floats], bool]) -> list[Aligned]:
-    """All candidates; the evidence of those PRUNE_MARGIN_NATS below an earlier one is an upper bound."""
+def _explored(
+    known_map: KnownMap, seen: SeenCloud, aligned: list[Aligned], places: list[Aligned]
+) -> list[Aligned]:
+    """`places` with `aligned`, refined, and their neighbours along walls, the most likely first."""
+    expanded = list(places)
+    places = _refined(known_map, seen, aligned, places)
+    for _ in range(MAX_ROUNDS):
+        best = places[0]
+        least = best.score.evidence - REFINE_MARGIN_NATS
+        unexpanded = [place for place in places[:MAX_SLIDE_SOURCES] if not _is_among(place, expanded)]
+        expanded += unexpanded
+        beside = [
+            one
+            for place in unexpanded
+            for one in _distinct(known_map.along(seen, place, least))[:MAX_SLIDE_TARGETS]
+        ]
+        places = _refined(known_map, seen, _distinct(beside), places)
+        if is_same_pose(places[0].fit.pose, best.fit.pose):
+            break
+    return places
+
+
+def _aligned(
+    known_map: KnownMap, seen: SeenCloud, least: float, is_possible: Callable[[Floats], bool]
+) -> list[Aligned]:
+    """Candidates of an evidence that may reach `least`, up to those that the best exceeds by the margin; the
+    evidence of those PRUNE_MARGIN_NATS below an earlier one is an upper bound.
+    """
     aligned: list[Aligned] = []
     best = -math.inf
-    for guess in filter(is_possible, known_map.candidates(seen.cloud)):
-        aligned.append(known_map.align(seen, guess, best - PRUNE_MARGIN_NATS))
-        best = max(best, aligned[-1].score.evidence)
+    for *pose, bound in known_map.candidates(seen, least):
+        if bound < rival_nats(best, seen.mass):
+            break
+        if is_possible(guess := np.array(pose)):
+            aligned.append(known_map.align(seen, guess, best - PRUNE_MARGIN_NATS))
+            best = max(best, aligned[-1].score.evidence)
     return aligned
 
 
@@ -78,9 +100,13 @@ def _refined(
     """`places` with `aligned`, refined, added, the most likely first."""
     for one in aligned:
         least = places[0].score.evidence - REFINE_MARGIN_NATS if places else -math.inf
-        if one.score.evidence > least and not any(is_same_pose(one.fit.pose, p.fit.pose) for p in places):
+        if one.score.evidence > least and not _is_among(one, places):
             places = _distinct([*places, known_map.refine(seen, one)])
     return places
+
+
+def _is_among(one: Aligned, places: list[Aligned]) -> bool:
+    return any(is_same_pose(one.fit.pose, place.fit.pose) for place in places)
 
 
 def is_same_place(pose: Floats, other: Floats) -> bool:

@@ -11,7 +11,7 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.edit import merging
 from service.mapper.graph.edit.merging import MergeError, find_second, merge_graphs, together
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.point_clouds import PointCloud
+from service.mapper.graph.model.seen_cloud import SeenCloud
 from service.mapper.graph.relocalise.detached_search import CandidatePose
 from service.mapper.graph.relocalise.known_map import KnownMap
 from service.mapper.profiles import mapping_config
@@ -65,9 +65,9 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     queries: list[int] = []
     search = KnownMap.candidates
 
-    def counted(known_map: KnownMap, cloud: PointCloud) -> list[np.ndarray]:
-        queries.append(len(cloud.xy))
-        return search(known_map, cloud)
+    def counted(known_map: KnownMap, seen: SeenCloud, least: float) -> np.ndarray:
+        queries.append(len(seen.cloud.xy))
+        return search(known_map, seen, least)
 
     monkeypatch.setattr(KnownMap, "candidates", counted)
     return queries

@@ -10,7 +10,8 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
-from service.mapper.graph.relocalise.detached_search import MIN_MARGIN_NATS, DetachedSearch
+from service.mapper.graph.relocalise.detached_search import DetachedSearch
+from service.mapper.graph.relocalise.known_map import MIN_MARGIN_NATS
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.graph.relocalise.test_known_map import STOOD, Walls, append, room, rooms
 

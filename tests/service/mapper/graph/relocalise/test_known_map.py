@@ -16,13 +16,14 @@ from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, Thi
 from service.mapper.graph.model.loops import loop_of
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.seen_cloud import seen_cloud
-from service.mapper.graph.relocalise.detached_search import (
+from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
+from service.mapper.graph.relocalise.known_map import (
+    MAX_NATS_PER_WALL,
     MIN_MARGIN_NATS,
     UNEXPLAINED_SHARE,
-    CandidatePose,
-    DetachedSearch,
+    KnownMap,
+    PlaceScore,
 )
-from service.mapper.graph.relocalise.known_map import MAX_NATS_PER_WALL, KnownMap, PlaceScore
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.drives import cast
 
@@ -249,8 +250,8 @@ def test_the_room_behind_a_wall_of_the_map_is_a_candidate():
     pose = np.array([3.4, 5.5, -0.4 * math.pi])
     own = append(keyframes, walls, SE2(*pose.tolist()), 1, noise)
     known_map = KnownMap(keyframes, np.arange(own))
-    cloud = seen_cloud(keyframes, [own], own).cloud
-    away = se2.between(pose, np.array(known_map.candidates(cloud)))
+    candidates = known_map.candidates(seen_cloud(keyframes, [own], own), 0.0)
+    away = se2.between(pose, candidates[:, :3])
     assert (np.hypot(away[:, 0], away[:, 1]) + np.abs(away[:, 2])).min() < 0.3
 
 
