@@ -9,7 +9,13 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.seen_cloud import SeenCloud
-from service.mapper.graph.relocalise.known_map import Aligned, KnownMap, rival_nats, winning_nats
+from service.mapper.graph.relocalise.known_map import (
+    MIN_MARGIN_NATS,
+    Aligned,
+    KnownMap,
+    rival_nats,
+    winning_nats,
+)
 
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, 0.1  # poses in one room
 SAME_POSE_M, SAME_POSE_RAD = 0.1, 0.02  # poses that count as equal
@@ -37,13 +43,16 @@ def find_places(
     near        poses (3,) whose surroundings are searched, and half the window, m, rad
     is_anywhere whether the entire map is searched
     must_win    a place counts only if it exceeds unmapped ground by the margin
-    could_win   whether a candidate is worth refining; if none is, all are returned unrefined
+    could_win   whether a candidate is worth refining; if none is, or one of two can not win against the
+                other however refined, all are returned unrefined
     is_possible whether the cloud may be at a pose (3,)
     """
     guessed = [known_map.align(seen, pose, window=window) for pose, window in near]
     least = winning_nats(seen.mass) if must_win else 0.0
     aligned = _distinct([*guessed, *(_aligned(known_map, seen, least, is_possible) if is_anywhere else ())])
-    if not any(map(could_win, aligned)):
+    if not any(map(could_win, aligned)) or (
+        must_win and not near and _is_ambiguous(known_map, seen, aligned)
+    ):
         return aligned
     places = _explored(known_map, seen, [*aligned[:MAX_REFINED], *guessed], [])
     best = places[0].score.evidence
@@ -53,6 +62,18 @@ def find_places(
         places = _explored(known_map, seen, aligned[:MAX_REFINED], places)
     others = [one for one in aligned[MAX_REFINED:] if not is_same_place(one.fit.pose, places[0].fit.pose)]
     return _by_evidence(places + others)
+
+
+def _is_ambiguous(known_map: KnownMap, seen: SeenCloud, aligned: list[Aligned]) -> bool:
+    """Whether, once refined, the best of several places can not exceed each other one by the margin."""
+    best, *others = aligned
+    rival = rival_nats(best.score.evidence + REFINE_MARGIN_NATS, seen.mass)
+    structure = known_map.structure(seen, best.fit.pose)
+    return any(
+        abs(structure - known_map.structure(seen, one.fit.pose)) < MIN_MARGIN_NATS
+        for one in others
+        if one.score.evidence >= rival and not is_same_place(one.fit.pose, best.fit.pose)
+    )
 
 
 def _explored(
