@@ -1,7 +1,7 @@
 """A sub-map for loop search: surfels, free space, and a likelihood field."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -77,10 +77,7 @@ class CandidateSubmap:
         poses = keyframes.odom if poses is None else poses
         self.reference = reference
         self.members = list(members)
-        cells = (occupancy.GRID_TILE_CELLS,) * 2
-        self._space = TileMap(
-            TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), CLOUD_POOL_TILES)
-        )
+        self._space: OccupancyGrid | None = None
         self._pyramid: MaxPyramid | None = None
         self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
         self._sensors = [
@@ -93,7 +90,6 @@ class CandidateSubmap:
         merged = joined(self._clouds)
         self._xy = merged.xy
         self._surfels = SurfelSet(merged)
-        self._is_traced = False
 
     def search(
         self,
@@ -156,18 +152,24 @@ class CandidateSubmap:
             self._pyramid = MaxPyramid(levels, row, column, LOOP_UNKNOWN_LIKELIHOOD, 0.0, 1.0, CELL_M)
         return self._pyramid
 
-    def _trace(self) -> None:
-        cover(self._space, occupancy.GRID_TILE_BITS, np.concatenate((self._xy, self._sensors)))
-        for number in range(0, len(self._clouds), TRACED_EVERY):
-            cloud, sensor = self._clouds[number], self._sensors[number]
-            if len(cloud.xy):
-                trace_scan(
-                    cloud.xy, sensor, np.zeros(3), self._free(), EVIDENCE, LOOP_REACH_M, np.uint16(number + 1)
-                )
-
     def _free(self) -> OccupancyGrid:
-        if not self._is_traced:
-            self._is_traced = True
-            self._trace()
-        evidence, touched, changed = self._space.pool.arrays
-        return OccupancyGrid(self._space.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
+        if self._space is None:
+            self._space = free_space(self._clouds, self._sensors)
+        return self._space
+
+
+def free_space(clouds: Sequence[PointCloud], sensors: Sequence[Floats]) -> OccupancyGrid:
+    """Ground that key frames observed. sensors: (2,) m each, origin of the beams, in the clouds' frame."""
+    cells = (occupancy.GRID_TILE_CELLS,) * 2
+    tiles = TileMap(
+        TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), CLOUD_POOL_TILES)
+    )
+    cover(tiles, occupancy.GRID_TILE_BITS, np.concatenate((joined(clouds).xy, sensors)))
+    evidence, touched, changed = tiles.pool.arrays
+    ground = OccupancyGrid(tiles.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
+    for number in range(0, len(clouds), TRACED_EVERY):
+        ends, sensor = clouds[number].xy, sensors[number]
+        if len(ends):
+            scan_number = np.uint16(number // TRACED_EVERY % 65_535 + 1)
+            trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, LOOP_REACH_M, scan_number)
+    return ground

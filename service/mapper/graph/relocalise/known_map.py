@@ -31,28 +31,25 @@ from service.kernels.facing_search import (
 )
 from service.kernels.loops import splat_field
 from service.kernels.maximum_likelihood_pose import evidence_of_beams, hill_climb
-from service.kernels.occupancy import OccupancyGrid, trace_scan
+from service.kernels.occupancy import OccupancyGrid
 from service.kernels.surfels import SurfelGrid
 from service.kernels.tiles import NO_TILE
 from service.mapper.graph.model.candidate_submap import (
     LOOP_FIELD_SIGMA_M,
     LOOP_REACH_M,
     TRACED_EVERY,
+    free_space,
     seen_by,
 )
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import (
     CELL_M,
-    CLOUD_POOL_TILES,
     Fit,
     PointCloud,
     SurfelSet,
-    cover,
     joined,
 )
 from service.mapper.graph.model.seen_cloud import SeenCloud
-from service.mapper.maps.occupancy import EVIDENCE
-from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.matchers.window_search import thinned, window_around
 
 COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, each with one candidate
@@ -121,9 +118,13 @@ class KnownMap:
         self._walls = SurfelSet(merged)
         few = _one_of_each_cell(merged)
         self._field = _field(few)
-        self._ground = _ground(keyframes, known, clouds, merged.xy)
+        sensors = [
+            se2.points_from(keyframes.map[k], np.array([keyframes.thinned[k].sensor_xy_m]))[0]
+            for k in known.tolist()
+        ]
+        self._ground = free_space(clouds, sensors)
         self._facing = _facing_pyramid(few, self._ground)
-        self._known_ground = _known_ground_of(keyframes, known, clouds, self._walls.grid(), self._ground)
+        self._known_ground = _known_ground_of(clouds, sensors, self._walls.grid(), self._ground)
         self._evaluated = 0
 
     @property
@@ -146,9 +147,9 @@ class KnownMap:
         places, _ = search_facing(
             cloud.xy[near], cloud.normals[near], self._facing, HEADINGS, least / mass - SAMPLING_NATS
         )
-        order = np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]
         places[:, 3] = mass * (places[:, 3] + SAMPLING_NATS)
-        return places[order]
+        first: Floats = places[np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]]
+        return first
 
     def align(
         self,
@@ -303,36 +304,12 @@ def _field(cloud: PointCloud) -> MaxPyramid:
     return MaxPyramid(levels, int(low[1]), int(low[0]), 0.0, 0.0, 1.0, CELL_M)
 
 
-def _ground(
-    keyframes: KeyframeList, known: npt.NDArray[np.int64], clouds: list[PointCloud], xy: Floats
-) -> OccupancyGrid:
-    cells = (occupancy.GRID_TILE_CELLS,) * 2
-    tiles = TileMap(
-        TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), CLOUD_POOL_TILES)
-    )
-    cover(tiles, occupancy.GRID_TILE_BITS, np.concatenate((xy, keyframes.map[known, :2])))
-    evidence, touched, changed = tiles.pool.arrays
-    ground = OccupancyGrid(tiles.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
-    for number in range(0, len(known), TRACED_EVERY):
-        ends = clouds[number].xy
-        sensor = _sensor_of(keyframes, int(known[number]))
-        if len(ends):
-            scan_number = np.uint16(number // TRACED_EVERY % 65_535 + 1)
-            trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, LOOP_REACH_M, scan_number)
-    return ground
-
-
 def _known_ground_of(
-    keyframes: KeyframeList,
-    known: npt.NDArray[np.int64],
-    clouds: list[PointCloud],
-    walls: SurfelGrid,
-    ground: OccupancyGrid,
+    clouds: list[PointCloud], sensors: list[Floats], walls: SurfelGrid, ground: OccupancyGrid
 ) -> KnownGround:
     through_count = np.zeros(walls.surfels.shape[:4], np.float32)
-    for number in range(0, len(known), TRACED_EVERY):
-        sensor = _sensor_of(keyframes, int(known[number]))
-        count_beams_through(clouds[number].xy, sensor, walls, float(TRACED_EVERY), through_count)
+    for cloud, sensor in zip(clouds[::TRACED_EVERY], sensors[::TRACED_EVERY], strict=True):
+        count_beams_through(cloud.xy, sensor, walls, float(TRACED_EVERY), through_count)
     xy = joined(clouds).xy
     low = np.floor(xy.min(axis=0) / POINT_CELL_M).astype(np.int64) - POINT_REACH
     high = np.floor(xy.max(axis=0) / POINT_CELL_M).astype(np.int64) + POINT_REACH + 1
@@ -350,9 +327,3 @@ def _known_ground_of(
         int(low[0]),
         visited,
     )
-
-
-def _sensor_of(keyframes: KeyframeList, k: int) -> Floats:
-    """(2,) m: sensor position of a key frame in the map."""
-    at: Floats = se2.points_from(keyframes.map[k], np.array([keyframes.thinned[k].sensor_xy_m]))[0]
-    return at
