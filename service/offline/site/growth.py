@@ -21,7 +21,8 @@ from service.geometry.poses import Floats
 from service.interruption import before_ending
 from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.graph.edit.editing import only, optimised
-from service.mapper.graph.edit.merging import together
+from service.mapper.graph.edit.merging import MIN_MERGE_LOOPS, together
+from service.mapper.graph.loops.old_passes import SAME_SPOT_M
 from service.mapper.graph.loops.stored_graph import loop_arrays, to_render
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
@@ -31,6 +32,7 @@ from service.offline.cluster.tasks import AnyTask, program_digest
 from service.offline.site.anchors import StoredAnchors
 from service.offline.site.changes import (
     MIN_LOG_ODDS,
+    PLACE_M,
     Comparison,
     Layers,
     in_words,
@@ -41,11 +43,9 @@ from service.offline.site.kept import Seen
 from service.offline.site.sessions import Session
 from service.offline.site.tasks import Find, FindLoops, keep_graph
 
-SPOT_M, VIEWS = 0.5, 6  # of the site so many key frames a spot and direction are looked at
+VIEWS = 6  # of the site so many key frames a spot and direction are looked at
 KEPT_OF_SPOT = 1
-PLACE_M = 4.0  # cells in which sessions overlap
 MAX_PARTNERS, TIMES_COVERED = 4, 1  # sessions that one is tied to, at most; of each of its places
-MIN_LOOPS = 3  # that hold a session
 # By fixes alone a session is known well enough to look for loops: FINISH_WINDOW of the back end at 3 sigma.
 MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
 Pair = tuple[int, int]  # numbers of sessions: members, and behind them those that are new
@@ -241,7 +241,7 @@ class _Round:
         kept: dict[int, SavedGraph] = {}
         for k in new:  # that enough loops tie to members, or to others that they tie; or fixes
             tied = sum(len(of) for (a, b), of in loops.items() if b == k and (a < count or a in kept))
-            if tied >= MIN_LOOPS or k in anchored:
+            if tied >= MIN_MERGE_LOOPS or k in anchored:
                 kept[k] = placed[k]
         joined = self._joined(kept, new, loops, anchored)
         site.members, site.graph, site.geo = joined.members, joined.graph, joined.geo
@@ -252,8 +252,8 @@ class _Round:
                 count = sum(len(of_pair) for pair, of_pair in loops.items() if k in pair)
                 site.left_out[one.name] = (
                     f"it looks as if its map lay at ({x_m:.1f}, {y_m:.1f}) m, {np.degrees(theta_rad):.0f} "
-                    f"deg, but of {counted(count, 'loop')} found fewer than {MIN_LOOPS} hold it there; add a "
-                    "drive that connects it to the others"
+                    f"deg, but of {counted(count, 'loop')} found fewer than {MIN_MERGE_LOOPS} hold it there; "
+                    "add a drive that connects it to the others"
                 )
         return {new[k].name for k in kept}
 
@@ -313,7 +313,7 @@ class _Round:
             joined.solve()
             ends = joined.members_of_loops()
             left = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(members))[count:]
-            weak = [k for k, loops_left in zip(kept, left, strict=True) if loops_left < MIN_LOOPS]
+            weak = [k for k, loops_left in zip(kept, left, strict=True) if loops_left < MIN_MERGE_LOOPS]
             weak = [k for k in weak if k not in anchored] or self._of_elsewhere(joined, list(kept))
             if not weak:
                 return joined
@@ -359,7 +359,7 @@ def seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
     """
     seen = np.zeros(len(graph), np.bool_)
     view = np.floor((graph.map[:, 2] / (2.0 * np.pi) + 0.5) * VIEWS).astype(np.int64) % VIEWS
-    spots = np.column_stack((np.floor(graph.map[:, :2] / SPOT_M).astype(np.int64), view))
+    spots = np.column_stack((np.floor(graph.map[:, :2] / SAME_SPOT_M).astype(np.int64), view))
     usable = (graph.point_count > 0) & ~graph.is_lost
     kept = Counter[tuple[int, ...]]()
     for k in begin + np.flatnonzero(usable[begin:])[::-1]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 
-from service.mapper.graph.edit.merging import MergeError, find_second, together
+from service.mapper.graph.edit.merging import QUERY_EVERY_M, MergeError, find_second, together
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
@@ -14,7 +14,6 @@ from service.mapstore.graph_files import read_graph, write_graph
 from service.offline.cluster.tasks import Done
 
 ENOUGH = 4  # places of a session that agree on where it lies
-EVERY_M = 4.0  # along the path a loop to the other sessions; every 2 m adds nothing on intel
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +56,7 @@ class FindLoops(_OfSession):
 
     def work(self) -> Done:
         whole, begins = self.graphs()
-        back_end = LoopBackEnd(LoopsConfig(search_every_m=EVERY_M), None, whole)
+        back_end = LoopBackEnd(LoopsConfig(search_every_m=QUERY_EVERY_M), None, whole)
         back_end.begin_session_at(begins[-1], is_across=True)
         back_end.search_again()
         back_end.solve()  # without those that the rest contradicts

@@ -16,11 +16,11 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
-from service.mapper.graph.relocalise.place_search import is_same_place, is_same_pose
+from service.mapper.graph.relocalise.place_search import SAME_PLACE_M, is_same_place, is_same_pose
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
-QUERY_EVERY_M = 4.0  # of path in the second graph
-MERGE_AGREE_M, MERGE_AGREE_RAD = 0.5, 0.05  # two results agree, plus AGREE_GROWTH
+QUERY_EVERY_M = 4.0  # of path in the second graph; loops every 2 m add nothing on intel
+MERGE_AGREE_RAD = 0.05  # two results within SAME_PLACE_M and this agree, plus AGREE_GROWTH
 AGREE_GROWTH = 0.02  # m per m of path between them: distortion of both maps
 MIN_MERGE_LOOPS = 3
 QUERY_KEYFRAMES = 6  # key frames of a query, where the search may end early
@@ -225,6 +225,6 @@ def _agree(place: Floats, a: Floats, b: Floats, apart_m: float) -> bool:
     """Whether two poses of the second frame agree at a place (3,) of it."""
     away = se2.between(se2.compose(a, place), se2.compose(b, place))
     return bool(
-        np.hypot(away[0], away[1]) <= MERGE_AGREE_M + AGREE_GROWTH * apart_m
+        np.hypot(away[0], away[1]) <= SAME_PLACE_M + AGREE_GROWTH * apart_m
         and abs(away[2]) <= MERGE_AGREE_RAD + 0.05 * AGREE_GROWTH * apart_m
     )

@@ -19,8 +19,8 @@ from service.mapper.graph.relocalise.detached_search import MIN_APART_M
 from service.mapper.saved_graph import SavedGraph
 
 MAX_CONTRADICTIONS = 2  # consecutive failed verifications
-PAIR_COVARIANCE = np.diag([0.02**2, 0.02**2])  # m^2, of each point of a manual pair
-ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])  # of the first remaining key frame by removed loops
+# m^2, rad^2: of each point of a manual pair, and of the first remaining key frame by removed loops
+ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])
 
 
 def stored_loops(stored: SavedGraph) -> list[Loop]:
@@ -122,7 +122,7 @@ def landmarks_of_pairs(keyframes: KeyframeList) -> tuple[Floats, Sightings]:
         ends.ravel(),
         np.repeat(np.arange(count), 2),
         xy.reshape(-1, 2),
-        np.tile(PAIR_COVARIANCE, (2 * count, 1, 1)),
+        np.tile(ANCHOR_COVARIANCE[:2, :2], (2 * count, 1, 1)),
         np.zeros(2 * count),
     )
     return se2.points_from(keyframes.map[ends], xy).mean(axis=1), sightings

@@ -9,10 +9,9 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.odometry_edges import (
     MIN_EDGE_COVARIANCE,
-    UNKNOWN_COVARIANCE,
     matched_steps,
 )
-from service.mapper.graph.model.pose_graph import Edges, PoseGraph
+from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges, PoseGraph
 from service.mapper.graph.model.pose_graph_solver import covariance_of
 from service.mapper.known_pose import KnownPose
 

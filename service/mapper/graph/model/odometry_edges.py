@@ -6,14 +6,13 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.pose_graph import Edges
+from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges
 from service.mapper.known_pose import covariance_added
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: least covariance of a step
 # m^2, rad^2: of an unmatched step without a motion model
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
 MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: limit of the variance added where the match is poor
-UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: into a segment of unknown place
 # m^2, rad^2: added to the motion model's into a segment without a scan gap: the vehicle was not carried
 NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
 MAX_SCAN_GAP_S = 2.0  # a longer scan gap: the vehicle may have been carried

@@ -12,11 +12,11 @@ from service.kernels.loops import path_lengths
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.odometry_edges import (
-    UNKNOWN_COVARIANCE,
     lost_steps,
     odometry_edges,
     poor_match_steps,
 )
+from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE
 from service.mapper.known_pose import carried
 
 # Gate of three degrees of freedom, loop against path: at most 20 in 1054 loops of seven recordings, 390 and

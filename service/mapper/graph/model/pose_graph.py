@@ -16,6 +16,7 @@ from service.errors import CorridorError
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 
+UNKNOWN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: of an unmeasured step
 MIN_BEARING_RANGE_M = 1e-3  # of a bearing in a g2o file
 
 Ints = npt.NDArray[np.int64]

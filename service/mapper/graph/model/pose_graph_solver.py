@@ -8,9 +8,13 @@ import numpy as np
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.groups import groups_of
-from service.mapper.graph.model.pose_graph import Edges, GraphError, PoseGraph, SolverConfig
-
-OPEN_COVARIANCE = np.diag([1e3, 1e3, 10.0])  # m^2, rad^2: of an unmeasured step
+from service.mapper.graph.model.pose_graph import (
+    UNKNOWN_COVARIANCE,
+    Edges,
+    GraphError,
+    PoseGraph,
+    SolverConfig,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +57,13 @@ def covariance_of(graph: PoseGraph, k: int) -> Floats:
 
     Unlike in `solve`, its factorization is QR (Dellaert and Kaess, section 4.3), which stays accurate where
     one step is known to 0.1 mm and another not at all. Missing steps of the chain get an edge of
-    OPEN_COVARIANCE.
+    UNKNOWN_COVARIANCE.
     """
     _check(graph)
     poses, edges = graph.poses, graph.edges
     to = np.setdiff1d(np.arange(1, len(poses)), edges.to[edges.to == edges.of + 1])
     step = se2.between(poses[to - 1], poses[to])
-    missing = Edges(to - 1, to, step, np.tile(OPEN_COVARIANCE, (len(to), 1, 1)), np.zeros(len(to)))
+    missing = Edges(to - 1, to, step, np.tile(UNKNOWN_COVARIANCE, (len(to), 1, 1)), np.zeros(len(to)))
     from service.mapper.graph.model.gtsam_solver import marginal_of
 
     try:

@@ -20,10 +20,9 @@ from service.mapper.graph.model.odometry_edges import (
     MIN_EDGE_COVARIANCE,
     NEW_SEGMENT_COVARIANCE,
     STEP_FLOOR,
-    UNKNOWN_COVARIANCE,
     odometry_edges,
 )
-from service.mapper.graph.model.pose_graph import Edges
+from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges
 
 STEP_M, COUNT, ODD = 0.25, 11, 5
 MATCHED = np.diag([1e-4, 4e-4, 1e-6])
