@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.kernels.beam_likelihood import MAX_LOG_RATIO
 from service.mapper.graph.model.seen_cloud import SeenCloud
 from service.mapper.graph.relocalise.known_map import (
     MIN_MARGIN_NATS,
@@ -67,7 +68,8 @@ def find_places(
 def _is_ambiguous(known_map: KnownMap, seen: SeenCloud, aligned: list[Aligned]) -> bool:
     """Whether, once refined, the best of several places can not exceed each other one by the margin."""
     best, *others = aligned
-    rival = rival_nats(best.score.evidence + REFINE_MARGIN_NATS, seen.mass)
+    evidence, on_walls = best.score.evidence, MAX_LOG_RATIO * seen.mass
+    rival = rival_nats(max(evidence, min(evidence + REFINE_MARGIN_NATS, on_walls)), seen.mass)
     structure = known_map.structure(seen, best.fit.pose)
     return any(
         abs(structure - known_map.structure(seen, one.fit.pose)) < MIN_MARGIN_NATS

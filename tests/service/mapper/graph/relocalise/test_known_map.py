@@ -15,12 +15,13 @@ from service.kernels.normals import estimate_normals
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
 from service.mapper.graph.model.loops import loop_of
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.seen_cloud import seen_cloud
+from service.mapper.graph.model.seen_cloud import SeenCloud, seen_cloud
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
 from service.mapper.graph.relocalise.known_map import (
     MAX_NATS_PER_WALL,
     MIN_MARGIN_NATS,
     UNEXPLAINED_SHARE,
+    Aligned,
     KnownMap,
     PlaceScore,
 )
@@ -120,6 +121,22 @@ def test_two_similar_rooms_are_both_candidates_and_none_is_accepted():
     facts = sorted((at.x_m, at.y_m) for at in search.possible)
     assert facts[0] == pytest.approx((STOOD.x_m, STOOD.y_m), abs=0.05)
     assert facts[1] == pytest.approx((STOOD.x_m + APART_M, STOOD.y_m), abs=0.05)
+
+
+def test_neither_of_two_similar_rooms_is_refined(monkeypatch: pytest.MonkeyPatch):
+    """No refinement would make one of them win."""
+    refined: list[Aligned] = []
+    refine = KnownMap.refine
+
+    def counted(known_map: KnownMap, seen: SeenCloud, aligned: Aligned) -> Aligned:
+        refined.append(aligned)
+        return refine(known_map, seen, aligned)
+
+    monkeypatch.setattr(KnownMap, "refine", counted)
+    for with_pillar in (False, True):
+        keyframes, noise = rooms(pillar_in_first=with_pillar, pillar_in_second=False)
+        looked_for(keyframes, append(keyframes, room(0.0, with_pillar), STOOD, 1, noise))
+        assert bool(refined) == with_pillar
 
 
 @pytest.mark.parametrize("stands_in_second", [False, True])
