@@ -74,8 +74,8 @@ export class Connection {
   }
 
   /** Ask about stored sessions and maps; resolves to {ok, error?, ...}. */
-  resource(asked) {
-    return this.#ask({ type: "resource", ...asked });
+  resource(request) {
+    return this.#ask({ type: "resource", ...request });
   }
 
   #ask(message) {

@@ -114,7 +114,7 @@ export class Control {
     return this.isMapped ? "" : "There is no map yet to be localised in";
   }
 
-  /** quietly: what was done can be seen elsewhere; only a refusal is said, of what is named so. */
+  /** quietly: what was done can be seen elsewhere; only a refusal is reported, by that name. */
   async ask(verb, request = {}, { quietly = "" } = {}) {
     const answer = await this.connection.command(verb, request);
     const label = this.buttons.get(verb)?.textContent.replace("\u2026", "") ?? (quietly || verb);

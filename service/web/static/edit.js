@@ -47,7 +47,7 @@ export class Edit {
 
     this.note = element("p", { id: "edit-note", role: "status", tabIndex: 0 }); // it may be long, and scrolls then
     this.who = element("input", { type: "text", id: "edit-who", maxLength: 100, autocomplete: "off" });
-    this.said = null; // of the newest change: {words, level}
+    this.reported = null; // of the newest change: {words, level}
     this.undoButton = element("button", { type: "button", id: "edit-undo", onclick: () => this.undo() }, "Undo");
     this.list = element("ul", { className: "stored", id: "versions", "aria-label": "Versions of the map" });
     this.compare = new BeforeAfter(view);
@@ -129,36 +129,36 @@ export class Edit {
     this.update();
     this.note.dataset.level = "none";
     setText(this.note, "Key frames: the map is saved, and they are read \u2026");
-    const told = await this.live.look(), isGraph = told.ok && told.keyframes;
+    const answer = await this.live.look(), isGraph = answer.ok && answer.keyframes;
     this.isBusy = false;
-    this.#take(told);
-    this.say(isGraph ? `Fetched: ${counted(told.keyframes.count, "key frame")}` : `Key frames: ${told.error ?? "there are none; the profile makes none, or the vehicle is not found in the map yet"}`, isGraph ? "ok" : "error");
+    this.#take(answer);
+    this.say(isGraph ? `Fetched: ${counted(answer.keyframes.count, "key frame")}` : `Key frames: ${answer.error ?? "there are none; the profile makes none, or the vehicle is not found in the map yet"}`, isGraph ? "ok" : "error");
     this.update();
   }
 
-  /** Of a running session: what it was told of its map. */
-  #take(told) {
-    if (!told?.ok || !told.keyframes) {
+  /** Of a running session: what it answered of its map; null: nothing. */
+  #take(answer) {
+    if (!answer?.ok || !answer.keyframes) {
       this.forget();
       return;
     }
-    [this.version, this.keyframes, this.fetchedAt_s] = [told.version, new Keyframes(told.keyframes), Date.now() / 1000];
-    this.pairs.put(told.pairs, told.passes);
+    [this.version, this.keyframes, this.fetchedAt_s] = [answer.version, new Keyframes(answer.keyframes), Date.now() / 1000];
+    this.pairs.put(answer.pairs, answer.passes);
     this.view.invalidate();
   }
 
-  /** Hear how the map is now; whether that was told. */
+  /** Fetch the present state of the map; whether that was answered. */
   async look() {
-    const told = await this.connection.command("map_look");
-    if (!told.ok) {
-      this.say(told.error, "error");
+    const answer = await this.connection.command("map_look");
+    if (!answer.ok) {
+      this.say(answer.error, "error");
       return false;
     }
-    [this.version, this.versions, this.keyframes] = [told.version, told.versions, new Keyframes(told.keyframes)];
-    if (!this.who.value) this.who.value = told.user;
+    [this.version, this.versions, this.keyframes] = [answer.version, answer.versions, new Keyframes(answer.keyframes)];
+    if (!this.who.value) this.who.value = answer.user;
     this.update();
-    this.pairs.put(told.pairs, told.passes);
-    this.loops.put(told.loops);
+    this.pairs.put(answer.pairs, answer.passes);
+    this.loops.put(answer.loops);
     this.view.invalidate();
     return true;
   }
@@ -188,7 +188,7 @@ export class Edit {
     return this.#carryOut(label, () => this.live.change(change, who));
   }
 
-  /** make(): resolves to {ok, done?, error?, told?}. */
+  /** make(): resolves to {ok, done?, error?, looked?}. */
   async #carryOut(label, make) {
     this.endTool();
     this.isBusy = true;
@@ -199,9 +199,9 @@ export class Edit {
     const answer = await make();
     if (answer.ok) this.compare.made();
     const isSeen = this.isLive || await this.look();
-    if (answer.told) this.#take(answer.told);
-    this.isBusy = false; // what came of it is said when the next change can be made, not before
-    const unseen = answer.told && !answer.told.ok ? `; its key frames could not be fetched: ${answer.told.error}` : "";
+    if (answer.looked) this.#take(answer.looked);
+    this.isBusy = false; // the outcome is shown when the next change can be made, not before
+    const unseen = answer.looked && !answer.looked.ok ? `; its key frames could not be fetched: ${answer.looked.error}` : "";
     if (isSeen || !answer.ok) this.say(`${label}: ${answer.ok ? answer.done + unseen : answer.error}`, answer.ok && !unseen ? "ok" : "error");
     this.update();
     return answer.ok;
@@ -213,7 +213,7 @@ export class Edit {
 
   /** On top of the area, until the next change; as a notice where the area is not shown. */
   say(words, level) {
-    this.said = { words: `${words}.`, level };
+    this.reported = { words: `${words}.`, level };
     this.#showNote(this.connection.mayControl);
     if (this.note.offsetParent === null) notice(`${words}.`, level);
   }
@@ -221,7 +221,7 @@ export class Edit {
   #showNote(may) {
     const { words, level } = !may ? { level: "none", words: "You may look. To edit, enter the token under Control." }
       : this.isLive && this.whyNot ? { level: "none", words: this.whyNot }
-      : this.said ?? { level: "none", words: this.isLive ? LIVE_WORDS : "Each change is a new version of the stored map, and can be taken back." };
+      : this.reported ?? { level: "none", words: this.isLive ? LIVE_WORDS : "Each change is a new version of the stored map, and can be taken back." };
     this.note.dataset.level = level;
     setText(this.note, words);
   }
@@ -283,10 +283,10 @@ export class Edit {
   }
 
   async #compareWith(version) {
-    const told = await this.connection.command("map_version", { version });
-    if (!told.ok) this.say(told.error, "error");
+    const answer = await this.connection.command("map_version", { version });
+    if (!answer.ok) this.say(answer.error, "error");
     else {
-      await this.swipe.show(told, this.version);
+      await this.swipe.show(answer, this.version);
       chooseTab("map", { onlyOnPhone: true });
     }
   }

@@ -27,20 +27,20 @@ export class LiveEdit {
   async look() {
     const saved = await this.connection.command("save_map");
     if (!saved.ok) return saved;
-    const map = lastName(saved.folder), told = await this.connection.resource({ action: "look", kind: "map", name: map });
-    if (told.ok) [this.seen, this.map] = [told.seen, map];
-    return told;
+    const map = lastName(saved.folder), answer = await this.connection.resource({ action: "look", kind: "map", name: map });
+    if (answer.ok) [this.seen, this.map] = [answer.seen, map];
+    return answer;
   }
 
   keyframe(keyframe) {
     return this.connection.resource({ action: "keyframe", kind: "map", name: this.map, request: { seen: this.seen, keyframe } });
   }
 
-  /** Resolves to {ok, done?, error?, told?}. told: what look() says of the changed map, where somebody has looked before. */
+  /** Resolves to {ok, done?, error?, looked?}. looked: the answer of look() for the changed map, where it was called before. */
   async change(change, who) {
     const answer = await this.connection.command("edit_map", { who, change: asLive(change) });
     if (!answer.ok) return answer;
     this.undoable = answer.undoable;
-    return { ...answer, told: this.seen ? await this.look() : null };
+    return { ...answer, looked: this.seen ? await this.look() : null };
   }
 }

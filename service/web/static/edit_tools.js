@@ -1,4 +1,4 @@
-// Tools of the area Edit on the map: an area, a wall, a moment of the way, points of two places.
+// Tools of the area Edit on the map: an area, a wall, a moment of the path, points of two places.
 // Each works by pointer, and by keys: a click may come from the cross-hair in the middle of the map.
 
 import { cornerNear } from "./corners.js";
@@ -40,7 +40,7 @@ export class CornersTool {
 
   get hint() {
     if (this.note) return this.note;
-    const again = this.isClosed ? "the first one again when the area is whole" : "the last one again when the wall is whole";
+    const again = this.isClosed ? "the first one again when the area is complete" : "the last one again when the wall is complete";
     return `Click the ${this.isClosed ? "corners" : "points of the wall"}; ${again}. Backspace takes one back, Esc ends.`;
   }
 
@@ -142,7 +142,7 @@ export class RectangleTool {
   }
 }
 
-/** One key frame of the way. chosen(number) of the nearest to a click. */
+/** One key frame of the path. chosen(number) of the nearest to a click. */
 export class KeyframeTool {
   drags = false;
   area = "edit";

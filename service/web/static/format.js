@@ -21,9 +21,9 @@ export const metres = (m) => {
 
 export const duration = (s) => {
   if (!isNumber(s) || s < 0) return "\u2013";
-  const whole = Math.floor(s), h = Math.floor(whole / 3600), min = Math.floor(whole / 60) % 60;
+  const total_s = Math.floor(s), h = Math.floor(total_s / 3600), min = Math.floor(total_s / 60) % 60;
   const two = (n) => String(n).padStart(2, "0");
-  return h > 0 ? `${h}:${two(min)}:${two(whole % 60)} h` : `${min}:${two(whole % 60)} min`;
+  return h > 0 ? `${h}:${two(min)}:${two(total_s % 60)} h` : `${min}:${two(total_s % 60)} min`;
 };
 
 const LONGEST_UP_S = 3.2e8; // 10 years: a device clock that is farther on was set

@@ -79,25 +79,25 @@ export class Gestures {
   #move(event) {
     const point = this.#point(event);
     this.onHover?.(point);
-    const held = this.pointers.get(event.pointerId);
-    if (!held) return;
+    const pressed = this.pointers.get(event.pointerId);
+    if (!pressed) return;
     if (this.pointers.size === 2) this.#pinch(event.pointerId, point);
-    else if (held.turns) this.#turnBy(point[0] - held.point[0]);
+    else if (pressed.turns) this.#turnBy(point[0] - pressed.point[0]);
     else if (this.tool()?.drags) this.tool().move(point);
-    else if (Math.hypot(point[0] - held.start[0], point[1] - held.start[1]) > CLICK_PIXELS || held.hasMoved) {
-      held.hasMoved = true;
-      this.#pan(point[0] - held.point[0], point[1] - held.point[1]);
+    else if (Math.hypot(point[0] - pressed.start[0], point[1] - pressed.start[1]) > CLICK_PIXELS || pressed.hasMoved) {
+      pressed.hasMoved = true;
+      this.#pan(point[0] - pressed.point[0], point[1] - pressed.point[1]);
     } else return; // the first pixels of what may become a click
-    held.point = point;
+    pressed.point = point;
   }
 
   #up(event) {
-    const held = this.pointers.get(event.pointerId);
+    const pressed = this.pointers.get(event.pointerId);
     this.pointers.delete(event.pointerId);
-    if (!held || held.turns || event.type === "pointercancel") return;
+    if (!pressed || pressed.turns || event.type === "pointercancel") return;
     const point = this.#point(event);
     if (this.tool()?.drags) this.tool().up(point);
-    else if (!held.hasMoved && this.pointers.size === 0) this.tool()?.click?.(point);
+    else if (!pressed.hasMoved && this.pointers.size === 0) this.tool()?.click?.(point);
   }
 
   #turnBy(dx) {

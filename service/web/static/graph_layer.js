@@ -1,4 +1,4 @@
-// Draws the pose graph: key frames along the way, loops between them, borders of sub-maps. Context draws in metres.
+// Draws the pose graph: key frames along the path, loops between them, borders of sub-maps. Context draws in metres.
 
 const NODE_PIXELS = 3;
 
@@ -25,7 +25,7 @@ export class GraphLayer {
   /** How many of each there are. */
   get counts() {
     return {
-      keyFrames: this.ways.reduce((sum, way) => sum + way.length / 2, 0), borders: this.borders.length,
+      keyFrames: this.ways.reduce((sum, path) => sum + path.length / 2, 0), borders: this.borders.length,
       accepted: this.accepted.length / 4, refused: this.refused.length / 4,
     };
   }
@@ -40,15 +40,15 @@ export class GraphLayer {
       context.stroke();
     };
     stroke(colours.borders, 1.5, [6, 4], () => this.borders.forEach((border) => polyline(context, border, true)));
-    stroke(colours.keyFrames, 1, [], () => this.ways.forEach((way) => polyline(context, way, false)));
+    stroke(colours.keyFrames, 1, [], () => this.ways.forEach((path) => polyline(context, path, false)));
     stroke(colours.refused, 1.5, [5, 4], () => segments(context, this.refused));
     stroke(colours.accepted, 2, [], () => segments(context, this.accepted));
     context.setLineDash([]);
     const size_m = NODE_PIXELS / scale;
     context.fillStyle = colours.keyFrames;
-    for (const way of this.ways) {
-      for (let i = 0; i < way.length; i += 2) {
-        context.fillRect(way[i] - size_m / 2, way[i + 1] - size_m / 2, size_m, size_m);
+    for (const path of this.ways) {
+      for (let i = 0; i < path.length; i += 2) {
+        context.fillRect(path[i] - size_m / 2, path[i + 1] - size_m / 2, size_m, size_m);
       }
     }
   }

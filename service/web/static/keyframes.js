@@ -1,16 +1,16 @@
 // The key frames of a stored map: where and when each was, and the one that a person means.
 
-const WAY_APART_M = 10; // key frames of so much way between them are of two passes
+const PATH_APART_M = 10; // key frames of so much path between them are of two passes
 const SAME_S = 0.02; // times are rounded
 
 export class Keyframes {
-  /** told: of the service's map_look; null where the map has none. */
-  constructor(told = null) {
-    this.count = told?.count ?? 0;
-    this.every = told?.every ?? 1;
-    this.x_m = told?.x_m ?? [];
-    this.y_m = told?.y_m ?? [];
-    this.at_s = told?.at_s ?? [];
+  /** answer: of the service's map_look; null where the map has none. */
+  constructor(answer = null) {
+    this.count = answer?.count ?? 0;
+    this.every = answer?.every ?? 1;
+    this.x_m = answer?.x_m ?? [];
+    this.y_m = answer?.y_m ?? [];
+    this.at_s = answer?.at_s ?? [];
     this.way_m = [];
     this.x_m.forEach((x, i) => this.way_m.push(i ? this.way_m[i - 1] + Math.hypot(x - this.x_m[i - 1], this.y_m[i] - this.y_m[i - 1]) : 0));
   }
@@ -51,7 +51,7 @@ export class Keyframes {
     const i = this.#index(k), [x, y] = this.at(k);
     let least = Infinity, found = null;
     for (let j = 0; j < this.x_m.length; j += 1) {
-      if (Math.abs(this.way_m[j] - this.way_m[i]) < WAY_APART_M) continue;
+      if (Math.abs(this.way_m[j] - this.way_m[i]) < PATH_APART_M) continue;
       const away = Math.hypot(this.x_m[j] - x, this.y_m[j] - y);
       if (away < least) [least, found] = [away, j * this.every];
     }

@@ -80,7 +80,7 @@ const connection = new Connection({
   moment_over: () => { view.endMoment(); past.clear(); },
   pose: (pose) => {
     view.putPose(pose);
-    if (poseTimer !== null) return; // the newest is said when its time has come
+    if (poseTimer !== null) return; // the newest is shown when it is due
     poseTimer = setTimeout(() => {
       poseTimer = null;
       if (view.track.last) information.putPose(view.track.last);
@@ -177,7 +177,7 @@ function setUpLayers() {
   explainStoredChanges();
 }
 
-/** The change that is shown begins when it is asked for. */
+/** The change that is shown begins on request. */
 function compareFromNow() {
   if (view.layers.change) view.change.start(view.tiles);
   else view.change.clear();
@@ -289,6 +289,6 @@ window.corridor = {
     runId, isOpen, mayControl: connection.mayControl, tiles: view.tiles.tiles.size, bounds: view.tiles.bounds,
     pose: view.track.last, pathPoints: view.path.length / 2, sensors: view.sensors, shownSensors: view.shownSensors, health, follows: view.follows,
     moment: past.moment, graph: view.graph.counts, change: view.change.counts, stored: view.stored.counts, rows: history.series.rows.length, bytes: connection.bytes, frames: view.frames, drawn_ms: [...view.drawn_ms],
-    scanPoints: Object.fromEntries([...view.scans].map(([sensor, held]) => [sensor, held.points?.length / 2])),
+    scanPoints: Object.fromEntries([...view.scans].map(([sensor, shownScan]) => [sensor, shownScan.points?.length / 2])),
   }),
 };

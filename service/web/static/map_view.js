@@ -1,4 +1,4 @@
-// Draws the map, the way, the scans and the vehicle; only when something changed, at most once a screen refresh.
+// Draws the map, the path, the scans and the vehicle; only when something changed, at most once a screen refresh.
 
 import { Camera } from "./camera.js";
 import { compose, ellipse, PoseTrack } from "./geometry.js";
@@ -49,7 +49,7 @@ export class MapView {
     this.other = null; // {tiles, share}: another version of the map, drawn in that share of the width
     this.follows = true;
     this.isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
-    this.whole = null; // the camera as it last showed all; null: nothing is shown yet
+    this.fitted = null; // the camera as it last showed all; null: nothing is shown yet
     this.poseArrived_ms = -Infinity;
     this.moment = null; // of a past that is looked at: {at_s, path}
     this.frames = 0;
@@ -110,7 +110,7 @@ export class MapView {
     this.layers.change = false;
     this.path = [];
     this.moment = null;
-    this.whole = null;
+    this.fitted = null;
     this.invalidate();
   }
 
@@ -119,7 +119,7 @@ export class MapView {
       this.tiles.put(ix, iy, edge, cell_m, cells);
       this.change.put(ix, iy, edge, cell_m, cells);
     }
-    const isUntouched = this.whole === null || this.whole === this.camera.place;
+    const isUntouched = this.fitted === null || this.fitted === this.camera.place;
     if (isUntouched && (this.track.last === null || this.moment)) this.#showAll(); // a vehicle is followed all the same when it comes
     this.invalidate();
   }
@@ -156,7 +156,7 @@ export class MapView {
       this.path = this.path.filter((metres, i) => i % 4 < 2 || Number.isNaN(metres));
     }
     if (this.follows) this.camera.centreOn(pose.x_m, pose.y_m);
-    this.whole = ""; // what is shown goes by the vehicle
+    this.fitted = ""; // what is shown goes by the vehicle
     this.invalidate();
   }
 
@@ -166,7 +166,7 @@ export class MapView {
     this.moment = { at_s, path };
     this.track.clear();
     for (const pose of poses) this.track.add({ ...pose, covariance: known(pose.covariance), twist: known(pose.twist) });
-    for (const held of this.scans.values()) held.isFinal = false;
+    for (const shownScan of this.scans.values()) shownScan.isFinal = false;
     this.follow(this.follows);
   }
 
@@ -202,7 +202,7 @@ export class MapView {
     return index < 0 ? null : this.colours.lasers[index % LASER_COLOURS];
   }
 
-  /** Bring the whole map and the vehicle into view. */
+  /** Bring the complete map and the vehicle into view. */
   fit() {
     if (this.#showAll()) this.follows = false;
   }
@@ -217,7 +217,7 @@ export class MapView {
       bounds.y_max_m = Math.max(bounds.y_max_m, pose.y_m);
     }
     this.camera.fit(bounds);
-    this.whole = this.camera.place;
+    this.fitted = this.camera.place;
     this.invalidate();
     return true;
   }
@@ -335,12 +335,12 @@ export class MapView {
     const { context, camera } = this;
     const size_m = Math.max(3 / camera.scale, 0.02);
     for (const [sensor, coming] of this.coming) this.#takeScan(sensor, coming);
-    for (const [sensor, held] of this.scans) {
-      if (!this.#isOfNow(held)) continue;
-      if (!held.isFinal) this.#placeScan(held);
-      if (!held.points) continue;
+    for (const [sensor, shownScan] of this.scans) {
+      if (!this.#isOfNow(shownScan)) continue;
+      if (!shownScan.isFinal) this.#placeScan(shownScan);
+      if (!shownScan.points) continue;
       context.fillStyle = this.colourOf(sensor);
-      const { points } = held;
+      const { points } = shownScan;
       for (let i = 0; i < points.length; i += 2) {
         context.fillRect(points[i] - size_m / 2, points[i + 1] - size_m / 2, size_m, size_m);
       }
@@ -368,12 +368,12 @@ export class MapView {
   }
 
   /** End points in the map, each beam at its own moment. */
-  #placeScan(held) {
-    const { scan } = held;
+  #placeScan(shownScan) {
+    const { scan } = shownScan;
     const at = this.track.at(scan.stamp_s);
     const mounting = this.mountings[scan.sensor];
     if (!at || !mounting) {
-      held.points = null;
+      shownScan.points = null;
       return;
     }
     const laser = { x_m: mounting[0], y_m: mounting[1], theta_rad: mounting[2] };
@@ -388,8 +388,8 @@ export class MapView {
       const angle = sensor.theta_rad + scan.first_angle_rad + i * scan.angle_step_rad + rate * t_s;
       points.push(sensor.x_m + vx * t_s + range_m * Math.cos(angle), sensor.y_m + vy * t_s + range_m * Math.sin(angle));
     });
-    held.points = points;
-    held.isFinal = at.isFinal;
+    shownScan.points = points;
+    shownScan.isFinal = at.isFinal;
   }
 
   #drawVehicle() {

@@ -106,12 +106,12 @@ export class Resources {
   /** The mapping goes on in a stored map. */
   async #load(name) {
     const isFixed = this.mapping.configured_mode === "localization"; // it is localised anyway
-    const way = await confirmed(`Load ${name}?`, `The present map is saved and closed. The vehicle goes on in this one: ${isFixed ? "it" : "it maps there, or"} is only localised, and the map stays as it is. `
+    const choice = await confirmed(`Load ${name}?`, `The present map is saved and closed. The vehicle goes on in this one: ${isFixed ? "it" : "it maps there, or"} is only localised, and the map stays as it is. `
       + "It is lost until it is found there; Set pose helps it. The recording goes on.", isFixed ? "Load and localise" : "Load and map", null, !isFixed && this.verbs.includes("set_mode") ? "Load and localise" : "");
-    if (!way) return;
+    if (!choice) return;
     const pose = this.lastPose();
     const answer = await this.connection.command("load_map", { map: name });
-    const mode = answer.ok && way === "other" ? await this.connection.command("set_mode", { mode: "localization" }) : answer;
+    const mode = answer.ok && choice === "other" ? await this.connection.command("set_mode", { mode: "localization" }) : answer;
     const before = answer.folder_before ? `, the map before is in ${answer.folder_before}` : "";
     if (!answer.ok) notice(`Load ${name}: ${answer.error}.`, "error");
     else if (!mode.ok) notice(`${name} is loaded${before}, but the vehicle maps in it: ${mode.error}.`, "error");
