@@ -5,7 +5,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TextIO
@@ -32,18 +32,23 @@ def print_result(result: dict[str, Any], as_json: bool) -> None:
 def print_report(report: Any, as_json: bool) -> None:
     """A dataclass that can be printed: its fields as one JSON object, or its words."""
     if as_json:
-        print(json.dumps(_fields(report), allow_nan=False, default=_plain))
+        print(json.dumps(_as_json(report), allow_nan=False, default=str))
     else:
         print(report)
 
 
-def _fields(report: Any) -> dict[str, Any]:
-    """Not dataclasses.asdict, which of a Counter makes one of its pairs (Python 3.11)."""
-    return {one.name: getattr(report, one.name) for one in fields(report)}
+def _as_json(value: Any) -> Any:
+    """Dataclasses and named tuples as objects, at any depth.
 
-
-def _plain(value: Any) -> Any:
-    return _fields(value) if is_dataclass(value) else str(value)
+    Not dataclasses.asdict, which of a Counter makes one of its pairs (Python 3.11).
+    """
+    if is_dataclass(value):
+        return {one.name: _as_json(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return _as_json(value._asdict())
+    if isinstance(value, Mapping):
+        return {key: _as_json(part) for key, part in value.items()}
+    return [_as_json(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _lines(result: dict[str, Any], prefix: str) -> Iterator[str]:

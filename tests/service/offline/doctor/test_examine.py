@@ -18,6 +18,7 @@ sensors:
   front: {{type: sick_lms100, host: 127.0.0.1, port: {port}}}
   base: {{type: irobot_create, device: {device}}}
 publishing: {{listen: ["tcp/127.0.0.1:0"]}}
+web: {{listen: "127.0.0.1:0"}}
 recording: {{directory: {folder}/sessions, keep_free_gb: 0, rotate_mb: 1}}
 map: {{directory: {folder}/maps}}
 """
