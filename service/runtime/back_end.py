@@ -13,6 +13,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -383,7 +384,8 @@ class _Server:
                 self._channel.receive_within(STOP_S)
                 raise ChannelClosedError("failed") from error
             self._kept.append(done)
-            self._channel.send(done)
+            with suppress(ChannelClosedError):  # the mapper has died; a copy that it requested may be waiting
+                self._channel.send(done)
 
     def _move_to(self, path: str) -> None:
         """In the copy: serve the stand-by at the path from now on."""

@@ -157,6 +157,27 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     assert not _is_there(pid)
 
 
+def test_a_copy_comes_though_its_mapper_died_while_the_back_end_was_at_work(
+    process: BackEndProcess, tmp_path: Path
+):
+    """The answer that no one takes any more is the copy's."""
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    worker = process.new_worker(Adder())
+    assert worker.submit(1).result()[0] == 1
+    worker.submit(gate)
+    process.copy(tmp_path / "copy.sock")
+    copy = forked_from(process)
+    try:
+        assert process._channel is not None
+        process._channel.close()
+        gate.write_bytes(b"go on")
+        assert ProcessJob(copy, 2).result()[0] == 11
+        assert ProcessWorker(copy).submit(1000).result()[0] == 1011
+    finally:
+        copy.stop()
+
+
 def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     process: BackEndProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
