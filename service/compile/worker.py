@@ -86,12 +86,13 @@ def main() -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     os.nice(int(sys.argv[1]))
     start_compiler()
-    print(flush=True)
-    for line in sys.stdin:
-        if (job := json.loads(line)) is None:
-            break
-        Job(*job).do()
+    with suppress(BrokenPipeError):  # the process that this one works for is ending
         print(flush=True)
+        for line in sys.stdin:
+            if (job := json.loads(line)) is None:
+                break
+            Job(*job).do()
+            print(flush=True)
     os._exit(0)  # the interpreter would take half a second to free what the compiler has made
 
 
