@@ -138,16 +138,19 @@ class KnownMap:
         """Candidate poses of the cloud in the map that may have an evidence of `least`, and an upper bound of
         it: (C, 4) m, m, rad, nats, the most likely first; at most MAX_CANDIDATES.
         """
-        cloud, mass = seen.cloud, seen.mass
+        cloud = seen.cloud
         near = np.flatnonzero((cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2)
+        if not len(near):
+            return np.empty((0, 4))
         weights = np.cumsum(seen.shares[near])
-        at = (np.arange(MAP_SEARCH_POINTS) + 0.5) / MAP_SEARCH_POINTS * weights[-1]
+        mass = float(weights[-1])
+        far_nats = MAX_LOG_RATIO * (seen.mass - mass)  # at most
+        at = (np.arange(MAP_SEARCH_POINTS) + 0.5) / MAP_SEARCH_POINTS * mass
         # The points that are summed first are of all sides of the query.
         near = near[np.searchsorted(weights, at)].reshape(SUMMED_AT_ONCE, -1).T.ravel()
-        places, _ = search_facing(
-            cloud.xy[near], cloud.normals[near], self._facing, HEADINGS, least / mass - SAMPLING_NATS
-        )
-        places[:, 3] = mass * (places[:, 3] + SAMPLING_NATS)
+        least_mean = (least - far_nats) / mass - SAMPLING_NATS
+        places, _ = search_facing(cloud.xy[near], cloud.normals[near], self._facing, HEADINGS, least_mean)
+        places[:, 3] = mass * (places[:, 3] + SAMPLING_NATS) + far_nats
         first: Floats = places[np.argsort(-places[:, 3], kind="stable")[:MAX_CANDIDATES]]
         return first
 

@@ -24,6 +24,7 @@ from service.mapper.graph.relocalise.known_map import (
     Aligned,
     KnownMap,
     PlaceScore,
+    winning_nats,
 )
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.drives import cast
@@ -283,3 +284,40 @@ def test_each_wall_counts_once_however_many_beams_end_on_it():
     assert with_pillar < without - MAX_NATS_PER_WALL  # two sides of it are seen in free space
     elsewhere = known_map.structure(seen_cloud(keyframes, own[:1], own[0]), truth + np.array([0.5, 0.3, 0.0]))
     assert elsewhere < 0.0
+
+
+HALL_M = 33.0
+
+
+def in_the_middle_of_a_hall(known: Walls, new: Walls) -> tuple[KnownMap, SeenCloud, np.ndarray]:
+    """A query there, the map by a path along the walls, and where the query was. known: of the map, besides
+    the hall; new: seen by the query alone.
+    """
+    noise, keyframes, far_m = np.random.default_rng(6), KeyframeList(), HALL_M + 3.0
+    corners = [(0.0, 0.0), (HALL_M, 0.0), (HALL_M, HALL_M), (21.0, HALL_M), (21.0, far_m), (0.0, far_m)]
+    hall = [(*a, *b) for a, b in pairwise([*corners, corners[0]])] + known
+    for side in range(4):
+        for along_m in np.arange(-11.5, 11.5, 1.0):
+            pose = SE2(0.5 * HALL_M, 0.5 * HALL_M, 0.5 * math.pi * side) @ SE2(along_m, -11.5, 0.0)
+            append(keyframes, hall, pose, 0, noise)
+    truth = SE2(16.5, 17.0, 0.3)
+    own = append(keyframes, hall + new, truth, 1, noise)
+    return KnownMap(keyframes, np.arange(own)), seen_cloud(keyframes, [own], own), np.array(truth)
+
+
+def test_the_bound_of_a_candidate_includes_walls_beyond_the_reach_of_the_search():
+    """A new board is near; most of what fits is far."""
+    boxes = [(20.0, 14.0, 20.0, 18.0), (13.0, 19.0, 17.0, 19.0)]
+    known_map, seen, truth = in_the_middle_of_a_hall(boxes, [(18.0, 13.5, 18.0, 14.5)])
+    evidence = known_map.score(seen, truth).evidence
+    assert evidence > winning_nats(seen.mass)
+    places = known_map.candidates(seen, winning_nats(seen.mass))
+    away = se2.between(truth, places[:, :3])
+    is_there = (np.hypot(away[:, 0], away[:, 1]) < 1.0) & (abs(away[:, 2]) < 0.1)
+    assert places[is_there, 3].max() >= evidence
+
+
+def test_where_all_walls_are_beyond_the_reach_of_the_search_there_is_no_candidate():
+    known_map, seen, _ = in_the_middle_of_a_hall([], [])
+    assert len(seen.cloud.xy)
+    assert len(known_map.candidates(seen, 0.0)) == 0
