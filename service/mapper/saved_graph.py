@@ -20,7 +20,7 @@ KINDS = {  # dtypes; the others are floating
     "is_lost": "b",
 }
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
-USUAL_RANGE_SIGMA_M = 0.012  # of key frames in a file without it: an LMS-100
+USUAL_RANGE_SIGMA_M = 0.012  # of an LMS-100: of a point of weight 1, and of key frames in a file without it
 
 
 class KeptGraph(NamedTuple):

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 MAX_AHEAD_NS = 50_000_000  # of the log: two computers that keep each other's time
 MAX_LATENCY_NS = 1_000_000_000  # from a measurement to its log time
-MAX_CHANGE_NS = 250_000_000  # of the delay, from the first half of the messages to the second
+SAME_DELAY_NS = 250_000_000  # between two delays of one clock
 MIN_AGREEING_SHARE = 0.6  # of the messages, whose delays agree
 MIN_ORDINARY = 0.3  # of the messages, where the newest are: the others were stamped by a clock that was set
 MIN_MESSAGES = 3
@@ -77,7 +77,7 @@ def _verdict(stamps: Stamps, logs: Stamps, near: Stamps, is_kept: bool) -> Verdi
 def _changes(delays: Stamps) -> bool:
     """Whether stamps run at another pace than the log."""
     half = len(delays) // 2
-    return half >= 2 and abs(_middle(delays[half:]) - _middle(delays[:half])) > MAX_CHANGE_NS
+    return half >= 2 and abs(_middle(delays[half:]) - _middle(delays[:half])) > SAME_DELAY_NS
 
 
 def _middle(values: Stamps) -> int:

@@ -63,7 +63,7 @@ def agree_by_themselves(scan: LaserScan) -> bool:
     turn, reported_s = turn_s(scan), scan.scan_period_ns * 1e-9
     if turn == 0.0 or (_is_known_laser(scan) and turn <= reported_s * (1 + DURATION_TOLERANCE)):
         return True
-    return turn >= SHORTEST_TURN_S and _are_same(turn, reported_s)
+    return turn >= SHORTEST_TURN_S and are_same(turn, reported_s)
 
 
 def judge(scan: LaserScan, period_s: float | None) -> SweepTime:
@@ -78,15 +78,15 @@ def judge(scan: LaserScan, period_s: float | None) -> SweepTime:
         return SweepTime(0.0, None, f"{_figures(scan)}, and nothing tells the period; {_INSTANT}")
     sweep_s = sweep_ns(scan) * 1e-9
     what = f"{_figures(scan)}; scans come each {_time(period)}"
-    if _are_same(turn, period):
-        if reported_s == 0.0 or _are_same(reported_s, period):
+    if are_same(turn, period):
+        if reported_s == 0.0 or are_same(reported_s, period):
             return BELIEVED
         return SweepTime(None, period, f"{what}, so scan_time is wrong and the measured period is used")
     if turn > period and abs(sweep_s / period - 1.0) <= MAX_SWEEPS - 1.0:
-        if _are_same(turn, reported_s):
+        if are_same(turn, reported_s):
             return BELIEVED  # sectors of a turn, each a message
         return SweepTime(None, None, f"{what}, which the sweep of {_time(sweep_s)} fills though {_FILLS}")
-    is_reported = _are_same(turn, reported_s) or reported_s == 0.0
+    is_reported = are_same(turn, reported_s) or reported_s == 0.0
     if SHORTEST_TURN_S <= turn < period and is_reported:
         return SweepTime(None, None, f"{what}: {_LEFT_OUT}")
     used = f"a turn in {_time(period)} is used (time_increment {_time(period * _share(scan))})"
@@ -124,7 +124,8 @@ def _share(scan: LaserScan) -> float:
     return abs(scan.angle_step_rad) / math.tau
 
 
-def _are_same(one_s: float, other_s: float) -> bool:
+def are_same(one_s: float, other_s: float) -> bool:
+    """Whether two durations are the same within DURATION_TOLERANCE."""
     return abs(one_s - other_s) <= DURATION_TOLERANCE * max(one_s, other_s)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from drivers.counted import counted
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.timing.delays import MAX_LATENCY_NS, MIN_MESSAGES, Clock, is_ordinary
-from service.timing.topic import CERTAIN, EARLY, FAR, LATE, NO_CLOCK, SAME, Topic
+from service.timing.topic import CERTAIN, EARLY, FAR, LATE, MAX_STEP_NS, NO_CLOCK, SAME, Topic
 from service.timing.words import seconds
 
 WAIT_NS = 1_000_000_000  # log time from the first scan, in which doubtful topics are looked at
@@ -15,7 +15,6 @@ MAX_WAIT_NS = 5_000_000_000  # ... where they have few messages
 MAX_WAITING = 5_000  # frames after the first scan: log times may stand still
 MAX_SAMPLES = 200_000  # before the first scan
 LONG_BEFORE_NS = 5_000_000_000  # the first scan: then a topic has ended
-ELSEWHERE_NS = 60_000_000_000  # between stamps that are of one drive, where log times give nothing
 MIN_MESSAGES_LIVE = 100  # of a topic, before the share that is dropped is a warning
 
 KINDS: dict[type[Frame], str] = {
@@ -224,7 +223,7 @@ def _choose_source(
 ) -> None:
     """By what the times of a topic are taken, with a finding where not by its stamps as they are."""
     if log_offset_ns is None:
-        if first_scan is not None and abs(topic.middle_stamp_ns - first_scan.stamp_ns) > ELSEWHERE_NS:
+        if first_scan is not None and abs(topic.middle_stamp_ns - first_scan.stamp_ns) > MAX_STEP_NS:
             topic.source = "none"
             topic.findings.append(
                 f"its stamps are {seconds(topic.middle_stamp_ns - first_scan.stamp_ns)} from those of the "

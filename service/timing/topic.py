@@ -1,6 +1,5 @@
 """The times of one topic, message by message."""
 
-import math
 from collections import Counter, deque
 from dataclasses import replace
 from itertools import pairwise
@@ -11,20 +10,28 @@ from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.timing.delays import (
     MAX_AHEAD_NS,
     MAX_LATENCY_NS,
+    SAME_DELAY_NS,
     SHORTEST_DELAY_NS,
     Clock,
     clock_of,
     is_ordinary,
 )
-from service.timing.sweep_time import BELIEVED, SweepTime, agree_by_themselves, judge, sweep_ns, turn_s
+from service.timing.sweep_time import (
+    BELIEVED,
+    SweepTime,
+    agree_by_themselves,
+    are_same,
+    judge,
+    sweep_ns,
+    turn_s,
+)
 from service.timing.turn_lag import TurnLag
 from service.timing.words import seconds, share
 
 NEW_CLOCK = 10  # messages in a row whose delay has changed by the same: then the clock was set
-SAME_CHANGE_NS = 250_000_000  # between two of their delays
 FASTEST_FADES_NS = 5_000_000  # a message
 FARTHEST_AHEAD_NS = 1_000_000_000  # that a clock may drift to: then it counts as set
-MAX_STEP_NS = 60_000_000_000  # from stamp to stamp, where log times give nothing
+MAX_STEP_NS = 60_000_000_000  # between stamps of one drive, where log times give nothing
 PERIOD_SCANS = 20  # by which the period of scans is known well
 COARSE_NS = 1_000_000_000
 MIN_SAME, MAX_SAME = 5, 0.3  # messages with the stamp of the one before, and their share, of coarse stamps
@@ -34,7 +41,6 @@ PACE_MESSAGES = 20  # at the beginning and at the end, by whose fastest delays a
 MAX_DRIFT_NS = 200_000_000
 EVEN_STEPS, EVEN = 10, 0.2  # log times from message to message, and by which share of them they differ
 MAX_USUAL_DELAY_NS = 250_000_000  # of the fastest messages, to the log
-SAME_TURN = 0.1  # relative difference of two sweep times that are one laser's
 MIN_LAG_S, LAG_SIGMAS = 0.045, 5.0  # by the rates of turn; less the motion model finds by itself
 
 FAR, LATE, SAME = "with a stamp far from those around it", "out of order", "with the stamp of the one before"
@@ -264,7 +270,7 @@ class Topic:
             delay_ns += self.shift_ns
             self.shift_ns = 0
         elif not is_near:
-            if self._strange and abs(delay_ns - self._strange[-1][2]) > SAME_CHANGE_NS:
+            if self._strange and abs(delay_ns - self._strange[-1][2]) > SAME_DELAY_NS:
                 self._strange.clear()
             self._strange.append((stamp_ns, log_ns, delay_ns))
             if len(self._strange) < NEW_CLOCK:
@@ -349,4 +355,4 @@ class Topic:
 def _have_same_sweep(scan: LaserScan, other: LaserScan) -> bool:
     if scan.beam_interval_ns == other.beam_interval_ns and scan.angle_step_rad == other.angle_step_rad:
         return True
-    return math.isclose(turn_s(scan), turn_s(other), rel_tol=SAME_TURN)
+    return are_same(turn_s(scan), turn_s(other))

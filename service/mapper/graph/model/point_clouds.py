@@ -16,16 +16,16 @@ from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
+from service.mapper.saved_graph import USUAL_RANGE_SIGMA_M
 
 CELL_M = 0.10  # of the surfels of key frames
 CLOUD_COUNT_LIMIT = 50.0  # limit of the points counted in a surfel of key frames
 CLOUD_POOL_TILES = 4096
-UNIT_SIGMA_M = 0.012  # noise of a point of weight 1 in surfels
 SIGMA_STEP_M = 0.001  # resolution of sigma_m
 BLOCK_CELLS = 10.0  # edge of the blocks by which points are sorted: neighbouring normals share noise
 SETTINGS = MatchSettings(
-    range_sigma_m=UNIT_SIGMA_M,
-    surfel_sigma_m=UNIT_SIGMA_M,
+    range_sigma_m=USUAL_RANGE_SIGMA_M,
+    surfel_sigma_m=USUAL_RANGE_SIGMA_M,
     wall_sigma_m=0.006,
     repeats=1.0,
     chance_chi2=0.0,
@@ -75,7 +75,7 @@ class PointCloud:
         return PointCloud(self.xy[order], self.normals[order], self.sigma_m[order])
 
 
-def cloud_with_noise(xy: Floats, normals: Floats, range_sigma_m: float = UNIT_SIGMA_M) -> PointCloud:
+def cloud_with_noise(xy: Floats, normals: Floats, range_sigma_m: float = USUAL_RANGE_SIGMA_M) -> PointCloud:
     """A cloud with one range noise."""
     sigma_m = max(round(range_sigma_m / SIGMA_STEP_M), 1) * SIGMA_STEP_M
     return PointCloud(xy, normals, np.full(len(xy), sigma_m))
@@ -114,7 +114,7 @@ class SurfelSet:
             cover(self._tiles, surfels.TILE_BITS, cloud.xy)
             for sigma_m in np.unique(cloud.sigma_m).tolist():
                 of = cloud.sigma_m == sigma_m
-                point_count = (UNIT_SIGMA_M / sigma_m) ** 2
+                point_count = (USUAL_RANGE_SIGMA_M / sigma_m) ** 2
                 insert_surfels(
                     cloud.xy[of],
                     cloud.normals[of],
@@ -139,7 +139,7 @@ class SurfelSet:
     def _fit(self, cloud: PointCloud, pose: Floats, settings: MatchSettings) -> Fit:
         aligned, information = pose.copy(), np.zeros((3, 3))
         normals = cloud.normals.copy()
-        normals[:, 2] *= (UNIT_SIGMA_M / cloud.sigma_m) ** 2
+        normals[:, 2] *= (USUAL_RANGE_SIGMA_M / cloud.sigma_m) ** 2
         used, inliers = align_surfels(cloud.xy, normals, self.grid(), settings, aligned, information)
         return Fit(aligned, information, inliers / used if used else 0.0)
 
