@@ -22,7 +22,8 @@ from service.interruption import before_ending
 log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parents[1] / "kernels"
-PREFIX = "corridor-"  # of the folders
+PREFIX = f"corridor-kernels-{sys.implementation.cache_tag}-"  # of the folders, then the key
+KEY_LENGTH = 12  # hexadecimal digits
 WARM_NAME = "warm"  # in a folder that has the kernels of all profiles
 
 
@@ -34,7 +35,7 @@ def cache_key() -> str:
         (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), ""
     )
     tools = f"numba {version('numba')} llvmlite {version('llvmlite')} Python {sys.version} {processor}"
-    return hashlib.sha256(sources + tools.encode()).hexdigest()[:12]
+    return hashlib.sha256(sources + tools.encode()).hexdigest()[:KEY_LENGTH]
 
 
 def cache_places(environment: Mapping[str, str] = os.environ) -> list[Path]:
@@ -51,12 +52,13 @@ def cache_folder(place: Path | None = None) -> Path:
 
 
 def ensure_cache_dir() -> Path | None:
-    """Delete folders of other sources, and set NUMBA_CACHE_DIR to a temporary folder if no place is writable.
+    """Delete this Python's folders of other sources; set NUMBA_CACHE_DIR to a temporary folder if no place is
+    writable.
 
     Returns the temporary folder, or None. Call it before a kernel is compiled.
     """
     if _is_writable(place := cache_folder().parent):
-        for folder in place.glob(f"{PREFIX}*"):
+        for folder in place.glob(PREFIX + KEY_LENGTH * "[0-9a-f]"):
             if folder != cache_folder(place):
                 shutil.rmtree(folder, ignore_errors=True)
         return None

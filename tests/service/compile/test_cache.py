@@ -10,6 +10,7 @@ import pytest
 
 from service.compile import cache as kernel_cache
 from service.compile.cache import (
+    PREFIX,
     cache_folder,
     cache_key,
     compiling_alone,
@@ -73,10 +74,13 @@ def test_without_a_place_a_private_one_is_made_with_a_warning(
     assert "compiled again at every start" in caplog.text
 
 
-def test_kernels_of_other_sources_are_deleted(sources: Path):
+def test_kernels_of_other_sources_are_deleted_and_nothing_else(sources: Path):
+    """Neither those of another Python nor what else is in the folder, which may be /tmp."""
     ensure_cache_dir()
-    compiled, foreign = cache_folder() / "b.f-1.py311.1.nbc", cache_folder().parent / "other_0a1b" / "c.nbc"
-    for path in (compiled, foreign):
+    compiled, place, key = cache_folder() / "b.f-1.py311.1.nbc", cache_folder().parent, 12 * "0"
+    names = ("other_0a1b", f"corridor-kernels-cpython-39-{key}", "corridor-mapper-0a1b", f"{PREFIX}maps")
+    foreign = [place / name / "c.nbc" for name in names]
+    for path in (compiled, *foreign):
         path.parent.mkdir()
         path.write_bytes(b"machine code")
     ensure_cache_dir()
@@ -85,7 +89,7 @@ def test_kernels_of_other_sources_are_deleted(sources: Path):
     cache_key.cache_clear()
     ensure_cache_dir()
     assert not compiled.exists()
-    assert foreign.exists()
+    assert all(path.exists() for path in foreign)
 
 
 CALLS_ANOTHER_FILE = """
