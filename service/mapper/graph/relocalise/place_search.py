@@ -49,8 +49,12 @@ def find_places(
     is_possible whether the cloud may be at a pose (3,)
     """
     guessed = [known_map.align(seen, pose, window=window) for pose, window in near]
-    least = winning_nats(seen.mass) if must_win else 0.0
-    aligned = _distinct([*guessed, *(_aligned(known_map, seen, least, is_possible) if is_anywhere else ())])
+    aligned, least = _distinct(guessed), winning_nats(seen.mass)
+    if is_anywhere:
+        aligned = _distinct([*guessed, *_aligned(known_map, seen, least, is_possible)])
+        if not must_win and not (aligned and aligned[0].score.evidence >= least):
+            least = 0.0
+            aligned = _distinct([*guessed, *_aligned(known_map, seen, least, is_possible)])
     if not any(map(could_win, aligned)) or (
         must_win and not near and _is_ambiguous(known_map, seen, aligned)
     ):
