@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +14,8 @@ INTRODUCTION = """\
 
 Numbers of the default profile that no setting changes: limits, noise, sizes. The settings
 are in [configuration](configuration.md). `.venv/bin/python -m tests.docs.constants` writes this page from the
-code; a test compares them. Counts and codes whose name says all are left out.
+code; a test compares them. Constants of the [equations](estimator.md) (`service/kernels/`), and counts and codes
+whose name says all, are left out.
 
 | file | constant | value | meaning |
 |---|---|---|---|
@@ -39,11 +41,23 @@ def constants_by_file() -> dict[str, list[Constant]]:
 
 def page() -> str:
     return INTRODUCTION + "".join(
-        f"| {file} | `{one.name}` | `{one.value}` | {one.meaning} |\n"
+        f"| {file} | {names} | {values} | {meaning} |\n"
         for file, constants in constants_by_file().items()
-        for one in constants
-        if one.meaning
+        if not file.startswith("kernels/")
+        for names, values, meaning in _rows(constants)
     )
+
+
+def _rows(constants: list[Constant]) -> Iterator[tuple[str, str, str]]:
+    """Names, values and meaning; constants that one comment explains share a row."""
+    for meaning, group in groupby(constants, lambda one: one.meaning):
+        if meaning:
+            names, values, _ = zip(*group, strict=True)
+            yield _listed(names), _listed(values), meaning
+
+
+def _listed(words: tuple[str, ...]) -> str:
+    return ", ".join(f"`{word}`" for word in words)
 
 
 def _constants_of(path: Path) -> Iterator[Constant]:
