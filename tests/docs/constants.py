@@ -14,8 +14,8 @@ INTRODUCTION = """\
 
 Numbers of the default profile that no setting changes: limits, noise, sizes. The settings
 are in [configuration](configuration.md). `.venv/bin/python -m tests.docs.constants` writes this page from the
-code; a test compares them. Constants of the [equations](estimator.md) (`service/kernels/`), and counts and codes
-whose name says all, are left out.
+code; a test compares them. Constants of the [equations](estimator.md) (`service/kernels/`), counts and codes
+whose name says all are left out.
 
 | file | constant | value | meaning |
 |---|---|---|---|
