@@ -9,7 +9,6 @@ import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.timing import Timing
-from service.timing.sweep_time import agree_by_themselves, judge
 
 MS, S = 1_000_000, 1_000_000_000
 
@@ -67,13 +66,7 @@ def test_an_impossible_time_increment_is_replaced_by_that_of_the_period(turn_s: 
         {"turn_s": 1 / 75, "reported_s": 0.235, "period_s": 0.235, "step_deg": 0.5, "beams": 360},  # LMS2xx
         {"turn_s": 2 / 75, "reported_s": 0.0533, "period_s": 0.0533, "step_deg": 0.5, "beams": 361},
         {"turn_s": 1 / 25, "period_s": 0.1, "step_deg": 0.5, "beams": 361},  # LMS1xx, two of five scans
-        {
-            "turn_s": 0.6,
-            "reported_s": 0.6,
-            "period_s": 0.1,
-            "step_deg": 1.0,
-            "beams": 60,
-        },  # sectors
+        {"turn_s": 0.6, "reported_s": 0.6, "period_s": 0.1, "step_deg": 1.0, "beams": 60},  # sectors
     ],
 )
 def test_fields_of_lasers_that_exist_are_believed_without_a_word(fields: dict[str, float]):
@@ -83,29 +76,27 @@ def test_fields_of_lasers_that_exist_are_believed_without_a_word(fields: dict[st
     assert {frame.beam_interval_ns for frame in frames} == {beam_ns}
 
 
-def test_turns_that_are_left_out_are_reported_and_believed():
-    frames, (warning,) = used(turn_s=0.1, reported_s=0.1, period_s=0.5)
-    assert "scans come each 500 ms: either the other turns are left out" in warning
-    assert frames[-1].beam_interval_ns == scan().beam_interval_ns
+BELIEVED = {"turn_s": 0.1 * 360.0 / 270.0}  # a sweep of 270 deg that fills the period
 
 
-def test_a_sweep_that_fills_the_period_is_reported_and_believed():
-    frames, (warning,) = used(turn_s=0.1 * 360.0 / (1.5 * 180.0))
-    assert "should be scan_time * angle_increment / 360 deg" in warning
-    assert frames[-1].beam_interval_ns == scan(turn_s=0.1 * 360.0 / 270.0).beam_interval_ns
-
-
-def test_a_scan_time_that_is_wrong_by_itself_is_replaced():
-    frames, (warning,) = used(reported_s=5.0)
-    assert "scan_time is wrong" in warning
-    assert {frame.scan_period_ns for frame in frames} == {100 * MS}
-    assert {frame.beam_interval_ns for frame in frames} == {scan().beam_interval_ns}
-
-
-def test_fields_that_agree_with_each_other_and_not_with_the_period_are_found_when_that_is_known():
-    frames, (warning,) = used(turn_s=0.3, reported_s=0.3)
-    assert "time_increment cannot be true" in warning
-    assert frames[-1].beam_interval_ns == scan().beam_interval_ns
+@pytest.mark.parametrize(
+    ("fields", "words", "used_fields"),
+    [
+        ({"period_s": 0.5}, "scans come each 500 ms: either the other turns are left out", {}),
+        (BELIEVED, "should be scan_time * angle_increment / 360 deg", BELIEVED),
+        ({"reported_s": 5.0}, "scan_time is wrong", {}),
+        ({"turn_s": 0.3, "reported_s": 0.3}, "time_increment cannot be true", {}),
+    ],
+    ids=["turns left out", "sweep fills the period", "scan_time", "fields agree, not with the period"],
+)
+def test_inconsistent_fields_are_reported(
+    fields: dict[str, float], words: str, used_fields: dict[str, float]
+):
+    frames, (warning,) = used(**fields)
+    assert words in warning
+    assert frames[-1].beam_interval_ns == scan(**used_fields).beam_interval_ns  # type: ignore[arg-type]
+    if "reported_s" in fields:
+        assert frames[-1].scan_period_ns == 100 * MS
 
 
 def test_one_scan_with_another_time_increment_gets_that_of_the_others():
@@ -117,11 +108,3 @@ def test_one_scan_with_another_time_increment_gets_that_of_the_others():
     }
     (warning,) = timing.warnings
     assert warning.startswith("/front/scan: 1 scan with a time_increment that contradicts that of the others")
-
-
-def test_a_single_scan_is_judged_by_its_own_fields():
-    wrong = scan(turn_s=0.1 / 20)
-    assert not agree_by_themselves(wrong)
-    assert judge(wrong, None).used(wrong).beam_interval_ns == scan().beam_interval_ns
-    nothing = replace(wrong, scan_period_ns=0)
-    assert judge(nothing, None).used(nothing).beam_interval_ns == 0

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -80,81 +81,57 @@ def test_a_constant_offset_of_a_topic_is_found_and_taken_out(off_s: float):
     assert "(uncertainty 0.005 s)" in warning
 
 
-def test_an_offset_of_the_scans_is_taken_out_of_the_scans():
-    frames = [replace(f, stamp_ns=f.stamp_ns - 253 * S) if isinstance(f, LaserScan) else f for f in drive()]
-    run = Run(frames)
-    assert [frame.stamp_ns for frame in run.of(LaserScan)] == [scan(k).stamp_ns for k in range(60)]
-    assert [warning[:12] for warning in run.warnings] == ["/front/scan:"]
+def is_scan(frame: Frame) -> bool:
+    return isinstance(frame, LaserScan)
 
 
-def test_a_recording_that_was_logged_years_later_is_left_as_it_is():
-    frames = [replace(frame, arrived_ns=frame.arrived_ns + 10**8 * S) for frame in drive()]
-    run = Run(frames)
-    assert run.frames == frames
-    assert run.warnings == []
-
-
-@pytest.mark.parametrize(
-    ("latency_ms", "warnings"),
-    [
-        (200, []),
-        (
-            300,
-            [
-                "/base/odom: its messages come at least 0.302 s after their stamps by the log; the stamps "
-                "are used as they are. Is its clock behind, or its link slow?"
-            ],
-        ),
-    ],
-)
-def test_stamps_are_used_as_they_are_whatever_latency_below_a_second(latency_ms: int, warnings: list[str]):
-    frames = [
-        replace(f, arrived_ns=f.arrived_ns + latency_ms * MS) if isinstance(f, OdometrySample) else f
-        for f in drive()
-    ]
-    run = Run(by_log_time(*frames))
-    assert [frame.stamp_ns for frame in run.of(OdometrySample)] == [sample(k).stamp_ns for k in range(120)]
-    assert run.warnings == warnings
-
-
-def test_a_clock_set_back_by_little_is_seen_where_messages_come_evenly():
-    frames = [replace(f, stamp_ns=f.stamp_ns - 108 * MS) if is_of_middle(f) else f for f in drive()]
-    run = Run(frames)
-    assert [frame.stamp_ns for frame in run.of(LaserScan)] == [scan(k).stamp_ns for k in range(60)]
-    assert [w.split(";")[0] for w in run.warnings] == [
-        "/front/scan: its clock was set 2 times, first by -0.108 s, by 0.000 s in all"
-    ]
-
-
-def test_scans_that_come_late_keep_their_stamps():
-    frames = [replace(f, arrived_ns=f.arrived_ns + 90 * MS) if is_of_middle(f) else f for f in drive()]
-    run = Run(by_log_time(*frames))
-    assert [frame.stamp_ns for frame in run.of(LaserScan)] == [scan(k).stamp_ns for k in range(60)]
-    assert run.warnings == []
-
-
-@pytest.mark.parametrize("step_ms", [0, 1, 5], ids=["at once", "1 ms apart", "5 ms apart"])
-def test_scans_that_come_all_together_after_a_stall_keep_their_stamps(step_ms: int):
-    frames: list[Frame] = [scan(k) for k in range(60)]
-    came_ns = frames[34].arrived_ns
-    for k in range(20, 35):
-        frames[k] = replace(frames[k], arrived_ns=came_ns + (k - 34) * step_ms * MS)
-    run = Run(by_log_time(*frames, *[sample(k) for k in range(120)]))
-    scans = [frame.stamp_ns for frame in run.of(LaserScan)]
-    assert set(scans) <= {scan(k).stamp_ns for k in range(60)}
-    assert len(scans) >= 50
-    assert not any("was set" in warning for warning in run.warnings)
+def is_sample(frame: Frame) -> bool:
+    return isinstance(frame, OdometrySample)
 
 
 def is_of_middle(frame: Frame) -> bool:
     return isinstance(frame, LaserScan) and scan(20).stamp_ns <= frame.stamp_ns < scan(40).stamp_ns
 
 
-def test_log_times_that_stand_still_say_nothing():
-    frames = [replace(frame, arrived_ns=T0_NS + 3600 * S) for frame in drive()]
+def is_frame(frame: Frame) -> bool:
+    return True
+
+
+def changed(of: Callable[[Frame], bool], stamp_ns: int = 0, arrived_ns: int = 0) -> list[Frame]:
+    """The drive, with later times of some frames, by log time."""
+    return by_log_time(
+        *[
+            replace(f, stamp_ns=f.stamp_ns + stamp_ns, arrived_ns=f.arrived_ns + arrived_ns) if of(f) else f
+            for f in drive()
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("frames", "warned"),
+    [
+        (changed(is_scan, stamp_ns=-253 * S), ["/front/scan: its stamps are 253.000 s behind"]),
+        (
+            changed(is_of_middle, stamp_ns=-108 * MS),
+            ["/front/scan: its clock was set 2 times, first by -0.108 s, by 0.000 s in all"],
+        ),
+        (changed(is_of_middle, arrived_ns=90 * MS), []),
+        (changed(is_sample, arrived_ns=200 * MS), []),
+        (
+            changed(is_sample, arrived_ns=300 * MS),
+            ["/base/odom: its messages come at least 0.302 s after their stamps by the log; the stamps are"],
+        ),
+        (changed(is_frame, arrived_ns=10**8 * S), []),
+    ],
+    ids=["scans offset", "clock set", "scans late", "latency", "high latency", "logged years later"],
+)
+def test_stamps_are_corrected_where_the_clock_was_wrong_and_not_where_messages_are_late(
+    frames: list[Frame], warned: list[str]
+):
     run = Run(frames)
-    assert run.frames == frames
-    assert run.warnings == []
+    assert [frame.stamp_ns for frame in run.of(LaserScan)] == [scan(k).stamp_ns for k in range(60)]
+    assert [frame.stamp_ns for frame in run.of(OdometrySample)] == [sample(k).stamp_ns for k in range(120)]
+    assert [w[: len(start)] for w, start in zip(run.warnings, warned, strict=True)] == warned
 
 
 def test_without_an_offset_to_be_found_the_topic_is_left_out_whole():
@@ -170,25 +147,18 @@ def test_without_an_offset_to_be_found_the_topic_is_left_out_whole():
     assert run.counters == Counter(samples_dropped_clock=120)
 
 
-def test_a_topic_that_ends_long_before_the_first_scan_is_left_out_with_a_warning():
-    early = [
-        replace(s, stamp_ns=s.stamp_ns - 253 * S, arrived_ns=s.arrived_ns - 253 * S)
-        for s in map(sample, range(120))
-    ]
-    run = Run([*early, *[scan(k) for k in range(60)]])
-    assert run.of(OdometrySample) == []
-    assert run.warnings == [
-        "/base/odom: 120 of 120 (100.0 %) messages are dropped: 120 long before the first scan"
-    ]
-
-
-def test_a_topic_that_begins_after_the_last_scan_is_a_warning():
-    late = [
-        replace(s, stamp_ns=s.stamp_ns + 253 * S, arrived_ns=s.arrived_ns + 253 * S)
-        for s in map(sample, range(9))
-    ]
-    (warning,) = Run([*[scan(k) for k in range(60)], *late]).warnings
-    assert warning.startswith("/base/odom: all 9 messages came after the last scan")
+@pytest.mark.parametrize(
+    ("off_s", "warning"),
+    [
+        (-253, "/base/odom: 120 of 120 (100.0 %) messages are dropped: 120 long before the first scan"),
+        (253, "/base/odom: all 120 messages came after the last scan"),
+    ],
+)
+def test_a_topic_that_ends_before_the_scans_or_begins_after_them_is_a_warning(off_s: int, warning: str):
+    run = Run(changed(is_sample, off_s * S, off_s * S))
+    assert [w[: len(warning)] for w in run.warnings] == [warning]
+    if off_s < 0:
+        assert run.of(OdometrySample) == []
 
 
 @pytest.mark.parametrize("k", [0, 1, 40])
@@ -214,22 +184,6 @@ def test_more_than_five_per_cent_dropped_is_a_warning_with_its_causes():
     assert len(run.frames) == 53
 
 
-def test_a_scan_that_is_left_out_anyway_is_not_counted_a_second_time():
-    """The service has counted it as passed over, for its age."""
-    counters: Counter[str] = Counter()
-    timing = Timing(["front"], counters)
-    for k in range(60):
-        odd = k in (20, 40)
-        timing.take(scan(k, T0_NS + k * 100 * MS + 9000 * S) if odd else scan(k), is_mapped=k != 20)
-    assert counters == Counter(scans_dropped_stamp=1)
-
-
-def test_first_stamps_years_ahead_are_corrected_or_dropped_and_later_ones_are_used():
-    run = Run([scan(k, scan(k).stamp_ns + 94_608_000 * S * (k < 4)) for k in range(60)])
-    assert [frame.stamp_ns for frame in run.frames] == [scan(k).stamp_ns for k in range(4, 60)]
-    assert run.counters == Counter(scans_dropped_stamp=4)
-
-
 @pytest.mark.parametrize("coarse_ns", [10**12 * S, S])
 def test_log_times_serve_where_scans_have_no_stamps_of_their_own(coarse_ns: int):
     run = Run(
@@ -243,13 +197,6 @@ def test_log_times_serve_where_scans_have_no_stamps_of_their_own(coarse_ns: int)
     assert "their log times are used instead, less the time of a sweep" in warning
 
 
-def test_log_times_serve_where_stamps_are_cut_to_half_seconds():
-    run = Run([scan(k, (scan(k).stamp_ns - MS) // (S // 2) * (S // 2) + MS) for k in range(60)])
-    assert len(run.frames) > 50
-    assert [frame.stamp_ns for frame in run.frames[-50:]] == [scan(k).stamp_ns for k in range(10, 60)]
-    assert "from there on their log times are used instead" in run.warnings[0]
-
-
 def test_messages_that_come_twice_are_dropped_and_their_stamps_are_used():
     twice = [[scan(k), replace(scan(k), arrived_ns=scan(k).arrived_ns + MS)] for k in range(60)]
     run = Run([frame for pair in twice for frame in pair])
@@ -260,30 +207,18 @@ def test_messages_that_come_twice_are_dropped_and_their_stamps_are_used():
 
 
 def test_a_clock_that_is_set_while_driving_changes_no_time():
-    frames = drive()
-    jumped = [
-        replace(f, stamp_ns=f.stamp_ns + 5 * S)
-        if isinstance(f, OdometrySample) and f.stamp_ns > T0_NS + 3 * S
-        else f
-        for f in frames
-    ]
-    run = Run(jumped)
+    run = Run(changed(lambda f: is_sample(f) and f.stamp_ns > T0_NS + 3 * S, stamp_ns=5 * S))
     after = [frame.stamp_ns for frame in run.of(OdometrySample)]
-    assert after == [
-        sample(k).stamp_ns for k in range(120) if not 61 <= k < 70
-    ]  # ten agree, then it is believed
-    assert any(
-        "/base/odom: its clock was set 1 time, first by 5.000 s" in warning for warning in run.warnings
-    )
+    # Ten agree, then it is believed.
+    assert after == [sample(k).stamp_ns for k in range(120) if not 61 <= k < 70]
+    assert any("/base/odom: its clock was set 1 time, first by 5.000 s" in one for one in run.warnings)
 
 
 def test_a_log_that_was_late_for_a_while_changes_no_stamp():
     """As where the recorder hung for three seconds."""
-    frames = [replace(f, arrived_ns=f.arrived_ns + 3 * S * (f.stamp_ns > T0_NS + 2 * S)) for f in drive()]
-    stamps = {frame.stamp_ns for frame in drive()}
-    run = Run(frames)
-    assert {frame.stamp_ns for frame in run.frames} <= stamps
-    assert len(run.frames) == len(frames) - 18  # nine of each topic, until they agree
+    run = Run(changed(lambda f: f.stamp_ns > T0_NS + 2 * S, arrived_ns=3 * S))
+    assert {frame.stamp_ns for frame in run.frames} <= {frame.stamp_ns for frame in drive()}
+    assert len(run.frames) == len(drive()) - 18  # nine of each topic, until they agree
 
 
 def test_stamps_that_run_at_another_pace_are_a_warning():
@@ -302,33 +237,14 @@ def test_a_laser_that_is_not_mapped_is_not_waited_for_and_passes():
     assert [len(step) for step in run.steps] == [1, 1, 1, 1, 0]
 
 
-def test_a_topic_that_begins_later_waits_alone():
-    late = [sample(k, 253 * S) for k in range(60, 120)]
-    run = Run(by_log_time(*[scan(k) for k in range(60)], *late))
-    assert [
-        len(step) > 0
-        for step, frame in zip(run.steps, by_log_time(*[scan(k) for k in range(60)], *late), strict=False)
-        if isinstance(frame, LaserScan)
-    ] == [True] * 60
-    assert run.of(OdometrySample) == [sample(k) for k in range(60, 120)]
-
-
 def test_fixes_are_judged_like_all_topics():
-    fixes: list[Frame] = [
-        GnssFix(
-            "gps",
-            T0_NS + k * 200 * MS - 1800 * S,
-            T0_NS + k * 200 * MS + 2 * MS,
-            0,
-            48.0,
-            9.0,
-            400.0,
-            (1.0,) * 9,
-        )
-        for k in range(30)
+    stamps_ns = [T0_NS + k * 200 * MS for k in range(30)]
+    fixes = [
+        GnssFix("gps", at_ns - 1800 * S, at_ns + 2 * MS, 0, 48.0, 9.0, 400.0, (1.0,) * 9)
+        for at_ns in stamps_ns
     ]
     run = Run(by_log_time(*[scan(k) for k in range(60)], *fixes))
-    assert [frame.stamp_ns for frame in run.of(GnssFix)] == [T0_NS + k * 200 * MS for k in range(30)]
+    assert [frame.stamp_ns for frame in run.of(GnssFix)] == stamps_ns
     assert [warning[:9] for warning in run.warnings] == ["/gps/fix:"]
 
 

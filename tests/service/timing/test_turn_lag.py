@@ -45,19 +45,6 @@ def test_an_offset_beyond_the_search_is_not_taken_for_another():
     assert lag_of(5 * S) is None
 
 
-def test_scans_that_lie_nowhere_are_left_out():
-    turns = TurnLag()
-    for k in range(1000):
-        turns.add_sample(k * 20 * MS + 300 * MS, heading_rad(k * 20 * MS))
-    found = [
-        turns.add_scan(at_ns, math.nan if k % 10 == 0 else heading_rad(at_ns))
-        for k in range(2 * FIRST_JUDGED)
-        for at_ns in [2 * S + k * 100 * MS]
-    ]
-    (lag,) = [one for one in found if one is not None and one.scans > 50]
-    assert lag.lag_s == pytest.approx(0.3, abs=3e-3)
-
-
 @pytest.mark.parametrize("turned_at", [0, FIRST_JUDGED // 2, FIRST_JUDGED - 2])
 def test_a_heading_that_jumps_once_shows_no_offset(turned_at: int):
     """All of what was turned lies between two scans: one of the halves that are compared has none."""
