@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
 from service.estimator.estimator import Estimator, EstimatorConfig
 from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
-from service.kernels.filter_state import MAP_BLOCK, NUMBERS, STAMPS, PackedFilter, views_of
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.world import Plan, World, make_world
 from tests.accuracy.driving import mapping_config, ok_and_wrong
@@ -52,19 +50,6 @@ def test_odometry_that_comes_back_does_not_tell_where_the_pose_is() -> None:
     along_m, _ = drive_on(model, 4020, 6000, has_odometry=True)  # it measures speed
     with_odometry_m, _ = drive_on(Estimator(EstimatorConfig()), 0, 6000, has_odometry=True)
     assert along_m > 1.0 > 0.2 > with_odometry_m
-
-
-def test_what_is_handed_back_makes_no_pose_better_known() -> None:
-    """Where a prediction lost weight in a match, [12], the filter may be the wider of the two."""
-    packed, beside = PackedFilter(np.zeros(NUMBERS), np.zeros(STAMPS, np.int64)), ConsistentCovariance()
-    state = views_of(packed)
-    state.covariance[MAP_BLOCK, MAP_BLOCK] = np.diag([1.0, 1.0, 1e-4])
-    beside.switch(packed, is_scan_alone=True)
-    beside.widen(np.diag([3.0, 0.0, 0.0]))
-    widen_pose(state, np.diag([0.0, 5.0, 0.0]))
-    beside.switch(packed, is_scan_alone=False)
-    assert np.allclose(state.covariance[MAP_BLOCK, MAP_BLOCK], np.diag([4.0, 6.0, 1e-4]))
-    assert np.linalg.eigvalsh(state.covariance).min() > -1e-12
 
 
 def corridor() -> World:

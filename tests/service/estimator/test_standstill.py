@@ -24,9 +24,7 @@ def way_m_at(stamp_ms: int, stands_ms: tuple[int, int]) -> float:
 @pytest.mark.parametrize(
     "dies_ms", [0, DEAD_MS, 6500, None], ids=["never lived", "driving", "standing", "lives"]
 )
-def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(
-    dies_ms: int | None,
-) -> None:
+def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(dies_ms: int | None) -> None:
     """It reports standstill to 0.2 mm, where scans measure the motion to 15 mm; true from 6.5 to 8 s."""
     model, random, stands_ms = Estimator(EstimatorConfig()), np.random.default_rng(5), (6000, 8000)
     off_m, faults, counted_m = [], [], 0.0
@@ -76,34 +74,6 @@ def test_odometry_that_moves_again_counts_again_and_what_it_counted_meanwhile_do
     np.testing.assert_allclose(with_counts, without, rtol=1e-6, atol=1e-12)
 
 
-def test_a_collision_with_a_wall_is_a_standstill() -> None:
-    """It stops from 1 m/s at once, which scans confirm; after 3 s it drives back."""
-    model = Estimator(EstimatorConfig())
-    for stamp_ms in range(0, 10_001, 20):
-        way_m = min(stamp_ms, 4000) * 1e-3 - max(stamp_ms - 7000, 0) * 1e-3
-        assert model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
-        if stamp_ms % 100 == 0:
-            predicted = model.predict(stamp_ms * MS)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
-            assert not model.fault
-            if 5000 <= stamp_ms <= 7000:
-                assert predicted.is_measured
-                assert predicted.pose_odom_base.x_m == pytest.approx(4.0, abs=0.01)
-
-
-def test_odometry_that_dies_in_a_turn_on_the_spot_is_found_out_before_the_turn_is_over() -> None:
-    """It dies at 4 s, in the middle of a turn by a radian; then the vehicle stands."""
-    model = Estimator(EstimatorConfig())
-    for stamp_ms in range(0, 5_001, 20):
-        turned_rad = 1e-3 * min(max(stamp_ms - 3500, 0), 1000)
-        counted_rad = min(turned_rad, 0.5)
-        assert model.add(odometry(stamp_ms, SE2(1e-3 * min(stamp_ms, 3000), 0.0, counted_rad)))
-        if stamp_ms % 100 == 0:
-            model.predict(stamp_ms * MS)
-            model.correct(matched(SE2(1e-3 * min(stamp_ms, 3000), 0.0, turned_rad), SURE))
-            assert bool(model.fault) is (stamp_ms > 4200) or 4000 < stamp_ms <= 4200
-
-
 @pytest.mark.parametrize(("braked_s", "gone_m"), [(0.5, 0.25), (0.02, 3.0), (0.003, 3.0)])
 def test_an_impossible_stop_without_scans_measures_no_motion(braked_s: float, gone_m: float) -> None:
     """1 m/s until 4 s, then they brake, a vehicle does within 0.5 s; no scan until 7 s, when they roll on."""
@@ -129,16 +99,3 @@ def test_an_impossible_stop_without_scans_measures_no_motion(braked_s: float, go
                 assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
             model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
             assert not model.fault
-
-
-def test_where_scans_are_seconds_apart_wheels_are_believed_between_them() -> None:
-    """A log of which few scans were kept: its laser is not silent, and its wheels stop at 5 s."""
-    model = Estimator(EstimatorConfig())
-    for stamp_ms in range(0, 8_001, 20):
-        way_m = min(stamp_ms * 1e-3, 5.0)
-        assert model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
-        if stamp_ms % 2000 == 0:
-            predicted = model.predict(stamp_ms * MS)
-            assert not predicted.is_unconfirmed_stop
-            assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.05)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))

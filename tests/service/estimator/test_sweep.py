@@ -25,11 +25,6 @@ def begun_to_move(stamp_ms: float) -> SE2:
     return SE2.exp(way_m, 0.0, turn_rad)
 
 
-def at_speed(stamp_ms: float) -> SE2:
-    t = stamp_ms * 1e-3
-    return SE2.exp(0.8 * t, 0.0, 0.6 * t)
-
-
 def predicted(
     motion,
     until_ms: int = AT_MS + SWEEP_MS + 20,
@@ -122,35 +117,6 @@ def test_a_turn_that_goes_on_growing_bends_no_wall_although_no_one_measures_it()
     assert off_m(prediction, grown) < 0.12
 
 
-def test_at_a_constant_twist_there_is_nothing_to_take_out():
-    assert off_m(predicted(at_speed), at_speed) < 2e-3
-
-
-def test_what_the_noise_of_odometry_explains_is_not_taken_for_motion():
-    """At a constant twist, with the noise of the model: in a third of the sweeps or more nothing is left."""
-    noise = np.random.default_rng(5)
-    left_rad = []
-    for _ in range(40):
-        wander_rad = np.cumsum(0.002 * noise.standard_normal(200))  # each 10 ms
-
-        def wandering(stamp_ms, wander_rad=wander_rad):
-            true = at_speed(stamp_ms)
-            return SE2(true.x_m, true.y_m, true.theta_rad + wander_rad[int(stamp_ms) // 10])
-
-        prediction = predicted(at_speed, wheels=wandering, accelerates=False)
-        deviation = deviation_of(prediction, 0.0, 1e-3 * SWEEP_MS)
-        left_rad.append(deviation[-1, 2])
-    assert np.mean(np.array(left_rad) == 0.0) > 0.33
-
-
-def test_beyond_the_newest_sample_the_twist_goes_on():
-    until_ms = AT_MS + 60
-    half_known = predicted(begun_to_move, until_ms)
-    left_s = 1e-3 * (AT_MS + SWEEP_MS - until_ms)
-    left_rad = 0.5 * TURNS_RADPS2 * ((1e-3 * SWEEP_MS) ** 2 - (1e-3 * SWEEP_MS - left_s) ** 2)
-    assert 0.5 * 4.0 * left_rad < off_m(half_known, begun_to_move) < 4.3 * left_rad
-
-
 def test_without_a_sample_the_scan_is_as_by_the_twist_to_the_last_bit():
     prediction = predicted(begun_to_move, has_odometry=False)
     scan, _ = seen_by(begun_to_move)
@@ -158,14 +124,6 @@ def test_without_a_sample_the_scan_is_as_by_the_twist_to_the_last_bit():
     one, other = (kind(BeamsConfig(), {"front": SE2()})(scan, prediction) for kind in kinds)
     np.testing.assert_array_equal(one.xy_base, other.xy_base)
     assert not deviation_of(prediction, 0.0, 0.15).any()
-
-
-def test_odometry_that_was_found_wrong_bends_little():
-    """Wheels that stand while the scans go on: their noise is learnt, and the sweep is left alone."""
-    prediction = predicted(at_speed, wheels=lambda _: SE2(), from_ms=-2000)
-    deviation = deviation_of(prediction, 0.0, 0.15)
-    assert np.abs(deviation[-1, 2]) < 1e-3 * 0.6 * 0.15
-    assert off_m(prediction, at_speed) < 1e-3
 
 
 @pytest.mark.parametrize("begin_s", [-0.2, 0.0])

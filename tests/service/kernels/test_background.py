@@ -18,7 +18,7 @@ from service.kernels.contour_blur import (
     clear_scan,
 )
 from service.kernels.surfels import TILE_CELLS
-from service.kernels.tiles import NO_TILE, TileIndex
+from tests.service.kernels.grids import empty_tiles
 from tests.service.kernels.inner import from_python
 
 interpolated = from_python(background.interpolated)
@@ -33,33 +33,17 @@ ORIGIN = np.zeros(3)
 SENSOR = np.array([0.05, 0.05])
 
 
-def empty_level(tiles_each_way: int = 2) -> LikelihoodLevel:
-    width = 2 * tiles_each_way
-    shape = (width * width, TILE_CELLS, TILE_CELLS)
-    index = TileIndex(
-        np.full((width, width), NO_TILE, np.int32),
-        np.array([-tiles_each_way] * 2, np.int64),
-        np.empty(shape[0], np.int32),
-        np.zeros(2, np.int64),
-    )
-    return LikelihoodLevel(
-        index,
-        np.zeros(shape, np.float32),
-        np.zeros(shape, np.float32),
-        np.zeros(shape, np.uint16),
-        np.zeros(shape, np.int32),
-        CELL_M,
-    )
+def empty_level() -> LikelihoodLevel:
+    tiles = empty_tiles()
+    shape = (len(tiles.free), TILE_CELLS, TILE_CELLS)
+    floats = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    return LikelihoodLevel(tiles, *floats, np.zeros(shape, np.uint16), np.zeros(shape, np.int32), CELL_M)
 
 
 def room(count: int = 20_000) -> ScanCells:
-    return ScanCells(
-        np.empty((count, 3), np.int32),
-        np.empty(count, np.uint8),
-        np.empty(count, np.float32),
-        np.empty(count, np.float32),
-        np.zeros(1, np.int64),
-    )
+    place, kind = np.empty((count, 3), np.int32), np.empty(count, np.uint8)
+    values = np.empty(count, np.float32), np.empty(count, np.float32)
+    return ScanCells(place, kind, *values, np.zeros(1, np.int64))
 
 
 def at(layer: np.ndarray, level: LikelihoodLevel, row: int, column: int) -> float:
@@ -90,19 +74,6 @@ def test_beside_a_straight_contour_the_blur_is_that_of_its_formula() -> None:  #
     assert cells[1, 5][0] == BLURRED
 
 
-def test_a_traditional_contour_is_as_likely_between_its_points() -> None:  # A10
-    sparse = np.array([[0.05, 0.05], [1.05, 0.05]])
-    ours = blurred_cells(sparse, BLUR._replace(along_cells=1.5))
-    traditional = blurred_cells(sparse, BLUR._replace(along_cells=math.inf, is_sub_cell=False))
-    assert ours[0, 5][1] < 0.05
-    assert traditional[0, 5] == (HIT, 1.0)
-
-
-def test_the_squared_blur_is_a_gaussian() -> None:  # A9
-    cells = blurred_cells(np.array([[0.05, 0.05], [0.15, 0.05]]), BLUR._replace(is_squared=True))
-    assert cells[2, 0][1] == pytest.approx(math.exp(-0.5 * (2.0 / 1.5) ** 2), abs=1e-6)
-
-
 def see(level: LikelihoodLevel, kind: int, value: float, settings: LearningSettings) -> None:
     """One scan that observes only cell (0, 0)."""
     cells = room()
@@ -126,28 +97,6 @@ def test_one_cell_through_hits_and_passes() -> None:  # A34 A35 A36 A37
     assert at(level.likelihood, level, 0, 0) == pytest.approx(faded, rel=1e-6)
     assert at(level.highest, level, 0, 0) == pytest.approx(expected, rel=1e-6)
     assert at(level.seen, level, 0, 0) == 2
-
-
-def test_a_full_cell_fades_to_a_tenth_in_920_scans() -> None:  # A48
-    level = empty_level()
-    see(level, HIT, 1.0, PRINTED)
-    for _ in range(920):
-        see(level, PASSED, 0.0, PRINTED)
-    assert at(level.likelihood, level, 0, 0) == pytest.approx(0.1, abs=0.002)
-
-
-def test_averaging_follows_the_rates_of_the_paper_to_the_scans_likelihood() -> None:
-    level = empty_level()
-    see(level, HIT, 1.0, AVERAGED)
-    see(level, BLURRED, 0.4, AVERAGED)
-    fallen = 1.0 - 0.01 / (1.0 + 3.0) * (1.0 - 0.4)  # eq. 16
-    assert at(level.likelihood, level, 0, 0) == pytest.approx(fallen, rel=1e-6)
-    for _ in range(4000):
-        see(level, BLURRED, 0.4, AVERAGED)
-    assert at(level.likelihood, level, 0, 0) == pytest.approx(0.4, abs=1e-3)
-    see(level, BLURRED, 0.9, AVERAGED)
-    risen = 0.4 + 0.01 * (1.0 + 3.0) * (0.9 - 0.4)  # eq. 14
-    assert at(level.likelihood, level, 0, 0) == pytest.approx(risen, abs=1e-3)
 
 
 def test_a_wall_on_the_border_of_two_cells_stays() -> None:  # A48 A49

@@ -7,13 +7,11 @@ from service.kernels import beam_likelihood
 from service.kernels.beam_likelihood import (
     AT_BACK,
     FREE_DENSITY,
-    MAX_LOG_RATIO,
     MIN_LOG_RATIO,
     MIN_REMOVED_PROBABILITY,
     ON_POINT,
     ON_WALL,
     POINT_CELL_M,
-    POINT_REACH,
     POINT_SIGMA_M,
     UNKNOWN_DENSITY,
     WALL_SIGMA_M,
@@ -24,9 +22,8 @@ from service.kernels.beam_likelihood import (
 )
 from service.kernels.occupancy import Evidence, trace_scan
 from service.kernels.surfels import insert_surfels
+from tests.service.kernels.grids import empty_grid, empty_occupancy
 from tests.service.kernels.inner import from_python
-from tests.service.kernels.occupancy_grids import empty_occupancy
-from tests.service.kernels.surfel_grids import empty_grid
 
 weigh_ends = from_python(beam_likelihood.weigh_ends)
 weigh_paths = from_python(beam_likelihood.weigh_paths)
@@ -92,12 +89,6 @@ def test_a_beam_that_ends_on_a_wall_has_the_likelihood_of_its_noise(off_m, pose)
     )
 
 
-def test_a_map_that_knows_all_that_is_seen_gives_the_full_ratio():
-    noise = np.random.default_rng(3).normal(0.0, 0.012, 300)
-    ends = np.column_stack((WALL_X_M + noise, np.linspace(-1.2, 1.2, 300)))
-    assert ratios(ends, mapped()).mean() == pytest.approx(MAX_LOG_RATIO, abs=0.15)
-
-
 @pytest.mark.parametrize(
     ("end", "density"),
     [((-2.0, 0.0), UNKNOWN_DENSITY), ((1.55, 0.05), FREE_DENSITY), ((WALL_X_M - 0.1, 0.0), UNKNOWN_DENSITY)],
@@ -134,42 +125,3 @@ def test_a_beam_through_a_wall_that_the_map_saw_removed_costs_little():
     known = mapped(seen_through=True)
     assert -1.5 < ratios((4.5, 0.0), known)[0] < -0.05
     assert ratios((4.5, 0.0), mapped())[0] < -3.0
-
-
-def test_a_beam_past_the_end_of_a_wall_does_not_go_through_it():
-    assert ratios((4.0, 3.0), mapped())[0] == pytest.approx(0.0)
-
-
-def test_looks_through_a_wall_are_counted_by_their_weight():
-    known = mapped()
-    ends = np.array([(4.5, 0.05), (3.2, 0.05), (2.0, 0.05)])  # behind it, too near behind it, before it
-    count_beams_through(ends, np.array([0.0, 0.05]), known.walls, 3.0, known.through_count)
-    counted = known.through_count[known.through_count > 0.0]
-    assert counted.tolist() == [3.0]
-
-
-def test_likelihood_near_points_is_that_of_the_nearest():
-    xy = np.random.default_rng(2).uniform(-1.0, 1.0, (40, 2))
-    points = np.zeros((80, 80), np.uint8)
-    splat_points(xy, -40, -40, points)
-    centre = (np.arange(-40, 40) + 0.5) * POINT_CELL_M
-    x, y = np.meshgrid(centre, centre)
-    off_m = np.hypot(x[..., None] - xy[:, 0], y[..., None] - xy[:, 1]).min(axis=2)
-    near = off_m <= POINT_REACH * POINT_CELL_M
-    expected = 255.0 * np.exp(-0.5 * (off_m / POINT_SIGMA_M) ** 2)
-    np.testing.assert_allclose(points[near], expected[near], atol=2.0)
-    assert points[off_m > 3 * POINT_CELL_M].max() == 0
-
-
-def test_paths_are_evaluated_no_further_than_they_can_matter():
-    """Beams that go through the wall side by side, each through a cell of its own."""
-    known = mapped()
-    ends = np.column_stack((np.full(8, 4.5), np.linspace(-1.6, 1.6, 8)))
-    along_beam, few = np.empty(8), np.empty(8)
-    sensors, pose = np.zeros((8, 2)), np.zeros(3)
-    total = weigh_paths(ends, sensors, pose, known, 1, -math.inf, along_beam)
-    assert (along_beam < 0.0).all()
-    assert weigh_paths(ends, sensors, pose, known, 2, total, few) == pytest.approx(total)
-    least = along_beam[:3].sum() + 1e-9
-    assert weigh_paths(ends, sensors, pose, known, 3, least, few) < least
-    np.testing.assert_allclose(few, [*along_beam[:3], 0.0, 0.0, 0.0, 0.0, 0.0])

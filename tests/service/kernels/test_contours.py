@@ -29,15 +29,6 @@ def test_a_long_step_and_an_unlike_step_end_a_contour() -> None:  # A13 A14
     assert set(contours_of(row(0.04, 0.04, 0.079, 0.079))) == {0}
 
 
-def test_points_on_one_spot_divide_nothing_by_zero() -> None:  # A13
-    assert list(contours_of(row(0.0, 0.0))) == [0, 0, 0]
-
-
-def test_what_no_pair_reaches_is_alone() -> None:  # A15
-    assert list(contours_of(row(0.2, 0.2))) == [ALONE] * 3
-    assert list(contours_of(np.zeros((1, 2)))) == [ALONE]
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_contours_keep_their_bounds_and_leave_no_seed(seed: int) -> None:  # A11 A12 A13 A15
     noise = np.random.default_rng(seed)

@@ -6,26 +6,18 @@ from service.kernels import tiles
 from service.kernels.static_score import (
     Observations,
     StaticScoreSettings,
-    count_beams_through_walls,
     count_hits,
-    find_dynamic,
     remove_by_ray_cast,
-    static_residuals,
     weigh_static_score,
 )
-from service.kernels.surfels import PARTS, TILE_BITS, TILE_CELLS, TILE_MASK, SurfelGrid, insert_surfels
+from service.kernels.surfels import PARTS, TILE_BITS, TILE_MASK, SurfelGrid, insert_surfels
+from tests.service.kernels.grids import empty_grid
 from tests.service.kernels.inner import from_python
-from tests.service.kernels.surfel_grids import empty_grid
 
 find_tile = from_python(tiles.find_tile)
 
 SETTINGS = StaticScoreSettings(
-    full_score=10,
-    max_free=3,
-    least_weight=0.1,
-    most_gain=2.0,
-    behind_m=0.2,
-    beam_step=1,
+    full_score=10, max_free=3, least_weight=0.1, most_gain=2.0, behind_m=0.2, beam_step=1
 )
 SENSOR, POSE = np.zeros(2), np.array([0.31, -0.17, 0.4])
 
@@ -138,24 +130,6 @@ def test_a_wall_that_the_beams_pass_along_stays() -> None:
     assert place.point_counts(xy) == counts
 
 
-def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
-    place = CandidateSubmap()
-    xy, _ = wall(2.0, 0.2)
-    facing_away = np.tile([1.0, 0.0, 1.0], (len(xy), 1))
-    place.see(xy, facing_away)
-    place.see(*wall(3.0))
-    assert place.point_counts(xy) == len(xy)
-
-
-def test_a_beam_that_ends_close_behind_removes_nothing() -> None:
-    place = CandidateSubmap()
-    xy, normals = wall(2.0, 0.2)
-    place.see(xy, normals)
-    for _ in range(5):
-        place.see(*wall(2.15, 0.2))
-    assert place.point_counts(xy) > 0.0
-
-
 def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
     place = CandidateSubmap()
     near, far = wall(2.0, 0.2), wall(3.0)
@@ -164,101 +138,3 @@ def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
     assert set(place.scores(near[0])) == {-SETTINGS.max_free}
     weights = [place.see(*near).max() for _ in range(5)]
     assert weights == [0.0, 0.0, 0.0, 1.0, 1.0]
-
-
-def test_new_things_weigh_less_beside_old_ones_only() -> None:
-    place = CandidateSubmap()
-    old, new = wall(2.0, 0.2), wall(2.5, 0.2)
-    both = tuple(np.concatenate(pair) for pair in zip(old, new, strict=True))
-    place.see(*new)
-    np.testing.assert_array_equal(place.weights(*new), 1.0)
-    for _ in range(11):  # the first of them finds cells that were free
-        place.see(*old)
-    for cell in cells_of(place.grid, new[0]):  # as if seen once, in view with the old
-        place.observations.score[cell] = 1
-    weights = place.weights(*both)
-    of_old, of_new = weights[: len(old[0])], weights[len(old[0]) :]
-    np.testing.assert_allclose(of_new / of_old[0], 0.1)
-    np.testing.assert_allclose(weights.sum(), 2 * len(old[0]))
-    assert place.weights(np.array([[-5.0, -5.0]]), np.array([[1.0, 0.0, 1.0]]))[0] == 0.1
-
-
-def test_nothing_is_seen_where_no_tile_is() -> None:
-    place = CandidateSubmap()
-    place.see(*wall(12.0, 0.05))
-    assert np.count_nonzero(place.observations.score < 0) < TILE_CELLS**2
-    assert (place.scores(wall(12.0, 0.05)[0]) == 1).all()
-
-
-def test_each_point_is_weighed_by_its_own_cell() -> None:
-    """Points of one cell share what is known of it; those of the next, along a row or a column, do not."""
-    place = CandidateSubmap()
-    c, s = math.cos(POSE[2]), math.sin(POSE[2])
-    middle = (np.array([[20, 5], [20, 5], [20, 9], [24, 9], [24, 13], [20, 5]]) + 0.5) * place.grid.cell_m
-    xy = (middle - POSE[:2]) @ np.array([[c, -s], [s, c]])
-    normals = np.tile([-1.0, 0.0, 1.0], (len(xy), 1))
-    for first in (0, 0, 0, 2, 2, 3, 4):
-        place.see(xy[first:], normals[first:])
-    np.testing.assert_array_equal(place.scores(xy), [7, 7, 5, 6, 7, 7])
-    weights = place.weights(xy, normals)
-    np.testing.assert_allclose(weights / weights[0], [1.0, 1.0, 5.0 / 7.0, 6.0 / 7.0, 1.0, 1.0])
-
-
-def residuals(place: CandidateSubmap, xy: np.ndarray, normals: np.ndarray, latest: int) -> np.ndarray:
-    residual_m = np.empty(len(xy))
-    static_residuals(xy, normals, POSE, place.grid, place.observations, 0.6, latest, residual_m)
-    return residual_m
-
-
-def moved(place: CandidateSubmap, xy: np.ndarray, latest: int) -> np.ndarray:
-    is_dynamic = np.zeros(len(xy), np.bool_)
-    find_dynamic(xy, POSE, place.grid, place.observations, latest, is_dynamic)
-    return is_dynamic
-
-
-def test_a_wall_is_static_from_the_mark_at_which_it_was_first_seen() -> None:
-    place = CandidateSubmap()
-    xy, normals = wall(2.0)
-    for mark in range(5, 15):
-        place.see(xy, normals, mark=mark)
-    assert np.isnan(residuals(place, xy, normals, 4)).all()
-    near = xy - np.array([0.03, 0.0])
-    np.testing.assert_allclose(residuals(place, near, normals, 5), 0.03, atol=0.005)
-
-
-def test_points_in_known_free_space_have_moved_and_new_ground_has_not() -> None:
-    place = CandidateSubmap()
-    near, far = wall(2.0, 0.2), wall(3.0)
-    place.see(*near)  # with a tile: free space is known where something is near
-    for _ in range(12):
-        place.see(*far)
-    beyond, _ = wall(3.5, 0.2)
-    assert moved(place, near[0], 1).all()
-    assert not moved(place, far[0], 1).any()
-    assert not moved(place, beyond, 1).any()
-
-
-def test_an_object_in_free_space_is_dynamic_until_it_stayed_over_enough_of_the_path() -> None:
-    place = CandidateSubmap()
-    near, far = wall(2.0, 0.2), wall(3.0)
-    place.see(*near)
-    for _ in range(12):
-        place.see(*far)
-    for _ in range(8):
-        place.see(*near, mark=30)
-    assert place.scores(near[0]).min() > 0
-    assert moved(place, near[0], 29).all()
-    assert not moved(place, near[0], 30).any()
-
-
-def test_beams_that_end_behind_a_static_wall_pass_through_it() -> None:
-    place = CandidateSubmap()
-    near, far = wall(2.0), wall(3.0, 0.3)
-    for _ in range(10):
-        place.see(*near, mark=7)
-    through = [
-        count_beams_through_walls(xy, SENSOR, POSE, place.grid, place.observations, latest, SETTINGS.behind_m)
-        for xy, latest in ((far[0], 7), (far[0], 6), (near[0], 7))
-    ]
-    assert through[0] >= 0.9 * len(far[0])
-    assert through[1:] == [0, 0]

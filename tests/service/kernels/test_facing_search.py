@@ -112,31 +112,3 @@ def test_a_wall_is_not_found_from_its_other_side():
     turned_by_no_heading = 1  # of one: only the given heading
     assert len(search_facing(xy, above, pyramid, turned_by_no_heading, 1.5)[0]) > 0
     assert len(search_facing(xy, below, pyramid, turned_by_no_heading, 0.3)[0]) == 0
-
-
-def test_what_has_no_direction_lies_on_walls_of_every_direction():
-    xy = np.column_stack((np.arange(0.0, 4.0, 0.1), np.zeros(40)))
-    pyramid = pyramid_of(xy, np.tile([0.0, 1.0, 1.0], (40, 1)))
-    rough = np.tile([0.0, -1.0, 0.5], (40, 1))
-    assert len(search_facing(xy, rough, pyramid, 1, 1.5)[0]) > 0
-
-
-def test_a_map_in_which_nothing_fits_gives_no_place():
-    xy, normals = room()
-    elsewhere = np.column_stack((np.arange(0.0, 30.0, 0.3), np.tile([0.0, 9.0], 50)))
-    places, _ = search_facing(elsewhere, np.ones((100, 3)), pyramid_of(xy, normals), HEADINGS, 0.5)
-    assert places.shape == (0, 4)
-
-
-def test_a_point_in_free_space_makes_a_pose_less_likely_than_new_ground():
-    xy = np.column_stack((np.arange(0.0, 4.0, 0.1), np.zeros(40)))
-    normals = np.tile([0.0, 1.0, 1.0], (40, 1))
-    pyramid = pyramid_of(xy, normals)
-    rows, columns = pyramid.levels.shape[2:]
-    is_free = np.arange(rows)[:, None] + pyramid.first_row > 1
-    splat_facing(xy, normals, np.repeat(is_free, columns, axis=1), pyramid, SIGMA_M)
-    beyond, cells = np.vstack((xy, xy + np.array([0.0, 1.0]))), np.empty((80, 3), np.int64)
-    turned_facing(beyond, np.vstack((normals, normals)), 0.0, CELL_M, cells)
-    cells[:, :2] -= pyramid.first_row, pyramid.first_column
-    assert facing_sum(cells, pyramid.levels, 0, 0, 0, -(10**9)) < 0
-    assert facing_sum(cells, pyramid_of(xy, normals).levels, 0, 0, 0, -(10**9)) > 0

@@ -87,16 +87,6 @@ def test_every_candidate_is_scored_as_by_hand(dtype) -> None:
         np.testing.assert_allclose(sums, by_hand(xy, field, corner, window), rtol=1e-5, atol=1e-4)
 
 
-def test_the_best_candidate_has_the_largest_sum_and_its_pose_and_mean() -> None:
-    *_, layer, xy, window = random_case(7, np.uint8)
-    best, sums = search_exhaustive(xy, layer, window)
-    assert sums[best.k, best.j, best.i] == sums.max()
-    assert best.evaluated == sums.size
-    assert best.score == pytest.approx(0.1 + 0.005 * sums.max() / len(xy), rel=1e-5)
-    moved = [(best.i - window.half_x) * CELL_M, (best.j - window.half_y) * CELL_M, (best.k - 4) * 0.02]
-    np.testing.assert_allclose(best.pose, window.pose + moved)
-
-
 # C8
 @given(seed=st.integers(0, 10**6), levels=st.integers(1, 5), dtype=st.sampled_from([np.uint8, np.float32]))
 def test_branch_and_bound_finds_what_asking_every_candidate_finds(seed, levels, dtype) -> None:
@@ -118,65 +108,6 @@ def test_among_equals_both_searches_take_the_one_nearest_the_centre(value: int) 
     flat, _ = search_exhaustive(xy, layer, window)
     bounded = search_branch_and_bound(xy, pyramid_of(layer, field.shape, (-30, -35), 3), window, -9.0)
     assert (flat.k, flat.j, flat.i) == (bounded.k, bounded.j, bounded.i) == (3, 6, 5)
-
-
-def test_both_searches_choose_the_same_of_four_equal_peaks() -> None:
-    field = np.zeros((60, 70), np.uint8)
-    for row, column in ((28, 35), (32, 35), (30, 33), (30, 37)):
-        field[row, column] = 200
-    layer = tiled(field, -30, -35, 16, 0.0)
-    window = SearchWindow(np.array([0.05, 0.05, 0.0]), 5, 5, 2, 0.3)
-    xy = np.zeros((1, 2))
-    flat, _ = search_exhaustive(xy, layer, window)
-    bounded = search_branch_and_bound(xy, pyramid_of(layer, field.shape, (-30, -35), 4), window, -9.0)
-    assert (flat.k, flat.j, flat.i) == (bounded.k, bounded.j, bounded.i) == (2, 3, 5)
-
-
-def test_nothing_is_found_where_nothing_reaches_the_least_score() -> None:
-    field, corner, layer, xy, window = random_case(3, np.uint8)
-    best, _ = search_exhaustive(xy, layer, window)
-    pyramid = pyramid_of(layer, field.shape, corner, 4)
-    below = search_branch_and_bound(xy, pyramid, window, best.score - 1e-4)
-    above = search_branch_and_bound(xy, pyramid, window, best.score + 1e-4)
-    assert (below.k, below.j, below.i) == (best.k, best.j, best.i)
-    assert above.score == -math.inf
-    np.testing.assert_array_equal(above.pose, window.pose)
-
-
-def test_a_level_holds_the_maximum_over_its_block() -> None:
-    field, corner, layer, *_ = random_case(5, np.uint8)
-    pyramid = pyramid_of(layer, field.shape, corner, 4)
-    padded = np.zeros((pyramid.levels.shape[1] + 8, pyramid.levels.shape[2] + 8), np.uint8)
-    padded[: pyramid.levels.shape[1], : pyramid.levels.shape[2]] = pyramid.levels[0]
-    np.testing.assert_array_equal(pyramid.levels[0][7:, 7:], field)
-    for level in range(4):
-        blocks = np.lib.stride_tricks.sliding_window_view(padded, (1 << level, 1 << level)).max(axis=(2, 3))
-        expected = blocks[: pyramid.levels.shape[1], : pyramid.levels.shape[2]]
-        np.testing.assert_array_equal(pyramid.levels[level], expected)
-
-
-def test_branch_and_bound_asks_few_of_the_candidates_of_a_large_window() -> None:
-    """A room of 24 x 16 m seen from a place 4 m and 40 deg off."""
-    field = np.zeros((240, 320), np.uint8)
-    for line in (
-        np.s_[40, 20:260],
-        np.s_[200, 20:260],
-        np.s_[40:200, 20],
-        np.s_[40:200, 260],
-        np.s_[40:90, 150],
-    ):
-        field[line] = 200
-    layer = tiled(field, -120, -160, 32, 0.0)
-    row, column = np.nonzero(field)
-    xy_map = np.stack([column - 160 + 0.5, row - 120 + 0.5], axis=1)[::4] * CELL_M
-    truth = np.array([1.0, -2.0, 0.7])
-    c, s = math.cos(truth[2]), math.sin(truth[2])
-    xy = (xy_map - truth[:2]) @ np.array([[c, -s], [s, c]])
-    window = SearchWindow(np.array([-2.0, 1.0, 0.0]), 60, 60, 80, 0.01)
-    pyramid = pyramid_of(layer, field.shape, (-120, -160), 6)
-    found = search_branch_and_bound(xy, pyramid, window, 0.6)
-    assert np.abs(found.pose - truth).max() < 0.15
-    assert found.evaluated < 0.02 * 121 * 121 * 161
 
 
 def test_moments_of_a_gaussian_surface_are_its_own() -> None:

@@ -50,23 +50,6 @@ def test_a_point_is_a_hit_and_two_rings(place: tuple[float, float]) -> None:
     np.testing.assert_array_equal(cells_of(layer), expected)
 
 
-def test_wider_rings_are_so_many_cells_wide() -> None:
-    layer = empty_layer()
-    draw(layer, [(3.05, 3.05)], ring_cells=3)
-    np.testing.assert_array_equal(cells_of(layer)[30, 30:38], [9, 6, 6, 6, 3, 3, 3, 0])
-
-
-# C9 C11
-def test_the_greater_value_stays_and_nothing_is_ever_forgotten() -> None:
-    layer = empty_layer()
-    draw(layer, [(1.05, 1.05)])
-    before = cells_of(layer).copy()
-    draw(layer, [(1.15, 1.05)])
-    after = cells_of(layer)
-    assert (after >= before).all()
-    assert after[10, 10:14].tolist() == [9, 9, 6, 3]
-
-
 # C10
 def test_neighbours_are_joined_by_a_line_and_distant_ones_are_not() -> None:
     joined, apart, broken = empty_layer(), empty_layer(), empty_layer()
@@ -94,14 +77,6 @@ def test_smoothing_takes_noise_off_a_wall_and_leaves_its_ends() -> None:
     apart = np.empty_like(rough)
     smooth_lines(rough, np.arange(len(x), dtype=np.int32), np.full(len(x), 0.01), 0.3, apart)
     np.testing.assert_array_equal(apart, rough)
-
-
-def test_the_mean_is_that_of_the_cells_under_the_points() -> None:
-    layer = empty_layer()
-    draw(layer, [(1.05, 1.05)])
-    xy = np.array([[0.05, 0.05], [0.15, 0.05], [0.25, 0.05], [0.95, 0.05], [-5.0, 0.0]])
-    pose = np.array([1.0, 1.0, 0.0])
-    assert mean_value(xy, pose, layer) == pytest.approx((9 + 6 + 3) / 5)
 
 
 # C34

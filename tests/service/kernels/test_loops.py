@@ -1,14 +1,7 @@
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.kernels.loops import (
-    fill_unknown,
-    path_lengths,
-    share_in_free_space,
-    splat_field,
-    thin_points,
-)
-from service.mapper.graph.model.point_clouds import SurfelSet, cloud_with_noise
+from service.kernels.loops import fill_unknown, path_lengths, splat_field
 from service.mapper.maps.occupancy import OccupancyRenderer
 
 
@@ -60,36 +53,3 @@ def test_only_cells_that_the_map_knows_nothing_of_are_filled():
     np.testing.assert_array_equal(field[1, [30, 35]], np.float32([0.9, 0.8]))
     unseen = np.delete(field, np.s_[10:31], axis=1)
     assert (unseen >= np.float32(0.7)).all()
-
-
-def test_points_that_are_left_lie_apart():
-    xy = np.column_stack((np.linspace(0.0, 1.0, 101), np.zeros(101)))
-    kept = np.empty(101, np.bool_)
-    thin_points(xy, 0.0499, kept)
-    np.testing.assert_allclose(np.diff(xy[kept, 0]), 0.05)
-    assert kept[0]
-
-
-def test_points_behind_a_wall_are_not_in_free_space_and_those_before_it_are():
-    renderer = OccupancyRenderer(15.0, 0.1)
-    canvas = renderer.canvas()
-    wall = np.column_stack((np.full(81, 4.05), np.linspace(-2.0, 2.0, 81)))
-    for _ in range(4):
-        canvas.draw(wall, (0.0, 0.0), SE2())
-    origin, grid = np.zeros(3), canvas.grid()
-    before = np.array([[2.0, 0.0], [2.5, 0.3]])
-    assert share_in_free_space(before, origin, grid, -20) == 1.0
-    assert share_in_free_space(wall, origin, grid, -20) == 0.0
-    assert share_in_free_space(before + np.array([5.0, 0.0]), origin, grid, -20) == 0.0  # unknown
-    assert share_in_free_space(before, np.array([2.05, 0.0, 0.0]), grid, -20) < 1.0
-
-
-def test_alignment_finds_a_corner_again():
-    side = np.linspace(-2.0, 1.95, 80)
-    xy = np.vstack((np.column_stack((np.full(80, 2.05), side)), np.column_stack((side, np.full(80, 2.05)))))
-    normals = np.vstack((np.tile([-1.0, 0.0, 1.0], (80, 1)), np.tile([0.0, -1.0, 1.0], (80, 1))))
-    corner = cloud_with_noise(xy, normals)
-    fit = SurfelSet(corner).align(corner, np.array([0.06, -0.05, 0.02]))
-    assert fit.share == 1.0
-    np.testing.assert_allclose(fit.pose, 0.0, atol=2e-3)
-    assert np.linalg.eigvalsh(fit.information)[0] > 0.0

@@ -46,25 +46,6 @@ def test_a_climb_ends_at_the_wall_and_along_it_where_it_ends():
     assert evaluated < 200
 
 
-def test_points_count_by_their_shares():
-    truth = (0.1, -0.05, 0.04)
-    _, full, _ = climbed(truth, truth, np.ones(120), np.random.default_rng(1))
-    _, half, _ = climbed(truth, truth, np.full(120, 0.5), np.random.default_rng(1))
-    assert half == pytest.approx(0.5 * full, rel=0.02)
-
-
-def test_what_beams_go_through_counts_at_each_pose_again():
-    """Beams that end 1 m behind the wall go through it at every pose that is evaluated."""
-    known = mapped()
-    xy, normals = seen_at((0.0, 0.0, 0.0), np.random.default_rng(1))
-    xy[:, 0] += 1.0
-    pose = np.zeros(3)
-    best, evaluated = hill_climb(xy, normals, np.zeros((120, 2)), np.ones(120), pose, known, 1, FIRST, LEAST)
-    _, at_end, along_beam = evaluated_at(pose, xy, normals, np.ones(120), known, evaluated + 1)
-    assert along_beam.sum() < -1.0
-    assert best == pytest.approx(float(at_end.sum() + along_beam.sum()))
-
-
 def test_where_the_ends_alone_are_not_enough_their_sum_is_reported():
     """From beyond the wall: every beam goes through it and ends on its back."""
     known, truth = mapped(), np.zeros(3)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.kernels.normals import ROUGH_WEIGHT, WALL_M, estimate_normals, range_noise
+from service.kernels.normals import ROUGH_WEIGHT, estimate_normals, range_noise
 
 STEP_RAD = math.radians(0.5)
 SIGMA_M = 0.01
@@ -30,93 +30,6 @@ def walls_at(
 def wall(distance_m: float, angles: np.ndarray) -> np.ndarray:
     """A wall at x = distance_m as beams at these angles hit it."""
     return np.column_stack([np.full(len(angles), distance_m), distance_m * np.tan(angles)])
-
-
-def slow_run(i: int, gaps: list[bool]) -> range:
-    """Points joined to point i without a gap."""
-    first, end = i, i + 1
-    while first > 0 and not gaps[first - 1]:
-        first -= 1
-    while end <= len(gaps) and not gaps[end - 1]:
-        end += 1
-    return range(first, end)
-
-
-def slow_plane(point: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, float]:
-    """Normal and weight of a point by the points beside it, and their spread over what noise explains."""
-    towards = -point / np.hypot(*point)
-    rough = np.array([*towards, ROUGH_WEIGHT])
-    if len(others) < 2:
-        return rough, np.inf
-    scatter_m2 = len(others) * np.cov(np.array(others).T, bias=True)
-    _, vectors = np.linalg.eigh(scatter_m2 - (len(others) - 3) * SIGMA_M**2 * np.outer(towards, towards))
-    normal = vectors[:, 0] * np.sign(vectors[:, 0] @ towards)
-    cosine = normal @ towards
-    values = np.linalg.eigvalsh((len(others) + 1) * np.cov(np.array([point, *others]).T, bias=True))
-    freedoms = len(others) - 1
-    expected_m2 = (SIGMA_M * cosine) ** 2 + WALL_M**2
-    excess = values[0] / (freedoms * expected_m2)
-    weight = ROUGH_WEIGHT
-    if excess < 1.0 + 2.0 * np.sqrt(2.0 / freedoms) and np.sqrt(expected_m2 / values[1]) < 0.2:
-        weight = 1.0 / (0.2 + 0.8 * cosine**2) if cosine >= 0.05 else 0.0
-    return np.array([*normal, weight]), excess
-
-
-def slow_normals(xy: np.ndarray) -> np.ndarray:
-    """The same by its definition, with eigh over windows found by walking outwards."""
-    answer = np.zeros((len(xy), 3))
-    gaps = [
-        np.hypot(*(xy[i + 1] - xy[i])) >= 0.06 + 5.0 * STEP_RAD * min(np.hypot(*xy[i]), np.hypot(*xy[i + 1]))
-        for i in range(len(xy) - 1)
-    ]
-    for i, point in enumerate(xy):
-        beside = [k for k in (i - 1, i + 1) if 0 <= k < len(xy) and not gaps[min(i, k)]]
-        range_m = np.mean([np.hypot(*xy[k]) for k in beside or [i]])
-        # n points over the length L = n * spacing know its direction to sqrt(12 / n) sigma / L
-        wanted = (12.0 * (SIGMA_M / (0.1 * STEP_RAD * range_m)) ** 2) ** (1.0 / 3.0)
-        reach = int(min(max(0.5 * wanted, 4), 32))
-        others = []
-        for side in (-1, 1):
-            for k in range(1, reach + 1):
-                a, b = i + side * (k - 1), i + side * k
-                if not 0 <= b < len(xy) or gaps[min(a, b)]:
-                    break
-                others.append(xy[b])
-        answer[i], _ = slow_plane(point, others)
-        run = slow_run(i, gaps)
-        spacing_m = STEP_RAD * range_m
-        if answer[i, 2] != ROUGH_WEIGHT or reach * spacing_m <= 0.12 or len(run) * spacing_m <= 0.6:
-            continue
-        for side in range(reach, 1, -1):
-            sides = [[i + sign * k for k in range(1, side + 1)] for sign in (1, -1)]
-            found = []
-            for beside in sides:
-                if not set(beside) <= set(run):
-                    continue
-                plane, excess = slow_plane(point, [xy[k] for k in beside])
-                is_dense = np.hypot(*(point - xy[beside[-1]])) <= 0.1 * side
-                is_facing = plane[:2] @ point < -0.5 * np.hypot(*point)
-                if plane[2] != ROUGH_WEIGHT and is_facing and is_dense and excess < 1.0:
-                    kept = beside[:-1] if side > 2 else beside
-                    plane, _ = slow_plane(point, [xy[k] for k in kept])
-                    if plane[2] != ROUGH_WEIGHT:
-                        found.append((excess, *plane))
-            if found:
-                answer[i] = min(found)[1:]
-                break
-    return answer
-
-
-def test_normals_agree_with_eigh_over_the_same_windows() -> None:
-    rng = np.random.default_rng(1)
-    angles = np.arange(-1.2, 1.2, STEP_RAD)
-    ranges = np.minimum(3.0 / np.cos(angles), 2.0 / np.maximum(np.sin(np.abs(angles)), 0.1))
-    ranges[100:120] -= 0.8  # a pillar, so that there are gaps
-    ranges += rng.normal(0.0, 0.01, len(angles))
-    xy = ranges[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-    normals, expected = normals_of(xy), slow_normals(xy)
-    np.testing.assert_allclose(normals, expected, atol=1e-6)
-    assert set(np.unique(normals[:, 2] < 1.0)) == {True, False}
 
 
 def test_a_wall_faces_the_sensor() -> None:
@@ -150,15 +63,6 @@ def test_beams_that_graze_a_wall_see_it_in_long_steps() -> None:
     assert (normals[1:][step_m > 1.05, 2] == ROUGH_WEIGHT).all()
 
 
-def test_grazed_points_with_lost_beams_between_are_of_no_known_wall() -> None:
-    xy = along_a_corridor(0.0)
-    every_second = np.delete(xy, np.flatnonzero(xy[:, 0] > 3.0)[1::2], axis=0)
-    step_m = np.hypot(*np.diff(every_second, axis=0).T)
-    is_far = (every_second[:-1, 0] > 4.5) & (step_m < 0.9)
-    assert is_far.sum() >= 4
-    assert (normals_of(every_second)[:-1][is_far, 2] == ROUGH_WEIGHT).all()
-
-
 def test_a_recess_is_no_plane_however_long_the_row_of_points() -> None:
     """A sunk door far ahead along a corridor: none of its points turns the wall, nor is turned by it."""
     xy = along_a_corridor(0.2)
@@ -168,16 +72,6 @@ def test_a_recess_is_no_plane_however_long_the_row_of_points() -> None:
     assert (normals[across_m > 0.1, 2] <= ROUGH_WEIGHT).all()
     planar = normals[:, 2] >= 1.0
     np.testing.assert_allclose(normals[planar, :2], [[0.0, -1.0]] * planar.sum(), atol=0.03)
-
-
-def test_a_wall_that_ends_far_ahead_is_not_joined_to_the_next() -> None:
-    """Where it lies 18 cm deeper, its last points and the first of the other wall come in steps alike."""
-    xy = along_a_corridor(0.18, end_m=10.3)
-    normals = normals_of(xy)
-    is_deep = xy[:, 1] > 1.1
-    assert is_deep.sum() >= 4
-    assert (normals[is_deep, 2] > 1.0).all()
-    np.testing.assert_allclose(normals[is_deep, :2], [[0.0, -1.0]] * is_deep.sum(), atol=0.01)
 
 
 def test_a_beam_that_ends_between_two_walls_does_not_join_them() -> None:
@@ -190,12 +84,6 @@ def test_a_beam_that_ends_between_two_walls_does_not_join_them() -> None:
     beside = np.r_[normals[edge - 12 : edge - 1], normals[edge + 2 : edge + 12]]
     np.testing.assert_allclose(beside[:, :2], [[0.0, 1.0]] * len(beside), atol=0.1)
     assert (beside[:, 2] >= 1.0).all()
-
-
-def test_the_side_that_is_seen_decides_the_normal() -> None:
-    xy = wall(3.0, np.arange(-0.3, 0.3, STEP_RAD))
-    from_behind = normals_of(xy, sensor=(6.0, 0.0), sigma_m=1e-4)
-    np.testing.assert_allclose(from_behind[:, 0], 1.0, atol=1e-5)
 
 
 def test_grazing_beams_are_dropped() -> None:
@@ -282,27 +170,11 @@ def test_the_noise_of_ranges_is_seen_in_a_scan_with_edges(sigma_m: float) -> Non
     assert np.mean(seen) == pytest.approx(sigma_m, rel=0.15)
 
 
-def test_noise_is_seen_where_only_every_second_beam_or_every_fourth_comes_back() -> None:
-    xy = noisy_wall(3.0, 0.04)
-    dense = range_noise(xy, np.arange(len(xy), dtype=np.int32), np.zeros(2))
-    for gap in (2, 3, 4):
-        assert range_noise(xy, np.arange(0, gap * len(xy), gap, dtype=np.int32), np.zeros(2)) == dense
-
-
 def test_beams_that_are_no_neighbours_show_no_noise() -> None:
     xy = noisy_wall(3.0, 0.01)
     assert range_noise(xy, np.arange(0, 5 * len(xy), 5, dtype=np.int32), np.zeros(2)) == 0.0
     assert range_noise(xy[:31], np.arange(31, dtype=np.int32), np.zeros(2)) == 0.0
     assert range_noise(xy[:32], np.arange(32, dtype=np.int32), np.zeros(2)) > 0.0
-
-
-def test_each_window_is_that_of_its_own_range_whatever_ranges_come_before() -> None:
-    """Close by, windows are wider: beams run along a near wall from afar, past its foot, and away again."""
-    angles = np.arange(-1.3, 1.3, STEP_RAD)
-    near, far = wall(0.3, angles), wall(6.0, angles[-60:])
-    for xy in (near, np.vstack([near, far]), np.vstack([far[::-1], near])):
-        xy = xy + np.random.default_rng(5).normal(0.0, 0.002, xy.shape)
-        np.testing.assert_allclose(normals_of(xy)[:, :2], slow_normals(xy)[:, :2], atol=1e-6)
 
 
 def sunk_door(depth_m: float, step_rad: float) -> tuple[np.ndarray, np.ndarray]:
@@ -341,51 +213,3 @@ def test_the_side_of_a_door_is_a_plane_for_a_laser_of_one_degree() -> None:
     assert planar >= 0.5 * 20 * is_side.sum()
     assert moved == planar
     assert np.mean(np.abs(off_rad) < 0.5) > 0.8
-
-
-def test_few_far_points_make_no_plane_beside_an_edge() -> None:
-    """Of a stair of walls that are each hit once, any three points may lie in line."""
-    angles = np.arange(-0.5, 0.5, math.radians(2.0))
-    range_m = 4.0 + 0.5 * (np.arange(len(angles)) % 2) * np.linspace(0.2, 1.0, len(angles))
-    xy = np.column_stack([range_m * np.cos(angles), range_m * np.sin(angles)])
-    normals, _ = walls_at(xy, step_rad=math.radians(2.0))
-    assert (normals[:, 2] <= ROUGH_WEIGHT).all()
-
-
-@pytest.mark.parametrize(("sigma_m", "least"), [(0.012, 0.25), (0.04, 0.6)])
-def test_noise_along_the_beam_is_taken_out_along_the_wall_and_left_across_it(
-    sigma_m: float, least: float
-) -> None:
-    """The bearing determines where along the wall a beam ends."""
-    angles = np.radians(np.arange(-60.0, 60.0, 0.5))
-    noise_m = np.random.default_rng(4).normal(0.0, sigma_m, (40, len(angles)))
-    along, moved, across = [], [], []
-    for of_scan_m in noise_m:
-        range_m = 1.5 / np.cos(angles) + of_scan_m
-        xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-        normals, there = walls_at(xy, sigma_m=sigma_m)
-        assert (there == xy)[normals[:, 2] < 0.5].all()
-        aslant = (np.abs(angles) > 0.6) & (normals[:, 2] >= 1.0)
-        along += list((xy[:, 1] - 1.5 * np.tan(angles))[aslant])
-        moved += list((there[:, 1] - 1.5 * np.tan(angles))[aslant])
-        across += list((there - xy)[aslant, 0])
-    assert len(along) > 1500
-    assert np.var(moved) < (1.0 - least) * np.var(along)
-    assert np.std(across) < 0.1 * np.std(along)
-
-
-def test_a_point_without_noise_stays_where_it_is() -> None:
-    xy = wall(2.0, np.arange(-1.0, 1.0, STEP_RAD))
-    np.testing.assert_allclose(walls_at(xy, sigma_m=1e-4)[1], xy, atol=1e-6)
-
-
-def test_noise_parts_no_wall_that_is_seen_aslant() -> None:
-    """A LUX errs by 4 cm, so by 12 cm between two beams at times; a split wall has less certain normals."""
-    angles = np.radians(np.arange(-55.0, 55.0, 0.5))
-    noise = np.random.default_rng(5)
-    planar = []
-    for _ in range(20):
-        range_m = 1.1 / np.cos(angles) + noise.normal(0.0, 0.04, len(angles))
-        xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-        planar.append((normals_of(xy, sigma_m=0.04)[:, 2] >= 1.0).mean())
-    assert np.mean(planar) > 0.95  # 0.85 where 6 cm are a gap

@@ -8,11 +8,10 @@ from service.kernels.occupancy import (
     GRID_TILE_CELLS,
     Evidence,
     OccupancyGrid,
-    count_overlap,
     to_per_cent,
     trace_scan,
 )
-from tests.service.kernels.occupancy_grids import empty_occupancy
+from tests.service.kernels.grids import empty_occupancy
 
 EVIDENCE = Evidence(hit=24, miss=-10, least=-70, most=70)
 CELL_M = 0.05
@@ -53,13 +52,6 @@ def test_a_beam_clears_just_the_cells_it_passes(angle: float) -> None:
     cleared = {(row - HALF, column - HALF) for row, column in np.argwhere(cells_of(grid) == -10)}
     assert passed <= cleared  # sampling misses a clipped corner now and then, the traversal does not
     assert len(cleared - passed) <= 1
-
-
-@pytest.mark.parametrize("direction", [(50.0, 0.0), (0.0, -50.0), (0.0, 0.0)])
-def test_beams_along_the_axes_end(direction: tuple[float, float]) -> None:
-    grid = empty_occupancy(CELL_M)
-    beam(grid, 0.5, 0.5, *direction)
-    assert np.count_nonzero(cells_of(grid) < 0) == round(abs(direction[0]) + abs(direction[1]))
 
 
 def test_no_beam_clears_what_another_of_the_scan_hit() -> None:
@@ -106,13 +98,3 @@ def test_per_cent_follow_the_odds_and_report_changes() -> None:
     assert to_per_cent(evidence, 0.05, cells)
     assert cells.tolist() == [[73, 27], [-1, -1]]
     assert not to_per_cent(evidence, 0.05, cells)
-
-
-@pytest.mark.parametrize("theta_rad", [0.0, 0.7])
-def test_a_point_lies_on_a_wall_in_the_free_or_on_ground_no_one_saw(theta_rad: float) -> None:
-    grid = empty_occupancy(CELL_M)
-    trace(grid, [(2.02, 0.01)])
-    xy = [(2.02, 0.01), (2.06, 0.06), (2.13, 0.01), (1.0, 0.01), (1.92, 0.01), (1.0, 1.0), (90.0, 0.0)]
-    c, s = math.cos(theta_rad), math.sin(theta_rad)
-    seen_turned = np.array(xy) @ np.array([[c, -s], [s, c]])  # the base is turned by theta
-    assert count_overlap(seen_turned, np.array([0.0, 0.0, theta_rad]), grid) == (2, 2)

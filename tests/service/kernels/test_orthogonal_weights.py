@@ -2,13 +2,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from service.kernels import orthogonal_weights
-from service.kernels.orthogonal_weights import MAXIMUM, NOISY_OR, WeightedLayer, insert_weighted
+from service.kernels.orthogonal_weights import NOISY_OR, WeightedLayer, insert_weighted
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
-from tests.service.kernels.inner import from_python
-from tests.service.kernels.occupancy_grids import empty_tiles
-
-shares_of_three = from_python(orthogonal_weights.shares_of_three)
+from tests.service.kernels.grids import empty_tiles
 
 CELL_M = 0.1
 SIGMAS = np.array([[1.5, 1.5], [1.5, 0.5], [0.5, 1.5], [0.5, 0.5]])
@@ -27,14 +23,6 @@ def cell(layer, row, column):
 
 def block(layer, row, column):
     return np.array([[cell(layer, row + a, column + b) for b in (-1, 0, 1)] for a in (-1, 0, 1)])
-
-
-@pytest.mark.parametrize(("offset", "sigma"), [(0.0, 0.5), (0.3, 1.5), (-0.5, 0.2)])
-def test_shares_are_the_integrals_of_eqs_17_and_18(offset, sigma):  # B24
-    shares = np.empty(3)
-    shares_of_three(offset, sigma, shares)
-    np.testing.assert_allclose(shares, np.diff(norm.cdf([-1.5, -0.5, 0.5, 1.5], offset, sigma)), atol=1e-12)
-    assert shares.sum() <= 1.0  # B24
 
 
 @pytest.mark.parametrize("about_point", [True, False])
@@ -77,21 +65,3 @@ def test_noisy_or_only_rises_and_never_passes_one():  # B25
         assert after == pytest.approx(expected, abs=1e-4)
         before = after
     assert before > 0.99
-
-
-def test_the_maximum_stays_that_of_one_point():  # B25
-    layer = empty_layer()
-    for _ in range(5):
-        insert_weighted(np.array([[0.55, 0.55]]), ALONE, SIGMAS, True, MAXIMUM, layer)
-    once = empty_layer()
-    insert_weighted(np.array([[0.55, 0.55]]), ALONE, SIGMAS, True, NOISY_OR, once)
-    assert cell(layer, 5, 5) == pytest.approx(cell(once, 5, 5))
-
-
-def test_bytes_follow_the_likelihood_across_the_borders_of_tiles():
-    layer = empty_layer()
-    noise = np.random.default_rng(1)
-    points = noise.uniform(-1.5 * TILE_CELLS * CELL_M, 1.5 * TILE_CELLS * CELL_M, (500, 2))
-    insert_weighted(points, np.full((500, 2), -1, np.int32), SIGMAS, True, NOISY_OR, layer)
-    np.testing.assert_allclose(layer.cells / 255.0, layer.likelihood, atol=0.5 / 255.0 + 1e-6)
-    assert (layer.likelihood > 0.0).sum() > 3000

@@ -76,31 +76,3 @@ def test_axis_parallel_rays_hit_walls_on_cell_borders():
     )
     np.testing.assert_allclose(range_m, [3, 2, 1, 1], atol=1e-12)
     np.testing.assert_array_equal(hit, [1, 2, 3, 0])
-
-
-def test_corners_let_no_ray_through():
-    corners = np.array([[2.0, 1.0], [-1.0, 2.0], [-2.0, -1.5], [1.0, -2.0]])
-    walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    rays = [[0, 0, math.atan2(y, x), 0] for x, y in corners]
-    range_m, _ = cast(rays, walls)
-    np.testing.assert_allclose(range_m, np.hypot(*corners.T), rtol=1e-9)
-
-
-def test_nothing_in_range_is_infinite():
-    range_m, hit = cast([[0, 0, 0, 0], [0, 0, math.pi, 0]], [[5, -1, 5, 1]], range_max_m=4.9)
-    assert np.isinf(range_m).all()
-    assert (hit == NO_HIT).all()
-
-
-def test_disc_is_met_where_it_is_at_the_time_of_the_ray():
-    walls = [[9, -5, 9, 5]]
-    disc = [[3.0, -1.0, 0.0, 2.0, 0.25]]  # crosses the ray at 0.5 s
-    rays = [[0, 0, 0, 0.0], [0, 0, 0, 0.5], [0, 0, 0, 1.0], [2.9, 0, 0, 0.5]]
-    range_m, hit = cast(rays, walls, disc)
-    np.testing.assert_allclose(range_m, [9, 2.75, 9, 0.0])
-    np.testing.assert_array_equal(hit, [0, 1, 0, 1])
-
-
-def test_ray_from_outside_the_grid_finds_what_is_inside():
-    range_m, _ = cast([[-100, 0.5, 0, 0], [-100, 0.5, math.pi, 0]], [[0, 0, 0, 1], [7, 0, 7, 1]])
-    np.testing.assert_allclose(range_m, [100, np.inf])

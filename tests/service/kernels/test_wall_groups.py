@@ -1,6 +1,5 @@
 import numpy as np
 
-from service.kernels.normals import ROUGH_WEIGHT
 from service.kernels.wall_groups import group_by_wall
 
 NOISE_M = 0.012
@@ -45,11 +44,3 @@ def test_both_sides_of_a_thin_wall_are_two() -> None:
     rng = np.random.default_rng(1)
     one, other = grouped(wall(rng, (0.0, 0.0), (5.0, 0.0)), wall(rng, (5.0, -0.04), (0.0, -0.04)))
     assert not one & other
-
-
-def test_rough_points_near_each_other_are_one_thing() -> None:
-    rng = np.random.default_rng(1)
-    thing = np.column_stack((0.05 * rng.standard_normal((8, 2)), np.tile([1.0, 0.0, ROUGH_WEIGHT], (8, 1))))
-    one, other = grouped(thing, thing + np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
-    assert len(one) == len(other) == 1
-    assert one != other
