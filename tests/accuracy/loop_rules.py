@@ -116,15 +116,15 @@ RULES = (
         {"cloud_with_noise": lambda xy, normals, _: cloud_with_noise(xy, normals, LMS100.sigma_m)},
     ),
     Rule("unknown ground neutral", f"{GRAPH}.model.candidate_submap", {"LOOP_UNKNOWN_LIKELIHOOD": 0.0}),
-    Rule("points in free space count", f"{GRAPH}.loops.loop_back_end", {"MAX_AGAINST": 2.0}),
-    Rule("least inlier ratio", f"{GRAPH}.loops.loop_back_end", {"MIN_SHARE_ON_MAP": 0.0}),
-    Rule("contradicted loops disabled", f"{GRAPH}.loops.loop_back_end", {"CONTRADICTION_CHI2": math.inf}),
+    Rule("points in free space count", f"{GRAPH}.loops.loop_search", {"MAX_AGAINST": 2.0}),
+    Rule("least inlier ratio", f"{GRAPH}.loops.loop_search", {"MIN_SHARE_ON_MAP": 0.0}),
+    Rule("contradicted loops disabled", f"{GRAPH}.loops.loop_set", {"CONTRADICTION_CHI2": math.inf}),
     Rule(
         "tolerance that grows with the path",
-        f"{GRAPH}.loops.loop_back_end",
+        f"{GRAPH}.loops.loop_set",
         {"agree": lambda keyframes, a, b, base, _: agree(keyframes, a, b, base, (0.0, 0.0))},
     ),
-    Rule("more passes than the nearest", f"{GRAPH}.loops.passes", {"PASSES": 1}),
+    Rule("more passes than the nearest", f"{GRAPH}.loops.loop_search", {"PASSES": 1}),
     Rule("wide search at the finish", f"{GRAPH}.loops.loop_back_end", {"FINISH_WINDOW": (0.01, 0.01)}),
 )
 WORLD_NAMES = ("corridor100d_s1", "ring_s3", "ring_bias_s1", "office300_s1", "office2000_kidnap_s1")

@@ -9,7 +9,7 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.mapper.graph.loops.loop_back_end import AGREE_M, AGREE_RAD
+from service.mapper.graph.loops.loop_set import AGREE_M, AGREE_RAD
 from service.mapper.graph.model.loops import WITHIN_M
 from service.mapper.loop_evidence import residuals
 from service.mapper.refused_loops import CONTRADICTED, NOT_SUPPORTED, TOO_FAR, WORDS

@@ -61,7 +61,7 @@ class FindLoops(_OfSession):
         back_end.search_again()
         back_end.solve()  # without those that the rest contradicts
         loops: list[list[Loop]] = [[] for _ in self.sites]
-        for loop in back_end.loops:
+        for loop in back_end.loops.accepted:
             of = bisect_right(begins, loop.of) - 1
             if of < len(self.sites) and loop.to >= begins[-1]:
                 loops[of].append(replace(loop, of=loop.of - begins[of], to=loop.to - begins[-1]))

@@ -183,7 +183,7 @@ def optimised(graph: SavedGraph, anchoring: Anchoring | None = None) -> SavedGra
     if is_anchored or len(graph.loop_ends) or len(graph.by_hand.pair_ends):
         back_end.solve()
     segments = set(back_end.keyframes.segment.tolist())
-    return saved_graph(back_end.keyframes, back_end.loops, segments, back_end.refusals)
+    return saved_graph(back_end.keyframes, back_end.loops.accepted, segments, back_end.loops.refusals)
 
 
 def rendered_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:

@@ -71,7 +71,7 @@ def merge_graphs(
     result: Result = back_end.work(Batch([], is_last=True))
     saved = result.saved
     assert isinstance(saved, SavedGraph)
-    across = [loop for loop in back_end.loops if (loop.of < len(first)) != (loop.to < len(first))]
+    across = [loop for loop in back_end.loops.accepted if (loop.of < len(first)) != (loop.to < len(first))]
     if not across:
         raise MergeError("no loop joins the second map to the first at the pose given or found")
     off = [se2.between(loop.measured, se2.between(saved.map[loop.of], saved.map[loop.to])) for loop in across]

@@ -43,6 +43,10 @@ class PathDrift:
         """step_m: path length after which a key frame is due."""
         self._keyframes = keyframes
         self._step_m = step_m
+        self.forget()
+
+    def forget(self) -> None:
+        """Key frames were removed or have other numbers."""
         self._before = np.zeros(0, np.int64)  # (N - 1,) first key frame of each step
         self._covariance = np.zeros((0, 3, 3))  # of the steps, at the last update
 

@@ -30,7 +30,7 @@ def graph() -> SavedGraph:
     for k in range(0, len(frames), 7):
         back_end.work(Batch(frames[k : k + 7]))
     covariance = np.diag([1e-4, 1e-4, 1e-5])
-    back_end.loops.append(Loop(10, 80, np.array([0.0, 0.3, 0.0]), covariance, 0.9, 300, 0.01))
+    back_end.loops.accepted.append(Loop(10, 80, np.array([0.0, 0.3, 0.0]), covariance, 0.9, 300, 0.01))
     saved = back_end.work(Batch([], is_last=True)).saved
     assert isinstance(saved, SavedGraph)
     return saved

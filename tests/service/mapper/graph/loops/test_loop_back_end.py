@@ -4,15 +4,17 @@ import math
 import pickle
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
-from service.mapper.graph.loops import old_passes, passes, solution_due
+from service.mapper.graph.loops import loop_search, old_passes, solution_due
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.loop_search import LoopSearch
 from service.mapper.graph.model.graph_picture import PICTURE_GAP_M
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops import Loop
@@ -87,20 +89,20 @@ def test_after_a_long_drive_the_finish_searches_where_no_loop_is(
 ):
     """Else it takes longer the longer the drive was, and a service that ends does not wait for it."""
     searched: list[int] = []
-    search = LoopBackEnd._search
+    find = LoopSearch.find
 
-    def count(self: LoopBackEnd, last: int, window: tuple[float, float] | None = None) -> list[Loop]:
+    def count(self: LoopSearch, last: int, window: Any, *rest: Any) -> list[Loop]:
         if window is not None:  # by the final search
             searched.append(last)
-        return search(self, last, window)
+        return find(self, last, window, *rest)
 
-    monkeypatch.setattr(LoopBackEnd, "_search", count)
+    monkeypatch.setattr(LoopSearch, "find", count)
     pickle.loads(ring_fed[0]).work(Batch([], is_last=True))
     every = searched.copy()
     searched.clear()
-    monkeypatch.setattr(passes, "MAX_STRETCHES", len(every) - 1)
+    monkeypatch.setattr(loop_search, "MAX_STRETCHES", len(every) - 1)
     back_end: LoopBackEnd = pickle.loads(ring_fed[0])
-    tied = {loop.to for loop in back_end.loops}
+    tied = {loop.to for loop in back_end.loops.accepted}
     back_end.work(Batch([], is_last=True))
     assert 0 < len(searched) < len(every)
     assert not tied & {last - round(2.5 / STEP_M) for last in searched}  # the middles of the queries
@@ -144,14 +146,14 @@ def test_the_picture_is_periodic_and_shows_accepted_and_refused_loops(
     stamps = np.array([picture.stamp_ns for picture in pictures])
     assert (np.diff(stamps) >= 2_000_000_000).all()
     false = Loop(10, 80, np.zeros(3), np.eye(3), 0.9)
-    back_end.refusals.add([false], CONTRADICTED)
+    back_end.loops.refusals.add([false], CONTRADICTED)
     last = back_end.work(Batch([], is_last=True)).picture
     assert last is not None
     keyframes = back_end.keyframes
     (path,) = last.paths
     np.testing.assert_array_equal(path, keyframes.map[:, :2].astype(np.float32))
-    assert len(last.accepted) == len(back_end.loops) > 3
-    loop = back_end.loops[0]
+    assert len(last.accepted) == len(back_end.loops.accepted) > 3
+    loop = back_end.loops.accepted[0]
     np.testing.assert_array_equal(last.accepted[0], keyframes.map[[loop.of, loop.to], :2].astype(np.float32))
     refused = keyframes.map[[false.of, false.to], :2].astype(np.float32).tolist()
     assert refused in last.refused.tolist()
@@ -256,10 +258,10 @@ def test_a_contradicted_false_loop_is_disabled(
 ):
     truth, back_end = ring[1], pickle.loads(ring_fed[0])
     false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
-    back_end.loops.append(false)
+    back_end.loops.accepted.append(false)
     finished = back_end.work(Batch([], is_last=True))
     assert finished.disabled >= 1
-    assert false not in back_end.loops
+    assert false not in back_end.loops.accepted
     assert seam_m(list(finished.all), truth).max() < 0.02
 
 
