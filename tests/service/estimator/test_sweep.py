@@ -25,35 +25,19 @@ def begun_to_move(stamp_ms: float) -> SE2:
     return SE2.exp(way_m, 0.0, turn_rad)
 
 
-def predicted(
-    motion,
-    until_ms: int = AT_MS + SWEEP_MS + 20,
-    has_odometry: bool = True,
-    has_gyro: bool = False,
-    wheels=None,
-    accelerates: bool = True,
-    from_ms: int = 0,
-) -> Prediction:
-    """Of a model with odometry up to `until_ms`, at AT_MS, with tight scans each 100 ms since `from_ms`.
-
-    accelerates   False: the acceleration that it found is set to 0, and only what is measured is left
-    """
-    model = Estimator(EstimatorConfig())
-    for stamp_ms in range(from_ms, until_ms + 1, 10):
-        pose = (wheels or motion)(stamp_ms)
+def predicted(has_odometry: bool = True, has_gyro: bool = False) -> Prediction:
+    """At AT_MS, of a model with samples each 10 ms and tight scans each 100 ms."""
+    model, motion = Estimator(EstimatorConfig()), begun_to_move
+    for stamp_ms in range(0, AT_MS + SWEEP_MS + 21, 10):
         if has_odometry:
-            model.add(odometry(stamp_ms, pose))
+            model.add(odometry(stamp_ms, motion(stamp_ms)))
         if has_gyro:
-            model.add(
-                gyro(stamp_ms, (motion(stamp_ms + 5).theta_rad - motion(stamp_ms - 5).theta_rad) / 0.01)
-            )
-    for stamp_ms in range(from_ms, AT_MS, 100):
+            turned_rad = motion(stamp_ms + 5).theta_rad - motion(stamp_ms - 5).theta_rad
+            model.add(gyro(stamp_ms, turned_rad / 0.01))
+    for stamp_ms in range(0, AT_MS, 100):
         model.predict(stamp_ms * MS)
-        model.correct(matched(motion(from_ms).inverse() @ motion(stamp_ms), TIGHT))
-    prediction = model.predict(AT_MS * MS)
-    if not accelerates:
-        model.filter.acceleration[:] = 0.0
-    return prediction
+        model.correct(matched(motion(0).inverse() @ motion(stamp_ms), TIGHT))
+    return model.predict(AT_MS * MS)
 
 
 def seen_by(motion) -> tuple[LaserScan, np.ndarray]:
@@ -81,16 +65,21 @@ def off_m(prediction: Motion, motion, deskew=DeskewByMotion) -> float:
     return float(np.hypot(*(found.xy_base - points).T).max())
 
 
-def test_a_turn_that_begins_within_the_sweep_bends_no_wall():
-    prediction = predicted(begun_to_move)
+@pytest.mark.parametrize(
+    ("sources", "most_m"),
+    [
+        ({}, 0.01),
+        (
+            {"has_odometry": False, "has_gyro": True},
+            0.03,
+        ),  # the displacement, 11 mm at the end, is unmeasured
+    ],
+    ids=["odometry", "gyro"],
+)
+def test_a_turn_that_begins_within_the_sweep_bends_no_wall(sources: dict[str, bool], most_m: float):
+    prediction = predicted(**sources)
     assert off_m(prediction, begun_to_move, DeskewByTwist) > 0.15
-    assert off_m(prediction, begun_to_move) < 0.01
-
-
-def test_a_gyro_alone_measures_the_rotation():
-    prediction = predicted(begun_to_move, has_odometry=False, has_gyro=True)
-    assert off_m(prediction, begun_to_move, DeskewByTwist) > 0.15
-    assert off_m(prediction, begun_to_move) < 0.03  # the displacement, 11 mm at the end, is not measured
+    assert off_m(prediction, begun_to_move) < most_m
 
 
 def deviation_of(prediction: Prediction, begin_s: float, end_s: float) -> np.ndarray:
@@ -118,7 +107,7 @@ def test_a_turn_that_goes_on_growing_bends_no_wall_although_no_one_measures_it()
 
 
 def test_without_a_sample_the_scan_is_as_by_the_twist_to_the_last_bit():
-    prediction = predicted(begun_to_move, has_odometry=False)
+    prediction = predicted(has_odometry=False)
     scan, _ = seen_by(begun_to_move)
     kinds = (DeskewByMotion, DeskewByTwist)
     one, other = (kind(BeamsConfig(), {"front": SE2()})(scan, prediction) for kind in kinds)
@@ -129,7 +118,7 @@ def test_without_a_sample_the_scan_is_as_by_the_twist_to_the_last_bit():
 @pytest.mark.parametrize("begin_s", [-0.2, 0.0])
 def test_moments_are_even_and_the_first_scan_of_the_sweep_may_lie_before(begin_s: float):
     """Of two lasers the one is brought to the moment of the other."""
-    prediction = predicted(begun_to_move)
+    prediction = predicted()
     deviation = deviation_of(prediction, begin_s, begin_s + 0.3)
     moments_s = np.linspace(begin_s, begin_s + 0.3, len(deviation))
     expected_rad = [begun_to_move(AT_MS + 1e3 * t).theta_rad for t in np.minimum(moments_s, 0.17)]

@@ -1,7 +1,5 @@
 """The mechanisation against closed forms, and its linearised error against finite differences."""
 
-import math
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -26,18 +24,6 @@ def a_start(noise):
         noise.standard_normal(3),
         Rotation.from_rotvec(0.1 * noise.standard_normal(3) + [0.0, 0.0, 1.0]).as_matrix(),
     )
-
-
-def test_a_drive_in_a_circle_comes_back():
-    """2 m/s on 4 m radius: constant force inward, one round in 4 pi seconds."""
-    start = np.zeros(3), np.array([2.0, 0.0, 0.0]), np.eye(3)
-    count = 2513
-    time_s = 4.0 * math.pi / count
-    sample = np.array([0.0, 1.0, 9.81]), np.array([0.0, 0.0, 0.5])
-    position, velocity, rotation, _ = navigate(start, [sample] * count, time_s)
-    np.testing.assert_allclose(position, 0.0, atol=1e-4)
-    np.testing.assert_allclose(velocity, start[1], atol=1e-5)
-    np.testing.assert_allclose(rotation, np.eye(3), atol=1e-9)
 
 
 def test_errors_propagate_by_the_transition():  # B6 B7 B8

@@ -89,6 +89,15 @@ def test_surfels_are_means_of_the_points_with_like_normals() -> None:
     assert sum(n for *_, n in read_all(grid)) == np.count_nonzero(normals[:, 2] == 1.0)
 
 
+def test_a_surfel_forgets_beyond_its_limit() -> None:
+    grid, facing = empty_grid(), np.tile([-1.0, 0.0, 1.0], (100, 1))
+    for x in (0.02, 0.06):
+        insert(grid, np.tile([x, 0.05], (100, 1)), facing, most=10.0)
+    ((x, _, _, _, count),) = read_all(grid)
+    assert count == 10.0
+    assert abs(x - 0.06) < 1e-3
+
+
 def test_a_used_slot_is_cleared_before_it_is_filled() -> None:
     grid = empty_grid(used_slots=3)
     insert(grid, np.array([[0.05, 0.05]]), np.array([[1.0, 0.0, 1.0]]))

@@ -4,7 +4,7 @@ Written apart from the simulators on purpose: an error in one of them cannot hid
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,9 @@ import numpy as np
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.poses import compose
 from service.geometry.se2 import SE2
+from service.mapper.pipeline import Mapper
+from service.mapper.profiles import build_mapper, mapping_config
+from service.outputs import MapperOutput
 
 ROOM = [  # an L-shaped room with a pillar: (x0, y0, x1, y1), m
     (-3.0, -2.0, 6.0, -2.0),
@@ -49,6 +52,24 @@ Motion = Callable[[float], SE2]  # seconds -> base in the world
 class Drive:
     frames: list[Frame]
     truth: dict[int, SE2]  # scan stamp -> base in the frame of the first scan
+
+
+def mapper_of(profile: str = "corridor", mounting: SE2 = MOUNTING, **section: object) -> Mapper:
+    """section: further sections of the config."""
+    return build_mapper(mapping_config({"profile": profile, **section}), {"front": mounting})
+
+
+def outputs_of(mapper: Mapper, frames: Iterable[Frame]) -> list[MapperOutput]:
+    return [output for frame in frames if (output := mapper.process(frame)) is not None]
+
+
+def scans_of(frames: Iterable[Frame]) -> list[LaserScan]:
+    return [frame for frame in frames if isinstance(frame, LaserScan)]
+
+
+def errors(outputs: Iterable[MapperOutput], truth: dict[int, SE2]) -> np.ndarray:
+    """(N, 3) forward m, left m, turn rad from the true pose."""
+    return np.array([truth[o.stamp_ns].inverse() @ o.pose_map_base for o in outputs])
 
 
 def cast(
@@ -95,18 +116,9 @@ def scan_at(
     range_m = cast(walls, origins, paths) + sigma_m * noise.standard_normal(BEAMS)
     range_m[~(range_m < 20.0)] = np.nan
     return LaserScan(
-        "front",
-        stamp_ns,
-        stamp_ns + BEAMS * BEAM_NS,
-        BEAM_NS,
-        PERIOD_NS,
-        FIRST_RAD,
-        STEP_RAD,
-        0.05,
-        20.0,
-        range_m.astype(np.float32),
-        NO_INTENSITY,
-    )
+        "front", stamp_ns, stamp_ns + BEAMS * BEAM_NS, BEAM_NS, PERIOD_NS, FIRST_RAD, STEP_RAD, 0.05, 20.0,
+        range_m.astype(np.float32), NO_INTENSITY,
+    )  # fmt: skip
 
 
 def drive(
@@ -135,18 +147,8 @@ def drive(
             forward, left, turn = (before.inverse() @ motion(k * ODOMETRY_NS * 1e-9)).log()
             pose = pose @ SE2.exp(wheel_scale * forward, wheel_scale * left, turn)
             stamp_ns = start_ns + k * ODOMETRY_NS
-            frames.append(
-                OdometrySample(
-                    "base",
-                    stamp_ns,
-                    stamp_ns + 2_000_000,
-                    pose.x_m,
-                    pose.y_m,
-                    pose.theta_rad,
-                    (0.0, 0.0, 0.0),
-                    (0.0,) * 9,
-                )
-            )
+            arrived_ns, twist, covariance = stamp_ns + 2_000_000, (0.0, 0.0, 0.0), (0.0,) * 9
+            frames.append(OdometrySample("base", stamp_ns, arrived_ns, *pose, twist, covariance))
     for k in range(0, int(seconds * 1e9) // PERIOD_NS, every):
         stamp_ns = start_ns + k * PERIOD_NS + 1_234_567
         frames.append(scan_at(walls, motion, stamp_ns, start_ns, noise, sigma_m, mounting))

@@ -39,17 +39,6 @@ def test_edits_keep_their_place_and_move_with_the_nearest_key_frame(drawn):
     np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
 
 
-def test_without_its_key_frame_an_edit_moves_to_the_next_one(drawn):
-    left = np.array([True, True, False, True])
-    cut = drawn.without_keyframes(left, POSES)
-    wall, area = cut.drawings(POSES[left])
-    np.testing.assert_allclose(wall.corners_map, LINE, atol=1e-12)
-    np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
-    assert area.until == 3
-    assert len(cut.pair_ends) == 0
-    assert drawn.without_keyframes(np.array([True, False, True, True]), POSES).pair_ends.tolist() == [[0, 1]]
-
-
 def test_areas_follow_the_scans_they_were_erased_from_and_walls_come_last(drawn):
     drawn = replace(drawn, until=np.array([4, 2]))
     scans = [(k, ScanToRender(np.zeros((0, 2), np.float32), (0.0, 0.0), None)) for k in (0, 1, 3)]
@@ -73,12 +62,6 @@ def test_edits_are_stored_with_the_graph(drawn):
         np.testing.assert_array_equal(back.arrays()[name], array, err_msg=name)
 
 
-def test_a_graph_of_format_2_has_no_edits():
-    graph = graph_of(4)
-    old = {name: array for name, array in small_arrays(graph).items() if not name.startswith("by_hand_")}
-    assert len(from_arrays(old, [packed_points(graph, 0, 4)]).by_hand.kind) == 0
-
-
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
@@ -94,3 +77,14 @@ def test_arrays_that_do_not_fit_the_graph_are_refused_by_name(drawn, name, wrong
     graph = replace(graph_of(4), by_hand=replace(drawn, **{name: wrong}))
     with pytest.raises(SavedGraphError, match=f"by_hand_{name}"):
         graph.checked()
+
+
+def test_without_its_key_frame_an_edit_moves_to_the_next_one(drawn):
+    left = np.array([True, True, False, True])
+    cut = drawn.without_keyframes(left, POSES)
+    wall, area = cut.drawings(POSES[left])
+    np.testing.assert_allclose(wall.corners_map, LINE, atol=1e-12)
+    np.testing.assert_allclose(area.corners_map, AREA, atol=1e-12)
+    assert area.until == 3
+    assert len(cut.pair_ends) == 0
+    assert drawn.without_keyframes(np.array([True, False, True, True]), POSES).pair_ends.tolist() == [[0, 1]]

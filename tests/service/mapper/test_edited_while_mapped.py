@@ -11,18 +11,15 @@ from service.geometry.polygons import is_inside
 from service.mapper.by_hand import ERASED_AS_SEEN
 from service.mapper.components import GraphRequestError
 from service.mapper.mapping_session import MappingSession
-from service.mapper.maps.occupancy import rendered_of
-from service.mapper.profiles import BeginIn, build_mapper, mapping_config
+from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.offices import through
 from tests.simulated import FORWARD, Drive
 
 EDITED_NS, SECONDS = 6_000_000_000, 9.0
-LOOPED_NS = 56_000_000_000  # the round is closed
 TAKEN_OVER_NS = 1_000_000_000  # at most, of the drive
 AREA = [(0.5, -1.6), (3.0, -1.6), (3.0, 1.6), (0.5, 1.6)]  # behind the vehicle: walls, and the floor between
-LINE = [(0.5, 0.2), (1.5, 0.2)]  # across the floor
 WALL, FREE = 50, 50  # per cent: above, below
 
 Cells = dict[tuple[int, int], int]  # row and column of those that are known: per cent
@@ -124,11 +121,6 @@ def test_walls_are_gone_and_floor_that_beams_pass_over_stays_free(erased: Mapped
     assert sum(after.get(place, 100) < FREE for place in floor) > 0.95 * len(floor)
 
 
-@pytest.mark.parametrize(("becomes", "known"), [("unknown", set()), ("free", {3})])
-def test_the_area_is_unknown_or_free_as_requested(drive: Drive, becomes: str, known: set[int]):
-    assert set(mapped(drive, erase(becomes)).cells(is_within=True).values()) == known
-
-
 def test_the_mapping_goes_on_and_the_change_is_stored_with_the_map(
     erased: Mapped, stored: SavedGraph, untouched: Mapped
 ):
@@ -139,17 +131,6 @@ def test_the_mapping_goes_on_and_the_change_is_stored_with_the_map(
     assert stored.by_hand.kind.tolist() == [ERASED_AS_SEEN]
     gone = int(whole.point_count.sum() - stored.point_count.sum())
     assert erased.answers[0]["done"] == f"erased 8.00 m2 about (1.75, 0.00) m: {gone} points gone"
-
-
-def test_a_wall_is_drawn_and_both_changes_are_undone(drive: Drive, untouched: Mapped):
-    walled = mapped(drive, {"what": "wall", "corners": LINE}).cells(is_within=True)
-    assert sum(value == 97 for value in walled.values()) >= 20
-    back = mapped(drive, erase(), {"what": "wall", "corners": LINE}, {"what": "undo"}, {"what": "undo"})
-    assert [answer["done"].split()[0] for answer in back.answers] == ["erased", "drew", "took", "took"]
-    before, after = untouched.cells(is_within=True), back.cells(is_within=True)
-    walls = {place for place, value in before.items() if value > WALL}
-    assert len(walls & {place for place, value in after.items() if value > WALL}) > 0.8 * len(walls)
-    assert len(back.session.finish().update.saved.by_hand.kind) == 0
 
 
 @pytest.mark.parametrize(
@@ -168,46 +149,3 @@ def test_a_wall_is_drawn_and_both_changes_are_undone(drive: Drive, untouched: Ma
 def test_invalid_requests_are_refused_at_once(payload: dict[str, Any], words: str):
     with pytest.raises(GraphRequestError, match=words):
         new_session().request("edit_map", payload)
-
-
-def test_a_map_that_is_only_localised_in_is_not_changed(erased: Mapped, stored: SavedGraph):
-    begin = BeginIn(stored, rendered_of(erased.shown))
-    mapper = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
-    with pytest.raises(GraphRequestError, match="only localised"):
-        mapper.graph.request("edit_map", {"change": erase()})
-
-
-def test_before_the_first_scan_there_is_nothing_to_change():
-    session = new_session()
-    session.request("edit_map", {"change": erase()})
-    session.apply_result()
-    assert "nothing in the map yet" in session.take_edited()[0].error
-
-
-def test_a_loop_is_refused_while_driving_and_the_pose_loses_its_correction():
-    session, asked_ns, applied_ns = new_session(), 0, 0
-    before = after = None  # pose_map_odom at the request, and after it was applied
-    answer: dict[str, Any] = {}
-    for frame in through("office", 60.0, 3).frames:
-        if isinstance(frame, LaserScan) and frame.stamp_ns > LOOPED_NS and not asked_ns:
-            picture = session.graph_picture
-            assert picture is not None
-            stamps_ns = picture.evidence["accepted"][0]["stamps_ns"]
-            asked_ns = frame.stamp_ns
-            session.request("edit_map", {"change": {"what": "refuse-loop", "stamps_ns": stamps_ns}})
-        output = session.process(frame)
-        if output is None:
-            continue
-        assert output.state == "ok"
-        if asked_ns and not answer:
-            before = before or output.pose_map_odom
-            for one in session.take_edited():
-                answer, applied_ns = dict(one.reply), frame.stamp_ns - asked_ns
-        elif answer:
-            after = after or output.pose_map_odom
-    assert answer["done"].startswith("took back the loop from key frame")
-    assert 0 < applied_ns < TAKEN_OVER_NS
-    assert before is not None
-    assert after is not None
-    moved_m = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
-    assert 0.0 < moved_m < 0.03

@@ -52,17 +52,6 @@ def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
     return run(mapping_config(), replace(drive, frames=frames))
 
 
-@pytest.mark.soak  # the entire ring; its first corner below
-def test_frozen_odometry_is_excluded_once_a_turn_reveals_it() -> None:
-    """A dead encoder: the first turn on the spot reveals it, and the rest is mapped without odometry."""
-    trip = Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=10.0), None, Wheels())
-    (made,) = trip.drives([1])
-    done = driven(made, OdometrySample, frozen)
-    assert diagnostics(done) == {"odometry"}
-    assert "lost" not in {output.state for output in done.outputs}
-    assert ate_m(made, done, [output.pose_map_base for output in done.outputs]) < 0.06  # 13.7 where it counts
-
-
 @pytest.mark.parametrize(
     ("place", "fault", "seconds", "seed"),
     [

@@ -25,16 +25,6 @@ def walked(steps: int, before: np.ndarray, step: SE2) -> np.ndarray:
     return covariance
 
 
-def test_a_step_adds_the_covariance_of_the_motion_model():
-    step = SE2(0.3, -0.1, 0.4)
-    first = np.array([[0.05, 0.01, 0.003], [0.01, 0.02, -0.001], [0.003, -0.001, 0.004]])
-    last = walked(1, first, step)
-    by = np.array(step)
-    np.testing.assert_allclose(covariance_added(first, last, by), BY_STEP, atol=1e-12)
-    both = covariance_added(np.stack((first, first)), np.stack((last, last)), np.stack((by, by)))
-    np.testing.assert_allclose(both, np.stack((BY_STEP, BY_STEP)), atol=1e-12)
-
-
 def test_after_a_correction_the_covariance_is_that_of_the_graph_and_of_the_path_since():
     step = SE2(0.3, 0.0, 0.05)
     by_motion = walked(200, np.zeros((3, 3)), step)

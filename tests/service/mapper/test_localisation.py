@@ -20,7 +20,6 @@ from service.outputs import State
 
 SCAN = LaserScan("front", 1, 1, 0, 1, 0.0, 0.1, 0.1, 20.0, np.zeros(0, np.float32), NO_INTENSITY)
 POINTS = Points(np.zeros((9, 2)), np.zeros((9, 2)), np.zeros(9), np.zeros(9, np.int32), SE2(), SCAN)
-BLANK = Points(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int32), SE2(), SCAN)
 PRIOR = np.diag([0.01, 0.01, 0.001])
 MOTION = Motion(SE2(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.diag([0.04, 0.04, 0.01]))
 MEASURED = Measurement(MOTION.pose_odom_base, MOTION.covariance, np.eye(3), 1.0)
@@ -69,11 +68,7 @@ def test_an_unconfirmed_place_affects_no_other_segment_no_unmatched_scan_and_non
 
 @pytest.mark.parametrize(
     ("placed", "facts"),
-    [
-        ("unknown", ["lost", NOT_PLACED]),
-        ("unproven", ["degraded", UNPROVEN]),
-        ("proven", ["ok", ""]),
-    ],
+    [("unknown", ["lost", NOT_PLACED]), ("unproven", ["degraded", UNPROVEN]), ("proven", ["ok", ""])],
 )
 def test_in_a_stored_map_only_a_confirmed_place_is_ok(placed: Placed, facts: list[str]):
     assert list(judged(PlaceUpdate(placed), "ok")[1:]) == facts
@@ -98,17 +93,3 @@ def test_the_place_by_the_graph_stays_until_its_next_result_or_its_end():
     place.graph_ended()
     assert place.judged(lost, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "lost"
     assert place.pose_map_odom == OF_GRAPH
-
-
-@pytest.mark.parametrize(("blank_s", "state"), [(1.0, "degraded"), (3.0, "lost")])
-def test_a_blank_scan_is_degraded_while_the_place_was_known_just_now(blank_s: float, state: State):
-    place = Localisation("proven")
-    place.judged(Match(MOTION, POINTS, 0.9, "ok"), MapChange(), OF_GRAPH, 5 * 10**9, PRIOR)
-    blank = Match(MOTION, BLANK, 0.0, "lost")
-    at_ns = round((5.0 + blank_s) * 1e9)
-    assert place.judged(blank, MapChange(), OF_GRAPH, at_ns, PRIOR).state == state
-
-
-def test_a_blank_scan_before_any_other_is_lost():
-    blank = Match(MOTION, BLANK, 0.0, "lost")
-    assert Localisation("proven").judged(blank, MapChange(), OF_GRAPH, 0, PRIOR).state == "lost"

@@ -21,15 +21,6 @@ def test_the_picture_holds_what_is_new_and_what_is_gone_and_no_more():
     assert grid.cells.tolist() == [[100, 100, -1], [-1, -1, 0]]
 
 
-def test_every_cell_far_from_the_origin_finds_its_place():
-    cells = [(column, 10_000 - column, column % 2 == 0) for column in range(-2000, 2000, 7)]
-    grid = changes(cells).as_grid()
-    column, row = np.array([(c, r) for c, r, _ in cells]).T
-    first = round(grid.x_min_m / 0.1), round(grid.y_min_m / 0.1)
-    assert grid.cells[row - first[1], column - first[0]].tolist() == [100 if c[2] else 0 for c in cells]
-    assert (grid.cells != -1).sum() == len(cells)
-
-
 def test_where_nothing_has_changed_the_picture_is_empty():
     assert changes([]).as_grid().cells.shape == (0, 0)
 

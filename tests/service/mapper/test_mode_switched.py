@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.frames import LaserScan
-from service.mapper.components import GraphRequestError
 from service.mapper.mapping_session import MappingSession
-from service.mapper.maps.occupancy import rendered_of
-from service.mapper.profiles import BeginIn, build_mapper, mapping_config
+from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.offices import through
@@ -101,41 +99,3 @@ def test_a_change_asked_for_before_the_switch_to_localisation_is_applied_is_refu
     stored = session.finish().update.saved
     assert isinstance(stored, SavedGraph)
     assert len(stored.by_hand.kind) == 0
-
-
-def test_a_mode_that_cannot_be_is_refused(switched: Switched):
-    session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"])
-    with pytest.raises(GraphRequestError, match="mode is 'flying'; expected mapping or localization"):
-        session.request("set_mode", {"mode": "flying"})
-    session.request("set_mode", {"mode": "localization"})
-    session.apply_result()
-    assert session.take_edited()[0].error == "there is no map yet"
-    assert not session.is_localizing
-    begin = BeginIn(switched.stored, rendered_of(switched.shown))
-    only = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
-    with pytest.raises(GraphRequestError, match="the config says mode: localization"):
-        only.graph.request("set_mode", {"mode": "mapping"})
-
-
-def test_a_loaded_map_is_localised_in_before_the_vehicle_has_a_place(drive: Drive, switched: Switched):
-    """As the page requests it: the mode right after the map, with no scan between them."""
-    begin = BeginIn(switched.stored, rendered_of(switched.shown))
-    session = MappingSession(
-        lambda: build_mapper(mapping_config(), {"front": FORWARD}, begin_in=begin), ["front"], None
-    )
-    session.request("set_mode", {"mode": "localization"})
-    session.apply_result()
-    assert session.take_edited()[0].reply["mode"] == "localization"
-    assert session.is_localizing
-    states = []
-    for frame in drive.frames:
-        if (output := session.process(frame)) is not None:
-            states.append(output.state)
-        while session.work_ready:
-            session.apply_result()
-        if states and states[-1] == "ok":
-            break
-    assert states[0] == "lost"
-    assert states[-1] == "ok"
-    assert stored_now(session) == len(switched.stored)
-    assert cells(session.tiles()) == cells(switched.shown)

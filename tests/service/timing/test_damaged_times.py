@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +18,6 @@ from tests.service.timing.damages import (
     damaged,
     good_drive,
     mapped,
-    without,
 )
 from tests.soaked import examples
 
@@ -124,20 +122,3 @@ def test_damaged_times_are_mended_or_the_topic_is_named(damage: tuple[str, Damag
 def test_the_good_drive_is_mapped_well_without_a_warning():
     assert good().error_m < 0.004
     assert (good().warnings, sum(good().dropped.values())) == ([], 0)
-
-
-@pytest.mark.parametrize("kind", ["odom", "imu"])
-@pytest.mark.parametrize("off_s", [1.9, -253.0, -96 * 86_400.0])
-def test_an_offset_of_a_sensor_s_clock_costs_nothing(kind: str, off_s: float):
-    run = mapped(damaged(kind, offset(off_s)))
-    assert run.error_m <= 1.05 * good().error_m
-    if kind == "odom":
-        assert run.poses == good().poses  # it comes 2 ms after it was measured, as is expected of a message
-    assert [warning.startswith(TOPICS[kind]) for warning in run.warnings] == [True]
-
-
-@pytest.mark.parametrize("kind", ["odom", "imu"])
-def test_a_topic_whose_offset_cannot_be_found_changes_nothing(kind: str):
-    run = mapped(damaged(kind, scaled_by(1000.0)))
-    assert run.poses == mapped(without(kind)).poses
-    assert any(warning.startswith(f"{TOPICS[kind]}: its stamps neither") for warning in run.warnings)

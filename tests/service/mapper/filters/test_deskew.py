@@ -61,14 +61,3 @@ def test_returns_from_the_vehicle_itself_are_left_out():
 def _inside(x_m: float, y_m: float) -> bool:
     """Of that outline, by its two halves."""
     return (-0.5 < x_m < 0.0 and abs(y_m) < 0.5) or (0.0 <= x_m < 0.5 and 0.0 < y_m < 0.5)
-
-
-def test_points_are_brought_to_any_moment_of_the_sweep_or_after_it():
-    deskew = DeskewByTwist(BeamsConfig(), {"front": SE2()})
-    at_first = deskew(scan([2.0, 2.0]), moving(1.0, 0.5, 0.3))
-    late_ns = scan([2.0, 2.0]).stamp_ns + 40_000_000
-    later = deskew(scan([2.0, 2.0]), moving(1.0, 0.5, 0.3), late_ns)
-    back = SE2.exp(0.04 * 1.0, 0.04 * 0.5, 0.04 * 0.3)  # the base, 40 ms on
-    for first, then in zip(at_first.xy_base, later.xy_base, strict=True):
-        there = back @ SE2(*then.tolist(), 0.0)
-        assert (there.x_m, there.y_m) == pytest.approx(tuple(first), abs=1e-12)

@@ -1,11 +1,13 @@
 """Points and matches for the tests of maps."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.estimator.motion import Motion
+from service.estimator.motion import Motion, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.outputs import State
@@ -30,3 +32,9 @@ def square(half_m: float = 2.0, stamp_ns: int = 0) -> Points:
 
 def match_at(pose: SE2, points: Points, state: State = "ok", submap: int | None = None) -> Match:
     return Match(Motion(pose, (0.0, 0.0, 0.0), np.eye(3)), points, 1.0, state, "", submap)
+
+
+def prediction(pose: SE2, covariance: np.ndarray, **fields: Any) -> Prediction:
+    """Of a vehicle that stands, 0.1 s after the scan before."""
+    usual = Prediction(pose, (0.0, 0.0, 0.0), covariance, covariance, np.zeros((3, 3)), 0.1, 0.0, True)
+    return replace(usual, **fields)

@@ -5,7 +5,7 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import AreaToErase, ScanToRender, WallToRender
-from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles, rendered_of
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.outputs import TileUpdate
 from tests.service.mapper.maps.points import points_of, square
 
@@ -48,20 +48,6 @@ def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
     assert not second.cells.flags.writeable
 
 
-def test_the_rest_is_handed_out_with_the_next_call() -> None:
-    sliced, whole = new_map(), new_map()
-    for shown in (sliced, whole):
-        shown.insert(square(8.01), SE2())
-    slices = [sliced.changed_tiles(7)]
-    while slices[-1]:
-        slices.append(sliced.changed_tiles(7))
-    handed_out = [tile for tiles in slices for tile in tiles]
-    assert {len(tiles) for tiles in slices[:-2]} == {7}
-    assert [(t.ix, t.iy, t.version, t.cells.tolist()) for t in handed_out] == [
-        (t.ix, t.iy, t.version, t.cells.tolist()) for t in whole.changed_tiles()
-    ]
-
-
 @pytest.mark.parametrize(
     ("pose", "after_s", "drawn"),
     [
@@ -77,16 +63,6 @@ def test_a_scan_is_drawn_after_a_distance_a_turn_or_a_while(pose: SE2, after_s: 
     shown.changed_tiles()
     shown.insert(square(stamp_ns=round(after_s * 1e9)), pose)
     assert bool(shown.changed_tiles()) == drawn
-
-
-def test_a_map_spreads_to_negative_tiles_and_keeps_what_it_had() -> None:
-    shown = new_map()
-    for k, (x, y) in enumerate([(0.0, 0.0), (-40.0, 3.0), (25.0, -60.0), (-5.0, 70.0)]):
-        shown.insert(points_of(np.array([[1.0, 0.01]]), k * SECOND_NS), SE2(x, y, 0.0))
-    tiles = shown.changed_tiles()
-    for x, y in [(0.0, 0.0), (-40.0, 3.0), (25.0, -60.0), (-5.0, 70.0)]:
-        assert cell(tiles, x + 1.0, y + 0.01) > 60
-    assert shown.tile_count == len(tiles)
 
 
 def test_a_rendered_map_takes_the_place_of_all_there_was_with_rising_versions() -> None:
@@ -106,17 +82,6 @@ def test_a_rendered_map_takes_the_place_of_all_there_was_with_rising_versions() 
     assert (next(t for t in second if t.ix == 2).cells == -1).all()
 
 
-def test_a_part_takes_the_place_of_its_cells_alone_also_while_scans_wait_to_be_drawn() -> None:
-    shown = new_map()
-    ends = [ScanToRender(np.array([[1.0, y_m]], np.float32), (0.0, 0.0), SE2()) for y_m in (0.01, 1.01)]
-    shown.replace_by(shown.renderer.render([]), ends)
-    area = np.array([(0.8, -0.2), (1.2, -0.2), (1.2, 0.2), (0.8, 0.2)])
-    shown.replace_by(shown.renderer.render_part([], area), [])
-    tiles = shown.changed_tiles()
-    assert cell(tiles, 1.0, 0.01) == -1
-    assert cell(tiles, 1.0, 1.01) > 60
-
-
 ROOM = ScanToRender(square(2.01).xy_base.astype(np.float32), (0.0, 0.0), SE2())
 GLASS = np.array([(1.0, -0.5), (1.0, 0.5)])
 CORNER = np.array([(0.4, 0.4), (2.5, 0.4), (2.5, 2.5), (0.4, 2.5)])
@@ -134,13 +99,6 @@ def test_no_beam_clears_a_wall_that_a_person_drew() -> None:
     assert cell(shown.tiles(), 1.0, 0.0) > 90
 
 
-def test_a_wall_stands_where_nothing_was_ever_seen() -> None:
-    shown = new_map()
-    far = GLASS + 100.0
-    shown.replace_by(shown.renderer.render([ROOM, WallToRender(far)]), ())
-    assert cell(shown.changed_tiles(), 101.0, 100.0) > 90
-
-
 @pytest.mark.parametrize(("is_free", "expected"), [(True, 3), (False, -1)])
 def test_what_was_erased_is_gone_and_what_comes_later_is_drawn(is_free: bool, expected: int) -> None:
     shown = new_map()
@@ -151,13 +109,3 @@ def test_what_was_erased_is_gone_and_what_comes_later_is_drawn(is_free: bool, ex
     assert cell(tiles, 2.01, -1.0) > 90
     shown.replace_by(shown.renderer.render([*erased, ROOM, ROOM, ROOM, ROOM, ROOM, ROOM]), ())
     assert cell(shown.changed_tiles(), 2.01, 1.0) > 70
-
-
-def test_walls_are_there_again_when_a_stored_map_is_gone_on_in() -> None:
-    shown = new_map()
-    shown.replace_by(shown.renderer.render([ROOM, WallToRender(GLASS)]), ())
-    later = new_map()
-    later.replace_by(rendered_of(shown.changed_tiles(), [WallToRender(GLASS)]), ())
-    for k in range(20):
-        later.insert(square(2.01, stamp_ns=(k + 1) * SECOND_NS), SE2())
-    assert cell(later.changed_tiles(), 1.0, 0.0) > 90

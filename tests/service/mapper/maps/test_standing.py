@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.components import CountsStanding, Standing
+from service.mapper.components import Standing
 from service.mapper.maps.standing import SHOWN_REACH_M, draw_standing
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
-from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.outputs import NO_REASON, UNKNOWN, Grid, MapperOutput
 from simulators.truth import LMS100, Ride
 from simulators.worlds import build_world
-from tests.service.mapper.maps.points import match_at, points_of, square
 from tests.simulated import Laser, scans
 
 
@@ -50,32 +48,6 @@ def test_what_is_far_from_the_vehicle_is_left_out() -> None:
     assert drawn is not None
     assert drawn.cells.shape == (1, 1)
     assert draw_standing(Standing(xy_odom, np.ones(3), 0.1), newest(SE2(300.0, 0.0, 0.0))) is None
-
-
-def test_walls_of_a_room_stand_longer_from_scan_to_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.mapper.scan_match.submaps.FIRST_SCANS", 100)
-    chain = SurfelSubmaps(SubmapsConfig())
-    assert isinstance(chain, CountsStanding)
-    assert chain.standing() is None
-    shares = []
-    for k in range(24):
-        points = points_of(square().xy_base, stamp_ns=k * 50_000_000)
-        chain.insert(points, match_at(SE2(), points, "ok", 0))
-        standing = chain.standing()
-        assert standing is not None
-        assert np.abs(np.abs(standing.xy_odom).max(axis=1) - 2.0).max() <= 0.1 + 1e-9
-        shares.append(standing.share.max())
-    assert shares[0] == pytest.approx(0.05)
-    assert np.all(np.diff(shares) >= 0.0)
-    assert shares[10] == pytest.approx(0.5, abs=0.1)
-    assert shares[-1] == 1.0
-
-
-def test_where_nothing_is_weighed_nothing_is_reported() -> None:
-    chain = SurfelSubmaps(SubmapsConfig.model_validate({"dynamic_filter": {"enough_s": 0.0}}))
-    points = square()
-    chain.insert(points, match_at(SE2(), points, "ok", 0))
-    assert chain.standing() is None
 
 
 @pytest.mark.parametrize(("profile", "is_known"), [("corridor", True), ("imle", False)])

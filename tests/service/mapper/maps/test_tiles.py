@@ -1,5 +1,4 @@
 import logging
-import mmap
 import pickle
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from service.geometry.grid import TileRange
 from service.kernels import tiles as tile_kernels
 from service.kernels.tiles import NO_TILE, take_slot
-from service.mapper.maps import tiles
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from tests.service.kernels.inner import from_python
 
@@ -73,37 +71,3 @@ def test_a_pool_that_is_used_up_doubles_and_says_so(caplog: pytest.LogCaptureFix
     assert pool.capacity >= 9
     assert "used up" in caplog.text
     assert [read(tile_map, 0, column) for column in range(9)] == list(range(9))
-
-
-def test_where_address_space_is_refused_the_map_grows_by_copies(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def refuse(*_args: object, **_more: object) -> mmap.mmap:
-        raise OSError(12, "Cannot allocate memory")
-
-    monkeypatch.setattr(tiles.mmap, "mmap", refuse)
-    with caplog.at_level(logging.WARNING):
-        pool = TilePool(LAYERS, 1 << 20)
-    assert "refuses to reserve" in caplog.text
-    tile_map = TileMap(pool)
-    for column in range(200):
-        put(tile_map, 0, column, float(column))
-    assert [read(tile_map, 0, column) for column in range(200)] == list(range(200))
-
-
-def test_reserved_space_costs_no_memory_until_it_is_touched() -> None:
-    def resident_kb() -> int:
-        with open("/proc/self/statm") as statm:
-            return int(statm.read().split()[1]) * mmap.PAGESIZE // 1024
-
-    before_kb = resident_kb()
-    pool = TilePool((Layer((64, 64), np.float32),), 100_000)  # 1.6 GB
-    pool.arrays[0][99_999] = 1.0
-    assert resident_kb() - before_kb < 20_000
-
-
-def test_a_place_is_covered_as_far_as_its_reach_and_a_margin_of_cells() -> None:
-    tiles = TileMap(TilePool((Layer((4, 4), np.uint8),), 64))
-    tiles.cover_around((0.35, -1.05), 0.4, 0.1, 2, margin_cells=1)  # cells -2 to 8, -16 to -6; tiles of 4
-    assert tiles.origin.tolist() == [-4, -1]
-    assert tiles.slots.shape == (3, 4)

@@ -1,16 +1,9 @@
-import math
-
 import numpy as np
 import pytest
 
 from service.geometry.poses import moved_by
 from service.geometry.se2 import SE2
 from service.mapper.matchers.covariances import in_base_axes
-
-
-def test_what_is_known_badly_ahead_in_the_map_is_known_badly_to_the_right_of_a_base_turned_left() -> None:
-    turned = in_base_axes(np.diag([4.0, 1.0, 0.25]), math.pi / 2.0)
-    np.testing.assert_allclose(turned, np.diag([1.0, 4.0, 0.25]), atol=1e-12)
 
 
 @pytest.mark.parametrize("theta_rad", [0.3, -2.0])

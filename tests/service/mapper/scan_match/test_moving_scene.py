@@ -1,31 +1,21 @@
 """Whether part of the scene moves: what stands still, and odometry, against all that the laser sees."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drivers.frames import LaserScan
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.scan_match.moving_scene import Reckoning, evidence_nats, inertia_nats
-from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton
 from service.offline.replay.replay import ReplayOptions, replay
-from simulators.worlds import WORLDS
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import judge
 from tests.accuracy.scenes import mapped
-from tests.accuracy.sensors import SMALL
-from tests.service.mapper.drives import MOUNTING, ROOM, down_the_corridor, drive
-from tests.simulated import Laser, Wheels, begun_at, heading_rad, run_session
-from tests.simulated import drive as driven_by
 from tests.soaked import in_soak
 
 STEP_M, STEP_NS = 0.04, 40_000_000
-SHORT_RANGE = Laser(SMALL, 683, 10.0, -120.0, 0.352)
 
 
 def predicted(step: SE2 | None, elapsed_s: float = 0.04) -> Prediction:
@@ -61,12 +51,6 @@ def test_scans_of_two_lasers_between_two_samples_of_odometry_are_compared_too(
     assert any(conflicts) == is_conflict
 
 
-def test_paths_are_compared_from_the_restart_on() -> None:
-    reckoning = Reckoning()
-    reckoning.restart(0, SE2(5.0))
-    assert reckoning.add(STEP_NS, predicted(SE2(STEP_M)), SE2(5.0 + STEP_M)) is None
-
-
 def test_evidence_is_for_the_pose_at_which_static_walls_lie() -> None:
     beam = np.arange(100, dtype=np.int32)
     on_walls, off = np.full(100, 0.01), np.full(100, math.nan)
@@ -74,28 +58,6 @@ def test_evidence_is_for_the_pose_at_which_static_walls_lie() -> None:
     assert nats == pytest.approx(-evidence_nats(off, on_walls, beam))
     assert nats == pytest.approx(10 * 2.2, rel=0.1)  # a measurement for each ten neighbours
     assert evidence_nats(off, off, beam) == 0.0
-
-
-@pytest.mark.parametrize(("hidden", "is_seen"), [((120,), False), ((120, 121), True)])
-def test_what_moves_is_seen_in_two_scans_in_a_row(
-    monkeypatch: pytest.MonkeyPatch, hidden: tuple[int, ...], is_seen: bool
-) -> None:
-    """In these a fifth of the beams ends half-way to the wall, where nothing stood."""
-    frames = drive(ROOM, down_the_corridor, 3.0).frames
-    scans = [number for number, frame in enumerate(frames) if isinstance(frame, LaserScan)]
-    for number in (scans[k] for k in hidden):
-        scan = frames[number]
-        assert isinstance(scan, LaserScan)
-        range_m = scan.range_m.copy()
-        range_m[200:310] *= 0.5
-        frames[number] = replace(scan, range_m=range_m)
-    found, match = [], SurfelGaussNewton.match
-    monkeypatch.setattr(SurfelGaussNewton, "match", lambda *args: found.append(match(*args)) or found[-1])
-    mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    for frame in frames:
-        mapper.process(frame)
-    assert len(found) == len(scans)
-    assert any(one.is_moving is not None for one in found) == is_seen
 
 
 @pytest.mark.parametrize(("elapsed_s", "least", "most"), [(0.04, 5.0, 20.0), (1.5, 0.0, 0.1)])
@@ -107,11 +69,6 @@ def test_a_vehicle_does_not_stop_within_a_scan_but_within_a_second(
     nats = inertia_nats(SE2(STEP_M), SE2(STEP_M), SE2(-0.03), elapsed_s, known)
     assert least <= nats <= most
     assert inertia_nats(SE2(STEP_M), SE2(-0.03), SE2(STEP_M), elapsed_s, known) == pytest.approx(-nats)
-
-
-def test_a_jump_back_onto_the_map_is_possible_where_the_pose_is_little_known() -> None:
-    vague = np.diag([0.1**2, 0.1**2, 0.01**2])
-    assert inertia_nats(SE2(STEP_M), SE2(STEP_M), SE2(-0.03), 0.04, vague) < 5.0
 
 
 @pytest.mark.parametrize(
@@ -127,15 +84,6 @@ def test_a_line_on_the_floor_does_not_hold_the_vehicle(world: str, worst_m: floa
     verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
     assert verdict.worst_m < worst_m
     assert verdict.lost_percent == 0.0
-
-
-def test_a_vehicle_that_is_towed_while_its_laser_is_silent_is_lost_until_its_place_is_found() -> None:
-    of = staged(Case("towed", "office", 3, 0.75))
-    outputs = mapped(of).outputs
-    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
-    assert verdict.ok_off == 0
-    assert verdict.end_m < 0.05
-    assert next(o.state for o in outputs if o.stamp_ns >= of.to_ns) == "lost"
 
 
 def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
@@ -157,16 +105,6 @@ def test_a_train_that_hides_the_walls_does_not_carry_a_detached_map_with_it(seed
     assert verdict.worst_m < 0.05
     assert verdict.lost_percent < 5.0
     assert outputs[-1].state == "ok"
-
-
-def test_people_who_set_off_with_the_vehicle_do_not_hold_the_pose_at_the_start() -> None:
-    """Five people within 3 m, a laser of 12 m, wheels 3 % off; no wall seen over a metre of path yet."""
-    world = begun_at(WORLDS["crowd"](), heading_rad(62))
-    made = driven_by(world, SHORT_RANGE, 12.0, 62, Wheels(1.03, 0.97, 0.03, 0.02))
-    done = run_session(mapping_config(), made)
-    off_m = np.hypot(done.errors[:, 0], done.errors[:, 1])
-    assert off_m.max() < 0.3
-    assert off_m[-1] < 0.1
 
 
 @pytest.mark.parametrize(

@@ -70,20 +70,6 @@ def test_each_laser_goes_into_both_halves(lasers: tuple[str, ...]) -> None:
         assert np.all(walls.insert(points, rough(points), np.zeros(3))[:, 2] >= 1.0)
 
 
-def test_a_sub_map_that_is_dropped_leaves_nothing_to_the_next() -> None:
-    noise, pool = np.random.default_rng(2), narrow_wall_pool()
-    walls = NarrowWalls(pool, 0.1, 5.0)
-    for _ in range(30):
-        points = rough_face(noise, "front")
-        walls.insert(points, rough(points), np.zeros(3))
-    walls.release()
-    assert pool.used_count == 0
-    after = NarrowWalls(pool, 0.1, 5.0)
-    points = rough_face(noise, "front")
-    after.insert(points, rough(points), np.zeros(3))
-    assert np.all(after.directed(points, rough(points), np.zeros(3))[:, 2] == ROUGH_WEIGHT)
-
-
 def test_map_and_match_take_directions_from_different_key_frames() -> None:
     """Else the noise of one direction would be in both, and pass for information."""
     noise, walls = np.random.default_rng(3), NarrowWalls(narrow_wall_pool(), 0.1, 5.0)

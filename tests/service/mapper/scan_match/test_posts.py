@@ -10,7 +10,6 @@ from drivers.frames import NO_INTENSITY, LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.components import Points
 from service.mapper.profiles import mapping_config
-from service.mapper.scan_match import posts
 from service.mapper.scan_match.posts import posts_of
 from simulators.trajectory import Follow, plan_drive
 from simulators.truth import LMS100
@@ -65,10 +64,6 @@ def test_what_stands_half_behind_another_or_at_the_edge_of_the_view_is_left_out(
     assert xy == pytest.approx(np.array(whole)[:, :2], abs=0.03)
 
 
-def test_where_walls_are_in_view_posts_are_not_asked():
-    assert len(found(seen([(2.0, 0.5, 0.15)], wall_m=3.0))) == 0
-
-
 def on_each_second_beam(points: Points) -> Points:
     """As a LUX has it, which reduces its layers to a grid twice as fine as it measures."""
     scan = points.scan
@@ -80,67 +75,6 @@ def on_each_second_beam(points: Points) -> Points:
 
 def test_a_wall_seen_on_each_second_beam_is_no_row_of_posts():
     assert posts_of(on_each_second_beam(seen([], wall_m=3.0))) is None
-
-
-def with_lost(points: Points, share: float, seed: int = 5) -> Points:
-    """Without a share of its returns, here and there, as dark walls and the sun have it."""
-    kept = np.random.default_rng(seed).random(len(points.beam)) >= share
-    range_m = points.scan.range_m.copy()
-    range_m[points.beam[~kept]] = np.nan
-    fewer = replace(points.scan, range_m=range_m)
-    arrays = (points.xy_raw, points.xy_base, points.beam_time_s, points.beam)
-    return Points(*(array[kept] for array in arrays), SE2(), fewer, SIGMA_M)
-
-
-def test_the_middles_of_posts_are_found_where_returns_are_lost():
-    middles = 3.0 * np.array(
-        [(math.cos(bearing), math.sin(bearing)) for bearing in np.arange(-1.5, 1.6, 0.5)]
-    )
-    xy = found(with_lost(seen([(x, y, 0.2) for x, y in middles.tolist()]), 0.3))
-    assert len(xy) >= 6
-    off_m = np.hypot(*(xy[:, None] - middles).transpose(2, 0, 1)).min(axis=1)
-    assert off_m.max() < 0.08
-
-
-def test_posts_seen_on_each_second_beam_are_those_of_a_laser_that_has_no_others():
-    points = seen([(3.0, 0.5, 0.2), (4.0, -2.0, 0.12)])
-    every, second = posts_of(points), posts_of(on_each_second_beam(points))
-    assert every is not None
-    assert second is not None
-    np.testing.assert_allclose(second.xy_raw, every.xy_raw, atol=1e-9)
-    np.testing.assert_allclose(second.variance_m2, every.variance_m2, rtol=1e-9)
-
-
-def test_the_quick_look_at_a_scan_refuses_none_that_sees_posts_mostly(monkeypatch: pytest.MonkeyPatch):
-    rng = np.random.default_rng(1)
-    scans = []
-    for _ in range(300):
-        stand = [
-            (float(rng.uniform(0.5, 9.0)), float(rng.uniform(-6.0, 6.0)), float(rng.uniform(0.03, 0.4)))
-            for _ in range(int(rng.integers(1, 25)))
-        ]
-        points = seen(stand, wall_m=float(rng.choice([math.inf, 5.0, 12.0])))
-        points = with_lost(points, float(rng.choice([0.0, 0.3])))
-        if len(points.xy_raw) >= 3:
-            scans.append(points)
-    quick = [posts_of(points) is not None for points in scans]
-    quick_look = posts.may_be_posts
-    monkeypatch.setattr(posts, "may_be_posts", lambda *given: (True, quick_look(*given)[1]))
-    assert quick == [posts_of(points) is not None for points in scans]
-    assert 20 < sum(quick) < len(scans) - 20
-
-
-def test_a_post_is_asked_twice_along_the_axes_of_the_map():
-    points = seen([(4.0, 0.0, 0.2)])
-    posts = posts_of(points)
-    assert posts is not None
-    heading = 0.7
-    normals = posts.normals(heading, np.ones(1))
-    c, s = math.cos(heading), math.sin(heading)
-    in_map = normals[:, :2] @ np.array([[c, s], [-s, c]])
-    np.testing.assert_allclose(in_map, np.eye(2), atol=1e-12)
-    assert posts.is_on_post.all()
-    assert posts.variance_m2[0] > SIGMA_M**2
 
 
 def wood() -> World:
@@ -164,3 +98,7 @@ def test_a_wood_is_mapped_by_its_trunks():
     assert np.mean([output.state == "ok" for output in done.outputs]) > 0.9
     curve_m = done.mapper.components.matcher.bias_m(laser.name)
     assert np.abs(curve_m).max() < 0.002  # the ranges are right; by the chords of trunks 6 mm are learnt
+
+
+def test_where_walls_are_in_view_posts_are_not_asked():
+    assert len(found(seen([(2.0, 0.5, 0.15)], wall_m=3.0))) == 0

@@ -53,14 +53,6 @@ def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_th
     assert done.position_rmse_m < 0.025
 
 
-def test_nothing_much_is_learnt_of_ranges_without_bias(honest: Drive) -> None:
-    few = [frame for frame in honest.frames if frame.arrived_ns < 25 * 10**9]
-    done = run(mapping_config(), replace(honest, frames=few))
-    assert done.position_rmse_m < 0.02
-    curve_m = done.mapper.components.matcher.bias_m("front")
-    assert np.abs(curve_m[(RANGE_M >= 0.75) & (RANGE_M <= 2.0)]).max() < 0.008
-
-
 def test_people_who_walk_along_teach_nothing_of_ranges() -> None:
     """Who walks ahead stands each time behind where he stood: ranges of 1 m would seem 5 cm too long."""
     world = mall(Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2))

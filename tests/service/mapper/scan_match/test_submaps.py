@@ -5,7 +5,7 @@ import pytest
 
 from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
-from service.kernels.surfels import COLUMNS, COUNT, MEAN_X, MEAN_Y, SurfelGrid
+from service.kernels.surfels import COLUMNS, COUNT, SurfelGrid
 from service.mapper.components import MapChange
 from service.mapper.scan_match.submaps import (
     MAX_MISSES,
@@ -15,7 +15,7 @@ from service.mapper.scan_match.submaps import (
     SurfelSubmaps,
 )
 from service.outputs import State
-from tests.service.mapper.maps.points import match_at, points_of, square
+from tests.service.mapper.maps.points import match_at, square
 
 FIRST_SCANS = "service.mapper.scan_match.submaps.FIRST_SCANS"
 
@@ -67,21 +67,6 @@ def test_the_older_of_two_is_matched_to_and_the_younger_takes_over() -> None:
     assert numbers == [0] * 8 + [1] * 4 + [2] * 4 + [3]
 
 
-def test_finer_cells_hold_the_same_points_and_move_with_them() -> None:
-    chain = submaps()
-    insert(chain, 0.0)
-    submap = chain.matched_to
-    assert submap is not None
-    assert submap.fine_grid().cell_m == pytest.approx(0.5 * submap.grid().cell_m)
-    assert len(surfels_of(submap.fine_grid())) > 1.5 * len(surfels_of(submap.grid()))
-    for grid in (submap.grid(), submap.fine_grid()):
-        means = surfels_of(grid)[:, MEAN_X : MEAN_Y + 1].copy()
-        chain.shorten(square().scan.sensor, 0.01)
-        moved_m = np.hypot(*(surfels_of(grid)[:, MEAN_X : MEAN_Y + 1] - means).T)
-        assert np.median(moved_m) > 0.006  # by the cosine of incidence
-        assert moved_m.max() <= 0.0101
-
-
 def test_tiles_of_retired_submaps_go_back_to_the_pool() -> None:
     chain = submaps(spacing_m=2.0)
     counts = []
@@ -105,17 +90,6 @@ def test_a_lost_scan_begins_a_detached_segment_that_a_fit_drops() -> None:
     assert chain.detached is None
     assert number(chain) == 0
     assert chain.tile_count <= tiles + 6  # of the key frame at 1.2 m; those of the segment went back
-
-
-def test_lost_scans_extend_the_detached_segment_only() -> None:
-    chain = submaps()
-    insert(chain, 0.0)
-    before = points_in(chain.matched_to)
-    for k in range(5):
-        assert insert(chain, 50.0 + k, state="lost", is_matched=k > 0).segment == 1
-    assert chain.detached is not None
-    assert chain.detached.scan_count == 5
-    assert points_in(chain.matched_to) == before
 
 
 def test_a_detached_segment_is_the_map_only_once_the_graph_has_joined_it() -> None:
@@ -147,16 +121,6 @@ def test_scans_that_fit_neither_map_nor_segment_begin_another_segment() -> None:
     assert chain.detached.scan_count == 1
 
 
-def test_the_error_against_the_map_fades_with_the_distance_and_not_with_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(FIRST_SCANS, 100)
-    chain = submaps(memory_m=0.3)
-    insert(chain, 0.0)
-    assert insert(chain, 0.0).error_left == 1.0
-    assert insert(chain, 0.3).error_left == pytest.approx(math.exp(-1.0))
-
-
 @pytest.mark.parametrize("place", [(0.0, 0.0), (-1234.5, 876.5), (-0.05, -0.05)])
 def test_a_room_is_the_same_wherever_it_stands(place: tuple[float, float]) -> None:
     chain = submaps()
@@ -173,72 +137,6 @@ def test_a_room_is_the_same_wherever_it_stands(place: tuple[float, float]) -> No
             found.append(max(abs(x), abs(y)))
     np.testing.assert_allclose(found, 2.0, atol=3e-5)
     assert len(found) > 100
-
-
-def test_points_where_nothing_stands_and_points_behind_walls_contradict_the_map(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(FIRST_SCANS, 20)
-    chain = submaps()
-    for k in range(8):
-        room = square(stamp_ns=k * 50_000_000)
-        chain.insert(room, match_at(SE2(), room))
-    submap = chain.matched_to
-    assert submap is not None
-    normals = np.ones((360, 3))
-
-    def contradicting(xy_base: np.ndarray, pose: SE2 | None = None) -> tuple[int, int]:
-        at = np.zeros(3) if pose is None else np.array(pose)
-        return submap.contradicting(points_of(xy_base), xy_base, normals, at)
-
-    square_m = square().xy_base
-    assert contradicting(square_m) == (0, 0)
-    in_free, behind = contradicting(0.5 * square_m)
-    assert in_free > 300
-    assert behind == 0
-    in_free, behind = contradicting(3.0 * square_m)  # where no one looked, with the walls before it
-    assert in_free == 0
-    assert behind > 340
-    outside = SE2(30.0, 0.0, 0.0)
-    assert contradicting(square_m, outside) == (0, 0)
-    in_free, behind = contradicting(20.0 * square_m, outside)  # beams of 10 deg go through the room's walls
-    assert in_free == 0
-    assert behind <= 10
-
-
-def test_a_noisy_sensor_makes_rough_walls_of_what_are_planes() -> None:
-    """Noise that the sensor has shown is no roughness of the wall."""
-    xy = square().xy_base
-    noise = 0.03 * np.random.default_rng(3).standard_normal(len(xy))
-    noisy = points_of(xy * (1.0 + noise / np.hypot(xy[:, 0], xy[:, 1]))[:, None])
-
-    def planar_share(sigma_m: float) -> float:
-        _, normals = submaps().on_walls(noisy._replace(range_sigma_m=sigma_m))
-        return float((normals[:, 2] >= 1.0).mean())
-
-    assert planar_share(0.01) < 0.5
-    assert planar_share(0.03) > 0.6
-
-
-def test_a_scan_of_hardly_any_returns_begins_no_segment_and_loses_no_later_scan() -> None:
-    chain = submaps()
-    room = square()
-    chain.insert(room, match_at(SE2(), room))
-    few = points_of(square().xy_base[:4])
-    change = chain.insert(few, match_at(SE2(1.0, 0.0, 0.0), few, state="lost"))
-    assert (change.is_keyframe, change.segment) == (False, 0)
-    assert chain.detached is None
-
-
-def test_of_a_standing_vehicle_each_scan_takes_over_no_more_than_its_share(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(FIRST_SCANS, 25)
-    chain = submaps()
-    room = square()
-    chain.insert(room, match_at(SE2(), room))
-    left = [chain.insert(room, match_at(SE2(), room)._replace(inlier_ratio=0.6)).error_left for _ in range(3)]
-    assert left == pytest.approx([0.6, 2.0 / 3.0, 0.75])
 
 
 @pytest.mark.parametrize(

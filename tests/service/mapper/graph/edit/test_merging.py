@@ -1,19 +1,12 @@
 """Maps of two drives made one."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.edit import merging
-from service.mapper.graph.edit.merging import MergeError, find_second, merge_graphs, together
-from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.seen_cloud import SeenCloud
-from service.mapper.graph.relocalise.detached_search import CandidatePose
-from service.mapper.graph.relocalise.known_map import KnownMap
+from service.mapper.graph.edit.merging import MergeError, merge_graphs, together
 from service.mapper.profiles import mapping_config
 from service.mapper.saved_graph import SavedGraph
 from tests.service.mapper.offices import mapped_office, through
@@ -57,42 +50,6 @@ def test_the_second_map_gets_its_true_pose_in_the_first(first, second):
         assert off_m < 0.04
         assert off_rad < 0.01
     assert merged.residual_m.max() < 0.03
-
-
-@pytest.fixture
-def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Points of the query of each search over the whole first map."""
-    queries: list[int] = []
-    search = KnownMap.candidates
-
-    def counted(known_map: KnownMap, seen: SeenCloud, least: float) -> np.ndarray:
-        queries.append(len(seen.cloud.xy))
-        return search(known_map, seen, least)
-
-    monkeypatch.setattr(KnownMap, "candidates", counted)
-    return queries
-
-
-def test_after_a_result_the_next_queries_search_near_its_pose(first, second, searches):
-    (drove, a), (drove_later, b) = first, second
-    true = drove.world_first.inverse() @ drove_later.world_first
-    pose, finds = find_second(together(a, b), len(a), LoopsConfig(), 3)
-    assert finds >= 3
-    assert away(true, pose)[0] < 0.05
-    assert len(searches) == 1
-
-
-def test_after_a_false_result_the_queries_are_repeated_on_the_whole_map(first, second, searches, monkeypatch):
-    def far_away(places: Sequence[CandidatePose], best: np.ndarray) -> list[CandidatePose]:
-        return [replace(places[0], pose=best + np.array([40.0, 0.0, 1.0]))]
-
-    monkeypatch.setattr(merging, "_with_rivals", far_away)
-    (drove, a), (drove_later, b) = first, second
-    true = drove.world_first.inverse() @ drove_later.world_first
-    pose, finds = find_second(together(a, b), len(a), LoopsConfig(), 3)
-    assert finds >= 3
-    assert away(true, pose)[0] < 0.05
-    assert len(searches) >= 3
 
 
 def test_a_given_pose_replaces_the_search(first, second):

@@ -16,6 +16,7 @@ from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.offline.score.score import align, compose
 from simulators.gnss import GnssModel, Receiver
+from tests.service.mapper.graph.key_frames import key_frame
 
 STEP_M = 0.3
 SPEED_MPS = 1.5
@@ -65,7 +66,6 @@ def outing(
     start = SE2(0.0, 0.0, YAW_RAD)
     covariance = np.diag([2e-3**2, 2e-3**2, turn_walk_rad**2])
     frames, truth, accepted = [], [], SE2()
-    nothing = np.empty((0, 2), np.float32)
     step_ns = round(STEP_M / speed_mps * 1e9)
     for k in range(int(path_length_m / STEP_M) + 1):
         pose = route(k * STEP_M)
@@ -74,7 +74,7 @@ def outing(
             off = noise.standard_normal(3) * (2e-3, 2e-3, turn_walk_rad)
             accepted = accepted @ SE2(step.x_m + off[0], step.y_m + off[1], step.theta_rad + off[2])
         truth.append(pose)
-        frames.append(KeyFrame(k * step_ns, accepted, covariance, 0, 0.9, False, nothing, (0.0, 0.0), 0.01))
+        frames.append(key_frame(k * step_ns, accepted, covariance=covariance))
     fixes = []
     for stamp_ns in range(0, frames[-1].stamp_ns, receiver.period_ns):
         antenna = start @ route(stamp_ns * 1e-9 * speed_mps) @ SE2(*ANTENNA)
@@ -117,10 +117,6 @@ def errors_m(result: Result, drive: Outing) -> np.ndarray:
         east_m, north_m, _ = ORIGIN.to_enu(*found, ORIGIN.height_m)
         off.append(math.hypot(east_m - there.x_m, north_m - there.y_m))
     return np.array(off)
-
-
-def _rows(poses: Iterable[SE2]) -> np.ndarray:
-    return np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
 
 
 def ate_m(result: Result, drive: Outing) -> float:

@@ -1,7 +1,6 @@
 """Fixes that anchor a drive outdoors; whatever is wrong with one moves nothing."""
 
 import math
-import pickle
 from dataclasses import replace
 from itertools import starmap
 
@@ -9,16 +8,13 @@ import numpy as np
 import pytest
 
 from service.geometry.geodesy import LocalFrame
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.loop_batches import Result
 from simulators.gnss import GnssModel, Reflection
 from tests.service.mapper.graph.gnss.outdoors import (
-    NO_SEARCH,
     ORIGIN,
     YAW_RAD,
     Outing,
     ate_m,
-    batches,
     errors_m,
     fed,
     outing,
@@ -83,36 +79,6 @@ def test_fixes_correct_a_drifting_path_and_give_its_reference():
     assert anchored.g2o.count("VERTEX_SE2") == len(drive.frames) + 1
 
 
-def test_a_path_that_is_too_short_gives_no_reference_and_moves_nothing(drive: Outing):
-    short = replace(drive, frames=drive.frames[:100], fixes=drive.fixes[:80])
-    result, bare = fed(short)[1][-1], fed(replace(short, fixes=[]))[1][-1]
-    assert result.geo is None
-    assert result.all == bare.all
-    assert result.g2o == bare.g2o
-
-
-def test_the_reference_comes_once_the_direction_is_known_and_stays(results: list[Result]):
-    known = [result.geo is not None for result in results]
-    first = known.index(True)
-    assert all(known[first:])
-    assert 60.0 < 6.0 * first < 250.0  # m: 20 key frames a batch
-    assert not any(r.newest for r in results[:first])
-    assert results[first].newest
-    assert {r.geo.origin for r in results[first:] if r.geo} == {results[first].geo.origin}
-
-
-def test_the_same_drive_gives_the_same_bits_and_a_pickled_back_end_too(drive: Outing, anchored: Result):
-    back_end = pickle.loads(pickle.dumps(LoopBackEnd(NO_SEARCH, None)))
-    for k, batch in enumerate(batches(drive)):
-        if k % 10 == 0:
-            back_end = pickle.loads(pickle.dumps(back_end))
-        back_end.work(batch)
-    again = back_end.work(Batch([], is_last=True))
-    assert again.all == anchored.all
-    assert again.geo == anchored.geo
-    assert again.g2o == anchored.g2o
-
-
 @pytest.mark.parametrize(
     "useless",
     [
@@ -171,17 +137,6 @@ def test_a_minute_of_reflections_moves_nothing(direction_rad, size_m, hidden: Re
     result = fed(reflected)[1][-1]
     assert result.fixes["fixes_contradicting"] >= 15
     assert moved_m(result, hidden) < 0.2
-
-
-def test_a_receiver_that_hangs_for_a_while_moves_nothing(drive: Outing):
-    hung, at = range(800, 1100), drive.fixes[800]
-    fixes = [
-        replace(fix, latitude_deg=at.latitude_deg, longitude_deg=at.longitude_deg) if k in hung else fix
-        for k, fix in enumerate(drive.fixes)
-    ]
-    result = fed(replace(drive, fixes=fixes))[1][-1]
-    assert result.fixes["fixes_contradicting"] == 0  # they do not even come so far
-    assert moved_m(result, without(drive, hung)) < 0.3
 
 
 def test_fixes_inconsistent_with_the_path_give_no_reference(drive: Outing, bare: Result):

@@ -13,9 +13,9 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_track import FixTrack
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.keyframe_list import KeyFrame
 from tests.drivers.mtig import fixes, mtdata2, talk
 from tests.service.mapper.graph.gnss.outdoors import NO_SEARCH
+from tests.service.mapper.graph.key_frames import key_frame
 
 STEP_NS = 10_000_000
 
@@ -56,10 +56,10 @@ def ended(found: list[GnssFix], speed_mps: float) -> Result:
     track, back_end = FixTrack(), LoopBackEnd(NO_SEARCH, None)
     first_ns = found[0].stamp_ns - 10**8 if found else 0
     frames = []
-    nothing, covariance = np.empty((0, 2), np.float32), np.diag([1e-6, 1e-6, 1e-8])
+    covariance = np.diag([1e-6, 1e-6, 1e-8])
     for k in range(50):
         stamp_ns, pose = first_ns + k * 10**8, SE2(0.1 * k * speed_mps, 0.0, 0.0)
-        frames.append(KeyFrame(stamp_ns, pose, covariance, 0, 0.9, False, nothing, (0.0, 0.0), 0.01))
+        frames.append(key_frame(stamp_ns, pose, covariance=covariance))
         track.add_scan(stamp_ns, pose, k)
     verdicts = {track.add_fix(fix, (0.0, 0.0)) for fix in found}
     assert verdicts <= {"fixes_taken"}

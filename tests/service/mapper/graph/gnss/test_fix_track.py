@@ -7,7 +7,7 @@ import pytest
 
 from drivers.frames import GnssFix
 from service.geometry.se2 import SE2
-from service.mapper.graph.gnss.fix_track import MAX_FIXES_WAITING, REMEMBERED_NS, FixTrack
+from service.mapper.graph.gnss.fix_track import FixTrack
 
 GOOD = GnssFix("imu", 150_000_000, 0, 0, 60.161, 24.546, 51.7, (4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0))
 NAN = math.nan
@@ -68,13 +68,6 @@ def test_the_fault_of_a_fix_is_named(change, counter):
     assert track.take() == []
 
 
-def test_a_fix_as_old_as_the_one_before_and_one_of_another_receiver_are_named():
-    track = FixTrack()
-    assert track.add_fix(GOOD, (0.0, 0.0)) == "fixes_taken"
-    assert track.add_fix(GOOD, (0.0, 0.0)) == "fixes_out_of_order"
-    assert track.add_fix(replace(GOOD, sensor="roof"), (0.0, 0.0)) == "fixes_of_another_receiver"
-
-
 @pytest.mark.parametrize(
     "scans",
     [
@@ -93,20 +86,6 @@ def test_a_fix_in_a_scan_gap_is_counted(scans):
     assert track.take_counts() == {}
 
 
-def test_memory_is_bounded_while_nothing_moves_and_while_no_scan_comes():
-    track = FixTrack()
-    for k in range(3 * MAX_FIXES_WAITING):
-        track.add_fix(replace(GOOD, stamp_ns=k, latitude_deg=60.0 + 1e-7 * k), (0.0, 0.0))
-    assert track.take_counts() == {"fixes_without_scans": 2 * MAX_FIXES_WAITING}
-    track = FixTrack()
-    for k in range(2000):
-        track.add_scan(k * 10**8, SE2(), 0)
-        track.add_fix(replace(GOOD, stamp_ns=k * 10**8, latitude_deg=60.0 + 1e-7 * k), (0.0, 0.0))
-    assert len(track._scans) <= REMEMBERED_NS // 10**8 + 1
-    assert len(track.take()) == 1
-    assert track.take_counts() == {"fixes_thinned": 1999}
-
-
 def test_a_receiver_that_repeats_its_position_while_the_vehicle_moves_is_named():
     track = FixTrack()
     kept = []
@@ -117,3 +96,10 @@ def test_a_receiver_that_repeats_its_position_while_the_vehicle_moves_is_named()
         kept += [placed.keyframe for placed in track.take()]
     assert track.take_counts()["fixes_frozen"] == 189  # from 1.0 m after the last that was new
     assert kept == [0, 50, 100, 300, 350]
+
+
+def test_a_fix_as_old_as_the_one_before_and_one_of_another_receiver_are_named():
+    track = FixTrack()
+    assert track.add_fix(GOOD, (0.0, 0.0)) == "fixes_taken"
+    assert track.add_fix(GOOD, (0.0, 0.0)) == "fixes_out_of_order"
+    assert track.add_fix(replace(GOOD, sensor="roof"), (0.0, 0.0)) == "fixes_of_another_receiver"

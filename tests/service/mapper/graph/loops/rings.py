@@ -4,12 +4,21 @@ import math
 
 import numpy as np
 
+from service.geometry import poses as se2
 from service.geometry.se2 import SE2
+from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.loops.loop_batches import Batch
 from service.mapper.graph.model.keyframe_list import KeyFrame
+from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
+from service.mapper.saved_graph import SavedGraph
 from tests.service.mapper.drives import cast
 
 LENGTH_M, WIDTH_M, HALF_M = 14.0, 9.0, 1.0  # of the middle line, and from there to the walls
 STEP_M = 0.3
+ROUND = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)  # key frames
+CABINET = np.array([(3.7, -0.9), (4.9, -0.9), (4.9, -0.4), (3.7, -0.4)])
+RENDERER = OccupancyTiles(OccupancyConfig(), 0.05).renderer
 TURN_ERROR_RADPM = 0.004
 FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 360, 361
 
@@ -70,3 +79,23 @@ def key_frames(
         covariance = np.diag([1e-4, 1e-4, 1e-5])
         frames.append(KeyFrame(k * 10**8, accepted, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
     return frames, truth
+
+
+def saved_of(rounds: float) -> SavedGraph:
+    frames, _ = key_frames(rounds)
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    for k in range(0, len(frames), 7):
+        back_end.work(Batch(frames[k : k + 7]))
+    saved = back_end.work(Batch([], is_last=True)).saved
+    assert isinstance(saved, SavedGraph)
+    return saved
+
+
+def seam_m(graph: SavedGraph, truth: list[SE2]) -> np.ndarray:
+    """Offset of the second round from the first."""
+    off = []
+    for a in range(5, len(truth) - ROUND - 5, 5):
+        here = se2.between(graph.map[a], graph.map[a + ROUND])
+        true = truth[a].inverse() @ truth[a + ROUND]
+        off.append(np.hypot(here[0] - true.x_m, here[1] - true.y_m))
+    return np.array(off)

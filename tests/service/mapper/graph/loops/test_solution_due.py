@@ -6,15 +6,10 @@ import pytest
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.graph.loops.solution_due import LEVER_M, RENDER_AT_M, SOLVE_EVERY_M, SolutionDue
-from service.mapper.graph.model.keyframe_list import (
-    NO_NORMALS,
-    NO_POINTS,
-    KeyFrame,
-    KeyframeList,
-    ThinnedScan,
-)
+from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import FLOOR, Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
+from tests.service.mapper.graph.key_frames import append_blank, key_frame
 
 LAP, STEP_M = 40, 1.0
 COUNT = round(1.5 * SOLVE_EVERY_M / STEP_M)
@@ -24,8 +19,7 @@ def laps() -> KeyframeList:
     keyframes, pose = KeyframeList(), np.zeros(3)
     for k in range(COUNT):
         pose = se2.compose(pose, np.array([STEP_M, 0.0, 2.0 * np.pi / LAP])) if k else pose
-        frame = KeyFrame(k, SE2(*pose.tolist()), np.eye(3), 0, 0.9, False, NO_POINTS, (0.0, 0.0), 0.01)
-        keyframes.append(frame, pose, ThinnedScan(NO_POINTS, NO_NORMALS, (0.0, 0.0)))
+        append_blank(keyframes, key_frame(k, SE2(*pose.tolist())))
     return keyframes
 
 

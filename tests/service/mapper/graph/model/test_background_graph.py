@@ -32,10 +32,3 @@ def test_lost_work_is_counted_and_reported(new_graph: Callable[[], Graph]):
     with pytest.raises(GraphRequestError, match="this worker discards its jobs"):
         graph.request("optimize", {})
     assert graph.apply_result() is None
-
-
-@pytest.mark.parametrize("new_graph", [loop_closing, landmark_graph])
-def test_what_is_lost_at_the_finish_is_counted_once(new_graph: Callable[[], Graph]):
-    graph = new_graph()
-    graph.request("optimize", {})
-    assert graph.finish().update.counts == {"graph_work_lost": 1}

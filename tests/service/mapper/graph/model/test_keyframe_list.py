@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList
+from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops_config import LoopsConfig
-from tests.service.mapper.graph.relocalise.test_known_map import append
+from tests.service.mapper.graph.key_frames import append, key_frame, polygon
 
-WALLS = [(-3.0, -3.0, 3.0, -3.0), (3.0, -3.0, 3.0, 3.0), (3.0, 3.0, -3.0, 3.0), (-3.0, 3.0, -3.0, -3.0)]
+WALLS = polygon((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0))
 
 
 def kept_of(poses: list[SE2]) -> list[int]:
@@ -35,7 +35,6 @@ def test_a_key_frame_back_in_a_segment_is_placed_by_its_newest_one():
     assert list(newest) == [1, 0]  # the first is the newest of all
     assert newest[0].pose_map_base == SE2(1.0, 0.2, 0.0)
 
-    nothing = np.zeros((0, 2), np.float32)
-    back = KeyFrame(1, SE2(3.0, 0.0, 0.0), np.eye(3), 0, 1.0, False, nothing, (0.0, 0.0), 0.01)
+    back = key_frame(1, SE2(3.0, 0.0, 0.0))
     assert keyframes.place_of(back) == pytest.approx([3.0, 0.2, 0.0])
     assert keyframes.place_of(replace(back, segment=2)) == pytest.approx([2.398, -1.357, -0.5], abs=1e-3)

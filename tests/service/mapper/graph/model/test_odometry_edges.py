@@ -7,13 +7,7 @@ import pytest
 
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import (
-    NO_NORMALS,
-    NO_POINTS,
-    KeyFrame,
-    KeyframeList,
-    ThinnedScan,
-)
+from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.odometry_edges import (
     LOST_COVARIANCE,
     MAX_PREDICTION_VARIANCE,
@@ -23,6 +17,7 @@ from service.mapper.graph.model.odometry_edges import (
     odometry_edges,
 )
 from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges
+from tests.service.mapper.graph.key_frames import append_blank, key_frame
 
 STEP_M, COUNT, ODD = 0.25, 11, 5
 MATCHED = np.diag([1e-4, 4e-4, 1e-6])
@@ -36,13 +31,10 @@ def edges(ahead_m: float = STEP_M, by_motion: bool = False, usual_m: float = STE
     keyframes = KeyframeList()
     for k in range(COUNT):
         x_m = usual_m * k + (ahead_m - usual_m if k >= ODD else 0.0)
-        usual = {"score": 0.9, "is_lost": False, "segment": 0, "motion_covariance": 1e-6 * k * np.eye(3)}
-        pose = SE2(x_m, 0.0, 0.0)
-        chosen = usual | (odd if k == ODD else {})
-        frame = KeyFrame(
-            k, pose, MATCHED, xy_base=NO_POINTS, sensor_xy_m=(0, 0), angle_step_rad=0.01, **chosen
+        fields = {"covariance": MATCHED, "motion_covariance": 1e-6 * k * np.eye(3)} | (
+            odd if k == ODD else {}
         )
-        keyframes.append(frame, np.array([x_m, 0.0, 0.0]), ThinnedScan(NO_POINTS, NO_NORMALS, (0.0, 0.0)))
+        append_blank(keyframes, key_frame(k, SE2(x_m), **fields))
     return odometry_edges(keyframes, STEP_M, by_motion)
 
 
@@ -53,7 +45,7 @@ def check(found: Edges, into: Floats, out_of: Floats) -> None:
     np.testing.assert_allclose(found.covariance, expected)
 
 
-def test_without_a_motion_model_steps_have_a_wide_covariance() -> None:
+def test_without_a_motion_model_lost_steps_have_a_wide_covariance() -> None:
     check(edges(is_lost=True, motion_covariance=None), LOST_COVARIANCE, LOST_COVARIANCE)
 
 
@@ -64,18 +56,13 @@ def test_steps_at_a_key_frame_with_a_low_inlier_ratio_are_uncertain(score: float
     check(edges(score=score), doubted, doubted)
 
 
-@pytest.mark.parametrize(("ahead_m", "sigma"), [(2.0 * STEP_M, 0.0), (2.0 * STEP_M + 3.0, 0.3)])
+@pytest.mark.parametrize("usual_m", [STEP_M, 4.0 * STEP_M], ids=["", "of a thinned log"])
+@pytest.mark.parametrize(("beyond_m", "sigma"), [(0.0, 0.0), (3.0, 0.3)])
 def test_a_path_without_scans_is_uncertain_by_its_length_beyond_two_steps(
-    ahead_m: float, sigma: float
+    beyond_m: float, sigma: float, usual_m: float
 ) -> None:
     """By a tenth of it, m and rad."""
-    check(edges(ahead_m), SOUND + sigma**2 * np.eye(3), SOUND)
-
-
-def test_in_a_thinned_log_a_usual_step_has_the_covariance_of_its_match() -> None:
-    far_m = 4.0 * STEP_M
-    check(edges(2.0 * far_m, usual_m=far_m), SOUND, SOUND)
-    check(edges(2.0 * far_m + 3.0, usual_m=far_m), SOUND + 0.3**2 * np.eye(3), SOUND)
+    check(edges(2.0 * usual_m + beyond_m, usual_m=usual_m), SOUND + sigma**2 * np.eye(3), SOUND)
 
 
 def test_unmatched_steps_have_the_covariance_of_the_motion_model() -> None:

@@ -6,7 +6,7 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, seen_cloud
 from service.mapper.graph.relocalise.known_map import KnownMap
 from service.mapper.graph.relocalise.place_search import find_places
-from tests.service.mapper.graph.relocalise.test_known_map import STOOD, append, room, rooms
+from tests.service.mapper.graph.key_frames import STOOD, append, room, rooms
 
 
 def test_standing_still_adds_no_evidence():

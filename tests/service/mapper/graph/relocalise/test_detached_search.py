@@ -1,7 +1,6 @@
 """What is reported of a segment after one search result."""
 
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,50 +10,7 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
-from service.mapper.graph.relocalise.known_map import MIN_MARGIN_NATS
-from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
-from tests.service.mapper.graph.relocalise.test_known_map import STOOD, Walls, append, room, rooms
-
-KNOWN = OdometryPrior(np.zeros(3), np.diag([0.01, 0.01, 0.001]), 100.0)
-VAGUE = OdometryPrior(np.zeros(3), np.diag([9.0, 9.0, 1.0]), 100.0)
-
-
-@pytest.mark.parametrize(
-    ("prior", "evidence", "may_be_there"),
-    [
-        (KNOWN, 0.0, True),  # new ground: no evidence
-        (KNOWN, -0.9 * MIN_MARGIN_NATS, True),
-        (KNOWN, -1.1 * MIN_MARGIN_NATS, False),
-        (VAGUE, 0.0, False),
-        (None, 0.0, False),
-    ],
-)
-def test_dead_reckoning_is_possible_unless_the_query_contradicts_it(
-    prior: OdometryPrior | None, evidence: float, may_be_there: bool
-) -> None:
-    search = DetachedSearch(LoopsConfig(), KeyframeList())
-    search._query = SimpleNamespace()  # type: ignore[assignment]
-    there = SimpleNamespace(score=SimpleNamespace(evidence=evidence))
-    search._known_map = SimpleNamespace(align=lambda seen, pose: there)  # type: ignore[assignment]
-    assert search._allows_dead_reckoning(prior) is may_be_there
-
-
-@pytest.mark.parametrize("is_disputed", [False, True])
-def test_a_place_disputed_by_dead_reckoning_is_kept_but_not_reported(
-    is_disputed: bool,
-) -> None:
-    keyframes = SimpleNamespace(odom=np.zeros((1, 3)), motion_covariance=np.eye(3)[None])
-    search = DetachedSearch(LoopsConfig(), keyframes)  # type: ignore[arg-type]
-    assert search.unconfirmed_place is None
-    loop = SimpleNamespace(to=0, covariance=np.eye(3))
-    search._hypothesis = SimpleNamespace(  # type: ignore[assignment]
-        pose_map_odom=np.array([1.0, 2.0, 0.5]), loop=loop, segment=3, is_disputed=is_disputed, is_sure=True
-    )
-    facts = search.unconfirmed_place
-    assert (facts is None) is is_disputed
-    if facts is not None:
-        assert (facts.segment, facts.pose_map_odom.x_m) == (3, 1.0)
-
+from tests.service.mapper.graph.key_frames import STOOD, Walls, append, room, rooms
 
 JUNCTION = [  # of two bare corridors, 3 and 2 m wide
     (2.0, -12.0, 2.0, 12.0),
@@ -128,15 +84,3 @@ def test_after_driving_on_rooms_out_of_reach_are_not_searched(gap_s: float) -> N
     search.find(mapped)
     assert len(search.possible) == (2 if gap_s > MAX_SCAN_GAP_S else 0)
     assert (search.unconfirmed_place is None) == (gap_s > MAX_SCAN_GAP_S)
-
-
-def test_the_searched_area_is_independent_of_the_map_size() -> None:
-    keyframes, noise = KeyframeList(), np.random.default_rng(5)
-    for x_m in np.arange(0.0, 400.0, 5.0):
-        append(keyframes, [(x_m, 2.0, x_m + 1.0, 2.0)], SE2(float(x_m), 0.0, 0.0), 0, noise)
-    search, known = DetachedSearch(LoopsConfig(), keyframes), np.arange(keyframes.count)
-    near = search._within(known, 40, 4.0)
-    assert 40 in near
-    assert np.ptp(keyframes.map[near, 0]) < 120.0
-    np.testing.assert_array_equal(search._within(known, 41, 4.0), near)
-    np.testing.assert_array_equal(search._within(known, 40, np.inf), known)

@@ -9,11 +9,9 @@ from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.seen_cloud import seen_cloud
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
-from service.mapper.graph.relocalise.known_map import KnownMap
-from service.mapper.graph.relocalise.place_search import find_places, is_same_pose
-from tests.service.mapper.graph.relocalise.test_known_map import Walls, append
+from service.mapper.graph.relocalise.place_search import is_same_pose
+from tests.service.mapper.graph.key_frames import Walls, append
 
 LENGTH_M = 70.0
 
@@ -59,23 +57,6 @@ def test_along_bare_walls_no_place_is_accepted():
     assert len(search.possible) == 2
 
 
-def test_places_beside_are_found_along_bare_walls_and_none_beside_a_niche():
-    pose = SE2(33.0, 0.3, 0.2)
-    for niches, are_there_others in (((), True), ((34.0, 35.9), False)):
-        walls = corridor(niches)
-        keyframes, noise = mapped(walls)
-        known_map = KnownMap(keyframes, np.arange(keyframes.count))
-        own = append(keyframes, within(walls, pose.x_m), pose, 1, noise)
-        seen = seen_cloud(keyframes, [own], own)
-        aligned = known_map.align(seen, np.array([pose.x_m, pose.y_m, pose.theta_rad]))
-        off_m = [one.fit.pose - aligned.fit.pose for one in known_map.along(seen, aligned)]
-        assert all(abs(off[1]) < 0.02 and abs(off[2]) < 0.01 for off in off_m)
-        assert (max((abs(off[0]) for off in off_m), default=0.0) > 1.5) == are_there_others
-        best, *others = find_places(known_map, seen)
-        rivals = [one.fit.pose for one in others if best.score.evidence - one.score.evidence < 20.0]
-        assert any(0.1 < abs(at[0] - best.fit.pose[0]) < 1.65 for at in rivals) == are_there_others
-
-
 def test_a_niche_fixes_the_position_along_a_corridor():
     pose = SE2(33.0, 0.3, 0.2)
     _, best = looked_for(corridor((13.0, 34.0, 35.9)), pose)
@@ -83,11 +64,3 @@ def test_a_niche_fixes_the_position_along_a_corridor():
     assert is_same_pose(best[0], np.array([pose.x_m, pose.y_m, pose.theta_rad]))
     away = se2.between(np.array([pose.x_m, pose.y_m, pose.theta_rad]), best[0])
     assert math.hypot(away[0], away[1]) < 0.03
-
-
-def test_two_similar_niches_are_both_candidates():
-    search, best = looked_for(corridor((13.0, 47.0)), SE2(12.0, 0.3, 0.2))
-    assert best is None
-    x_m, other_m = sorted(at.x_m for at in search.possible)
-    assert abs(x_m - 12.0) < 0.1
-    assert abs(other_m - 46.0) < 0.1

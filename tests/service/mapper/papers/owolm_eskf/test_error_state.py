@@ -3,12 +3,10 @@
 import math
 
 import numpy as np
-import pytest
-from filterpy.kalman import KalmanFilter
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from service.geometry.se2 import SE2, wrap_angle
+from service.geometry.se2 import SE2
 from service.kernels.strapdown import ATTITUDE, FORCE_BIAS, RATE_BIAS, STRAPDOWN_STATES, VELOCITY, rotation_of
 from service.mapper.papers.owolm_eskf.error_state import ErrorStateFilter
 
@@ -99,56 +97,3 @@ def test_the_error_lies_within_its_covariance_over_100_runs():  # B7 B11 B12 B13
     for nees, states in ((full, STRAPDOWN_STATES), (pose, 3)):
         low, high = chi2.ppf([0.025, 0.975], runs * states) / runs
         assert low < np.mean(nees) < high, (states, np.mean(nees), low, high)
-
-
-def test_the_measurement_looks_at_three_of_fifteen_with_an_arm():  # B9 B12
-    """H by finite differences."""
-    filter_ = ErrorStateFilter(np.array([0.4, 0.2, 0.0]), 9.81, DENSITIES)
-    filter_.rotation = Rotation.from_euler("zyx", [0.7, 0.1, -0.05]).as_matrix()
-    rows, before = filter_.pose_rows(), filter_.pose
-    assert rows.shape == (3, STRAPDOWN_STATES)
-    small = 1e-6
-    position, rotation = filter_.position_m.copy(), filter_.rotation.copy()
-    for state in range(9):
-        push = np.zeros(9)
-        push[state] = small
-        filter_.position_m = position + push[:3]
-        filter_.rotation = Rotation.from_rotvec(push[6:]).as_matrix() @ rotation
-        after = filter_.pose
-        slope = np.array([after.x_m - before.x_m, after.y_m - before.y_m, after.theta_rad - before.theta_rad])
-        np.testing.assert_allclose(slope / small, rows[:, state], atol=1e-5)
-    assert not rows[:, 9:].any()
-
-
-def test_biases_are_learnt():
-    flight = Flight(3)
-    flight.rate_bias = np.array([0.0, 0.0, 0.004])
-    flight.fly(10.0)
-    assert flight.filter.rate_bias[2] == pytest.approx(flight.rate_bias[2], abs=0.001)
-    assert np.linalg.det(flight.filter.rotation) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_prediction_and_update_are_those_of_filterpy_to_the_bit():
-    flight = Flight(3, np.array([0.2, -0.1, 0.3]))
-    oracle = KalmanFilter(dim_x=STRAPDOWN_STATES, dim_z=3)
-    for scan in range(20):
-        for step in range(STEPS_PER_SCAN):
-            flight.step((scan * STEPS_PER_SCAN + step) * IMU_S)
-        tested = flight.filter
-        oracle.P = tested.covariance
-        oracle.predict(F=tested._transition, Q=tested._noise)
-        tested.settle()
-        assert np.array_equal(tested.covariance, oracle.P)
-
-        matched, rows = flight.base(), tested.pose_rows()
-        turn = np.eye(3)
-        turn[:2, :2] = [[math.cos(a := matched.theta_rad), -math.sin(a)], [math.sin(a), math.cos(a)]]
-        before, pose = (tested.position_m, tested.rate_bias), tested.pose
-        turned = wrap_angle(pose.theta_rad - matched.theta_rad)
-        z = [pose.x_m - matched.x_m, pose.y_m - matched.y_m, turned]
-        oracle.x = np.zeros((STRAPDOWN_STATES, 1))
-        oracle.update(np.array([z]).T, R=turn @ np.diag(MATCH_SIGMA**2) @ turn.T, H=rows)
-        tested.observe_pose(matched, np.diag(MATCH_SIGMA**2))
-        assert np.array_equal(tested.covariance, 0.5 * (oracle.P + oracle.P.T))
-        assert np.array_equal(tested.position_m, before[0] - oracle.x[:VELOCITY, 0])
-        assert np.array_equal(tested.rate_bias, before[1] - oracle.x[RATE_BIAS:, 0])

@@ -37,28 +37,6 @@ def sigma_x_m(motion: Motion) -> float:
     return math.sqrt(motion.covariance[0, 0])
 
 
-def test_dots_that_hold_the_pose_back_are_left_and_the_wheels_carry_it(begun: InertialMotion) -> None:
-    motions = driven(begun, range(21, 121), lambda k: 1.0, IN_A_CORRIDOR)
-    assert motions[-1].pose_odom_base.x_m == pytest.approx(6.0, abs=0.1)
-    off_m = np.array([6.0 - 0.05 * (99 - k) - motion.pose_odom_base.x_m for k, motion in enumerate(motions)])
-    assert np.all(np.abs(off_m) < 4.1 * np.array([sigma_x_m(motion) for motion in motions]))
-
-
-def test_dots_that_agree_with_the_wheels_hold_the_pose_and_not_its_covariance(begun: InertialMotion) -> None:
-    """Wheels 3 % off; what fixes the pose may be dots, so it is known as well as wheels know it."""
-    motions = driven(begun, range(21, 81), lambda k: 1.0 + 0.97 * STEP_M * (k - 20), IN_A_CORRIDOR)
-    assert motions[-1].pose_odom_base.x_m == pytest.approx(1.0 + 0.97 * 3.0, abs=0.02)
-    assert 0.1 < sigma_x_m(motions[-1]) < 0.4
-    assert math.sqrt(motions[-1].covariance[1, 1]) < 0.02
-
-
-def test_wheels_that_lose_the_sign_in_reverse_do_not_take_the_pose_along(begun: InertialMotion) -> None:
-    """Dots hold a pose back and never drive it: one that goes against the wheels was seen to go."""
-    motions = driven(begun, range(21, 61), lambda k: 1.0 - STEP_M * (k - 20), IN_A_CORRIDOR)
-    assert motions[-1].pose_odom_base.x_m == pytest.approx(-1.0, abs=0.1)
-    assert sigma_x_m(motions[-1]) > 0.1
-
-
 def test_walls_in_sight_again_fix_the_pose_and_dots_are_asked_again(begun: InertialMotion) -> None:
     driven(begun, range(21, 61), lambda k: 1.0, IN_A_CORRIDOR)
     motions = driven(begun, range(61, 81), lambda k: STEP_M * k, IN_A_ROOM)

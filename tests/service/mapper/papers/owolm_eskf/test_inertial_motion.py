@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from drivers.frames import ImuSample
-from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.mapper.papers.owolm_eskf.inertial_motion import InertialMotion, InertialMotionConfig
 from tests.service.estimator.samples import MS, matched, odometry
@@ -41,34 +40,6 @@ def test_the_imu_carries_the_pose_between_scans():  # B6 B13
     assert predicted.is_measured
 
 
-@pytest.mark.parametrize("along_m", [0.0, 0.5])
-def test_of_what_was_joined_the_scan_alone_is_taken(along_m):
-    """A corridor: the scan knows nothing of the way along it, the pose there is what the matcher got."""
-    model = InertialMotion(InertialMotionConfig())
-    driven(model, 0, 1000, 1.0)
-    model.add(imu(1000))
-    predicted = model.predict(1000 * MS).pose_odom_base
-    pose = SE2(predicted.x_m + along_m, 0.01, 0.0)
-    model.correct(Measurement(pose, SURE, np.diag([0.0, 1e8, 1e8])))
-    believed = model.correct(None).pose_odom_base
-    assert believed.x_m == pytest.approx(predicted.x_m, abs=1e-3)
-    assert believed.y_m == pytest.approx(0.01, abs=1e-3)
-
-
-def test_a_scan_that_was_lost_teaches_nothing():
-    model = InertialMotion(InertialMotionConfig())
-    driven(model, 0, 500, 1.0)
-    sigma = []
-    for stamp_ms in range(500, 1000, 25):
-        for k in range(5):
-            model.add(imu(stamp_ms + 5 * k))
-        predicted = model.predict((stamp_ms + 24) * MS)
-        model.correct(None)
-        sigma.append(predicted.covariance[0, 0])
-    assert sigma == sorted(sigma)
-    assert predicted.pose_odom_base.x_m == pytest.approx(0.999, abs=0.02)
-
-
 def test_samples_out_of_order_are_put_in_place_as_long_as_their_time_has_not_passed():  # B13
     stamps = list(range(0, 100, 5))
     samples = {ms: imu(ms, (0.0, 0.0, 0.01 * ms), (0.1, 0.0, 9.81)) for ms in stamps}
@@ -82,12 +53,6 @@ def test_samples_out_of_order_are_put_in_place_as_long_as_their_time_has_not_pas
         poses.append(model.predict(95 * MS).pose_odom_base)
     assert poses[0] == poses[1]
     assert poses[0].theta_rad > 0.01
-
-
-def test_samples_that_are_no_numbers_are_left_out():
-    model = InertialMotion(InertialMotionConfig())
-    assert not model.add(imu(0, (0.0, 0.0, math.nan)))
-    assert not model.add(imu(0, force=(math.inf, 0.0, 9.81)))
 
 
 def test_standing_before_the_first_scan_gives_tilt_and_biases():  # B3
@@ -108,24 +73,6 @@ def test_standing_before_the_first_scan_gives_tilt_and_biases():  # B3
     assert math.asin(-rotation[2, 0]) == pytest.approx(pitch, abs=0.003)
     assert math.atan2(rotation[2, 1], rotation[2, 2]) == pytest.approx(roll, abs=0.003)
     assert model.filters.across.rate_bias[2] == pytest.approx(rates[:, 2].mean(), abs=0.0002)
-
-
-def test_a_shaking_start_is_not_taken_for_standing():  # B3
-    model = InertialMotion(InertialMotionConfig())
-    for stamp_ms in range(0, 1000, 5):
-        model.add(imu(stamp_ms, force=(math.sin(0.05 * stamp_ms), 0.0, 9.81)))
-    model.predict(1000 * MS)
-    np.testing.assert_array_equal(model.filters.across.rotation, np.eye(3))
-
-
-def test_an_imu_mounted_sideways_is_turned_into_the_base():  # B9
-    model = InertialMotion(InertialMotionConfig(imu_yaw_rad=math.pi / 2))  # its x looks left
-    driven(model, 0, 500, 0.0)
-    for stamp_ms in range(500, 701, 5):
-        model.add(imu(stamp_ms, force=(0.0, -1.0, 9.81)))  # ahead is to its right
-    predicted = model.predict(700 * MS)
-    assert predicted.twist_base[0] == pytest.approx(0.2, abs=0.03)
-    assert abs(predicted.twist_base[1]) < 0.03
 
 
 @pytest.mark.parametrize("wheels", [True, False])
@@ -157,29 +104,3 @@ def test_wheels_beside_an_imu_hold_the_speed_where_scans_say_nothing():
         reached.append(abs(predicted.pose_odom_base.x_m))
     assert reached[0] < 0.1
     assert reached[1] > 0.3
-
-
-def test_an_imu_that_falls_silent_is_replaced():
-    model = InertialMotion(InertialMotionConfig())
-    driven(model, 0, 1000, 1.0)
-    driven(model, 1000, 2000, 1.0, with_imu=False)
-    predicted = model.predict(2000 * MS)
-    assert predicted.pose_odom_base.x_m == pytest.approx(2.0, abs=0.02)
-    assert abs(predicted.pose_odom_base.y_m) < 0.01
-
-
-def test_a_match_far_away_that_outweighs_the_prediction_is_where_the_base_is():
-    for weight in (1.0, 1e-5):
-        model = InertialMotion(InertialMotionConfig())
-        driven(model, 0, 1000, 1.0)
-        for stamp_ms in range(1000, 1026, 5):
-            model.add(imu(stamp_ms))
-        model.predict(1025 * MS)
-        found = Measurement(
-            SE2(4.0, 0.0, 0.0), 1e-4 * np.eye(3), 1e4 * np.eye(3), prior_weight=weight, is_joined=False
-        )
-        pose = model.correct(found).pose_odom_base
-        if weight == 1.0:
-            assert pose.x_m < 3.0
-        else:
-            assert pose.x_m == pytest.approx(4.0, abs=0.1)

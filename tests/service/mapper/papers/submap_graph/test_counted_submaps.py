@@ -55,30 +55,3 @@ def test_a_particle_that_takes_over_has_the_map_and_the_path_of_the_other() -> N
     assert not set(slots[0].tolist()) & set(slots[1].tolist())
     heir.map.insert(WALL, np.zeros(2), np.array([1.0, 0.0, 0.0]))
     assert (grids[0].hits[slots[0]] != grids[1].hits[slots[1]]).any()  # from now on their own ways
-
-
-# D8
-def test_memory_stays_that_of_one_sub_map() -> None:
-    submaps = CountedSubmaps(CONFIG)
-    used = []
-    for k in range(200):
-        drive(submaps, 0.5 * k, k)
-        used.append(submaps.tile_count)
-    assert max(used[100:]) <= max(used[:20])
-
-
-def test_a_map_that_begins_again_closes_its_sub_map_and_draws_nothing_of_it_again() -> None:
-    submaps = CountedSubmaps(CONFIG)
-    for k in range(3):
-        drive(submaps, 0.5 * k, k)
-    submaps.start_over()
-    assert submaps.is_empty
-    assert submaps.overlap(WALL, SE2(1.0, 0.0, 0.0)) == (0, 0)
-    change = drive(submaps, 1.5, 3)
-    assert change.closed is not None
-    assert [scan.stamp_ns for scan in change.closed.scans] == [0, 1, 2]
-    assert submaps.overlap(WALL, SE2(1.5, 0.0, 0.0)) == (41, 0)
-    changes = [drive(submaps, 1.5 + 0.5 * k, 3 + k) for k in range(1, 10)]
-    closed = [change.closed for change in changes if change.closed is not None]
-    assert [(one.number, one.carried) for one in closed] == [(1, 0)]
-    assert closed[0].scans[0].stamp_ns == 3

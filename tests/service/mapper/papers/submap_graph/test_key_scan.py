@@ -29,8 +29,3 @@ def test_end_points_come_back_to_half_a_step_of_range_and_bearing(reach_m: float
     across_m = np.abs(before[:, 0] * away[:, 1] - before[:, 1] * away[:, 0]) / range_m
     assert (across_m < 0.5 * BEARING_STEP_RAD * range_m + float32_m).all()
     assert across_m.max() > 0.4 * BEARING_STEP_RAD * 0.5 * reach_m  # it is kept in steps indeed
-
-
-def test_one_end_point_can_be_kept() -> None:
-    kept = KeptScan.of(scan_of(np.array([4.0]), np.array([-3.0]), (0.0, 0.0)))
-    np.testing.assert_allclose(kept.xy_base, [[4.0 * np.cos(3.0), -4.0 * np.sin(3.0)]], atol=1e-4)
