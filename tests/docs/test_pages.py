@@ -8,7 +8,7 @@ import pytest
 from tests.docs.blocks import BLOCKS, PAGES, ROOT, without_blocks
 
 LANGUAGES = {"", "sh", "python", "yaml", "ini"}
-LINKING = [*PAGES, ROOT / "CONTRIBUTING.md"]
+LINKING = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "tests" / "papers" / "checklist.md"]
 
 
 def test_every_block_is_in_a_language_that_a_test_runs():
