@@ -1,7 +1,7 @@
-"""What `corridor doctor` and `corridor init` know of a type of sensor beyond its config, wire and session.
+"""Hints on a type of sensor for `corridor doctor` and `corridor init`, besides its config, port and session.
 
-It stands beside the sensor (drivers/<sensor>/advice.py) and every part of it may be left out: a sensor
-without advice is looked at all the same, by its session alone.
+It is optional, in drivers/<sensor>/advice.py, and so is each of its fields: a sensor
+without advice is examined by its session alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +14,7 @@ DIFFERENCE = (
 
 
 class OtherSettings(NamedTuple):
-    """A config worth a try where no one answers, and the settings that make it: `dialect: cola_b`."""
+    """A config to try where nothing answers, and the settings that make it: `dialect: cola_b`."""
 
     words: str
     config: Any
@@ -30,8 +30,8 @@ class Advice:
     rate_hz         frames a second that the config requests, None where unknown
     recognise       which device sends these bytes, in words; "" where it is not this type of sensor. Raises
                     nothing for any bytes up to 16 KiB
-    bauds           rates that this sensor may be set to, worth listening at; empty where a rate means nothing
-    other_settings  tried in turn where no one answers; each is a start-up dialogue of the driver's own
+    bauds           baud rates that this sensor may be set to; empty where a rate means nothing
+    other_settings  tried in turn where nothing answers; each takes a start-up dialogue of the driver
     doubt           why this is not the device the config means, from its identity; "" where it may be
     settings_of     settings that the identity shows: {"model": "lms5xx"}; empty where it shows none
     worries         words in a status beside "streaming" that call for action

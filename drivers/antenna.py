@@ -2,5 +2,5 @@
 
 
 def antenna_of(sensor: str) -> str:
-    """Frame of a sensor's antenna where it is distinguished from the sensor; no sensor can be called so."""
+    """Frame of a sensor's antenna; its name cannot be that of a sensor."""
     return f"{sensor}/antenna"

@@ -3,7 +3,7 @@
 A message can only be late, never early, so in the plane (device time, arrival - device time) every
 message lies on or above the true line offset + skew * t, and the lower convex hull of the messages hugs it.
 Source: Zhang, Liu, Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002.
-What remains is the shortest delay that ever occurs, a constant; a driver's config may take it off.
+The shortest delay that occurs remains, a constant; `latency_ms` of a driver's config subtracts it.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ MAX_SKEW = 300e-6  # crystals are good to 100 ppm; more is a hull over bad data
 # A hull this long with more skew than that is begun again, lest its offset grow stale.
 RUNAWAY_NS = 10_000_000_000
 MAX_RUNAWAY = 0.01  # no oscillator is worse: a sender that falls behind is
-MAX_BEND = 0.25  # of what clocks that run apart have gained: how far messages may lie from their line
+MAX_BEND = 0.25  # of the clocks' difference: how far messages may lie from their line
 
 
 @dataclass(slots=True)
@@ -70,7 +70,7 @@ class _Hull:
 
     @property
     def is_straight(self) -> bool:
-        """Whether the messages hug one line: clocks that run apart, not a sender that falls behind."""
+        """Whether the messages lie along one line: clocks that drift, not a sender that falls behind."""
         (x0, y0), (x1, y1) = self.points[0], self.points[-1]
         skew, most_ns = (y1 - y0) / (x1 - x0), MAX_BEND * abs(y1 - y0)
         below_ns = max(y0 + skew * (x - x0) - y for x, y in self.points)
@@ -105,7 +105,7 @@ class ClockMap:
         self._line = (0.0, 0.0)
         self._late_since_ns: int | None = None
         self.resets = 0
-        self.runaways = 0  # hulls begun again because the clocks run apart faster than crystals do
+        self.runaways = 0  # hulls begun again because the clocks drift faster than crystals do
         self.residual_ns = 0  # how much later than the line the newest message came
 
     @property

@@ -1,4 +1,4 @@
-"""Counts in words."""
+"""A count with its noun."""
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:

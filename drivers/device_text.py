@@ -1,4 +1,4 @@
-"""Text that devices report, fit for a log, a status and an error."""
+"""Text that devices report, made safe for a log, a status and an error."""
 
 MAX_CHARS = 80  # the longest name in docs and recordings, MODL of a URG-04LX, has 37
 

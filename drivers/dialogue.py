@@ -47,7 +47,7 @@ class DialogueRunner(Generic[RequestT, AnswerT]):
         self._start = start
         self._steps = start()
         self._unsent: RequestT | None = None
-        self._deadline_ns: int | None = None  # of the time-out or the pause; None: the next step is due now
+        self._deadline_ns: int | None = None  # end of time-out or pause; None: the next step is due now
         self.awaited: RequestT | None = None
         self.requested_ns = 0
         self.begun = False

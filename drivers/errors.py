@@ -5,9 +5,9 @@
      |- ProtocolError    the bytes are not the protocol                  -> drop the link, fresh session
      |- DeviceError      the device understood and refused, or reports a fault
      |                                                                   -> report, retry at long intervals
-     `- UnforeseenError  the driver failed at what no one thought of     -> the same, with the traceback
+     `- UnforeseenError  an exception that the driver did not foresee     -> the same, with the traceback
 
-A message gives what was measured, what was expected and what to look at; the link adds the sensor's name
+A message gives the measured and the expected value and the remedy; the link adds the sensor's name
 and what happens next.
 """
 
@@ -31,11 +31,11 @@ class ProtocolError(DriverError):
 
 
 class DeviceError(DriverError):
-    """The device understood us and refused. Reaction: report; retry seldom, someone has to mend it."""
+    """The device refused. Reaction: report, and retry every 10 s; a person has to act."""
 
 
 class UnforeseenError(DriverError):
-    """A mistake of ours in a driver; the cause is the exception. Reaction: as to a DeviceError."""
+    """A fault of a driver; the cause is the exception. Reaction: as to a DeviceError."""
 
 
 def contained(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:

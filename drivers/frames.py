@@ -37,7 +37,7 @@ class LaserScan:
         self.intensity.setflags(write=False)
 
 
-# Why a beam has no distance, by the devices' protocols; 0: nothing came back, or the device gives no reason.
+# Why a beam has no distance, by the devices' protocols; 0: no return, or the device gives no reason.
 CAUSES = (
     *("no_return", "dazzled", "implausible", "filtered", "reserved_code", "too_near", "interference"),
     *("near_limit", "too_weak", "unlike_neighbours", "two_waves", "error_twice", "too_bright"),
@@ -78,7 +78,7 @@ class ImuSample:
 class OdometrySample:
     """Dead reckoning of the wheels: pose of the base in a frame that starts where the driver started.
 
-    Only differences of poses mean something; covariance is that of the pose and grows with the distance.
+    Only differences of poses are meaningful; covariance is that of the pose and grows with the distance.
     """
 
     sensor: str
@@ -93,7 +93,7 @@ class OdometrySample:
 
 @dataclass(frozen=True, slots=True)
 class GnssFix:
-    """Where a satellite receiver finds its antenna, WGS 84. Without a fix the three places are NaN."""
+    """Position of a GNSS receiver's antenna, WGS 84. Without a fix its three coordinates are NaN."""
 
     sensor: str
     stamp_ns: int

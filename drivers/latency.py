@@ -1,4 +1,4 @@
-"""By how much the stamps of a device are late, as its config may state it."""
+"""Latency of a device's stamps in its config."""
 
 from typing import Annotated
 

@@ -24,7 +24,7 @@ ChunkKind = Literal["connected", "received", "waited", "sent"]
 
 @dataclass(frozen=True, slots=True)
 class RawChunk:
-    """One thing that happened on a wire: all that a session needs to do the same once more.
+    """One event on a wire: together they are all inputs of a session, which repeats itself by them.
 
     connected    a new connection, hence a new session; no bytes
     received     bytes as they came
@@ -46,8 +46,8 @@ READ_TIMEOUT_S = 0.02  # how often a session's timers run when the wire is silen
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 0.5  # back-off after a lost link: a device is to be back within 2 s
 DEVICE_ERROR_RETRY_S = 10.0
 PROVEN_AFTER_S = 5.0  # a link that lived this long starts its back-off again
-CLOCK_KNOWN_NS = 2_000_000  # a stamp so good is handed on; at 1 m/s it is 2 mm
-CLOCK_PATIENCE_NS = 2_000_000_000  # after the first frame; then whatever is known must do
+CLOCK_KNOWN_NS = 2_000_000  # standard deviation of a stamp that is handed on; 2 mm at 1 m/s
+CLOCK_PATIENCE_NS = 2_000_000_000  # after the first frame; then frames are handed on with any deviation
 
 
 class Session(Protocol):
@@ -63,7 +63,7 @@ class Session(Protocol):
         ...
 
     def tick(self, now_ns: int) -> None:
-        """Let timers run: resend, probe, give up. Raises TransportError on silence, DeviceError.
+        """Run timers: resend, probe, time out. Raises TransportError on silence, DeviceError.
 
         It is called after the connection is made, after each receive_data and after each read that timed
         out; now_ns is the host time at which that happened.
@@ -87,7 +87,7 @@ class Session(Protocol):
 
 @dataclass(slots=True)
 class LinkHealth:
-    """What is known of one device's link. Written by its reader thread, read by anyone."""
+    """State of one device's link. Written by its reader thread, read by any thread."""
 
     name: str
     state: str = "connecting"  # connecting | starting | streaming | down
@@ -112,10 +112,10 @@ def run_link(
     stop: threading.Event,
     tee: RawTee | None = None,
 ) -> None:
-    """Keep one device talking until `stop` is set; never raises for what a device, a cable or its driver
+    """Run the link of one device until `stop` is set; never raises for what a device, cable or driver
     does. What `sink` and `tee` raise passes.
 
-    `tee` hears of everything on the wire, before the session does; it must not wait.
+    `tee` receives every event on the wire before the session does; it must not block.
     """
     retry_s, log_of_errors = FIRST_RETRY_S, ErrorLog(health.name)
     while not stop.is_set():
@@ -221,7 +221,7 @@ class ClockGate:
     """Holds back the first frames of a connection, until the device's clock is known.
 
     On a busy machine the very first message is read up to 0.1 s late, and its stamp is as late: a map that
-    begins with it lies off by what the vehicle drove meanwhile, for good.
+    begins with it is off by the distance driven meanwhile.
     """
 
     def __init__(self) -> None:

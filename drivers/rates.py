@@ -1,4 +1,4 @@
-"""When a rate that a device states is the one that was requested."""
+"""Whether a rate that a device states is the requested one."""
 
 RATE_TOLERANCE = 0.05  # motors turn up to 1 % off, and integers of a coarse unit lie beside the rate
 

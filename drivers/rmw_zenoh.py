@@ -26,7 +26,7 @@ class Attachment:
 
     sequence: int  # from 1, rising; of a tile or the map: its version
     source_ns: int  # Unix time at which the service had it
-    gid: bytes  # 16 bytes that stand for one publisher in one run of the service
+    gid: bytes  # 16 bytes that identify one publisher in one run of the service
 
     def encode(self) -> bytes:
         return _ATTACHMENT.pack(self.sequence, self.source_ns, GID_BYTES, self.gid)

@@ -1,4 +1,4 @@
-"""What the service has to know of a type of sensor to run it."""
+"""A type of sensor: its config, port and sessions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from drivers.transport import Transport
 
 @dataclass(frozen=True, slots=True)
 class SensorKind:
-    """How to talk to one type of sensor. The callables take the sensor's own config model.
+    """Config, port and sessions of one type of sensor. The callables take its config model.
 
     `session_maker` is called once a sensor; what it returns, once a connection. What has to outlive
-    a connection (the pose that wheels have added up) lives in between. `advice` is for `corridor doctor`.
+    a connection (the pose of wheels) belongs to what it returns. `advice` is for `corridor doctor`.
     A `laser` gives LaserScans.
     """
 

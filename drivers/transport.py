@@ -17,7 +17,7 @@ from drivers.errors import TransportError
 READ_BYTES = 65_536
 DEAD_PEER_MS = 3_000  # unacknowledged data older than this means the cable is out
 WRITE_TIMEOUT_S = 3.0  # a request of 100 bytes takes 0.2 s at 4800 baud
-# What pyserial lets out of a port that goes away under it. termios.error is no OSError.
+# What pyserial raises when a port disappears. termios.error is no OSError.
 PORT_ERRORS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
 
 
@@ -26,7 +26,7 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, serial.SerialException) and error.errno is None and error.__context__ is not None:
         return _reason(error.__context__)  # of a URL: it quotes it
     number = error.errno if isinstance(error, OSError) else None
-    if isinstance(error, serial.SerialException) and number == errno.EWOULDBLOCK:  # its lock is taken
+    if isinstance(error, serial.SerialException) and number == errno.EWOULDBLOCK:  # locked by another process
         return "another program has it open"
     if number is None or isinstance(error, socket.gaierror):  # whose numbers are not the system's
         return getattr(error, "strerror", None) or str(error)
@@ -50,7 +50,7 @@ class TcpTransport:
         self._where = f"{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
-        except (OSError, UnicodeError) as error:  # the latter of a name that no DNS can hold
+        except (OSError, UnicodeError) as error:  # the latter of an invalid name
             raise TransportError(f"cannot connect to {self._where}: {_reason(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -132,7 +132,7 @@ class SerialTransport:
         return bytes(data)
 
     def write(self, data: bytes) -> None:
-        # Not by pyserial: where a port takes nothing it tries again without end, and without a pause.
+        # Not by pyserial, which retries without end and without a pause where a port takes nothing.
         left = memoryview(data)
         deadline_s = time.monotonic() + WRITE_TIMEOUT_S
         try:
@@ -151,7 +151,7 @@ class SerialTransport:
             ) from error
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate. Raises TransportError where the port cannot do it."""
+        """Change the baud rate. Raises TransportError where the port cannot do it."""
         try:
             self._port.baudrate = baud
         except PORT_ERRORS as error:

@@ -1,15 +1,15 @@
-"""What every session watches for: silence, only malformed messages, stamps that cannot be."""
+"""Checks of every session: silence, only malformed messages, impossible stamps."""
 
 from collections import Counter
 from typing import NamedTuple
 
 from drivers.errors import ProtocolError
 
-LOOK_NS = 200_000_000  # of the time between two looks no more counts as silence: the host may have stalled
+LOOK_NS = 200_000_000  # between two calls of `look` at most this counts as silence: the host may have stalled
 
 
 class DropReason(NamedTuple):
-    """Why a complete frame is not handed on, and what to do where all are dropped so."""
+    """Why a complete frame is not handed on, and the remedy where all are dropped for it."""
 
     words: str
     remedy: str

@@ -1,4 +1,4 @@
-"""How a config names a wire: the host of a device, or the device file of a port."""
+"""Types of a config for the host of a device and the device file of a port."""
 
 import ipaddress
 import re
@@ -31,7 +31,7 @@ def _check_host(host: str) -> str:
 
 
 def one_spelling(host: str) -> str:
-    """Of all spellings of a host's name or address the same one."""
+    """Canonical spelling of a host's name or address."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:

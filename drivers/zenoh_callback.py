@@ -1,4 +1,4 @@
-"""What Zenoh calls back, in threads that do not keep the process alive."""
+"""Callbacks of Zenoh in daemon threads, which do not keep the process alive."""
 
 import logging
 import queue
@@ -20,7 +20,7 @@ def daemon_callback(take: Callable[[T], object], name: str) -> "zenoh.handlers.C
     """For a subscriber, queryable or get: `take` is called in a daemon thread, which ends with it.
 
     The thread that Zenoh makes for a plain function is no daemon: a process that fails to close its session
-    never ends. Who opens a session has `atexit` close it: Zenoh's calls into an interpreter that ends would
+    never ends. `atexit` has to close each session: Zenoh's calls into an interpreter that ends would
     abort the process. What `take` raises is logged.
     """
     waiting: queue.SimpleQueue[T | None] = queue.SimpleQueue()

@@ -1,4 +1,4 @@
-"""What `corridor doctor` knows of Hokuyo lasers: their protocol, product names, causes of silence."""
+"""Hints on Hokuyo lasers for `corridor doctor`: protocol, product names, causes of silence."""
 
 from collections.abc import Mapping
 from typing import Any

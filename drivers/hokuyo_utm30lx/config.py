@@ -1,4 +1,4 @@
-"""Settings of one UTM-30LX, UST or URG-04LX-UG01, as they stand in config/*.yaml."""
+"""Settings of one UTM-30LX, UST or URG-04LX-UG01, in config/*.yaml."""
 
 from typing import Any, Literal, Self
 
@@ -12,7 +12,7 @@ from drivers.wires import DeviceFile, Host
 
 
 class HokuyoUtm30lxConfig(Section):
-    """What the device shall do, and by which wire: `device` for USB, `host` for Ethernet, never both.
+    """Settings of the device and its port: `device` for USB, `host` for Ethernet, never both.
 
     The defaults that depend on the model are shown for a UTM-30LX; see Model.defaults.
     """
@@ -26,7 +26,7 @@ class HokuyoUtm30lxConfig(Section):
     serial_number: str | None = Field(default=None, min_length=1)  # as VV reports; another unit is refused
     first_angle_deg: float = Field(default=-135.0, ge=-180.0, le=180.0)  # sensor frame, 0 straight ahead;
     last_angle_deg: float = Field(default=135.0, ge=-180.0, le=180.0)  # cut to what the device can see
-    cluster: int = Field(default=1, ge=1, le=99)  # neighbouring beams put together into their nearest
+    cluster: int = Field(default=1, ge=1, le=99)  # of so many neighbouring beams the nearest is taken
     skip_scans: int = Field(default=0, ge=0, le=9)  # left out after each one sent: 1 is 20 Hz
     intensity: bool = False
     echo: Literal["first", "last", "strongest"] = "first"  # others than first: Ethernet alone
@@ -78,6 +78,6 @@ class HokuyoUtm30lxConfig(Section):
 
     @property
     def scan_command(self) -> str:
-        """The stream that holds what is wanted. The strongest echo needs intensities."""
+        """The stream that has the configured data. The strongest echo needs intensities."""
         stream = "M" if self.echo == "first" else "N"
         return stream + ("E" if self.intensity or self.echo == "strongest" else "D")

@@ -70,7 +70,7 @@ Dialogue = Generator[Ask | Pause, Answer | None, T]
 
 
 class UtmDialogue:
-    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are its results."""
 
     def __init__(self, config: HokuyoUtm30lxConfig) -> None:
         self._config = config
@@ -84,7 +84,7 @@ class UtmDialogue:
         self.time_samples: list[TimeSample] = []
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where no one answers, DeviceError where the device refuses or is the wrong
+        """Raises TransportError where nothing answers, DeviceError where the device refuses or is the wrong
         one, ProtocolError where its answer makes no sense."""
         yield from self._stop_whatever_runs()
         yield from self._identify()
@@ -142,7 +142,7 @@ class UtmDialogue:
             )
 
     def _look_at_state(self) -> Dialogue[None]:
-        """II in words; a device that does not tell is taken to be well."""
+        """State by II; a device that does not report it counts as well."""
         reply = yield from self._ask("II")
         if reply is None or reply.status != OK:
             return
@@ -279,7 +279,7 @@ class UtmDialogue:
         raise AssertionError("unreachable")
 
     def _warm_up(self) -> Dialogue[None]:
-        """After power-on the motor takes its time; the device reports 0M until it turns evenly."""
+        """After power-on the device reports 0M until its motor turns evenly."""
         self.phase = "warming up"
         self.counters["warm_up_pauses"] += 1
         if self.counters["warm_up_pauses"] > WARM_UP_PAUSES:
@@ -290,7 +290,7 @@ class UtmDialogue:
         yield Pause(WARM_UP_PAUSE_S)
 
     def _reset(self) -> Dialogue[None]:
-        """Out of a state nothing else leads out of; the device's clock starts again."""
+        """Leaves a state that no other command ends; the device's clock starts again."""
         self.counters["resets"] += 1
         yield from self._ask("RS", RESET_TIMEOUT_S)
         yield from self._ask("QT")

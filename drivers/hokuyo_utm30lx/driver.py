@@ -156,7 +156,7 @@ class HokuyoUtm30lxSession:
         return self._frame(scan, request, arrived_ns)
 
     def _note_status(self, status: str) -> None:
-        """Statuses without a scan: the device looks after itself, gives up, or refuses to go on."""
+        """Statuses without a scan: the device checks an error, reports a fault, or refuses to continue."""
         number = int(status) if status.isdigit() else 0
         if status == RESUMED:
             self._verifying = ""
@@ -235,7 +235,7 @@ class HokuyoUtm30lxSession:
         return range_m, intensity[0].astype(np.float32)
 
     def _chosen_echo(self, scan: Scan, geometry: Geometry) -> npt.NDArray[np.int64] | None:
-        """(N,) row of the echo to take, or None where there is but the first."""
+        """(N,) row of the chosen echo, or None where there is only the first."""
         echoes = len(scan.distance_mm)
         if echoes == 1:
             return None

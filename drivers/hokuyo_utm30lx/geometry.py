@@ -1,4 +1,4 @@
-"""Where the beams of a device look and when, from PP. No constants of a model in here."""
+"""Angles and times of a device's beams, from PP. No constants of a model."""
 
 import math
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.scans import ScanRequest
 
-PP_LIMITS = {  # key: lowest and highest; wider than any Hokuyo laser, and what the arithmetic bears
+PP_LIMITS = {  # key: lowest and highest value; wider than any Hokuyo laser
     "DMIN": (0, 262_143),  # mm; three characters of six bits carry no more
     "DMAX": (0, 262_143),
     "ARES": (4, 100_000),
@@ -32,7 +32,7 @@ class Geometry:
 
     @classmethod
     def of(cls, pairs: Mapping[str, str]) -> "Geometry":
-        """From PP's lines. Raises ProtocolError where one is missing or senseless."""
+        """From PP's lines. Raises ProtocolError where one is missing or invalid."""
         values = {key: _number(pairs, key) for key in PP_LIMITS}
         geometry = cls(*values.values())
         distances_in_order = geometry.distance_min_mm < geometry.distance_max_mm

@@ -1,6 +1,6 @@
 """The Hokuyo lasers that this driver reads, a row each, and those that it does not. No I/O.
 
-Geometry, least and largest distance come from the device (PP); here stands what it does not tell. Sources:
+Geometry, least and largest distance come from the device (PP); this is what PP does not report. Sources:
 C-42-03320B, tables 3 and 4 (codes); C-42-04076 (UST); VV and PP of a UST-10LX, VV, PP and a scan of a
 URG-04LX-UG01, printed by public drivers; ros-drivers/urg_c, pull request 4 (a URG that is queried for
 intensities or further echoes answers nothing more until its power is cut).
@@ -27,7 +27,7 @@ URG_CODES = {
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What PP does not tell, and what the settings are where nothing is written."""
+    """What PP does not report, and the defaults of the settings."""
 
     name: str
     product: str  # what PROD, in VV, contains
@@ -65,7 +65,7 @@ MODELS: Mapping[str, Model] = {
     ),
 }
 
-# What PROD contains, after the names above: what reading that laser would need.
+# Lasers that are not supported, by a part of PROD: what reading each would need.
 NOT_READ = {
     "URG-04LX": "a VV reply with wrong sums accepted, and a recording of it",
     **dict.fromkeys(

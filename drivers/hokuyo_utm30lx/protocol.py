@@ -97,7 +97,7 @@ class Reply:
 class ReplyDecoder:
     """Feed bytes as they come; take replies as they become complete.
 
-    Looks for the last status line of each block, so a reply is found behind the stump of another one. What is
+    Looks for the last status line of each block, so a reply is found after the rest of another one. What is
     left over is counted. Only echo and status are checked here, lines by who reads them.
     """
 

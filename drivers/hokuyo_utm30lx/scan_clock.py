@@ -24,7 +24,7 @@ from drivers.hokuyo_utm30lx.protocol import CLOCK_MODULUS
 TICK_NS = 1_000_000
 WINDOW_NS = 4_800_000_000  # shorter than a motor's speed wanders, long enough for prompt arrivals
 LINE_AFTER_NS = 1_500_000_000  # a shorter window determines the period too little
-PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # so measured it outlives a restart of the device's clock
+PERIOD_KNOWN_AFTER_NS = 3_600_000_000  # kept over a restart of the device's clock
 FIT_EVERY = 8  # scans
 MAX_DELAY_OFF_NS = 50_000_000  # from the nominal delay: two scans may be in transit
 NEAR_SYNC_MS = 1_000  # of the stream's beginning: so long no crystal drifts far from what TM1 answered
@@ -149,7 +149,7 @@ class ScanClock:
         return min(max(line_ns + round((sweep - line_sweep) * self.period_ns), lowest), highest)
 
     def _fit(self) -> None:
-        """Lay the line again, then look at the delay."""
+        """Fit the line again, then update the delay."""
         self._since_fit = 0
         sweep, stamp_ms, arrived_ns = np.array(self._window, dtype=np.int64).T
         span_ns = int(stamp_ms[-1] - stamp_ms[0]) * TICK_NS

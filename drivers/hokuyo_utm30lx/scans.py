@@ -44,7 +44,7 @@ class ScanRequest:
     command: str
     first_step: int
     last_step: int
-    cluster: int = 1  # neighbours put together into their nearest; 0 is 1
+    cluster: int = 1  # of so many neighbours the nearest is sent; 0 is 1
     skip: int = 0  # scans left out between two; streams only
     count: int = 0  # scans, 0 for no end; in a stream's scans: how many remain; streams only
 

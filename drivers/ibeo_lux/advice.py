@@ -1,4 +1,4 @@
-"""What `corridor doctor` knows of the LUX: other devices of its protocol, and faults in a status."""
+"""Hints on the LUX for `corridor doctor`: other devices of its protocol, and faults in a status."""
 
 from drivers.advice import Advice
 from drivers.errors import ProtocolError

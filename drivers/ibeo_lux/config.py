@@ -1,4 +1,4 @@
-"""Settings of one IBEO LUX, LUX HD, LUX 8L or SICK LD-MRS, as they stand in config/*.yaml."""
+"""Settings of one IBEO LUX, LUX HD, LUX 8L or SICK LD-MRS, in config/*.yaml."""
 
 from typing import Literal, Self
 
@@ -14,7 +14,7 @@ Label = Literal["dirt", "rain", "ground", "transparent"]
 
 
 class IbeoLuxConfig(Section):
-    """What the device shall do and how its layers become one scan. The device's flash is never written."""
+    """Settings of the device and of the reduction to one scan. The device's flash is never written."""
 
     type: Literal["ibeo_lux"] = "ibeo_lux"
     name: str = Field(min_length=1)

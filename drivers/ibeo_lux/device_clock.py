@@ -11,7 +11,7 @@ from drivers.ibeo_lux.messages import Scan, ScannerStatus
 from drivers.ibeo_lux.protocol import ntp_difference_ns
 
 NUMBER_MODULUS = 1 << 16
-NEAR_SCANS = 100  # over more missing scans the period is not known well enough to tell a jump
+NEAR_SCANS = 100  # over more missing scans the period is not known well enough to detect a jump
 JUMP_NS = 10_000_000
 JUMP_SHARE = 0.03  # of the time between; the mirror's speed is not exact
 FAR_NS = 86_400_000_000_000  # another epoch, or a clock just set
@@ -30,7 +30,7 @@ class DeviceClock:
 
     @property
     def resets(self) -> int:
-        """How often all was learnt again: jumps, and restarts of the device."""
+        """Number of jumps and restarts of the device's clock."""
         return self._earlier_resets + self._map.resets + self.jumps
 
     @property

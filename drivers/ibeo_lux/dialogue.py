@@ -65,7 +65,7 @@ Dialogue = Generator[Ask | Pause, Reply | None, T]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A parameter and what it shall be. `agrees` compares with what is read, an unsigned number; `words` is
+    """A parameter and its configured value. `agrees` compares with the value read, unsigned; `words` is
     such a number for people."""
 
     parameter: Parameter
@@ -76,7 +76,7 @@ class Setting:
 
 
 class IbeoLuxDialogue:
-    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are its results."""
 
     def __init__(self, config: IbeoLuxConfig, unix_ns: Callable[[], int]) -> None:
         self._config = config
@@ -98,7 +98,7 @@ class IbeoLuxDialogue:
         self.explain_faults: Callable[[], str] = lambda: ""
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where no one answers, or only after the scans were taken as they are;
+        """Raises TransportError where nothing answers, or only after the scans were used as they are;
         DeviceError where the device refuses.
         """
         answers = yield from self._identify()
@@ -222,7 +222,7 @@ class IbeoLuxDialogue:
         self.refusals.append(words)
 
     def _change(self, setting: Setting, found: int | None) -> Dialogue[str]:
-        """Set and read back. Why it did not take it, "" where it did."""
+        """Set a parameter and read it back. Returns why the device did not take it, "" where it did."""
         if setting.parameter is Parameter.UPSIDE_DOWN and found is None and not setting.value:
             return ""  # a firmware without this mode has it off
         reply = None
@@ -309,7 +309,7 @@ class IbeoLuxDialogue:
         )
 
     def _ask_until_answered(self) -> Dialogue[None]:
-        """Request the status every WATCH_PERIOD_S: what was deaf while it booted can be set up later."""
+        """Request the status every WATCH_PERIOD_S: a device that was booting is set up later."""
         yield Pause(WATCH_PERIOD_S)
         while (yield from self._read_status()) is None:
             yield Pause(WATCH_PERIOD_S)
@@ -375,7 +375,7 @@ class IbeoLuxDialogue:
 
 
 def status_faults(status: int) -> list[str]:
-    """What is missing for scans, in words."""
+    """What the status lacks for scans, as text."""
     bits = (
         (ScannerStatus.MOTOR_ON, "motor off"),
         (ScannerStatus.LASER_ON, "laser off"),

@@ -179,7 +179,7 @@ class IbeoLuxSession:
         self._take_over()
 
     def _take_over(self) -> None:
-        """What the dialogue found out of the geometry."""
+        """Take over the geometry that the dialogue has read."""
         self._reduction.beam_tilt_rad = self._dialogue.beam_tilt_rad
         self._reduction.upside_down = self._dialogue.upside_down
 
@@ -289,7 +289,7 @@ class IbeoLuxSession:
             self.counters["clock_resets"] = self._clock.resets
         self._check_against_config(scan, period_ns)
         if not self._is_side_wanted(scan):
-            self._silence.heard()  # its frame is not wanted, but it is good
+            self._silence.heard()  # its frame is not used, but it is valid
             self.counters["scans_of_other_mirror_side"] += 1
             return None
         if not self._reduction.sees(scan):

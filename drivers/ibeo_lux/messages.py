@@ -278,7 +278,7 @@ class DeviceStatus:
 
     @property
     def serial(self) -> str:
-        """Year, week and counter, or a hardware address; which, the third word tells."""
+        """Year, week and counter, or a hardware address, by the third word."""
         first, second, third = self.serial_code
         if first == 0xFFFF:
             return ""
@@ -378,6 +378,6 @@ class ErrorRegisters:
 
 
 def _words(register: int, names: Mapping[int, str], register_name: str) -> list[str]:
-    """A name a bit, so that there are only so many, whatever comes."""
+    """A name for each bit, so that their number is bounded."""
     bits = [1 << place for place in range(16) if register & 1 << place]
     return [names.get(bit, f"{register_name} bit 0x{bit:04x}") for bit in bits]

@@ -18,7 +18,7 @@ from drivers.errors import ProtocolError
 MAGIC = b"\xaf\xfe\xc0\xc2"
 HEADER_BYTES = 24
 MAX_MESSAGE_BYTES = 131_072  # 4 layers, 3 echoes, 110 deg in steps of 0.125 deg are 105 644
-MAX_GARBAGE_BYTES = 262_144  # in a row; two of the largest messages cannot both be spoilt by one fault
+MAX_GARBAGE_BYTES = 262_144  # in a row; one fault cannot damage two of the largest messages
 NTP_UNIX_S = 2_208_988_800  # from 1900-01-01 to 1970-01-01
 NTP_MODULUS = 1 << 64
 
@@ -165,7 +165,7 @@ class Decoder:
 
 
 def _is_plausible(size: int, data_type: int) -> bool:
-    """An unknown type is no fault: it is passed over by its size."""
+    """An unknown type is no fault: it is skipped by its size."""
     return size <= MAX_MESSAGE_BYTES and 0x1000 <= data_type < 0x8000
 
 

@@ -191,7 +191,7 @@ class LayerReduction:
         angle_ticks: Integers,
         candidates: Integers,
     ) -> Integers:
-        """Of the candidates of one layer and angle the echo the config wants."""
+        """Of the candidates of one layer and angle the configured echo."""
         echo = (points["layer_echo"] >> 4)[candidates].astype(np.int64)
         if not echo.any():
             return candidates

@@ -1,7 +1,7 @@
-"""What `corridor doctor` knows of the robot: its rates and the form of its stream.
+"""Hints on the robot for `corridor doctor`: its baud rates and the form of its stream.
 
-Its other baud rates are only listened at. Bytes sent at the wrong rate are other bytes to the robot, and some
-of those are commands that make it drive.
+At other baud rates the doctor only listens: bytes sent at a wrong rate are other bytes to the robot, some
+of which are commands that make it drive.
 """
 
 from drivers.advice import Advice

@@ -1,4 +1,4 @@
-"""Session with a Create 1: no encoders, so ask for distance and turn, and mend what the robot cuts off.
+"""Session with a Create 1, which has no encoders: distance and rotation, corrected for truncation.
 
 Packets 19 and 20 give integer millimetres and degrees since they were last read and drop the fraction. In a
 stream, every 15 ms, a turn below 67 deg/s would read as no turn at all. So they are requested seldom, by a
@@ -40,7 +40,7 @@ QUERY_IDS = (
     PacketId.OI_MODE,
 )
 ANSWER_NS = 100_000_000  # the robot answers within 16 ms; a USB adapter adds its own
-QUIET_NS = 50_000_000  # after a broken answer, before the next question
+QUIET_NS = 50_000_000  # after a broken answer, before the next request
 FASTEST_MMPS = 500  # a request to a wheel, by the manual
 UNBELIEVABLE_MMPS, UNBELIEVABLE_DEGPS = 2000, 900  # four times what such requests can lead to
 TWIST_READINGS = 3
@@ -114,7 +114,7 @@ class Create1Session:
             self._start_at_ns = now_ns + RETRY_START_NS
 
     def _drop_answer(self, now_ns: int) -> None:
-        """What is open is lost, perhaps with motion that it reported: the counters were cleared."""
+        """The open answer is lost, perhaps with motion that it reported: the counters were cleared."""
         self._path_length_lost = True
         self._skip(bytes(self._answer))
         self._answer.clear()

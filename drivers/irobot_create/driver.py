@@ -1,6 +1,6 @@
 """Session with a Create 2 or a Roomba: start it, have it stream, turn encoder counts into odometry.
 
-It reads. No command that moves a wheel, a brush or a lamp is ever sent, and the robot stays in Passive mode.
+Read-only: no command for wheels, brushes or lamps is ever sent, and the robot stays in Passive mode.
 """
 
 import logging
@@ -79,7 +79,7 @@ class IrobotCreateSession:
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._last_heard_ns: int | None = None  # frame or banner; None before the first tick
         self._was_silent = False  # for a second or more, and no reading came since
-        self._started_ns: int | None = None  # 128 went out
+        self._started_ns: int | None = None  # 128 was sent
         self._start_at_ns: int | None = None
         self._request_at_ns: int | None = None
         self._keep_alive_at_ns = 0
@@ -270,8 +270,8 @@ class IrobotCreateSession:
 
 
 def _reach_m(since: Reading, arrived_ns: int) -> float:
-    """How far a wheel can have turned until a reading that arrived then; its stamp may not know yet of
-    frames that were lost."""
+    """Farthest travel of a wheel until a reading that arrived then; its stamp may not yet contain
+    frames that were lost, m."""
     return REACH_MARGIN * FASTEST_MPS * (arrived_ns - since.stamp_ns + REACH_SLACK_NS) * 1e-9
 
 

@@ -13,7 +13,7 @@ from drivers.irobot_create.protocol import FRAME_PERIOD_NS
 # beat between the 16 ms of an FTDI adapter's timer and our 15 ms, 16 frames.
 WINDOW = 16
 # (frames, least flow, least step), the latter two in periods: if the floor of lateness rose by the step,
-# and these frames took that long to arrive, so that no queue is being emptied, then frames never came.
+# and these frames took that long to arrive, so that no queue is being emptied, then frames were lost.
 LOSS_SIGNS = ((4, 2.5, 6.0), (WINDOW, 10.0, 0.75))
 BLOCK = 16  # frames per point of the period's measurement
 MAX_BLOCKS = 64

@@ -45,7 +45,7 @@ class RobotHealth:
         self.mode_offset = 0  # 1 on robots that report every mode one too high (seen on a Roomba 690)
 
     def learn_mode_offset(self, reported_after_start: int) -> bool:
-        """128 leads to Passive, so packet 35 then shows how it counts; True if one too high."""
+        """After 128 the mode is Passive, so packet 35 shows whether modes are reported one too high."""
         self.mode_offset = int(reported_after_start == Mode.PASSIVE + 1)
         return bool(self.mode_offset)
 
@@ -98,7 +98,7 @@ class RobotHealth:
 
 
 class EncoderFaults:
-    """Readings that a wheel cannot have turned to: whose, and when to log it."""
+    """Implausible encoder readings: of which wheel, and when to log them."""
 
     def __init__(self) -> None:
         self._wheel = ""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from drivers.frames import OdometrySample
 
 COUNTER_MODULUS = 1 << 16
-TWIST_SAMPLES = 7  # six intervals of 15 ms: a count more or less is then 5 mm/s, not 30
+TWIST_SAMPLES = 7  # six intervals of 15 ms: one count is then 5 mm/s, not 30
 FASTEST_MPS = 0.5  # of a wheel, by the manual's range of opcode 145
 
 
@@ -84,7 +84,7 @@ class DeadReckoning:
         )
 
     def roll(self, left_m: float, right_m: float, reading_variance_rad2: float = 0.0) -> tuple[float, float]:
-        """Take in what both wheels rolled since the last call; returns (ds in m, dth in rad).
+        """Add the travel of both wheels since the last call, m; returns (ds in m, dth in rad).
 
         `reading_variance_rad2` is that of dth beyond the wheels' own, for a device that rounds it.
         """
@@ -116,7 +116,7 @@ class DeadReckoning:
     def lose(self, duration_s: float) -> None:
         """The travel of `duration_s` is unknown: the pose stays, its covariance takes in what was possible.
 
-        Each wheel may have done anything between full speed back and full speed ahead, uniformly.
+        Each wheel may have had any speed between full back and full ahead, uniformly.
         """
         reach_m = FASTEST_MPS * max(duration_s, 0.0)
         variance_m2 = reach_m**2 / 3.0

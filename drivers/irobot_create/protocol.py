@@ -17,7 +17,7 @@ from drivers.errors import ProtocolError
 
 FRAME_HEADER = 0x13
 FRAME_PERIOD_NS = 15_000_000
-MODE_SWITCH_NS = 100_000_000  # 128 wants 20 ms before the next command; libraries leave more
+MODE_SWITCH_NS = 100_000_000  # 128 requires 20 ms before the next command; libraries leave more
 BANNER_END_NS = 1_000_000_000  # so much quiet, and the robot has sent all of its text after a reset
 MAX_LIST = 255  # the count byte of 148 and 149
 LONGEST_TEXT_LINE = 256  # a banner line is shorter; more is noise that happens to be printable
@@ -318,7 +318,7 @@ class StreamDecoder:
         return frames
 
     def _may_begin(self, at: int) -> bool:
-        """Whether what is there from `at` on could still become a frame."""
+        """Whether the bytes from `at` on could still become a frame."""
         buffer = self._buffer
         if buffer[at] != FRAME_HEADER:
             return False

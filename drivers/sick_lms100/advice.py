@@ -1,4 +1,4 @@
-"""What `corridor doctor` knows of SICK scanners: their dialects, ports and families."""
+"""Hints on SICK scanners for `corridor doctor`: their dialects, ports and families."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Settings of one LMS1xx, LMS5xx, TiM5xx or TiM7xx, as they stand in config/*.yaml."""
+"""Settings of one LMS1xx, LMS5xx, TiM5xx or TiM7xx, in config/*.yaml."""
 
 from typing import Any, Literal, Self
 
@@ -12,7 +12,7 @@ from drivers.wires import Host
 
 
 class Lms100Config(Section):
-    """What the device shall do. Where it does something else, the driver changes it, but not its flash.
+    """Settings of the device. The driver writes what differs, but not to its flash.
 
     The defaults that depend on the model are shown for an LMS1xx; see Model.defaults.
     """

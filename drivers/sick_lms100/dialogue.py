@@ -31,8 +31,8 @@ from drivers.sick_lms100.telegrams import (
     ScanDataConfig,
 )
 
-# Where a source is named, other drivers wait so long for the same; CPR is clearpathrobotics/LMS1xx, SXD is
-# SICKAG/sick_scan_xd (sick_scan_common.h and .cpp), and the rest is our own choice, with its reason.
+# A named source has the same waiting time; CPR is clearpathrobotics/LMS1xx, SXD is
+# SICKAG/sick_scan_xd (sick_scan_common.h and .cpp), the rest is our own choice, with its reason.
 ANSWER_TIMEOUT_S = 1.0  # CPR repeats it each second; the recorded answers take 1 to 3 ms, the slowest 14 ms
 CHANGE_TIMEOUT_S = 5.0  # SXD, READ_TIMEOUT_MILLISEC_DEFAULT
 PROBE_ROUNDS = 10  # of both dialects, 20 s; then a new connection, the old one may be a leftover of the boot
@@ -45,7 +45,7 @@ READ_BACK_ATTEMPTS = 45  # SXD, so many polls, one a second
 READY_POLLS = 150  # one a second: SXD, READ_TIMEOUT_MILLISEC_KILL_NODE
 RESTART_AT_POLLS = (60, 105)  # at 25 Hz more than 44 s, or a second Run, were needed (SXD issue 503)
 SUBSCRIBE_ATTEMPTS = 5  # as CHANGE_ATTEMPTS
-WATCH_PERIOD_S = 10.0  # dirt and warmth come slowly, and each question costs the device time
+WATCH_PERIOD_S = 10.0  # contamination and temperature change slowly, and a request takes the device's time
 UNANSWERED_LIMIT = 3  # then this request is not repeated: SXD's test_server.py never answers it
 ACCESS_LEVEL = 3
 ECHO_FILTERS = {"first": 0, "last": 2}  # 1: all, of which DIST1 is the first
@@ -67,7 +67,7 @@ Change = tuple[str, Callable[[], Dialogue[None]]]  # what it sets, in words, and
 
 
 class Lms100Dialogue:
-    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are its results."""
 
     def __init__(self, config: Lms100Config) -> None:
         self._config = config
@@ -83,7 +83,7 @@ class Lms100Dialogue:
         self.fault = ""  # faults that the device reports, "" for none
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where no one answers, DeviceError where no scans can be had."""
+        """Raises TransportError where nothing answers, DeviceError where the device sends no scans."""
         yield from self._find_dialect()
         yield from self._identify()
         changes = yield from self._differences()
@@ -278,7 +278,7 @@ class Lms100Dialogue:
             raise DeviceError(f"after LMDscandatacfg was accepted it has {found.words}")
 
     def _change(self, kind: str, name: str, write: Callable[[Writer], None]) -> Dialogue[Telegram | None]:
-        """Request a change until it is accepted; None where no one ever answered. Raises DeviceError."""
+        """Request a change until it is accepted; None where nothing answered. Raises DeviceError."""
         refusal, lasting = None, 0
         for attempt in range(CHANGE_ATTEMPTS):
             if attempt:
@@ -301,7 +301,7 @@ class Lms100Dialogue:
         for _ in range(START_ATTEMPTS):
             answer = yield from self._ask("sMN", "LMCstartmeas", timeout_s=CHANGE_TIMEOUT_S)
             if answer is None or (answer.kind != "sFA" and not _first_number(answer)):
-                break  # whether it runs, STlms and the scans tell
+                break  # STlms and the scans show whether it runs
             self.counters["starts_refused"] += 1
             if (yield from self._is_measuring()):
                 break

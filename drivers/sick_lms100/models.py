@@ -24,7 +24,7 @@ class Model:
     echoes: Literal["channels", "filter", "one"]  # chosen by LMDscandatacfg, by FREchoFilter, or there is one
     first_e4deg: int = -450_000
     last_e4deg: int = 2_250_000
-    output_range_first: bool = False  # LMPoutputRange counts if written and left before mLMPsetscancfg
+    output_range_first: bool = False  # LMPoutputRange must be applied (Run) before mLMPsetscancfg
     output_step_e4deg: int | None = None  # what LMPoutputRange states as its step; None: the step there is
 
     @property

@@ -21,7 +21,7 @@ from drivers.errors import ProtocolError
 STX, ETX = b"\x02", b"\x03"
 HEADER = b"\x02\x02\x02\x02"
 MAX_TELEGRAM_BYTES = 32_768  # four channels of 1081 beams are 22 kB in CoLa-A, 9 kB in CoLa-B
-MAX_GARBAGE_BYTES = 65_536  # without one good telegram in between: this is not a SICK
+MAX_GARBAGE_BYTES = 65_536  # without a valid telegram: this is not a SICK
 
 REFUSALS = {
     0x01: "method access denied: log in with a higher level",

@@ -1,4 +1,4 @@
-"""What `corridor doctor` knows of Xsens units: their framing, their baud rates, causes of silence."""
+"""Hints on Xsens units for `corridor doctor`: framing, baud rates, causes of silence."""
 
 from collections.abc import Mapping
 

@@ -25,7 +25,7 @@ AUTO: Literal["auto"] = "auto"
 
 
 class XsensMtigConfig(Section):
-    """What the device shall do. What differs is written to it, and it keeps it for good."""
+    """Settings of the device. What differs is written to it and stored there."""
 
     type: Literal["xsens_mtig"] = "xsens_mtig"
     name: str = Field(min_length=1)

@@ -3,7 +3,7 @@
 The order: into config state, read identity and output, write what differs, read back, into measurement state.
 
 A device that streams acknowledges GoToConfig behind some data, and was seen to ignore it until it was reset.
-What is written it keeps over power cuts, so only what differs is written. What it refuses is done without
+The device keeps what is written over power cuts, so only what differs is written. What it refuses is left out
 where samples come all the same, and named in `refusals`.
 Sources: MT0101P, chapters 4 and 5; markvilar/xsensmti-py (MTi-G-700 by USB, deaf to GoToConfig);
 ethz-asl/ethzasl_xsens_driver issues 55, 66 (answers of an MTi-G).
@@ -82,7 +82,7 @@ Dialogue = Generator[Ask, Message | None, T]
 
 
 class MtigDialogue:
-    """Dialogue of one connection: `run` is the generator, the attributes are what it found out."""
+    """Dialogue of one connection: `run` is the generator, the attributes are its results."""
 
     def __init__(self, config: XsensMtigConfig) -> None:
         self._config = config
@@ -99,7 +99,7 @@ class MtigDialogue:
         self.measuring = False
 
     def run(self) -> Dialogue[None]:
-        """Raises TransportError where no one answers, DeviceError where the device refuses."""
+        """Raises TransportError where nothing answers, DeviceError where the device refuses."""
         self.measuring = False
         self.refusals.clear()
         yield from self._enter_config()
@@ -191,7 +191,7 @@ class MtigDialogue:
             self.identity["firmware"] = ".".join(map(str, firmware[:3]))
 
     def _find_baud(self) -> Dialogue[None]:
-        """Which rate the line has; and store_baud, which ends this connection."""
+        """Find the line's baud rate, and write store_baud, which ends this connection."""
         if self._config.over_usb:
             return
         code = yield from self._ask_if_known(Mid.BAUDRATE)
@@ -237,7 +237,7 @@ class MtigDialogue:
             )
 
     def _write_output(self, wanted: OutputItems, current: OutputItems) -> Dialogue[OutputItems]:
-        """What it was set to: without orientation where it refuses that, `current` where it refuses all.
+        """The accepted output: without orientation where it refuses that, `current` where it refuses all.
         Raises DeviceError where it refuses GNSS fixes alone: a unit without a receiver."""
         inertial = [item for item in wanted if item[0] & KIND_MASK != Kind.QUATERNION]
         try:

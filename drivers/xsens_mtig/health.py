@@ -1,4 +1,4 @@
-"""State of the device in words: status bits, GNSS, errors, warnings."""
+"""State of the device as text: status bits, GNSS, errors, warnings."""
 
 from collections import Counter
 
@@ -63,7 +63,7 @@ class DeviceHealth:
         self._gnss = text
 
     def say(self, text: str, now_ns: int) -> None:
-        """An error or a warning of the device."""
+        """Note an error or a warning of the device."""
         self._reported, self._reported_ns = text, now_ns
 
     def said(self, now_ns: int) -> str:
@@ -71,6 +71,6 @@ class DeviceHealth:
         return self._reported if now_ns - self._reported_ns < FORGET_NS else ""
 
     def words(self, now_ns: int) -> str:
-        """The worst first."""
+        """The state as one line, the worst first."""
         status = self._words if self._status is not None else ""
         return ", ".join(text for text in (self.said(now_ns), status, self._gnss) if text)

@@ -65,7 +65,7 @@ def quaternion_of_matrix(matrix: Sequence[float]) -> Quaternion:
 
 
 def axes_of(forward: str, up: str) -> Axes:
-    """How to take device axes to x forward, y left, z up; names are "x", "-z" ... Raises ValueError where
+    """Rotation of device axes to x forward, y left, z up; names are "x", "-z" ... Raises ValueError where
     both lie on one axis.
     """
     forward_axis, up_axis = _axis(forward), _axis(up)

@@ -22,7 +22,7 @@ class BaudPort(Transport, Protocol):
 
 
 class ProbingPort:
-    """Goes from one rate to the next until a complete message comes, and stays there. What is written goes
+    """Changes the rate until a complete message comes. What is written goes
     out at the rate of the moment, so a request has to be repeated until it is answered.
     """
 
@@ -34,7 +34,7 @@ class ProbingPort:
         self._now_s = now_s
         self._index = 0
         self._since_s = now_s()
-        self._decoder: MessageDecoder | None = MessageDecoder()  # None: the rate is found
+        self._decoder: MessageDecoder | None = MessageDecoder()  # None: the rate is known
         port.set_baud(bauds[0])
 
     @property

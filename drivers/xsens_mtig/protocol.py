@@ -197,8 +197,8 @@ class MessageDecoder:
         return messages
 
     def give_up_waiting(self) -> list[Message]:
-        """Take what looks like the beginning of a message for none, and look again behind it: for a line that
-        has fallen silent. A preamble found in garbage may promise bytes that never come.
+        """Discard an incomplete message and search again behind its preamble: for a line that
+        has become silent. A preamble found in garbage may announce bytes that never come.
         """
         if not self._buffer:
             return []

@@ -77,7 +77,7 @@ def utc_ns(utc: Utc | GnssPvt) -> int:
 
 
 class _Stream:
-    """What both protocols share."""
+    """Base of both protocols."""
 
     def __init__(
         self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, silence: SilenceWatch
@@ -91,7 +91,7 @@ class _Stream:
         self._latency_ns = round(config.latency_ms * 1e6)
         self._sample_gate = StampGate(counters, "samples", silence)
         self._fix_gate = StampGate(counters, "fixes")
-        self.utc_minus_host_ns: int | None = None  # None: the device does not know UTC (yet)
+        self.utc_minus_host_ns: int | None = None  # None: UTC is not known (yet)
         self.by_arrival = False  # the newest sample had no time
         self._sample_period_ns = 1e9 / config.rate_hz
         self._mixed = ""  # rates of acceleration and rate of turn, where they differ
@@ -100,7 +100,7 @@ class _Stream:
 
     @property
     def notes(self) -> list[str]:
-        """What is to be known of the samples, in words."""
+        """Notes on the samples for the status."""
         notes = [self._mixed] if self._mixed else []
         if self.by_arrival:
             notes.append("no sample time, and no UTC before the first GNSS fix: stamped by arrival")

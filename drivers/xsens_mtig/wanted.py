@@ -1,4 +1,4 @@
-"""Output to request from the device: as much of what we can use as its line carries. No I/O."""
+"""Output to request from the device: as much of the usable data as its line carries. No I/O."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from drivers.xsens_mtig.protocol import OVERHEAD_BYTES
 from drivers.xsens_mtig.reals import Precision
 
 BITS_A_BYTE = 10  # start and stop bit
-USABLE_SHARE = 0.95  # of the line; what is fuller than that falls behind at the first hiccup
+USABLE_SHARE = 0.95  # of the line; a fuller one falls behind after any delay
 GNSS_HZ = 4
 PERIOD_HZ = 115_200  # the legacy output period counts these
 PERIODS = range(225, 1153)  # 512 Hz to 100 Hz; slower by skipping
@@ -98,7 +98,7 @@ def wanted_layout(config: XsensMtigConfig, baud: int | None) -> LegacyOutput:
 
 
 def left_out(config: XsensMtigConfig, places: bool, orientation: bool, status: bool) -> str:
-    """What a unit that was set up elsewhere does not send of what we can use and the config requests."""
+    """Data that the config requests and a unit that was set up elsewhere does not send."""
     missing = {
         "places (gnss: true)": config.gnss and not places,
         "orientation (orientation: true)": config.orientation is True and not orientation,
