@@ -1,4 +1,4 @@
-"""Brings a version of a stored map to vehicles: to all first, then all begin in it, or none stays in it."""
+"""Brings a version of a stored map to vehicles: to all first, then all begin in it, or none does."""
 
 import logging
 import time
@@ -24,7 +24,7 @@ Progress = Callable[[str], None]  # words
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """What became of it at one vehicle: "active", "brought", "not brought", "as before" or "unknown"."""
+    """Result at one vehicle: "active", "brought", "not brought", "as before" or "unknown"."""
 
     vehicle: str
     state: str

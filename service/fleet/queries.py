@@ -1,4 +1,4 @@
-"""A question to one vehicle, and the vehicles at once that a command is for."""
+"""Queries to one vehicle, and to several at a time."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -76,7 +76,7 @@ def namesakes(sessions: Sequence[Presence]) -> RefusedError | None:
 
 
 def _refusal(body: bytes) -> str:
-    """In the vehicle's words; "" where the error is Zenoh's own: it has waited long enough."""
+    """The vehicle's error text; "" where the error is Zenoh's own time-out."""
     try:
         return str(json.loads(body)["error"])
     except (ValueError, KeyError, TypeError):

@@ -1,4 +1,4 @@
-"""What each vehicle at a site's router reports of itself."""
+"""State of each vehicle at a site's router."""
 
 import math
 import time

@@ -82,7 +82,7 @@ class Watch:
             self._news.put(name)
 
     def close(self) -> None:
-        """Let `run` end, within LOOK_S."""
+        """End `run`, within LOOK_S."""
         self._is_closed = True
 
     def pose(self, name: str) -> tuple[float, float, float] | None:

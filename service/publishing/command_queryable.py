@@ -27,7 +27,7 @@ class CommandQueryable:
         self._queryable = session.declare_queryable(self._root + "*", taken, complete=True)
 
     def close(self) -> None:
-        """Take no more, and let those be answered that were taken; what is not in time is logged."""
+        """Accept no more commands, and wait for the answers in progress; late ones are logged."""
         self._queryable.undeclare()  # type: ignore[no-untyped-call]
         self._workers.close()
 
@@ -64,7 +64,7 @@ class CommandQueryable:
     def _words(self, verb: str, payload: bytes) -> Answer:
         try:
             return self._answer(verb, payload)
-        except Exception as error:  # whatever a stranger writes must not bring the service down
+        except Exception as error:  # no input from outside may end the service
             log.exception("command %s failed", verb)
             return refusal(f"{verb} failed: {error!r}; the service's log says more")
 

@@ -1,7 +1,7 @@
-"""Commands from outside: JSON in, JSON out, each answered in bounded time and never done twice.
+"""Commands from outside: JSON in, JSON out, each answered in bounded time and never executed twice.
 
-Knows nothing of Zenoh and nothing of what a verb does: a Verb names the model of its request and who starts
-it; an Outcome is what its doer settles when it is done, from any thread.
+Independent of Zenoh and of the verbs: a Verb names the model of its request and the function that starts
+it; an Outcome is settled when the command is done, from any thread.
 """
 
 import difflib
@@ -23,11 +23,11 @@ LARGEST_REQUEST = 65_536  # bytes
 
 
 class CommandError(Exception):
-    """Why a command is not done, as text for the client."""
+    """Why a command is not executed, as text for the client."""
 
 
 class Request(BaseModel):
-    """What any command takes."""
+    """Base of the requests of all commands."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -35,7 +35,7 @@ class Request(BaseModel):
 
 
 class Outcome:
-    """What becomes of one command. Settled once; whoever comes second is not heard."""
+    """Result of one command. Settled once; later calls are ignored."""
 
     def __init__(self) -> None:
         self._settled = threading.Event()
@@ -124,7 +124,7 @@ class CommandDispatcher:
             return Counter(self._counts)
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        """Carry out the command, or have it done, or report why not."""
+        """Execute the command, or report why not."""
         words: dict[str, Any] = {}
         try:
             request = self._read(verb, payload)

@@ -45,7 +45,7 @@ def host_of(endpoint: str) -> str:
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether nothing of it leaves this machine."""
+    """Whether it is an address of this machine alone."""
     host = host_of(endpoint)
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -65,14 +65,14 @@ class Ros2Config(Section):
 
 
 class FleetConfig(Section):
-    """What goes to the routers of a site, over a session of its own. Without `connect`: nothing."""
+    """Data for the routers of a site, over a session of its own. Without `connect`: none."""
 
     connect: tuple[Endpoint, ...] = ()  # one of them is connected to, the others stand by
     pose_hz: float = Field(default=5.0, gt=0.0, le=100.0)  # at most
     health_hz: float = Field(default=1.0, gt=0.0, le=1.0)  # at most
     tiles: bool = True  # those of the map that change
     tile_period_s: float = Field(default=2.0, ge=0.2, le=3600.0)  # at least, from one sending to the next
-    commands: bool = True  # of those whom the router lets command
+    commands: bool = True  # of clients that the router allows to command
 
 
 class PublishingConfig(Section):

@@ -39,7 +39,7 @@ class InitialPoseSubscriber:
         self._subscriber = session.declare_subscriber(key, taken)
 
     def close(self) -> None:
-        """Take no more, and let what was taken be answered; what is not in time is logged."""
+        """Accept no more poses, and wait for the answer in progress; a late one is logged."""
         self._subscriber.undeclare()  # type: ignore[no-untyped-call]
         with self._changed:
             self._closed = True

@@ -9,5 +9,5 @@ def vehicle_key(vehicle: str, channel: str) -> str:
 
 
 def alive_key(vehicle: str, component: str) -> str:
-    """Key of the liveliness token that stands while a component does its work."""
+    """Key of the liveliness token that exists while a component works."""
     return vehicle_key(vehicle, f"alive/{component}")

@@ -25,7 +25,7 @@ class QueryWorkers:
         self._threads: dict[threading.Thread, str] = {}  # each with what it answers
 
     def start(self, name: str, work: Callable[[], None]) -> str:
-        """Do it in a thread of its own; why that cannot be, "" if it can."""
+        """Run it in a thread of its own. Returns why that is not possible, "" if it is."""
 
         def run() -> None:
             try:

@@ -94,7 +94,7 @@ class Ros2Node:
 
 
 def request_of(query: zenoh.Query) -> Attachment:
-    """What tells the client which of its requests is answered. Raises ValueError where it is not there."""
+    """Attachment by which the client recognises its request. Raises ValueError where it is missing."""
     if query.attachment is None:
         raise ValueError("a request without an attachment; expected 33 bytes with sequence, time and gid")
     return Attachment.decode(query.attachment.to_bytes())

@@ -96,7 +96,7 @@ class Ros2Services:
             response = respond(query.payload.to_bytes() if query.payload is not None else b"")
         except (InputError, CommandError) as error:
             response = self._refusal(name, refuse, str(error))
-        except Exception as error:  # whatever a stranger sends must not bring the service down
+        except Exception as error:  # no input from outside may end the service
             log.exception("ros2 service %s failed", name)
             response = self._refusal(name, refuse, f"{error!r}; the service's log says more")
         self._reply(name, query, request, response)

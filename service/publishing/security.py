@@ -1,7 +1,7 @@
-"""Who may connect to Zenoh, and what each may do there: settings, and the rules that Zenoh keeps.
+"""Access to Zenoh: settings, and the access control rules.
 
 A name is the common name of a certificate, or that of a user. Its role decides: a viewer reads, an operator
-commands besides, a vehicle publishes below its own name. Whoever has no role may nothing.
+commands besides, a vehicle publishes below its own name. Without a role nothing is allowed.
 """
 
 import stat
@@ -81,7 +81,7 @@ Security = Annotated[
 
 
 def link_settings(security: SecurityConfig) -> dict[str, Any]:
-    """Settings of a Zenoh session by which it shows who it is, and sees who others are, by path.
+    """Settings by which a Zenoh session authenticates itself and others, by path.
 
     Raises StorageError where a file cannot be read, or others may read it.
     """

@@ -1,4 +1,4 @@
-"""What waits to be sent, in two queues, so that a large map never delays a pose.
+"""Messages that wait to be sent, in two queues, so that a large map never delays a pose.
 
 `StreamQueue` keeps order and lets the oldest go when full; `BulkQueue` keeps only the newest of each thing.
 """
@@ -70,7 +70,7 @@ TileKey = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bulk:
-    """What is due now."""
+    """Messages that are due now."""
 
     messages: list[Message]
     tiles: list[TileUpdate]

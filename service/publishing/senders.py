@@ -70,7 +70,7 @@ class Senders:
             log.error("%s does not close: %s", self._owner, error)
 
     def attempt(self, channel: str, action: Callable[[], None]) -> bool:
-        """Do it; a fault is counted and must not end the thread: the next message may well go through."""
+        """Call it; an error is counted and does not end the thread."""
         try:
             action()
         except (zenoh.ZError, StorageError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Opens the Zenoh session; a failure gets a reason."""
+"""Opens the Zenoh session; an error names the reason."""
 
 import json
 import os

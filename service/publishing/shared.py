@@ -1,4 +1,4 @@
-"""What the sinks that speak Zenoh share in one service: the session, and the complete map as one message."""
+"""Shared by the Zenoh sinks of one service: the session, and the complete map as one message."""
 
 import atexit
 import threading

@@ -1,4 +1,4 @@
-"""The session of a vehicle at a router of its site: what may go over the link, and what went."""
+"""The session of a vehicle at a router of its site: limits of the link, and counts."""
 
 import os
 import socket

@@ -58,7 +58,7 @@ class MapSource(GridSource, Protocol):
 
 
 class ZenohPublisher:
-    """All that is published on the Zenoh session; open when constructed, gone after close().
+    """Publishes on the Zenoh session; open when constructed, closed by close().
 
     on_latency takes nanoseconds from a message's origin_ns to the moment after its put; pictures are the
     wholes that are made, name begins the names of the threads. With tiles_wait a busy link delays tiles, the

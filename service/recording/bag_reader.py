@@ -107,7 +107,7 @@ class Bag:
             try:
                 scan = scan_bag(file.path)
             except (OSError, ValueError, ReaderError):
-                return  # what is wrong with it is found again, and reported, when it is read
+                return  # its fault is found again, and reported, when it is read
             if scan.messages:
                 self._scans[file.path] = scan
                 self.losses.append(f"{file.given} was not closed, or is cut off or damaged: {scan}")

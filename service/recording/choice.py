@@ -1,4 +1,4 @@
-"""Which topics and frames of a recording are used, where that is not left to be found."""
+"""Topics and frames of a recording that are chosen by name."""
 
 from pydantic import Field, field_validator
 

@@ -7,7 +7,7 @@ from service.config_types import Folder
 
 
 class RecordingConfig(Section):
-    """Where sessions go, and how much of the disk they may take."""
+    """Folder of the sessions, and limits of their size."""
 
     directory: Folder
     rotate_mb: int = Field(default=1024, ge=1, le=100_000)

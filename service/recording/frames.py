@@ -11,12 +11,12 @@ _ODOMETRY = re.compile(rf"(|.*[/_])({'|'.join(ODOM_FRAMES)})")
 
 
 def is_odometry(frame: str) -> bool:
-    """Whether it is called like the frame of an odometry: odom, robot1/odom, robot1_odom."""
+    """Whether it is the name of an odometry's frame: odom, robot1/odom, robot1_odom."""
     return _ODOMETRY.fullmatch(frame) is not None
 
 
 def is_base(frame: str) -> bool:
-    """Whether it is called like a base: base_link, robot1/base_footprint, robot1_base_link."""
+    """Whether it is the name of a base: base_link, robot1/base_footprint, robot1_base_link."""
     return _BASE.fullmatch(frame) is not None
 
 

@@ -102,7 +102,7 @@ class McapFile:
         os.fsync(self._stream.fileno())
 
     def finish(self) -> None:
-        """Complete the file with its index and give it its name."""
+        """Complete the file with its index and rename it to its final name."""
         self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it unannotated
         self._stream.flush()
         os.fsync(self._stream.fileno())
@@ -111,7 +111,7 @@ class McapFile:
         sync(self.path.parent)
 
     def abandon(self) -> None:
-        """Let go of a file the disk refuses; what reached it stays as `*.active`, if that holds a message.
+        """Close a file after an error of the disk; it stays as `*.active` if it holds a message.
 
         Raises nothing: the disk has reported its error.
         """

@@ -31,7 +31,7 @@ MESSAGE_BYTES = 300  # that a message takes in memory besides its payload
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What a recording holds of one topic. type is the ROS 2 name, "sensor_msgs/msg/LaserScan"."""
+    """A topic of a recording. type is the ROS 2 name, "sensor_msgs/msg/LaserScan"."""
 
     name: str
     type: str
@@ -145,7 +145,7 @@ def _open(file: Unpacked) -> _File:
 
 
 def _damaged(file: Unpacked, error: Exception) -> InputError:
-    why = str(error) or type(error).__name__  # some errors of the library have no words
+    why = str(error) or type(error).__name__  # some errors of the library have no text
     return InputError(f"{file.given} is damaged: {why}; {_unpack_first(file)}try {_recover(file)}")
 
 

@@ -1,4 +1,4 @@
-"""Records messages to MCAP sessions from a thread of its own; whoever puts never waits for a disk.
+"""Records messages to MCAP sessions in a thread of its own; `put` never waits for a disk.
 
 A session is one or more files `<vehicle>_<UTC start>_<nnnn>.mcap`, each complete by itself. While a file is
 written it is called `*.mcap.active` and locked; it is flushed and synced several times in two seconds, so a
@@ -64,7 +64,7 @@ _Item = Message | _Metadata | _Begin | _End
 
 @dataclass(slots=True)
 class RecorderHealth:
-    """What is known of the recording. Written by its thread, read by anyone."""
+    """State of the recording. Written by its thread, read by any thread."""
 
     state: State = "waiting"
     path: Path | None = None  # the file being written
@@ -287,7 +287,7 @@ class McapRecorder:
             if self._may_write():
                 self._write(item)
                 return
-        except Exception as error:  # whatever ails this file or message, the next may be well
+        except Exception as error:  # the next file or message may be written
             self._abandon(error)
         if isinstance(item, Message):
             with self._wake:
@@ -395,7 +395,7 @@ class McapRecorder:
             file.abandon()
 
     def _give_up_unsynced(self) -> None:
-        """No one knows what of it is on the disk; a recovery brings that back."""
+        """Count it as dropped: what of it is on the disk is unknown; a recovery restores that."""
         if not self._unsynced:
             return
         log.error(

@@ -1,4 +1,4 @@
-"""Makes a valid MCAP of one whose writer died or whose bytes went bad, keeping all messages that can be read.
+"""Makes a valid MCAP of an unfinished or damaged one, keeping all messages that can be read.
 
 The file is walked chunk by chunk with checksums. A bad chunk costs itself only: the walk goes on at the next
 thing that looks like a chunk. Of a chunk that the end of the file cuts off, the complete messages are kept.
@@ -179,13 +179,13 @@ def _count_by_rosbags(path: Path) -> int:
     try:
         with AnyReader([path]) as reader:
             return sum(1 for _ in reader.messages())
-    except Exception as error:  # it raises what it likes
+    except Exception as error:  # it may raise any exception
         about = str(error) or type(error).__name__
         raise InputError(f"what is left of {path.name} cannot be read by rosbags: {about}") from error
 
 
 def _reads_back(path: Path, messages: int) -> bool:
-    """By rosbags, and as a replay reads it: what sends people here must not be reported as complete."""
+    """Whether rosbags and a replay can read it."""
     try:
         read = sum(1 for _ in Recording([path]).messages())
         return read == messages == _count_by_rosbags(path)
@@ -410,7 +410,7 @@ class Leftovers:
         return self._process.poll() is None
 
     def stop(self) -> None:
-        """Break off; the next start begins again, nothing is lost."""
+        """Stop; the next start begins again, and nothing is lost."""
         self._process.terminate()
         try:
             self._process.wait(STOP_TIMEOUT_S)

@@ -1,4 +1,4 @@
-"""Frames out of recordings, for the replay: our own sessions, and those of any other ROS system.
+"""Frames of recordings, for the replay: our own sessions, and those of any other ROS system.
 
 In a session of ours a sensor's topics are `/<sensor>/scan`, `imu`, `odom` and `fix`. In others they are
 found by type, see sources, unless a Choice names them.
@@ -156,7 +156,7 @@ class Session:
         Where a foreign recording gives a scan and a sample one log time, the sample goes first: a scan that
         is mapped before the odometry of its own moment has to guess the last part of its motion.
 
-        A message that is no use to a mapper is counted and left out. Raises InputError at a damaged place.
+        An unusable message is counted and left out. Raises InputError at a damaged place.
         """
         self.counters.clear()
         self.frame_ids = {topic: Counter() for topic in self.devices}
@@ -213,7 +213,7 @@ def _is_instant(scan: LaserScan) -> bool:
 
 
 def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
-    """Look into finished recordings. Raises InputError where there is no laser scan that can be mapped, and
+    """Open finished recordings. Raises InputError where there is no laser scan that can be mapped, and
     UsageError where the choice names what is not there.
     """
     recording = open_recording(paths)
@@ -249,7 +249,7 @@ def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
 
 
 def _is_our_session(recording: Readable) -> bool:
-    """By who wrote it; or, where another program rewrote it, by what only we write."""
+    """Whether the library that wrote it, or its metadata, is ours."""
     by_us = recording.library.startswith("corridor ") or any(t.name == "/pose" for t in recording.topics)
     return by_us and any(_is_ours(t) and t.type == LASER_SCAN for t in recording.topics)
 

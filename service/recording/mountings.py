@@ -20,7 +20,7 @@ Matrix = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """Where a sensor sits, as far as a planar mapper wants to know."""
+    """Mounting of a sensor for a planar mapper."""
 
     pose_base_sensor: SE2
     upside_down: bool  # its angles run clockwise seen from above
@@ -28,11 +28,11 @@ class Mounting:
 
 
 class MountingError(Exception):
-    """Why a sensor cannot be mapped where it sits."""
+    """Why a sensor cannot be mapped with its mounting."""
 
 
 class Transforms(Protocol):
-    """A recording, as far as transforms are requested."""
+    """A recording with transforms."""
 
     topics: list[Topic]
 
@@ -81,7 +81,7 @@ class StaticTree:
         for message in self._recording.messages(names) if names else ():
             try:
                 yield from decode_transforms(message.payload)
-            except InputError:  # one broken message does not unseat the sensors
+            except InputError:  # one damaged message does not change the mountings
                 continue
 
     def _add(self, transform: Transform) -> None:

@@ -25,7 +25,7 @@ EXPECTED = (
 
 
 def is_recording(path: Path) -> bool:
-    """Whether it is called, or is the folder of, a recording that can be opened."""
+    """Whether it has the name, or is the folder, of a recording that can be opened."""
     return (path / METADATA).is_file() or (not path.is_dir() and bool(_RECORDING.fullmatch(path.name)))
 
 

@@ -1,4 +1,4 @@
-"""From the bytes of a recorded wire back to frames: a fault in the field becomes a test.
+"""Frames from the bytes of a recorded wire: a fault in the field becomes a test.
 
 recording = Recording([Path("veh1_20261121T101500Z_0001.mcap")])
 frames = list(frames_from_wire(raw_chunks(recording, "front"), lambda: Lms100Session(config)))
@@ -80,7 +80,7 @@ class WireReplay:
         self.requests_not_repeated = 0
 
     def take(self, chunk: RawChunk) -> list[Frame]:
-        """What the driver makes of it, in order."""
+        """The frames that the driver makes of it, in order."""
         if chunk.kind == "connected":
             self._session, self._gate, self._connected = self._new_session(), ClockGate(), True
         session = self._session

@@ -174,6 +174,6 @@ def _records(content: bytes) -> Iterator[tuple[int, Header, int]]:
 
 
 def unpacked_chunk(data: bytes) -> bytes:
-    """What can be had of a chunk, compressed or not. Raises TooLargeError and UnpackError."""
+    """The readable part of a chunk, compressed or not. Raises TooLargeError and UnpackError."""
     new = decompressor_of(data)
     return data if new is None else unpacked(data, new, MAX_CHUNK_BYTES, "a chunk")

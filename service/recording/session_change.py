@@ -1,4 +1,4 @@
-"""What a recorder of sessions answers to a request to begin or to end one."""
+"""Answer of a recorder to a request to begin or to end a session."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class SessionChange:
-    """What became of the request to begin or to end a session."""
+    """Result of a request to begin or to end a session."""
 
     changed: bool  # False: it was so already
     files: list[Path]  # the one being written; of an ended session all, complete, oldest first

@@ -1,4 +1,4 @@
-"""The devices in a recording, and which of them a mapper is to have.
+"""The devices in a recording, and those chosen for the mapper.
 
 They are found by type; where several fit, one is chosen, and the notes list what was skipped. Each
 header.frame_id in a topic is a device of its own.

@@ -1,4 +1,4 @@
-"""The devices of one vehicle in a recording: which of them a mapper is to have, and where they sit."""
+"""The devices of one vehicle in a recording: those chosen for the mapper, and their mountings."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ class Devices:
 
 
 class Vehicle:
-    """The devices of one vehicle in a recording, and where they sit."""
+    """The devices of one vehicle in a recording, and their mountings."""
 
     def __init__(self, recording: Readable, choice: Choice, notes: list[str]) -> None:
         self._recording = recording
@@ -328,7 +328,7 @@ def _guessed(source: Source, bases: Sequence[str]) -> str:
 def _antennas(
     source: Source, sensor: str, tree: StaticTree, bases: Sequence[str], notes: list[str]
 ) -> dict[str, SE2]:
-    """Where a receiver and its antenna sit; an antenna may be turned and tilted as it likes."""
+    """Positions of a receiver and its antenna; an antenna may have any orientation."""
     names = {antenna_of(sensor): antenna_of(source.frame), sensor: source.frame}
     above = {name: tree.chain(frame) for name, frame in names.items()}
     found: dict[str, SE2] = {}

@@ -37,7 +37,7 @@ class _Work(NamedTuple):
 
 
 class _Copy(NamedTuple):
-    """Be there twice from here on: the copy serves whoever listens at the path."""
+    """Fork; the copy serves the stand-by that listens at the path."""
 
     path: str
     answered: int  # answers up to this one have come
@@ -83,14 +83,14 @@ class BackEndProcess:
         self._submitted = 0
         self._answers: dict[int, Any] = {}
         self._answered = 0
-        self._unwanted = 0  # up to here no one waits for an answer any more
+        self._unwanted = 0  # answers up to this number are not awaited
         self.pid: int | None = None  # of the process; None where there is none, or it is another's child
         self._worker_pid = 0  # of the process that has the back end
-        self.fault = ""  # why it does nothing any more, "" while all is well
+        self.fault = ""  # why it has ended, "" while it works
 
     @property
     def ends(self) -> list[End]:
-        """For who waits for several things at once; then `look`."""
+        """Ends for `wait_for`; then call `look`."""
         if self._channel is not None:
             return [self._channel]
         return [] if self._listener is None else [Listening(self._listener)]
@@ -112,7 +112,7 @@ class BackEndProcess:
         return self._answered < self._submitted and not self.fault
 
     def look(self) -> None:
-        """Receive its messages, which also show that it is alive."""
+        """Receive its messages, which also show that it lives."""
         self._receive(0.0)
 
     def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
@@ -124,7 +124,7 @@ class BackEndProcess:
         return ProcessWorker(self)
 
     def stop(self) -> None:
-        """End the process, whatever it is doing; what is still out is lost."""
+        """End the process at once; open work is lost."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None
@@ -150,7 +150,7 @@ class BackEndProcess:
             self._close_listener()
 
     def forked(self, is_copy: bool) -> None:
-        """After the fork: in the copy the back end is the other one, in the parent all is as it was."""
+        """After the fork: the copy uses the copied back end; in the parent nothing changes."""
         if is_copy:
             for channel in self._former:
                 channel.close()
@@ -202,7 +202,7 @@ class BackEndProcess:
         raise WorkLostError(late)
 
     def _leave(self) -> None:
-        """Send the process nothing more. A requested copy is still in use."""
+        """Stop sending to the process. A requested copy stays in use."""
         if self._listener is not None:
             self._close_listener()
         self._unsent.clear()
@@ -343,8 +343,8 @@ def _kill(pid: int) -> None:
 def _live(connection: socket.socket, back_end: BackEnd) -> None:
     """The process, from its fork to its end: when the other side is gone."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
-        signal.signal(number, signal.SIG_IGN)  # who stops the service stops it too; copies need no burial
-    # Else whoever waits for the mapper to be gone would wait for this process, too.
+        signal.signal(number, signal.SIG_IGN)  # signals to the service end it too; copies need not be reaped
+    # Else a process that waits for the mapper to end would wait for this process, too.
     os.closerange(3, connection.fileno())
     os.closerange(connection.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
     gc.unfreeze()
@@ -379,7 +379,7 @@ class _Server:
         else:
             try:
                 done = _Done(message.number, self._back_end.work(message.batch))
-            except Exception as error:  # whatever it is, the state of the back end is unknown now
+            except Exception as error:  # after any exception the state of the back end is unknown
                 self._channel.send(_Failed(f"{type(error).__name__}: {error}"))
                 self._channel.receive_within(STOP_S)
                 raise ChannelClosedError("failed") from error

@@ -20,7 +20,7 @@ MAX_WAITING_BYTES = 256 << 20  # of a reader that stands still
 
 
 class ChannelClosedError(Exception):
-    """The other side is gone."""
+    """The other side has closed the connection."""
 
 
 class End(Protocol):
@@ -75,7 +75,7 @@ class Channel:
                 self._waiting += b"".join(parts)[sent:]
 
     def flush(self) -> bool:
-        """Send what waits, as far as the socket takes it; whether all is sent. Raises ChannelClosedError."""
+        """Send what waits, as far as the socket takes it; True if all is sent. Raises ChannelClosedError."""
         with self._lock:
             self._flush()
             return not self._waiting
@@ -179,7 +179,7 @@ def wait_for(channels: Collection[End], timeout_s: float) -> list[End]:
                 try:
                     end.flush()
                 except ChannelClosedError:
-                    is_over = True  # whoever receives next hears of it
+                    is_over = True  # the next `receive` raises it
             if events & ~select.POLLOUT or is_over:
                 ready.append(end)
         if ready or time.monotonic() >= deadline_s:

@@ -1,4 +1,4 @@
-"""What each command does. All of them go through the intake: their place among the frames is exact."""
+"""The commands of a service. All pass through the intake, so their position among the frames is exact."""
 
 import json
 import re
@@ -64,7 +64,7 @@ class ModeRequest(Request):
 
 
 class PoseRequest(Request):
-    """Where a person sees the base in the map."""
+    """Pose of the base in the map, set by the operator."""
 
     x_m: MapMetres
     y_m: MapMetres
@@ -103,7 +103,7 @@ FindMap = Callable[[str, int | None], tuple[Path, int]]
 
 
 class CarryOut(Protocol):
-    """Runs between two frames: waits for nothing and raises nothing."""
+    """Runs between two frames; never blocks and raises nothing."""
 
     def __call__(self, event: Message, outcome: Outcome) -> None: ...
 
@@ -161,7 +161,7 @@ class Commands:
         }
 
     def close(self) -> None:
-        """Let no one wait for what no one does any more: the service is at its end."""
+        """Fail the open commands: the service ends."""
         with self._lock:
             for outcome in self._open:
                 outcome.failed("the service is stopping")
@@ -176,7 +176,7 @@ class Commands:
         return Verb(request, start)
 
     def _mark_in_line(self, name: str, request: Request, carry_out: CarryOut, outcome: Outcome) -> str:
-        """Have it carried out between two frames; why not, "" if it is."""
+        """Execute it between two frames. Returns why that is not possible, "" if it is."""
         event = {"event": name, **request.model_dump(exclude_none=True)}
         return self._intake.mark(event, lambda message: carry_out(message, outcome))
 

@@ -76,7 +76,7 @@ def _locked(folder: Path) -> int:
 
 
 class EarlyMapper:
-    """`tell` it for what to load kernels; a MapperLink takes it over. On exit the process ends."""
+    """`tell` it the section whose kernels to load; a MapperLink takes it over. On exit the process ends."""
 
     def __init__(self) -> None:
         self.mapper_socket = MapperSocket()
@@ -110,7 +110,7 @@ class EarlyMapper:
 
 
 def mapping_section(path: Path) -> dict[str, Any]:
-    """As the file has it, which no one has checked; empty where there is none or the file is none."""
+    """The section as it is in the file, unchecked; empty where there is none or the file cannot be read."""
     try:
         if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
             return {}

@@ -7,7 +7,7 @@ from drivers.counted import counted
 from service.encoding import OK, WARNING, Status
 from service.geometry.geo_reference import GeoReference
 
-RECENT_NS = 10_000_000_000  # what was counted within so long is reported
+RECENT_NS = 10_000_000_000  # counts of this time are reported
 
 # By counter, the worst first: level and words.
 FAULTS = {
@@ -30,7 +30,7 @@ FAULTS = {
 
 
 class GnssHealth:
-    """Remembers what was counted, so that it can report what is counted now."""
+    """Reports the counts of the last seconds."""
 
     def __init__(self) -> None:
         self._counted: dict[str, int] = {}
@@ -39,7 +39,7 @@ class GnssHealth:
     def status(
         self, counters: Mapping[str, int], reference: GeoReference | None, now_ns: int
     ) -> Status | None:
-        """None where no fix was ever heard, or no graph takes any. now_ns: host monotonic."""
+        """None where no fix has come, or no graph uses fixes. now_ns: host monotonic."""
         fixes = {name: count for name, count in counters.items() if name.startswith("fixes_")}
         if not fixes.keys() - {"fixes_passed_over"}:
             return None

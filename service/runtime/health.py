@@ -1,4 +1,4 @@
-"""What the service knows of itself: one diagnostic status a sensor, and one for each part behind them."""
+"""Health of the service: a diagnostic status for each sensor and each part behind them."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
@@ -17,14 +17,14 @@ from service.runtime.metrics import LatencyHistogram, RateMeter
 from service.sinks.fan_out import Sinks
 
 STALE_AFTER_NS = 1_000_000_000
-LATE_NS = 500_000_000  # from a measurement to its arrival: no device and no link needs so long
+LATE_NS = 500_000_000  # from a measurement to its arrival: beyond the delay of any device and link
 POSE_STALE_NS = 500_000_000  # the slowest laser sends each 80 ms
 FIRST_POSE_NS = 5_000_000_000  # so long devices may take to log in
 RESTARTS_WITHIN_NS = 60_000_000_000
 MAX_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
 
 LINE_NS = 10_000_000_000  # at least, from one line about a passing state to the next
-_PASSING = {"ok", "degraded", "overloaded"}  # states between which a mapping may go to and fro
+_PASSING = {"ok", "degraded", "overloaded"}  # states that may alternate
 
 _CHECK = "if it stays so, check its power, cable and address, or run corridor doctor"
 _RESTART = "if it stays so, start the service again; its log says more"
@@ -176,7 +176,7 @@ class HealthReport:
         return ", ".join(words)
 
     def update(self, now_ns: int, clock_step_ns: int) -> None:
-        """Look at everything.
+        """Make all statuses.
 
         now_ns          host monotonic: as of when frames and poses are fresh
         clock_step_ns   how far the wall clock has stepped

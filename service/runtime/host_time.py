@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 READINGS = 5
-STEP_NS = 100_000_000  # less is slewing or a coarse read, not a step worth a word
+STEP_NS = 100_000_000  # less is slewing or a coarse read, not a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class HostTime:
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> "HostTime":
-        """Read both clocks; of several readings the one that took least time is the truest."""
+        """Read both clocks; of several readings the one that took least time is used."""
         best: tuple[int, int] | None = None
         for _ in range(READINGS):
             before = monotonic_ns()

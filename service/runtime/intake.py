@@ -1,4 +1,4 @@
-"""Where all frames and commands come together: their order is fixed here, and everything downstream keeps it.
+"""Fixes the order of all frames and commands, which everything downstream keeps.
 
 A frame is encoded once, in the thread of its reader. The same bytes go to the sinks and to the mapper's
 process, so a replay of the recording gives the same poses.
@@ -29,7 +29,7 @@ Answered = Callable[[Answer], None]
 
 
 class Intake:
-    """Thread-safe; no one waits for more than another's frame.
+    """Thread-safe; a call waits at most for the encoding of another thread's frame.
 
     put    takes a message for all sinks, and only queues it
     """
@@ -49,7 +49,7 @@ class Intake:
         self.paused = False
 
     def put(self, frame: Frame) -> None:
-        """Hand it to the sinks and have it mapped. After close() frames are ignored.
+        """Give a frame to the sinks and to the mapper. After close() frames are ignored.
 
         Raises OverflowError where the mapper has been stuck for minutes.
         """

@@ -63,15 +63,15 @@ STANDBY_S = 5.0  # that a stand-by which has just been made may take to come her
 
 
 class MapperListener(Protocol):
-    """Who gets the messages of the mapper; all calls come from one thread."""
+    """Receiver of the mapper's messages; all calls come from one thread."""
 
     def heard(self, message: Heard) -> None: ...
 
     def taken_over(self, words: str) -> None:
-        """The mapper was lost and a stand-by went on; tiles that come now count again."""
+        """A stand-by has replaced the mapper; tiles that come now count again."""
 
     def refused(self, item: FrameItem) -> None:
-        """This frame is left out from now on: a mapper died of it."""
+        """This frame is left out from now on: the mapper died at it."""
 
 
 class MapperLostError(Exception):
@@ -89,10 +89,10 @@ class MapperLink:
         self._mapper_socket = MapperSocket() if early is None else early.mapper_socket
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
-        self._given_up: list[Channel] = []  # active ones that take nothing any more, until they are closed
+        self._given_up: list[Channel] = []  # replaced ones, until they are closed
         self._kept: deque[Item] = deque()  # those after the stand-by's last
         self._keeps_items = True  # as long as there may be a stand-by that needs them
-        self._delayed: list[FrameItem] = []  # samples that go with the next scan; no scan, no use of them
+        self._delayed: list[FrameItem] = []  # samples that go with the next scan
         self._number = 0  # of the last item submitted
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
@@ -188,7 +188,7 @@ class MapperLink:
                 self._send_delayed(item)
 
     def run(self) -> None:
-        """Listen until `close`. Raises MapperLostError."""
+        """Receive messages until `close`. Raises MapperLostError."""
         try:
             while not self._closed.is_set():
                 self.turns += 1
@@ -229,7 +229,7 @@ class MapperLink:
             self._active = None
 
     def close(self) -> None:
-        """End the process and its stand-by, whatever they do; `run` returns."""
+        """End the process and its stand-by at once; `run` returns."""
         self._closed.set()
 
     def clean_up(self) -> None:
@@ -478,7 +478,7 @@ class MapperLink:
             self._bury()
 
     def _bury(self) -> None:
-        """Wait for the process that was started here, which has been killed; not for ever."""
+        """Reap the killed process that was started here, within a bounded time."""
         assert self._process is not None
         try:
             self._process.wait(END_S)

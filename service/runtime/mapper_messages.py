@@ -87,7 +87,7 @@ class Decisions(NamedTuple):
 
 
 class Go(NamedTuple):
-    """A stand-by takes over: all after its own number comes again. What is done gives no output twice."""
+    """A stand-by takes over: all items after its own number are sent again. No output is sent twice."""
 
     done_number: int
     decisions: Decisions
@@ -95,11 +95,11 @@ class Go(NamedTuple):
 
 
 class MakeStandby(NamedTuple):
-    """The stand-by is gone: make another one soon."""
+    """The stand-by has died: make another one soon."""
 
 
 class Finish(NamedTuple):
-    """Nothing more comes: have the graph finish, hand over the last tiles, end."""
+    """No more items come: finish the graph, hand over the last tiles, end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,13 +134,13 @@ class GraphKept(NamedTuple):
 
 
 class GraphRendered(NamedTuple):
-    """The graph of the present map, for people to look at."""
+    """The graph of the present map, to be shown."""
 
     picture: GraphPicture
 
 
 class StandingRendered(NamedTuple):
-    """How long things stand around the vehicle, for people to look at; see Mapper.standing."""
+    """Static score around the vehicle, to be shown; see Mapper.standing."""
 
     grid: Grid
     stamp_ns: int  # Unix time of the newest scan in it
@@ -209,7 +209,7 @@ class ResultApplied(NamedTuple):
 
 
 class PoseRefused(NamedTuple):
-    """Where a person set the vehicle in the map, and what is seen does not fit: it is given up."""
+    """The pose that the operator set is rejected: the scans do not fit there."""
 
     log_ns: int
     x_m: float
@@ -241,25 +241,25 @@ class Tiles(NamedTuple):
 
 
 class Failed(NamedTuple):
-    """The mapper cannot be trusted after this item; its process ends with this word."""
+    """The mapper failed at this item; its process ends after this message."""
 
     number: int
     words: str
 
 
 class BackEndDied(NamedTuple):
-    """The back end of the graph is gone, and with it what it knew; the stand-by has another one."""
+    """The back end of the graph has died with its state; the stand-by has another one."""
 
     words: str
 
 
 class Finished(NamedTuple):
-    """The last word of a process that was requested to finish."""
+    """Last message of a process that was requested to finish."""
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the mapper knows of itself, several times a second."""
+    """State of the mapper, sent several times a second."""
 
     number: int  # the last item that it has taken
     counters: Mapping[str, int] = field(default_factory=dict)
@@ -267,7 +267,7 @@ class Status:
     geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start
     is_localizing: bool = False  # the map stays as it is
-    time_warnings: tuple[str, ...] = ()  # what is wrong with stamps and time fields, a sentence each
+    time_warnings: tuple[str, ...] = ()  # faults of stamps and time fields, a sentence each
 
 
 # Reported to the MapperListener.

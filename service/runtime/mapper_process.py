@@ -63,13 +63,13 @@ from service.runtime.standby_schedule import StandbySchedule
 
 log = logging.getLogger(__name__)
 
-IDLE_S = 0.2  # how long to wait for an item before the loop looks after tiles anyway
+IDLE_S = 0.2  # how long to wait for an item before tiles are served
 CONNECT_S = 10.0
-MAX_AT_ONCE = 100  # samples taken without a look at what else there is to do
+MAX_AT_ONCE = 100  # samples taken in a row before other work
 
 
 class MapperProcess:
-    """One mapper, and what it needs to be there twice."""
+    """One mapper, and what it needs to fork stand-bys."""
 
     def __init__(
         self, folder: Path, setup: Setup, channel: Channel, seldom: SeldomKernels | None = None
@@ -128,7 +128,7 @@ class MapperProcess:
         self._schedule = StandbySchedule()
 
     def run(self) -> None:
-        """Until ingest reports that nothing more comes, or is gone. Raises ChannelClosedError."""
+        """Until ingest reports the end, or has ended. Raises ChannelClosedError."""
         try:
             if not self._copy():
                 self._send(Ready(self._can_copy))
@@ -216,7 +216,7 @@ class MapperProcess:
         return self._schedule.is_due(time.monotonic_ns(), is_waiting=bool(self._items))
 
     def _copy(self) -> bool:
-        """Leave a stand-by behind that holds what is known now; True in it, when it has taken over."""
+        """Fork a stand-by with the present state; True in it, when it has taken over."""
         if not self._can_copy or self._back_end.is_awaited:
             return False
         self._loop.hand_over_tiles()
@@ -246,7 +246,7 @@ class MapperProcess:
                 if self._channel in wait_for([self._channel, *self._back_end.ends], 3600.0):
                     messages = self._channel.receive()
         except (ChannelClosedError, BackEndDiedError):
-            os._exit(0)  # a newer stand-by is there, or no one needs one any more
+            os._exit(0)  # a newer stand-by exists, or none is needed any more
         first, *items = messages
         assert isinstance(first, Go)
         self._stays = first.stays
@@ -299,7 +299,7 @@ def _load(channel: Channel) -> list[Job]:
 
 def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # ingest hears them, and decides when it ends
+        signal.signal(number, signal.SIG_IGN)  # ingest handles the signals, and ends this process
     folder = Path(sys.argv[1])
     try:
         facts = _reported()

@@ -36,7 +36,7 @@ class MapperSilence:
         self._long_works += 1 if has_begun else -1
 
     def is_too_long(self, pid: int) -> bool:
-        """pid: of the mapper, which owes something."""
+        """pid: of the mapper, while an answer is due."""
         if self.seconds <= STILL_S / 2.0:
             return False
         still_s, computed_s = self._standstill.seconds(pid)

@@ -72,7 +72,7 @@ def one_profile(mapping: Mapping[str, Any]) -> None:
 
 
 class MapperError(Exception):
-    """The mapper cannot be trusted any more: it failed, or gave what is no pose."""
+    """The mapper failed, or gave an invalid pose."""
 
     def __init__(self, number: int, words: str) -> None:
         super().__init__(words)

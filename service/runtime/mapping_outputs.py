@@ -1,4 +1,4 @@
-"""What comes back from the mapper's process: handed to the sinks, kept as tiles, and counted."""
+"""Messages of the mapper's process: passed to the sinks, stored as tiles, and counted."""
 
 import json
 import logging
@@ -33,7 +33,7 @@ from service.runtime.metrics import LatencyHistogram
 
 log = logging.getLogger(__name__)
 
-OVERLOAD_SCANS = 3  # so many that were passed over are an overload; one or two are a hiccup, and counted
+OVERLOAD_SCANS = 3  # so many that were passed over are an overload; one or two are only counted
 OVERLOAD_NS = 10_000_000_000  # so long without one that was passed over ends it
 
 
@@ -73,8 +73,8 @@ class MappingOutputs:
         self._began_version = 0  # versions of the mapper's tiles count from here
         self._overload: _Overload | None = None  # the newest, over or not
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
-        self.graph_fault = ""  # why no loop is closed any more, "" while all is well
-        self.time_warnings: tuple[str, ...] = ()  # what is wrong with stamps and time fields
+        self.graph_fault = ""  # why no loop is closed any more, "" while loops are closed
+        self.time_warnings: tuple[str, ...] = ()  # faults of stamps and time fields
         self.is_localizing = False  # the map stays as it is
         self.last: Mapped | None = None
         self.last_ns = 0  # when that came, host monotonic
@@ -143,7 +143,7 @@ class MappingOutputs:
         return ended if emptied else None
 
     def overload(self) -> str:
-        """What is the matter where scans come faster than they are mapped, with figures; else ""."""
+        """The reason, with figures, where scans come faster than they are mapped; else ""."""
         overload, now_ns = self._overload, self._monotonic_ns()
         if overload is None or overload.scans < OVERLOAD_SCANS or now_ns - overload.last_ns > OVERLOAD_NS:
             return ""

@@ -9,7 +9,7 @@ _GROWTH = 1.02  # a bucket is 2 % wide, so a percentile is good to 1 %
 _LOG_GROWTH = math.log(_GROWTH)
 _BUCKETS = math.ceil(math.log(1e12 / _SMALLEST_NS) / _LOG_GROWTH)  # up to 1000 s
 
-MIN_INTERVAL_NS = 500_000_000  # of a rate: one more or less then matters little
+MIN_INTERVAL_NS = 500_000_000  # of a rate: one event more or less then changes it little
 
 
 @dataclass(frozen=True, slots=True)

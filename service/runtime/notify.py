@@ -13,8 +13,8 @@ SEND_TIMEOUT_S = 0.2
 
 
 class Notifier:
-    """Sends to $NOTIFY_SOCKET. That it is gone is no reason to stop mapping: logged once, and each word tries
-    it again, for a watchdog that hears nothing any more kills the service.
+    """Sends to $NOTIFY_SOCKET. Where it is missing, that is logged once, and each message tries
+    it again, because a watchdog without messages kills the service.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:

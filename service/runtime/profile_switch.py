@@ -29,7 +29,7 @@ from service.sinks.sink import MapStorage, SavedMap
 log = logging.getLogger(__name__)
 
 VERB = "switch_profile"
-COMPILE_TIMEOUT_S = 900.0  # ten times what all kernels of a profile take on a core that no one else uses
+COMPILE_TIMEOUT_S = 900.0  # ten times what all kernels of a profile take on a free core
 NICENESS = 10  # of the process that compiles, while frames are mapped
 Section = Mapping[str, Any]  # of a config: mapping
 
@@ -109,7 +109,7 @@ def _compile(section: dict[str, Any]) -> None:
 
 
 def stand_back() -> None:
-    """This process takes one core at most, and only what others leave of it. The warm-up then starts no
+    """Restrict this process to one core, at the lowest priority. The warm-up then starts no
     helpers, which this process, a daemon of multiprocessing, may not have.
     """
     os.nice(NICENESS)

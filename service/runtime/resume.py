@@ -1,4 +1,4 @@
-"""Where a service that was killed goes on: the map that it stored last, and its newest pose.
+"""Map and pose at which a killed service continues.
 
 A file beside the maps holds both while the service runs, and is removed when it ends in good order.
 """
@@ -26,7 +26,7 @@ WRITE_S = 1.0
 
 
 class Point(BaseModel):
-    """Where a service was."""
+    """Map and pose of a service."""
 
     folder: Path  # of the map that it stored last
     unix_ns: int

@@ -169,17 +169,17 @@ class Service:
 
     @property
     def failure(self) -> str:
-        """Which part failed, and how; "" while all is well. The service must then be stopped."""
+        """Which part failed, and how; "" while none has. The service must then be stopped."""
         return self._workers.failure
 
     @property
     def places(self) -> dict[str, str]:
-        """By name of the sink, where its output is found: Zenoh's endpoints, the map's folder ..."""
+        """By name of the sink, the place of its output: Zenoh's endpoints, the map's folder ..."""
         return self._sinks.places()
 
     @property
     def running_status(self) -> RunningStatus | None:
-        """How it goes, for a terminal; None before it is ready."""
+        """Status for a terminal; None before the service is ready."""
         if not self._ready_ns:
             return None
         return running_status(self._report, self.outputs.last, self._latency, self._tiles)
@@ -190,7 +190,7 @@ class Service:
         return self._link.kernels_share
 
     def start(self, cancelled: Callable[[], bool] = lambda: False) -> bool:
-        """Bring everything up, the mapper first and drivers last; False if `cancelled` meanwhile.
+        """Start all parts, the mapper first and drivers last; False if `cancelled` meanwhile.
 
         Raises StorageError where a sink cannot begin, CorridorError where the mapper does not start.
         """
@@ -213,7 +213,7 @@ class Service:
         return True
 
     def tick(self) -> None:
-        """Feed the watchdog and tell health, each when it is due."""
+        """Send watchdog messages and health, each when it is due."""
         now_ns = time.monotonic_ns()
         if self._notifier.watchdog_s is not None and now_ns >= self._watchdog_due_ns:
             self._watchdog_due_ns = now_ns + round(self._notifier.watchdog_s * 1e9)
@@ -269,7 +269,7 @@ class Service:
         )
 
     def _end(self, name: str, end: Callable[[], None]) -> None:
-        """Where it fails, that is a failure of the service; recording and map are finished all the same."""
+        """An error is a failure of the service; recording and map are finished nevertheless."""
         try:
             end()
         except Exception as error:
@@ -313,7 +313,7 @@ class Service:
         )
 
     def _stop_mapping(self) -> list[str]:
-        """Let the mapper take what waits, then end its process. What the map lacks, a sentence each."""
+        """Map the waiting items, then end the mapper's process. What the map lacks, a sentence each."""
         lacks: list[str] = []
         self._intake.close()
         if self._mapping is not None:
@@ -402,7 +402,7 @@ class Service:
         return self.host_time.unix_ns(time.monotonic_ns())
 
     def _thread_died(self, died: threading.ExceptHookArgs) -> None:
-        """A thread that Workers do not watch let an exception out: of a sink, or one no one knows of."""
+        """An exception left a thread that Workers do not watch: of a sink, or an unknown one."""
         name = died.thread.name if died.thread is not None else "a thread"
         error = died.exc_value if died.exc_value is not None else died.exc_type()
         log.error("thread %s failed", name, exc_info=(died.exc_type, error, died.exc_traceback))

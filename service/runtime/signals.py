@@ -36,7 +36,7 @@ class StopSignals:
     ) -> None:
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_IGN if self.received else handler)
-        signal.set_wakeup_fd(self._wakeup_before)  # last: whoever reads there would hear a second signal
+        signal.set_wakeup_fd(self._wakeup_before)  # last: its reader would receive a second signal
         self._reader.close()
         self._writer.close()
 

@@ -52,7 +52,7 @@ class StandbySchedule:
         self._is_urgent = False
 
     def make_next_at_once(self) -> None:
-        """The newest stand-by is gone, or holds less than what has come by now."""
+        """The newest stand-by has ended, or is out of date."""
         self._is_urgent = True
 
     def is_due(self, now_ns: int, is_waiting: bool) -> bool:

@@ -1,4 +1,4 @@
-"""Whether a process that owes something works at it, waits for a processor, or stands still."""
+"""Whether a process with open work computes, waits for a processor, or stands still."""
 
 import os
 import time
@@ -35,7 +35,7 @@ class Standstill:
         return now_s - self._since_s, computed_s
 
     def reset(self) -> None:
-        """It has been heard of."""
+        """It has sent a message."""
         self._since_s = self._used_s = None
 
 

@@ -10,15 +10,15 @@ log = logging.getLogger(__name__)
 class Workers:
     """Named threads; the first exception that leaves one of them is kept and `on_failure` is called.
 
-    A service of which one thread is gone looks alive and maps nothing, so whoever runs it looks at `failure`
-    and brings the rest down in good order.
+    A service without one of its threads lives and maps nothing, so its owner watches `failure`
+    and stops the others in good order.
     """
 
     def __init__(self, on_failure: Callable[[], None]) -> None:
         self._on_failure = on_failure
         self._threads: list[threading.Thread] = []
         self._lock = threading.Lock()
-        self.failure: str = ""  # which thread failed, and how; "" while all is well
+        self.failure: str = ""  # which thread failed, and how; "" while none has
 
     def start(self, name: str, work: Callable[[], None]) -> threading.Thread:
         thread = threading.Thread(target=self._guard, args=(name, work), name=name, daemon=True)

@@ -1,7 +1,7 @@
-"""Who may open the page, and who may change something.
+"""Access to the page: for viewing, and for changes.
 
-Looking needs no token; changing does. A browser on another site's page is kept out by Host and Origin: a
-name that leads to this machine by DNS rebinding is no name of ours, and an address cannot be rebound.
+Viewing needs no token; changes do. A browser on another site's page is refused by Host and Origin: a
+name that leads to this machine by DNS rebinding is not in the list, and an address cannot be rebound.
 """
 
 import hmac
@@ -81,7 +81,7 @@ def _kept_token(path: Path) -> str:
 
 
 def is_token(shown: str, token: str) -> bool:
-    """Takes as long for a wrong token as for a right one."""
+    """Takes as long for a wrong token as for a valid one."""
     return hmac.compare_digest(shown.encode(), token.encode())
 
 
@@ -92,7 +92,7 @@ def own_names(hosts: Collection[str]) -> frozenset[str]:
 
 
 def host_fault(host: str, names: Collection[str]) -> str:
-    """What is wrong with a Host header, "" if nothing is. Any port: it may have been forwarded."""
+    """Fault of a Host header, "" if there is none. Any port: it may have been forwarded."""
     name = _host_name(host)
     if name in names or _is_address(name):
         return ""
@@ -100,7 +100,7 @@ def host_fault(host: str, names: Collection[str]) -> str:
 
 
 def origin_fault(origin: str | None, host: str, scheme: str) -> str:
-    """What is wrong with the Origin header of a websocket, "" if nothing is. Programs send none."""
+    """Fault of the Origin header of a websocket, "" if there is none. Programs send none."""
     if origin is None:
         return ""
     if origin.lower() != f"{scheme}://{host.lower()}":

@@ -1,4 +1,4 @@
-"""One browser's websocket: what it gets and what it may request."""
+"""One browser's websocket: messages to it, and its requests."""
 
 import asyncio
 import logging
@@ -23,7 +23,7 @@ from service.web.tokens import Attempts, Grant, Tokens
 
 log = logging.getLogger(__name__)
 
-SEND_TIMEOUT_S = 10.0  # a browser that has not read for so long is let go; it comes back by itself
+SEND_TIMEOUT_S = 10.0  # a browser that has not read for so long is disconnected; it reconnects by itself
 CLOSE_TIMEOUT_S = 1.0
 TILE_PERIOD_S = 0.5
 MAX_WRONG_TOKENS = 5
@@ -35,7 +35,7 @@ ASKED_BURST = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """By which a page knows who may change something."""
+    """Decides who may make changes."""
 
     tokens: Tokens
     attempts: Attempts
@@ -73,7 +73,7 @@ class Browser:
 
     @property
     def is_guest(self) -> bool:
-        """It has shown no token."""
+        """Whether it has shown no token."""
         return self.grant is None
 
     @property
@@ -92,7 +92,7 @@ class Browser:
             self._tell_access("the token was revoked, or has expired")
 
     async def serve(self) -> None:
-        """Until it goes away, or is let go."""
+        """Until it disconnects, or is disconnected."""
         sending = asyncio.create_task(self._send())
         reading = asyncio.create_task(self._read())
         waiting = [asyncio.create_task(self._leave_without_token())] if self.must_show else []
@@ -105,7 +105,7 @@ class Browser:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     async def let_go(self, code: WSCloseCode, words: str) -> None:
-        """Close, without waiting for one who does not listen."""
+        """Close, without waiting for a browser that does not read."""
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 await self._socket.close(code=code, message=words.encode()[:120])
@@ -161,7 +161,7 @@ class Browser:
                     self._begin(requested)
 
     async def _look_at(self, token: str) -> bool:
-        """False where it has tried too often and is let go."""
+        """False where it has tried too often and is disconnected."""
         self.grant = self._gate.tokens.grant_of(token)
         if self.grant is not None:
             log.info("web: %s is %s, %s", self.address, self.grant.name, self.grant.role)

@@ -1,4 +1,4 @@
-"""Work on stored maps and sessions in processes of their own, which give way to the readers of devices."""
+"""Work on stored maps and sessions in processes of their own, at low priority."""
 
 import json
 import select
@@ -56,7 +56,7 @@ class SessionMapProcess:
         return answer
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process at once."""
         process, self._process = self._process, None
         if process is None:
             return

@@ -196,7 +196,7 @@ class LiveView:
         return shown + self._show_row(came)
 
     def snapshot(self) -> list[Shown]:
-        """All that a browser needs that comes now; tiles come apart."""
+        """All that a new browser needs, but for tiles."""
         return [
             Shown("path", self._path.payload()),
             Shown("series", series_json(self._rows)),
@@ -216,7 +216,7 @@ class LiveView:
             self._came.way.append(points_map)
 
     def put_ready(self, payloads: Mapping[str, Payload]) -> None:
-        """Take payloads that someone else has made, each in place of that of its key. From any thread."""
+        """Take payloads that were made elsewhere, each in place of that of its key. From any thread."""
         with self._lock:
             self._came.ready.update(payloads)
 
@@ -332,7 +332,7 @@ class LiveView:
 
 
 def _jumps(before: Pose, pose: Pose) -> bool:
-    """Whether no vehicle came from the one to the other."""
+    """Whether no vehicle can have driven from the one to the other."""
     seconds = abs(pose.stamp_ns - before.stamp_ns) / 1e9
     away_m = math.hypot(pose.pose.x_m - before.pose.x_m, pose.pose.y_m - before.pose.y_m)
     return away_m > JUMP_M + FASTEST_MPS * seconds

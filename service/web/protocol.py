@@ -51,7 +51,7 @@ FloatArray = npt.NDArray[np.float32]
 
 
 class TokenShown(Section):
-    """Requests the right to change something."""
+    """Requests the right to make changes."""
 
     type: Literal["token"]
     token: Annotated[str, Field(max_length=200)]
@@ -87,7 +87,7 @@ _ASKED: TypeAdapter[BrowserRequest] = TypeAdapter(Annotated[BrowserRequest, Fiel
 
 
 class RequestError(Exception):
-    """Why a browser's message cannot be read, in words."""
+    """Why a browser's message cannot be read, as text."""
 
 
 def read_request(text: str) -> BrowserRequest:
@@ -187,7 +187,7 @@ def series_json(
 
 
 def _rounded(value: float | None) -> float | None:
-    """To five digits, which no line on a screen needs."""
+    """To five digits, enough for a plot."""
     return None if value is None else float(f"{value:.5g}")
 
 

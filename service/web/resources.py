@@ -1,4 +1,4 @@
-"""Stored sessions and maps: list, rename, delete, take back, look at, export. Blocks, and knows no network.
+"""Stored sessions and maps: list, rename, delete, undo, view, export. Blocks; no network.
 
 What is deleted goes to `.deleted/` beside it, from where `undo` brings it back; `purge` erases it for good.
 """
@@ -92,7 +92,7 @@ class Resources:
             return to
 
     def delete(self, kind: Kind, name: str) -> str:
-        """Put it aside; the number that `undo` takes. Raises ResourceError."""
+        """Move it to `.deleted`; returns the number that `undo` takes. Raises ResourceError."""
         with self._lock:
             path = self._own(kind, name)
             number = secrets.token_hex(8)

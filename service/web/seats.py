@@ -1,4 +1,4 @@
-"""Places at the page: who has shown a token has one, and others do not keep them out."""
+"""Places at the page; a share of them is reserved for browsers that have shown a token."""
 
 import ipaddress
 from collections import Counter
@@ -50,8 +50,8 @@ class Seats:
         return len(seated) < self._most
 
     def to_leave(self, seated: Collection[SeatedT]) -> SeatedT | None:
-        """Who leaves for a newcomer: of guests, first those who must show a token, the oldest of the address
-        that has most. None where all have shown one. `seated`: the oldest first.
+        """The browser that is closed for a new one: of guests, first those that must show a token, the oldest
+        of the address that has most. None where all have shown one. `seated`: the oldest first.
         """
         guests = [one for one in seated if one.is_guest]
         among = [one for one in guests if one.must_show] or guests

@@ -1,4 +1,4 @@
-"""What waits to be sent to one browser. It cannot grow: of each thing only the newest stays."""
+"""Messages that wait for one browser. Bounded: of each kind only the newest stays."""
 
 import asyncio
 from collections import deque
@@ -26,14 +26,14 @@ class SendQueue:
         self.filled.set()
 
     def answer(self, payload: Payload) -> None:
-        """What the browser waits for: none is left out. It grows by what the browser may request within the
-        time after which one that does not read is let go.
+        """Queue an answer; none is left out. The queue grows by what the browser may request within the
+        time after which one that does not read is disconnected.
         """
         self._answers.append(payload)
         self.filled.set()
 
     def note(self, payload: Payload) -> None:
-        """Something that happened; the newest are sent."""
+        """Queue an event; the newest are sent."""
         if len(self._notes) >= MAX_NOTES:
             self._notes.popleft()
             self.dropped += 1

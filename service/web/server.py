@@ -69,7 +69,7 @@ _TYPES = {
 
 
 class CommandAnswer(Protocol):
-    """What came of a command."""
+    """Result of a command."""
 
     @property
     def body(self) -> bytes: ...
@@ -77,7 +77,7 @@ class CommandAnswer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What the page shows of the service, from the first moment."""
+    """Facts on the service that the page shows."""
 
     vehicle: str
     profile: str
@@ -186,7 +186,7 @@ class WebServer:
         return Status("web", OK, "ok", values)
 
     def close(self) -> None:
-        """Let the browsers go, and the port. A second call does nothing."""
+        """Disconnect the browsers and close the port. A second call does nothing."""
         with self._changed:
             self._is_closed = True  # for a thread that has not come as far as to listen for the end
             loop, ending = self._loop, self._ending
@@ -364,7 +364,7 @@ class WebServer:
             for browser in self._browsers:
                 browser.look_again()
                 browser.send_queue.wake()  # tiles may be due
-            # the pace at which a picture changes, not a wait for something
+            # the rate at which a picture changes, not a wait for an event
             await asyncio.sleep(SHOW_PERIOD_S if self._browsers else IDLE_PERIOD_S)
 
     def _due(self) -> list[Shown]:

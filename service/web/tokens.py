@@ -1,4 +1,4 @@
-"""Tokens of the page: whose each is, what it may, and until when.
+"""Tokens of the page: their names, roles and ends.
 
 The service's own token is in a file that it makes. Further ones, for people, are made and revoked by
 `corridor security token`: their digests are in a file beside it, which is read again when it changes.
@@ -33,7 +33,7 @@ MAX_ADDRESSES = 1000
 
 
 class Grant(Section):
-    """What someone has who shows the token of this digest."""
+    """Name, role and end of the token with this digest."""
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
     role: Role
@@ -48,7 +48,7 @@ _GRANTS = TypeAdapter(tuple[Grant, ...])
 
 
 def granted_beside(token_file: Path) -> Path:
-    """Where the further tokens are, of a service whose own is in `token_file`."""
+    """File of the further tokens of a service whose own is in `token_file`."""
     return token_file.with_name(f"{token_file.name}s.json")
 
 
@@ -90,7 +90,7 @@ def revoke_grant(path: Path, name: str) -> None:
 
 
 class Tokens:
-    """Who has shown what: for one event loop.
+    """Checks tokens; for one event loop.
 
     own       token of the service itself
     granted   file of the further ones; None: there are none

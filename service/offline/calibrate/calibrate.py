@@ -1,4 +1,4 @@
-"""Where the sensors of a recorded drive sit, how wheels count, and whose clock is late; with uncertainties.
+"""Mountings, wheel scales and time offsets of the sensors of a recorded drive, with uncertainties.
 
 Each laser maps the drive alone; its path is then compared with the wheels, the gyro and
 where the other lasers were. What the drive leaves open is reported, and stays as it is configured.
@@ -29,7 +29,7 @@ from service.recording.mcap_source import Session, open_session
 
 log = logging.getLogger(__name__)
 
-# What a drive has to tell for a value to be used, one sigma
+# largest uncertainty of a value that is used, one sigma
 ENOUGH = {"m": 0.02, "deg": 0.5, "ms": 5.0, "%": 1.0}
 DRIVE_ON = "; drive two minutes with straights and turns to both sides"
 MIRRORED = (
@@ -84,7 +84,7 @@ class SensorCalibration:
 
 @dataclass(slots=True)
 class Calibration:
-    """What a drive tells. patch is YAML to be merged into a config; config that config, merged already."""
+    """Values of a drive. patch is YAML to be merged into a config; config that config, merged already."""
 
     session: str
     reference: str  # the laser whose clock the others' offsets are counted against
@@ -164,7 +164,7 @@ def calibrate(
 
 
 def _leave_out_what_is_refused(done: Calibration, changes: Changes, config: ServiceConfig | None) -> None:
-    """Of a sensor that is something else in the config, or that is further off than a config can mend."""
+    """Leave out a sensor of another type in the config, or whose values the config does not accept."""
     for name in list(changes):
         settings = _sensor(config, name)
         if settings is None or not (refused := why_not_taken(changes[name], settings)):
@@ -243,7 +243,7 @@ def _calibrate_wheels(
         mirrored = fit["turn_scale"] <= 0.0
         notes = [MIRRORED.format(laser=first.sensor, wheels=name)] if mirrored else []
         _add(done, changes, before, name, "wheels", track.latency_ms, values, notes)
-        if mirrored:  # whose fault it is, is not known, so neither is the laser's place
+        if mirrored:  # it is not known which sensor is wrong, so neither is the laser's mounting
             continue
         if base_m is not None and all(value.is_known for value in values[:2]):
             new = wheel_settings(fit, base_m, settings.left_scale, settings.right_scale)

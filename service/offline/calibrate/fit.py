@@ -1,6 +1,6 @@
 """Mountings, scales and time offsets by least squares, from the motions that two sensors saw.
 
-Two sensors that sit fast on one vehicle see the same motion, each from its own place: A X = X B, with X the
+Two sensors fixed on one vehicle measure the same motion, each at its own place: A X = X B, with X the
 pose of one seen from the other. Of wheels and a laser the unknown scales of the wheels are estimated along
 with X. Source: Censi, Franchi, Marchionni, Oriolo, Simultaneous calibration of odometry and sensor parameters
 for mobile robots, IEEE Transactions on Robotics 29 (2013). To theirs come the time offset, and errors that
@@ -19,7 +19,7 @@ from service.errors import InputError
 from service.geometry.poses import Floats
 from service.offline.calibrate.tracks import GyroTrack, LaserTrack, WheelTrack
 
-KNOT_NS = 400_000_000  # a step; shorter ones are spoilt by the smoothing that a mapper's motion model does
+KNOT_NS = 400_000_000  # a step; shorter ones are affected by the smoothing of a mapper's motion model
 MIN_KNOTS = 40  # 16 s
 ROUNDS = 12  # of Gauss and Newton, each with weights by what the last one left
 DONE = 1e-4  # of its sigma: a change so small ends the rounds

@@ -39,7 +39,7 @@ COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def run_batch(tasks: Sequence[Task], engine: Engine, progress: Progress) -> list[Done]:
-    """Run all; what came of each, in the order of the tasks, whatever the order in which they ended."""
+    """Run all; their outcomes in the order of the tasks."""
     done: dict[int, Done] = {}
     began_s = time.monotonic()
     for k, one in engine(tasks):
@@ -66,7 +66,7 @@ def _pace(done: Sequence[Done], count: int, began_s: float) -> str:
 
 
 def write_table(folder: Path, tasks: Sequence[Task], done: Sequence[Done]) -> Path | None:
-    """sessions.parquet: a row for each session, by its name. None, with a word why, without pyarrow.
+    """sessions.parquet: a row for each session, by its name. None, with a message, without pyarrow.
 
     Raises StorageError.
     """

@@ -90,7 +90,7 @@ class Done:
 
 @cache
 def program_digest() -> str:
-    """SHA-256 of the sources that make a result, so that workers of another version are found out."""
+    """SHA-256 of the sources that make a result, by which workers of another version are refused."""
     root = Path(service.__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(path for package in ("drivers", "service") for path in (root / package).rglob("*.py")):
@@ -136,7 +136,7 @@ def _fingerprint(path: Path) -> str:
 
 
 def _summary_of(folder: Path, manifest: dict[str, Any]) -> dict[str, Any] | None:
-    """Of the result there, where it was made of the very same; else None."""
+    """Summary of the existing result, where its manifest is the same; else None."""
     try:
         if json.loads((folder / DONE_FILE).read_text(encoding="utf-8")) != manifest:
             return None

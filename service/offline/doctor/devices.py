@@ -1,4 +1,4 @@
-"""One sensor from the outside in: its wire, then its own session on it. Knows no type of sensor by name."""
+"""Examines one sensor: its wire, then its own session on it. Independent of the types of sensors."""
 
 import errno
 import os
@@ -28,7 +28,7 @@ MEASURE_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long a device is looked at. `start_up_s` None: as long as its type may take."""
+    """How long a device is examined. `start_up_s` None: as long as its type may take."""
 
     measure_s: float = MEASURE_S
     start_up_s: float | None = None
@@ -80,7 +80,7 @@ def examine_sensor(
     patience: Patience,
     stop: threading.Event,
 ) -> list[Finding]:
-    """All that can be found out of one sensor, the cause before what follows from it."""
+    """All findings on one sensor, a cause before its consequences."""
     kind, who, wire = SENSOR_KINDS[config.type], config.name, wire_of(config)
     found: list[Finding] = []
     if isinstance(wire, PortWire):
@@ -160,7 +160,7 @@ def reported_identity(kind: SensorKind, config: Any, seen: Probe) -> dict[str, s
 
 
 def _is_known(kind: SensorKind, config: Any, seen: Probe) -> bool:
-    """Whether a device of this type is there, though it gives no frames."""
+    """Whether a device of this type answers, though it gives no frames."""
     heard = bytes(seen.first_bytes)
     return bool(reported_identity(kind, config, seen) or kind.advice.recognise(heard))
 

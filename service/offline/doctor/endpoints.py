@@ -1,4 +1,4 @@
-"""Where the service is to listen, for Zenoh, its page and Foxglove: free, its own already, or taken."""
+"""The endpoints of Zenoh, page and Foxglove: free, held by the running service, or taken."""
 
 import errno
 import re
@@ -70,7 +70,7 @@ def look_at_pages(machine: Machine, config: ServiceConfig, running: RunningServi
 
 
 def _tried(machine: Machine, door: _Door) -> OSError | None:
-    """Why no one can listen there; None: one can."""
+    """Why the address cannot be bound; None: it can."""
     try:
         family, _, _, _, address = socket.getaddrinfo(
             door.host, door.port, type=door.kind, flags=socket.AI_PASSIVE
@@ -91,7 +91,7 @@ def _is_taken(error: OSError | None) -> bool:
 
 
 def _service_at(machine: Machine, door: _Door) -> Process | None:
-    """The `corridor run` or `corridor demo` that holds a taken door, if one does."""
+    """The `corridor run` or `corridor demo` that holds a taken endpoint, if one does."""
     owners, _ = listeners(machine, door.port, door.protocol)
     services = [owner for owner in owners if owner.is_service]
     if not owners:

@@ -1,4 +1,4 @@
-"""`corridor doctor`: looks at everything, changes nothing on this machine, and reports what is wrong."""
+"""`corridor doctor`: examines machine, config and devices, and reports faults. It changes nothing here."""
 
 import threading
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ def examine(
     machine: Machine | None = None,
     patience: Patience | None = None,
 ) -> tuple[Report, int]:
-    """The report, and the exit code: 0 all good, 1 something needs mending, 78 the config is wrong.
+    """The report, and the exit code: 0 no fault, 1 a fault, 78 the config is invalid.
 
     Without a config the machine alone is looked at. The devices are looked at side by side, each for some
     seconds; what is written to them is what the live driver writes at its start.

@@ -19,7 +19,7 @@ _LABEL_WIDTH = 7
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at. A note is worth knowing, a fault has to be mended."""
+    """Result of one test: ok, a note, or a fault with its remedy."""
 
     severity: Severity
     who: str  # a sensor's name, or the part of the machine: disk, clock, zenoh
@@ -43,7 +43,7 @@ def fault(who: str, measured: str, expected: str, remedy: str) -> Finding:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """All findings of one look. `config` is the file's name, "" where none was given."""
+    """All findings of one run. `config` is the file's name, "" where none was given."""
 
     config: str
     findings: tuple[Finding, ...]
@@ -55,7 +55,7 @@ class Report:
 
     @property
     def exit_code(self) -> int:
-        """1 where something needs mending; a note does not."""
+        """1 where there is a fault, else 0."""
         return EXIT_CODES[self.counts["fault"] > 0]
 
     def as_dict(self) -> dict[str, Any]:

@@ -37,7 +37,7 @@ class _Timex(ctypes.Structure):
 
 
 def read_kernel_clock() -> KernelClock | None:
-    """None where the kernel, or a sandbox around us, does not tell."""
+    """None where the kernel, or a sandbox, does not report it."""
     try:
         adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
     except (OSError, AttributeError):

@@ -1,4 +1,4 @@
-"""A device on the network: the route to it before it is called, and why a call failed, in words."""
+"""A device on the network: the route to it before connecting, and why a connection failed."""
 
 import errno
 import ipaddress
@@ -56,7 +56,7 @@ def route_to(machine: Machine, address: str) -> Route | None:
 def look_at_route(machine: Machine, who: str, address: str, port: int) -> Finding | None:
     """A fault where this machine has no route to the address, or one without a cable."""
     if not machine.text("/proc/net/route"):
-        return None  # no table to be seen: the call itself will tell
+        return None  # no table: the connection itself will show it
     route = route_to(machine, address)
     if route is None:
         return fault(
@@ -140,7 +140,7 @@ def errno_of(error: Exception) -> int | None:
 
 
 def _arp_answered(machine: Machine, address: str) -> bool | None:
-    """None where the kernel's table has no word of it."""
+    """None where the kernel's table has no entry."""
     for line in machine.text("/proc/net/arp").splitlines()[1:]:
         fields = line.split()
         if fields[0] == address:

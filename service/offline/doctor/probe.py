@@ -1,4 +1,4 @@
-"""Runs a sensor's own session for some seconds and keeps what came of it.
+"""Runs a sensor's own session for some seconds and keeps its frames and counters.
 
 It does what the live driver does on the first connection, and nothing more: the session decides what is
 written.
@@ -18,13 +18,13 @@ from drivers.transport import Transport
 
 READ_TIMEOUT_S = 0.02  # as drivers.link has it
 KEPT_BYTES = 16_384
-STALL_PERIODS = 10  # longer than a wire that bunches frames is quiet
+STALL_PERIODS = 10  # longer than the pauses of a wire that bunches frames
 TALK_S = 0.3  # how long the answer is read that shows that someone understands us
 
 
 @dataclass(slots=True)
 class Probe:
-    """What one wire did while it was looked at. Times are the host's monotonic clock."""
+    """What happened on one wire during the test. Times are the host's monotonic clock."""
 
     error: DriverError | None = None
     opened: bool = False

@@ -1,4 +1,4 @@
-"""Who runs on this machine and holds what, from /proc. Other users' processes show only their name."""
+"""Processes of this machine, and files and ports they hold, from /proc; of other users the name alone."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -50,12 +50,12 @@ def running_services(machine: Machine) -> list[Process]:
 
 
 def holders(machine: Machine, path: Path) -> list[Process]:
-    """Processes that have this file or device open, as far as we may look; `path` without links in it."""
+    """Processes that have this file or device open, as far as permitted; `path` without links in it."""
     return _with_descriptor(machine, {str(path), str(machine.path(path))})
 
 
 def listeners(machine: Machine, port: int, protocol: str = "tcp") -> tuple[list[Process], bool]:
-    """Processes that listen at a port of tcp or udp, as far as we may look, and whether anybody does."""
+    """Processes that listen at a port of tcp or udp, as far as permitted, and whether any does."""
     sockets = set()
     for table in (protocol, f"{protocol}6"):
         for line in machine.text(f"/proc/net/{table}").splitlines()[1:]:

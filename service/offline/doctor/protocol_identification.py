@@ -1,4 +1,4 @@
-"""Which device or program speaks in these bytes, in words, for someone who expected another one."""
+"""Identifies the device or program that sent these bytes, for a user who expected another one."""
 
 import re
 from collections import Counter
@@ -26,7 +26,7 @@ _STRANGERS = (
 
 
 def recognise_sensor(data: bytes, kind: str = "") -> str:
-    """A type of sensor that speaks like this, in words; `kind` restricts it to one type."""
+    """The type of sensor whose protocol this is, as text; `kind` restricts it to one type."""
     for name, sensor in SENSOR_KINDS.items():
         if kind in ("", name) and (words := sensor.advice.recognise(data)):
             return words
@@ -34,7 +34,7 @@ def recognise_sensor(data: bytes, kind: str = "") -> str:
 
 
 def recognise_stranger(data: bytes) -> str:
-    """Something that is no sensor of ours, with its own words; "" where it is not known either."""
+    """A known program or device that is no sensor of ours, with the text it sent; "" where it is unknown."""
     for pattern, words in _STRANGERS:
         if found := re.search(pattern, data):
             shown = _shown(found.group())
@@ -43,7 +43,7 @@ def recognise_stranger(data: bytes) -> str:
 
 
 def describe(data: bytes) -> str:
-    """The first bytes in words, whatever they are; `data` is not empty."""
+    """The first bytes as text; `data` is not empty."""
     known = recognise_sensor(data) or recognise_stranger(data)
     if known:
         return known

@@ -1,4 +1,4 @@
-"""A serial port before it is opened: is it there, may we use it, who else does, what holds its bytes back."""
+"""A serial port before it is opened: existence, rights, other users, latency timer."""
 
 import grp
 import os
@@ -110,7 +110,7 @@ def _busy(machine: Machine, who: str, device: str, path: Path) -> Finding | None
 
 
 def busy_finding(who: str, device: str, others: list[Process]) -> Finding:
-    """`others` may be empty: the port refuses and the kernel does not tell us for whom."""
+    """`others` may be empty: the port is busy and the kernel does not report for whom."""
     if not others:
         return fault(
             who,

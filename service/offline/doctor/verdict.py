@@ -22,7 +22,7 @@ STAMP_AHEAD_MS = 0.5  # jitter of the estimate; more is a wrong latency setting
 
 
 def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
-    """It works; what is still wrong stands behind."""
+    """The device streams; remaining faults follow."""
     found = [_success(kind, config, seen)]
     if doubt := kind.advice.doubt(config, seen.identity) or _other_unit(config, seen):
         measured, _, remedy = doubt.partition("; ")
@@ -114,7 +114,7 @@ def slow(config: Any, seen: Probe, identity: dict[str, str]) -> Finding:
 
 
 def refused(config: Any, seen: Probe) -> Finding:
-    """It is the right type, and something keeps it from streaming."""
+    """It is the right type, and does not stream."""
     if seen.error is None:
         return fault(
             config.name,
@@ -162,7 +162,7 @@ def wrong_baud(config: Any, seen: Probe, baud: int, words: str) -> Finding:
 
 
 def stranger(config: Any, seen: Probe, is_serial: bool) -> Finding:
-    """Something talks, and it is no device of this type."""
+    """Bytes come, and not from a device of this type."""
     heard = bytes(seen.first_bytes)
     words = describe(heard)
     expected = f"messages of a {config.type}"

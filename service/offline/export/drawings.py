@@ -74,7 +74,7 @@ def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
     Raises OSError, and CorridorError where ezdxf is not installed.
     """
     ezdxf = optional("ezdxf", "export", "--format dxf")
-    logging.getLogger("ezdxf").setLevel(logging.WARNING)  # it tells of every dictionary it makes
+    logging.getLogger("ezdxf").setLevel(logging.WARNING)  # it logs every dictionary it makes
     # No time and no random number: same map, same file.
     ezdxf.options.write_fixed_meta_data_for_testing = True
     document = ezdxf.new("R2010")

@@ -51,14 +51,14 @@ LASERS = {
     "L": "front",
 }
 PLACE_PARAM = re.compile(r"robot_(front|rear)laser_(|side_|angular_)offset")  # a mounting
-FARTHEST_M = 1e6  # from where a log began; farther away no one drove
+FARTHEST_M = 1e6  # from the begin of a log; farther away is damage
 MAX_STAMP_S = 2**31  # ROS messages count seconds in int32
 CORRECTED_MARKS = {"NEFF": "GMapping's NEFF lines", "SM_UPDATE": "GMapping's SM_UPDATE lines"}
 
 
 @dataclass(slots=True)
 class ImportReport:
-    """What was found in a log and what became of it."""
+    """What was found in a log, and what was imported."""
 
     source: Path
     path: Path
@@ -67,7 +67,7 @@ class ImportReport:
     odometry_source: str = "none"
     corrected: str = ""  # why the log is taken for a corrected one, or ""
     malformed: Counter[str] = field(default_factory=Counter)  # by line type; skipped
-    ignored: Counter[str] = field(default_factory=Counter)  # line types that hold nothing for a mapper
+    ignored: Counter[str] = field(default_factory=Counter)  # line types without data for a mapper
     out_of_order: int = 0  # lines whose stamp lay before that of the line above; put in order
     mountings: dict[str, SE2] = field(default_factory=dict)
     duration_s: float = 0.0
@@ -370,7 +370,7 @@ def _ns(text: str) -> int:
 
 
 def _why_corrected(log: _Log, path: Path) -> str:
-    """What gives a corrected log away, or ""."""
+    """Why the log is a corrected one, or ""."""
     reasons = [mark for kind, mark in CORRECTED_MARKS.items() if log.kinds[kind]]
     restated = sum(not sample.stamp_ns for sample in log.odometry)
     if restated > len(log.scans) // 2:

@@ -29,7 +29,7 @@ ONE = {"scans": "scan", "odometry samples": "odometry sample", "IMU samples": "I
 
 @dataclass(slots=True)
 class BagReport:
-    """What was found in a bag and what became of it."""
+    """What was found in a bag, and what was imported."""
 
     source: Path
     path: Path

@@ -1,4 +1,4 @@
-"""Writes sessions that no one recorded: what was imported, with its mountings, or what a replay found."""
+"""Writes sessions of imported frames with their mountings, or of the result of a replay."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path

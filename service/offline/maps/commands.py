@@ -1,4 +1,4 @@
-"""Carries out requests of the operator's page to a stored map, by the same code as `corridor map edit`."""
+"""Executes requests of the operator's page on a stored map, by the same code as `corridor map edit`."""
 
 import base64
 import json
@@ -109,7 +109,7 @@ class MapCommands:
 
 
 def look(stored: StoredMap) -> dict[str, Any]:
-    """What a page gets of a version: its number, pairs, passes that could be joined, and key frames."""
+    """A version for the page: its number, pairs, passes that could be joined, and key frames."""
     graph = stored.graph
     return {
         "version": stored.number,

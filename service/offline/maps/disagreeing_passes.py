@@ -1,4 +1,4 @@
-"""Pairs of passes of one place that a stored map draws beside each other, for a person to join or to leave.
+"""Pairs of passes of one place that a stored map has at different poses, for a person to join.
 
 The graph has aligned them already: these are loops that were measured, that fit, and that were not accepted.
 """
@@ -18,7 +18,7 @@ from service.mapper.saved_graph import SavedGraph
 MAX_PROPOSED = 20
 POINTS = 3  # of a proposal: two fix place and heading, the third shows whether they do
 COUNTERPART_M = 0.1  # from a point of the later pass to one that the earlier key frame saw
-_FITS = (NOT_SUPPORTED, CONTRADICTED, TOO_FAR)  # reasons that leave the alignment itself in no doubt
+_FITS = (NOT_SUPPORTED, CONTRADICTED, TOO_FAR)  # reasons that do not question the alignment itself
 
 
 def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:

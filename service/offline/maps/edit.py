@@ -1,4 +1,4 @@
-"""`corridor map edit`: what a person changes in a stored map. Each change is a version; none is lost."""
+"""`corridor map edit`: changes of a stored map by a person. Each change is a new version; none is lost."""
 
 import getpass
 import math
@@ -47,7 +47,7 @@ from service.mapstore.in_use import InUse
 from service.offline.replay.result import rewrite_result
 from service.outputs import UNKNOWN
 
-MAX_NAMED = 3  # places of pairs in the words of an edit
+MAX_NAMED = 3  # positions of pairs in the text of an edit
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ Change = Callable[[StoredMap], Changed]
 
 
 class OvertakenError(InputError):
-    """The map has changed since the person looked at it."""
+    """The map has changed since the version that the person saw."""
 
 
 def edit_map(
@@ -126,7 +126,7 @@ def _held(folder: Path) -> InUse:
 
 
 def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
-    """An area is gone from the shown map, and from what vehicles are localised against.
+    """Erase an area from the shown map, and from the points that vehicles are localised against.
 
     becomes   what it is then. A map without a graph holds no beams: all is unknown there "as_seen"
     """
@@ -153,7 +153,7 @@ def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
 
 
 def wall(corners: Sequence[float]) -> Change:
-    """A wall stands from now on, whatever lasers see through it."""
+    """Add a wall that beams never clear."""
     line = points_of(corners, least=2)
     _as_usage("map edit --wall", refuse_line, line)
 
@@ -166,7 +166,7 @@ def wall(corners: Sequence[float]) -> Change:
 
 
 def cut(from_to: Sequence[str], is_bridged: bool) -> Change:
-    """The key frames of a time span are gone."""
+    """Remove the key frames of a time span."""
 
     def change(stored: StoredMap) -> Changed:
         graph = _graph_of(stored)
@@ -222,7 +222,7 @@ def remove_pair(number: int) -> Change:
 
 
 def refuse_loops(numbers: Sequence[int]) -> Change:
-    """Loops of the list that `map loops` prints are taken back."""
+    """Remove loops, by their numbers in `map loops`."""
 
     def change(stored: StoredMap) -> Changed:
         less = without_loops(_graph_of(stored), numbers)
@@ -242,7 +242,7 @@ def optimize() -> Change:
 
 
 def user_name() -> str:
-    """Who calls the command; "unknown" for a user without a name, as in a container."""
+    """Name of the user; "unknown" for one without a name, as in a container."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):

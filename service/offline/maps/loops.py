@@ -1,4 +1,4 @@
-"""`corridor map loops`: which loops hold a stored map together, which were not accepted, and why."""
+"""`corridor map loops`: accepted and refused loops of a stored map, with the reasons."""
 
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ def map_loops(folder: Path, version: int | None = None) -> dict[str, Any]:
 
 
 def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Those that hold it together, and those that were measured and are not accepted."""
+    """The accepted loops, and those that were measured and refused."""
     if not len(graph):
         return [], []
     names = ("ends", "measured", "covariance", "score", "points", "against")

@@ -1,7 +1,7 @@
 """The operator's page of a replay: the map as it grows, and controls for the pace.
 
-It looks on: it draws nothing from the mapper that would be missing elsewhere, so what a replay writes is the
-same with and without it. Pictures are made in the thread that maps, ten a second at most.
+It only observes the mapper, so what a replay writes is the same with and without it. Pictures are made in the
+thread that maps, ten a second at most.
 """
 
 import json

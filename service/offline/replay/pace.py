@@ -13,7 +13,7 @@ from service.recording.mcap_source import Session
 
 
 class Watch(Protocol):
-    """Looks on while recordings are replayed, one after another, from the thread that maps."""
+    """Observer of replays, one after another, in the thread that maps."""
 
     def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
         """A recording begins; where its lasers sit."""
@@ -28,7 +28,7 @@ class Watch(Protocol):
         ...
 
     def closing(self) -> None:
-        """All scans of a map are mapped; its last loops are looked for."""
+        """All scans of a map are mapped; its last loops are searched."""
         ...
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
@@ -116,7 +116,7 @@ class Pace:
 
 
 class Unwatched:
-    """A Watch for no one: keeps the pace alone."""
+    """A Watch without an observer: only keeps the pace."""
 
     def __init__(self, rate: float) -> None:
         self._pace = Pace(rate)

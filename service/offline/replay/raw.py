@@ -1,4 +1,4 @@
-"""A recording's raw bytes through today's drivers: what `corridor replay --from-raw` maps.
+"""Runs a recording's raw bytes through the installed drivers, for `corridor replay --from-raw`.
 
 The drivers run with the config that the recording holds, or with another one. Their frames are written to a
 session of their own, in the order in which their bytes came; the events of the recording stand between them.

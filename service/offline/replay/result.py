@@ -1,4 +1,4 @@
-"""What came out of a replay, and the files of it."""
+"""The result of a replay, and its files."""
 
 import json
 import shutil
@@ -47,7 +47,7 @@ Extra = Literal["mcap", "report"]  # what is written only on request
 
 @dataclass(slots=True)
 class Replay:
-    """What came out of one recording."""
+    """The result of one recording."""
 
     outputs: list[MapperOutput]  # as they would have been published
     lasers: list[str]  # whose scan each output answers

@@ -1,4 +1,4 @@
-"""Why scans were degraded or lost, for the summary of a replay and the people who read it."""
+"""Why scans were degraded or lost, for the summary of a replay."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

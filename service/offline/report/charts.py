@@ -1,6 +1,6 @@
 """Charts over the time of a drive: one time axis for all, rendered in a width that the page decides.
 
-Lines are SVG that is stretched; words stand beside it as HTML, so that they keep their size.
+Lines are SVG that is stretched; text is HTML beside it, so that it keeps its size.
 """
 
 import math
@@ -114,7 +114,7 @@ class LogScale:
         return cls(first, max(math.ceil(math.log10(max(high, least))), first + 1), unit)
 
     def y(self, values: Floats) -> Floats:
-        """From the top; what is not known lies there."""
+        """From the top; unknown values are at the top."""
         with np.errstate(divide="ignore"):
             share = (np.log10(values) - self._first) / (self._last - self._first)
         return HEIGHT * (1.0 - np.clip(np.nan_to_num(share, nan=1.0), 0.0, 1.0))

@@ -17,7 +17,7 @@ from service.offline.past.moments import thinned
 from service.offline.report.content import Content
 from service.offline.report.markup import Markup, joined, tag
 
-MAX_PIXELS = 3000  # of a side: more no screen shows, and no browser likes
+MAX_PIXELS = 3000  # of a side, bounded for browsers
 MAX_POINTS = 4000  # of the path
 CLASSES_M = (0.01, 0.02, 0.05, 0.10, 0.20)  # upper ends of the classes of sigma; the last has none
 GRID_SHARE = 0.2  # of the longer side: about how far grid lines lie apart

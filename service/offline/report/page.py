@@ -1,4 +1,4 @@
-"""The page itself: what stands where, and in which words."""
+"""The page: its sections and their texts."""
 
 import re
 from collections import Counter
@@ -19,10 +19,10 @@ from service.offline.report.markup import Markup, joined, tag
 from service.offline.writing import complete_files, refuse_unwritable_file
 
 REPORT_FILE = "report.html"
-OLDEST_NS = 946_684_800_000_000_000  # the year 2000: stamps before it tell no date
+OLDEST_NS = 946_684_800_000_000_000  # the year 2000: stamps before it have no date
 MAX_ROWS = 12  # of the loops with the largest errors
 STYLE = Path(__file__).with_name("style.css")
-# Nothing of a page that someone sends around is fetched or run.
+# The page fetches and runs nothing.
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 

@@ -276,7 +276,7 @@ def _score_trajectory(estimate: Trajectory, path: Path, shift_s: float, offset_x
 
 
 def _known(truth: Trajectory, stamp_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Which stamps the truth can speak for: within it, and not in the middle of a hole."""
+    """Which stamps the truth covers: within it, and not in a hole."""
     inside = (stamp_ns >= truth.stamp_ns[0]) & (stamp_ns <= truth.stamp_ns[-1])
     right = np.clip(np.searchsorted(truth.stamp_ns, stamp_ns), 1, len(truth.stamp_ns) - 1)
     gap = truth.stamp_ns[right] - truth.stamp_ns[right - 1]

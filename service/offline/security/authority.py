@@ -29,7 +29,7 @@ _CLOCKS_APART = timedelta(hours=1)  # a vehicle whose clock is behind takes a ne
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Who gets a certificate. hosts: names and addresses by which clients reach it."""
+    """Holder of a certificate. hosts: names and addresses by which clients reach it."""
 
     name: str
     role: Role

@@ -44,7 +44,7 @@ class Wire:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What is at one wire. type "": no device of ours, `words` state what there is instead."""
+    """The device at one wire. type "": none of ours, `words` describe what answers instead."""
 
     wire: Wire
     type: str = ""
@@ -119,7 +119,7 @@ def _queried_at(wire: Wire) -> dict[str, Mapping[str, Any]]:
 
 
 def _heard(device: str, stop: threading.Event) -> bytes:
-    """What comes by itself; b"" where the port cannot be opened, which is reported by the query."""
+    """Bytes that come without a request; b"" where the port cannot be opened, which the query reports."""
     return listen(partial(SerialTransport, device, LISTEN_BAUD), LISTEN_S, stop)
 
 

@@ -34,7 +34,7 @@ MOUNTING = "    mounting: {x_m: 0.0, y_m: 0.0, yaw_deg: 0.0}   # MEASURE: base f
 
 @dataclass(frozen=True, slots=True)
 class NewConfig:
-    """What was written, and what answered nothing."""
+    """The devices in the written config, and the wires without one."""
 
     out: str
     sensors: Mapping[str, Mapping[str, Any]]  # name -> type, wire and identity

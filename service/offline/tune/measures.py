@@ -1,4 +1,4 @@
-"""How good the result of a replay is: against a truth, or by figures of the result itself. Less is better.
+"""Cost of the result of a replay: against a truth, or by figures of the result itself. Less is better.
 
 By itself: a map whose walls, seen from different passes, lie on one another, whose cells are sure, and whose
 scans were placed. Map entropy as a measure without truth: Droeschel, Behnke, Efficient continuous-time SLAM
