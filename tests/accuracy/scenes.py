@@ -18,7 +18,6 @@ from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods, mapping_config
 from tests.accuracy.scene_drives import AFTER_S, BEFORE_S, PLACES, SCENES, Case, Staged, seconds_of, staged
 from tests.accuracy.scene_judge import RIGHT_M, SIGMAS, WITHIN_M, WRONG_M, Verdict, judge, trace
-from tests.accuracy.scene_recordings import RECORDINGS, recording_of, replayed
 from tests.accuracy.trials import ghost_cells
 from tests.papers.report import Row, Section
 from tests.simulated import Run, run_session
@@ -96,9 +95,6 @@ def scenes(seeds: Sequence[int]) -> Section:
                 of = staged(case)
                 verdicts[scene, world].append(verdict_of(of, mapped(of)))
                 gc.collect()
-    for name in RECORDINGS:
-        if recording_of(name).exists():
-            verdicts[name, "given"] = [replayed(name).verdict]
     return Section(
         "Scenes in which a source of motion is wrong",
         f"Still for {BEFORE_S:.0f} s, then what the scene says, then still for {AFTER_S:.0f} s; LMS-100 "
@@ -120,29 +116,15 @@ def scenes(seeds: Sequence[int]) -> Section:
 def rows(scene: str, of: Sequence[Verdict]) -> list[Row]:
     """What has a bound, over all worlds. Where the sources that are left are good, so has the pose."""
     worst = partial(Row, "", by_worst=True)
+    ok_off, needless = [float(v.ok_off) for v in of], [v.needless_still_percent for v in of]
     made = [
-        worst(
-            f"{scene}: `ok` and {WRONG_M} m off",
-            [float(v.ok_off) for v in of],
-            "scans",
-            at_most=0.0,
-            digits=0,
-        ),
-        worst(
-            f"{scene}: needless before and after",
-            [v.needless_still_percent for v in of],
-            "%",
-            at_most=1.0,
-            digits=1,
-        ),
+        worst(f"{scene}: `ok` and {WRONG_M} m off", ok_off, "scans", at_most=0.0, digits=0),
+        worst(f"{scene}: needless before and after", needless, "%", at_most=1.0, digits=1),
     ]
-    if scene in RECORDINGS:
-        made.append(worst(f"{scene}: off at the end", [v.end_m for v in of], "m", at_most=RIGHT_M))
-    elif SCENES[scene].is_bound:
+    if SCENES[scene].is_bound:
+        over_m = [v.over_m for v in of]
         made += [
-            worst(
-                f"{scene}: off after it, beyond 2 % of its way", [v.over_m for v in of], "m", at_most=RIGHT_M
-            ),
+            worst(f"{scene}: off after it, beyond 2 % of its way", over_m, "m", at_most=RIGHT_M),
             worst(f"{scene}: right after", [v.right_after_s for v in of], "s", at_most=2.0, digits=1),
             worst(f"{scene}: ghosts", [float(v.ghosts) for v in of], "cells", at_most=20.0, digits=0),
         ]
@@ -152,7 +134,7 @@ def rows(scene: str, of: Sequence[Verdict]) -> list[Row]:
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.accuracy.scenes", description=__doc__)
     add = partial(parser.add_argument, action="append", default=[])
-    add("--scene", choices=[*SCENES, *RECORDINGS], help="all that are simulated; or a given recording")
+    add("--scene", choices=SCENES, help="all")
     add("--world", choices=PLACES, help="all")
     add("--seed", type=int, help="11")
     add("--moment", type=float, help="where on the lap the drive begins, 0 to 1; 0")
@@ -167,10 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import_methods()
     warm_up()
     verdicts: dict[tuple[str, str], list[Verdict]] = {}
-    for name in [name for name in parsed.scene if name in RECORDINGS]:
-        verdicts[name, "given"] = [given(name, parsed.profile, parsed.trace)]
-    simulated = [name for name in parsed.scene if name in SCENES] if parsed.scene else SCENES
-    for scene, world in product(simulated, parsed.world or PLACES):
+    for scene, world in product(parsed.scene or SCENES, parsed.world or PLACES):
         seeds = parsed.seed or (11,)
         if parsed.turns is not None:
             cases = cases_of(scene, world, seeds, parsed.turns)
@@ -198,15 +177,6 @@ def shown(case: Case, profile: str, is_traced: bool) -> Verdict:
     print(f"{case} returns={of.returns:.2f} {verdict.line()} mapping_s={took_s:.1f}", flush=True)
     gc.collect()
     return verdict
-
-
-def given(name: str, profile: str, is_traced: bool) -> Verdict:
-    """Run a given recording and print it."""
-    of = replayed(name, profile)
-    if is_traced:
-        print("\n".join(trace(of.outputs, of.truth, of.from_ns)))
-    print(f"{name} {of.verdict.line()}", flush=True)
-    return of.verdict
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, mapping_config
+from service.mapper.profiles import mapping_config
 from simulators.truth import IBEO_LUX, LaserModel
 from simulators.worlds import WORLDS
-from tests.accuracy.driving import Errors, Trip, ok_and_wrong, ok_and_wrong_row
+from tests.accuracy.driving import Trip, errors_of
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Imu, Laser, Wheels, run
 
@@ -57,16 +57,9 @@ def slow_mirrors(seeds: Sequence[int]) -> Section:
 def lux_alone(seeds: Sequence[int]) -> Section:
     rows = []
     for place, bound_mm in (("glass_corridor", 50.0), ("corridor100", None), ("office", None)):
-        errors, wrong = Errors(), []
-        for made, done in Trip(WORLDS[place], LUX_AHEAD, wheels=GOOD_WHEELS, imu=Imu()).runs(seeds):
-            errors.add(made, done)
-            wrong.append(ok_and_wrong(done))
-        rows += [
-            Row("", f"{place}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
-            Row("", f"{place}: live, as is", errors.as_is_mm, "mm", digits=1),
-            Row("", f"{place}: heading, RMS", errors.heading_deg, "deg"),
-            ok_and_wrong_row(place, wrong),
-        ]
+        errors = errors_of(Trip(WORLDS[place], LUX_AHEAD, wheels=GOOD_WHEELS, imu=Imu()), seeds)
+        rows += errors.rows(place, "finished_mm", "as_is_mm", "heading_deg", at_most=bound_mm)
+        rows.append(errors.wrong_row(place))
     return Section(
         "A LUX alone",
         "441 beams over 110 deg at 25 Hz, noise of 4 cm; odometry that errs by 5 mm and 0.17 deg per square "
@@ -125,16 +118,8 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
 def _rows(
     what: str, trip: Trip, seeds: Sequence[int], settings: dict[str, object] | None = None
 ) -> list[Row]:
-    errors, wrong = Errors(), []
-    config: MappingConfig = mapping_config(settings or {})
-    for made, done in trip.runs(seeds, config):
-        errors.add(made, done)
-        wrong.append(ok_and_wrong(done))
-    return [
-        Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", digits=1),
-        Row("", f"{what}: scans lost", errors.lost_percent, "%", digits=1),
-        ok_and_wrong_row(what, wrong),
-    ]
+    errors = errors_of(trip, seeds, mapping_config(settings or {}))
+    return [*errors.rows(what, "finished_mm", "lost_percent"), errors.wrong_row(what)]
 
 
 def _said(change: Callable[[OdometrySample, OdometrySample], OdometrySample]) -> Callable[[Drive], Drive]:

@@ -159,16 +159,11 @@ def _occupied(tile: TileUpdate) -> npt.NDArray[np.float64]:
 
 
 def _against(what: str, errors_mm: list[float], clean_mm: list[float]) -> list[Row]:
-    ratios = [error / clean for error, clean in zip(errors_mm, clean_mm, strict=True)]
-    bound = None if errors_mm is clean_mm else 2.0
-    return [
-        Row("", f"{what}: as is, RMS", errors_mm, "mm", digits=1),
-        *(
-            []
-            if bound is None
-            else [Row("", f"{what}: against clean", ratios, "times", at_most=bound, digits=2)]
-        ),
-    ]
+    rows = [Row("", f"{what}: as is, RMS", errors_mm, "mm", digits=1)]
+    if errors_mm is not clean_mm:
+        ratios = [error / clean for error, clean in zip(errors_mm, clean_mm, strict=True)]
+        rows.append(Row("", f"{what}: against clean", ratios, "times", at_most=2.0, digits=2))
+    return rows
 
 
 def _wheels_end_m(drive: Drive) -> float:

@@ -10,8 +10,8 @@ from service.mapper.scan_match.narrow_walls import NarrowWalls, narrow_wall_pool
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from simulators.worlds import build_world
-from tests.accuracy.known_map import hardly_known, insert_at, points_from
 from tests.service.mapper.maps.points import points_of
+from tests.service.mapper.scan_match.standing_scans import hardly_known, insert_at, points_from
 from tests.simulated import LMS100_50HZ
 
 STRETCH_M = (4.3, 5.5)  # of the ring: what faces along it is 5 to 7 m ahead there, two to five beams wide
