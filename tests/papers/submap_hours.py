@@ -3,10 +3,12 @@
 import heapq
 import json
 import math
+import os
 import pickle
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 from drivers.frames import Frame, LaserScan, OdometrySample
 from service.compile.warm_up import warm_up
@@ -15,21 +17,16 @@ from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkB
 from service.mapper.profiles import build_mapper, mapping_config
 from simulators.truth import LaserTruth, Ride
 from simulators.worlds.floor import floor
-from tests.papers.imle_halls import resident_mb
-from tests.simulated import (
-    FORWARD,
-    LMS100_50HZ,
-    Laser,
-    Wheels,
-    begun_beside,
-    odometry,
-    phase_m,
-    scans_at,
-)
+from tests.papers.submap_graph import CART
+from tests.simulated import FORWARD, Wheels, begun_beside, odometry, phase_m, scans_at
 
 HOURS_S = 7200.0
 REPORTED_S = 600.0
-CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)
+
+
+def resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def frames(ride: Ride, wheels: list[OdometrySample], seconds: float, seed: int) -> Iterator[Frame]:
