@@ -1,7 +1,7 @@
-"""The fault campaign: `python -m tests.chaos [--only ROW] [--drivers] [--docs]`.
+"""The fault campaign: `python -m tests.chaos [--only ROW] [--docs]`.
 
 A drive of five fake devices and the service in real time for each row, judged against the truth: map, state,
-recovery, what was lost. `--drivers` first takes every driver through every fault in virtual time.
+recovery, what was lost.
 Results are kept in build/chaos.json; `--docs` writes them, those of earlier calls too, into
 docs/reliability.md. Exits 1 where a row is not as expected.
 """
@@ -12,7 +12,6 @@ import math
 import sys
 import time
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 
 from service.compile.cache import ensure_cache_dir
@@ -28,12 +27,7 @@ def main() -> int:
     from tests.chaos.rows import rows
 
     parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
-    parser.add_argument(
-        "--only", action="append", default=[], help="a row; may be repeated; a wrong one lists them"
-    )
-    parser.add_argument(
-        "--drivers", type=float, metavar="S", help="every driver through S virtual seconds of each fault"
-    )
+    parser.add_argument("--only", action="append", default=[], help="a row; a wrong one lists them")
     parser.add_argument("--kills", type=int, default=200, help="of the service (default 200)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--docs", action="store_true", help="write the table of docs/reliability.md")
@@ -41,14 +35,10 @@ def main() -> int:
     table = rows(options.seed, options.kills)
     if unknown := set(options.only) - table.keys():
         parser.error(f"no row {', '.join(unknown)}; there are {', '.join(table)}")
-    failed = _drivers(options.drivers, options.seed) if options.drivers else 0
+    failed = 0
     for name in options.only or table:
         row, began_s = table[name], time.monotonic()
-        result = {
-            "fault": row.fault,
-            "expected": str(row.expected),
-            "at": datetime.now(UTC).date().isoformat(),
-        }
+        result: dict[str, object] = {"fault": row.fault, "expected": str(row.expected)}
         try:
             figures, notes = row.run(options.seed, lambda words: print(words, flush=True))
             missed = row.expected.missed_by(figures)
@@ -65,22 +55,6 @@ def main() -> int:
         _write_page([kept[name] for name in table if name in kept])
     print(f"{failed} not as expected; seed {options.seed}")
     return int(failed > 0)
-
-
-def _drivers(seconds: float, seed: int) -> int:
-    from tests.chaos.drivers import campaign
-    from tests.drivers.faulty_devices import BENCHES
-
-    failed = 0
-    print(f"{'device':17} {'fault':15} {'times':>5} {'harmed':>6} {'links':>5} {'frames':>6} {'gap s':>6}")
-    for row in campaign(seconds, seed, list(BENCHES)):
-        failed += bool(row.defect)
-        print(
-            f"{row.device:17} {row.faults:15} {row.times:5} {row.harmed:6} {row.connects:5} {row.frames:6} "
-            f"{row.longest_gap_s:6.2f}  {row.defect or 'ok'}",
-            flush=True,
-        )
-    return failed
 
 
 def _keep(name: str, result: dict[str, object]) -> None:

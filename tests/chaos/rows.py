@@ -14,15 +14,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
 from service.demo import DEVICES, STAND_S
 from tests.chaos import faults as f
 from tests.chaos import virtual
+from tests.chaos.drawn import drawn
 from tests.chaos.drive import Interval, Up, driving
-from tests.chaos.drivers import fault_line, kinds_for
 from tests.chaos.judge import Expected, Figures, judge, judged, worst
-from tests.drivers.faulty_devices import BENCHES, ZERO_NS
+from tests.drivers.faulty_devices import ZERO_NS
 
 AT_S = 9.0  # after the ride began: the vehicle drives
 CALM_S = 6.0  # after it
@@ -30,7 +28,7 @@ UNKNOWN = math.inf  # what is not judged
 USUAL = Expected()
 OF_WIRES = Expected(data_lost_s=UNKNOWN)  # where nothing comes, nothing is recorded
 BOOT_S, BETWEEN_S = 0.5, 0.3  # from the ride's begin to the first device, and to each further one
-DRAWN_S, DRAWN = 60.0, {"front": "lms100 cola_a", "base": "create2"}
+DRAWN_S = 60.0
 Result = tuple[Figures, list[str]]  # with notes
 
 
@@ -109,16 +107,6 @@ def boot_order(order: Sequence[str]) -> str:
     )
 
 
-def drawn(seed: int, seconds: float = DRAWN_S) -> str:
-    """Each kind, drawn in time and strength, on two devices together."""
-    text = ""
-    for number, (device, bench) in enumerate(DRAWN.items()):
-        chance = np.random.default_rng([seed, number])
-        for kind in kinds_for(BENCHES[bench]):
-            text += f"  - {{device: {device}, {fault_line(kind, chance, seconds, seconds)}}}\n"
-    return text
-
-
 def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
     clocks = [name for name in DEVICES if name != "base"]
     others = [name for name in DEVICES if name != "front"]
@@ -150,7 +138,7 @@ def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
             "each kind of fault by chance on `front` and `base`, 60 s",
             lambda drive: drive.run_until(DRAWN_S),
             Expected(recovery_s=UNKNOWN, rmse_m=UNKNOWN, end_m=UNKNOWN, codes=(0, 1)),
-            lines=drawn(seed),
+            lines=drawn(seed, DRAWN_S),
         ),
         "ports": Live("another program opens the ports of all devices for 2 s", f.other_program(2.0)),
         "ntp-ahead": Live(
