@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock, patch
@@ -23,13 +23,15 @@ from tests.accuracy.sensors import GOOD_WHEELS, LMS100_10HZ, LUX_AHEAD, MIRRORS,
 from tests.papers.report import Section
 from tests.simulated import LMS100_50HZ, Imu, run
 
-ESTIMATOR, MATCH = "service.estimator.estimator", "service.mapper.scan_match"
-GAUSS_NEWTON, DYNAMIC_FILTER = f"{MATCH}.surfel_gauss_newton", f"{MATCH}.dynamic_filter"
+ESTIMATOR, STANDSTILL = "service.estimator.estimator", "service.estimator.standstill.Standstill"
+MATCH, DESKEW = "service.mapper.scan_match", "service.mapper.filters.deskew"
+GAUSS_NEWTON = f"{MATCH}.surfel_gauss_newton"
 MODEL, LOOPS = "service.mapper.graph.model", "service.mapper.graph.loops.loop_back_end"
+CLOUD = f"{MODEL}.point_clouds.SurfelSet"
 UNKNOWN_MOTION = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
 
 
-def normals_of_points_as_they_are(*arguments: Any) -> None:
+def unmoved(*arguments: Any) -> None:
     """As estimate_normals, whose first argument is the points, and the last one those moved."""
     estimate_normals(*arguments)
     arguments[-1][:] = arguments[0]
@@ -43,89 +45,59 @@ def deskewed_by_twist(
     deskew_points(xy_raw, beam_time_s, views_of(packed).twist, xy_base)
 
 
-def normals_as_given(walls: Any, points: Any, normals: Matrix, pose: Matrix) -> Matrix:
-    """In place of both methods of NarrowWalls."""
-    return normals
+def as_aligned(matcher: Any, aligned: Any, attempt: Any) -> Any:
+    return aligned
 
 
-# What is switched off, and by which settings of a component (no dot), or by which values of a module or
-# class; None: sweeps are declared instants.
-PARTS: tuple[tuple[str, dict[str, dict[str, Any]] | None], ...] = (
-    ("nothing", {}),
-    ("deskew", None),
-    ("robust loss", {"matcher": {"cauchy_m": 1e3}}),
-    (
-        "learning of odometry's scale and lag",
-        {"motion_model": {"odometry_scale_sigma": 0.0, "odometry_lag_sigma_s": 0.0}},
-    ),
-    ("surfels finer than 10 cm: 5 cm", {"local_map": {"cell_m": 0.05}}),
-    ("dynamic-object filter", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
-    ("weight by static score", {DYNAMIC_FILTER: {"MIN_NEW_WEIGHT": 1.0}}),
-    ("ray-cast removal", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
-    ("refusal of points in free space", {DYNAMIC_FILTER: {"FREE_S": 0.0}}),
-    ("long sub-maps: 5 m", {"local_map": {"spacing_m": 5.0}}),
-    ("less what chance gives, of a scan ([22])", {GAUSS_NEWTON: {"_chance_chi2": lambda _: 0.0}}),
-    ("motion within a sweep ([23])", {ESTIMATOR: {"deskew_sweep": deskewed_by_twist}}),
-    ("acceleration that lasts", {ESTIMATOR: {"ACCELERATION_S": 1e-4}}),  # of the same density: white
-    (
-        "pose at the middle of a sweep",
-        {"service.mapper.filters.deskew.DeskewByMotion": {"moment_of": DeskewByTwist.moment_of}},
-    ),
-    ("odometry with a fault does not count", {ESTIMATOR: {"FAULT_NOISE": math.inf}}),
-    ("coarse start held to the prediction", {GAUSS_NEWTON: {"COARSE_M": 0.0, "COARSE_RAD": 0.0}}),
-    ("match where it would be had it gone on", {GAUSS_NEWTON: {"SteadyMotion": lambda: UNKNOWN_MOTION}}),
-    ("missing returns are no gaps beside posts", {f"{MATCH}.posts": {"may_be_posts": lambda *_: (True, 0)}}),
-    (
-        "points moved along their walls ([24])",
-        {"service.mapper.walls": {"estimate_normals": normals_of_points_as_they_are}},
-    ),
-    (
-        "directions of walls by several key frames ([27])",
-        {f"{MATCH}.narrow_walls.NarrowWalls": {"directed": normals_as_given, "insert": normals_as_given}},
-    ),
-    ("surfels of half the size ([32])", {f"{MATCH}.submaps.Submap": {"fine_grid": Submap.grid}}),
-    (
-        "held near the prediction ([33])",
-        {f"{GAUSS_NEWTON}.SurfelGaussNewton": {"_more_likely": lambda _, aligned, attempt: aligned}},
-    ),
-    (
-        "part of the scene moves ([35])",
-        {
-            f"{MATCH}.moving_scene.MovingScene": {
-                "match": lambda *_: None,
-                "judge": lambda _, aligned, attempt: aligned,
-                "explain": lambda *_: None,
-            }
-        },
-    ),
-    (
-        "odometry that stands ([30])",
-        {"service.estimator.standstill.Standstill": {"is_uninformative": lambda *_: False}},
-    ),
-    ("bias of the ranges ([21])", {f"{MATCH}.range_bias.RangeBias": {"is_due": lambda *_: False}}),
-    ("several loops, over 5 m of path", {"graph": {"consensus_span_m": 1e-9}}),
-    ("one loop where the path leads to it", {f"{MODEL}.path_drift": {"CHI2_99_OF_3": -1.0}}),
-    ("limit of drift", {f"{MODEL}.path_drift": {"MAX_DRIFT_CHI2": math.inf}}),
-    (
-        "more variance for steps with a low inlier ratio",
-        {f"{MODEL}.odometry_edges": {"MAX_PREDICTION_VARIANCE": (0.0, 0.0)}},
-    ),
-    (
-        "errors that points of one cell share",
-        {f"{MODEL}.point_clouds.SurfelSet": {"align_with_shared_errors": SurfelSet.align}},
-    ),
-    ("less what chance gives, of a loop ([22])", {f"{MODEL}.candidate_submap": {"CHANCE_CHI2": 0.0}}),
-    ("open directions as expected", {f"{MODEL}.candidate_submap": {"MAX_MOVES": 0}}),
-    ("unknown ground neutral", {f"{MODEL}.candidate_submap": {"LOOP_UNKNOWN_LIKELIHOOD": 0.0}}),
-    ("points in free space count", {LOOPS: {"MAX_AGAINST": 2.0}}),
-    ("least inlier ratio of a loop", {LOOPS: {"MIN_SHARE_ON_MAP": 0.0}}),
-    ("contradicted loops disabled", {LOOPS: {"CONTRADICTION_CHI2": math.inf}}),
-    (
-        "tolerance that grows with the path",
-        {LOOPS: {"agree": lambda keyframes, a, b, base, _: agree(keyframes, a, b, base, (0.0, 0.0))}},
-    ),
-    ("more passes than the nearest", {"service.mapper.graph.loops.passes": {"PASSES": 1}}),
-    ("wide search at the finish", {LOOPS: {"FINISH_WINDOW": (0.01, 0.01)}}),
+def agree_without_growth(keyframes: Any, a: Any, b: Any, base: Any, growth: Any) -> Any:
+    return agree(keyframes, a, b, base, (0.0, 0.0))
+
+
+AS_GIVEN = dict.fromkeys(("directed", "insert"), lambda walls, points, normals, pose: normals)
+NO_MOVING_SCENE = {"match": lambda *_: None, "judge": as_aligned, "explain": lambda *_: None}
+# What is switched off; the component whose settings do it (no dot), or the module or class whose values are
+# replaced; and these. No place: sweeps are declared instants.
+PARTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("nothing", "matcher", {}),
+    ("deskew", "", {}),
+    ("robust loss", "matcher", {"cauchy_m": 1e3}),
+    ("odometry's scale learnt", "motion_model", {"odometry_scale_sigma": 0.0}),
+    ("odometry's lag learnt", "motion_model", {"odometry_lag_sigma_s": 0.0}),
+    ("surfels finer than 10 cm: 5 cm", "local_map", {"cell_m": 0.05}),
+    ("dynamic-object filter", "local_map", {"dynamic_filter": {"enough_s": 0.0}}),
+    ("weight by static score", f"{MATCH}.dynamic_filter", {"MIN_NEW_WEIGHT": 1.0}),
+    ("ray-cast removal", "local_map", {"dynamic_filter": {"behind_m": 1e3}}),
+    ("refusal of points in free space", f"{MATCH}.dynamic_filter", {"FREE_S": 0.0}),
+    ("long sub-maps: 5 m", "local_map", {"spacing_m": 5.0}),
+    ("less what chance gives, of a scan ([22])", GAUSS_NEWTON, {"_chance_chi2": lambda _: 0.0}),
+    ("motion within a sweep ([23])", ESTIMATOR, {"deskew_sweep": deskewed_by_twist}),
+    ("acceleration that lasts", ESTIMATOR, {"ACCELERATION_S": 1e-4}),  # of the same density: white
+    ("pose at the middle of a sweep", f"{DESKEW}.DeskewByMotion", {"moment_of": DeskewByTwist.moment_of}),
+    ("odometry with a fault does not count", ESTIMATOR, {"FAULT_NOISE": math.inf}),
+    ("coarse start held to the prediction", GAUSS_NEWTON, {"COARSE_M": 0.0, "COARSE_RAD": 0.0}),
+    ("match where it would be had it gone on", GAUSS_NEWTON, {"SteadyMotion": lambda: UNKNOWN_MOTION}),
+    ("missing returns are no gaps beside posts", f"{MATCH}.posts", {"may_be_posts": lambda *_: (True, 0)}),
+    ("points moved along their walls ([24])", "service.mapper.walls", {"estimate_normals": unmoved}),
+    ("walls by several key frames ([27])", f"{MATCH}.narrow_walls.NarrowWalls", AS_GIVEN),
+    ("surfels of half the size ([32])", f"{MATCH}.submaps.Submap", {"fine_grid": Submap.grid}),
+    ("held near the prediction ([33])", f"{GAUSS_NEWTON}.SurfelGaussNewton", {"_more_likely": as_aligned}),
+    ("part of the scene moves ([35])", f"{MATCH}.moving_scene.MovingScene", NO_MOVING_SCENE),
+    ("odometry that stands ([30])", STANDSTILL, {"is_uninformative": lambda *_: False}),
+    ("bias of the ranges ([21])", f"{MATCH}.range_bias.RangeBias", {"is_due": lambda *_: False}),
+    ("several loops, over 5 m of path", "graph", {"consensus_span_m": 1e-9}),
+    ("one loop where the path leads to it", f"{MODEL}.path_drift", {"CHI2_99_OF_3": -1.0}),
+    ("limit of drift", f"{MODEL}.path_drift", {"MAX_DRIFT_CHI2": math.inf}),
+    ("variance of poor steps", f"{MODEL}.odometry_edges", {"MAX_PREDICTION_VARIANCE": (0.0, 0.0)}),
+    ("errors shared in a cell", CLOUD, {"align_with_shared_errors": SurfelSet.align}),
+    ("less what chance gives, of a loop ([22])", f"{MODEL}.candidate_submap", {"CHANCE_CHI2": 0.0}),
+    ("open directions as expected", f"{MODEL}.candidate_submap", {"MAX_MOVES": 0}),
+    ("unknown ground neutral", f"{MODEL}.candidate_submap", {"LOOP_UNKNOWN_LIKELIHOOD": 0.0}),
+    ("points in free space count", LOOPS, {"MAX_AGAINST": 2.0}),
+    ("least inlier ratio of a loop", LOOPS, {"MIN_SHARE_ON_MAP": 0.0}),
+    ("contradicted loops disabled", LOOPS, {"CONTRADICTION_CHI2": math.inf}),
+    ("tolerance that grows with the path", LOOPS, {"agree": agree_without_growth}),
+    ("more passes than the nearest", "service.mapper.graph.loops.passes", {"PASSES": 1}),
+    ("wide search at the finish", LOOPS, {"FINISH_WINDOW": (0.01, 0.01)}),
 )
 TRIPS = {
     "ring": Trip(WORLDS["ring"], LMS100_50HZ),
@@ -149,8 +121,8 @@ TRIPS = {
 
 def ablations(seeds: Sequence[int]) -> Section:
     lines = ["| switched off | " + " | ".join(TRIPS) + " |", "|---|" + "---|" * len(TRIPS)]
-    for what, changes in PARTS:
-        cells = [_cell(trip, seeds, changes) for trip in TRIPS.values()]
+    for what, place, values in PARTS:
+        cells = [_cell(trip, seeds, place, values) for trip in TRIPS.values()]
         lines.append(f"| {what} | " + " | ".join(cells) + " |")
     return Section(
         "Error without each part and rule",
@@ -160,16 +132,12 @@ def ablations(seeds: Sequence[int]) -> Section:
     )
 
 
-def _cell(trip: Trip, seeds: Sequence[int], changes: dict[str, dict[str, Any]] | None) -> str:
-    settings = {name: values for name, values in (changes or {}).items() if "." not in name}
+def _cell(trip: Trip, seeds: Sequence[int], place: str, values: dict[str, Any]) -> str:
     errors = Errors()
-    with ExitStack() as switched:
-        for module, values in (changes or {}).items():
-            if module not in settings:
-                switched.enter_context(patch.multiple(module, **values))
+    with patch.multiple(place, **values) if "." in place else nullcontext():
         for made in trip.drives(seeds):
-            config = mapping_config({"settings": settings})
-            errors.add(made, run(config, made, without_motion=changes is None))
+            config = mapping_config({"settings": {} if "." in place or not place else {place: values}})
+            errors.add(made, run(config, made, without_motion=not place))
     return ", ".join(_median_and_worst(of) for of in (errors.as_is_mm, errors.finished_mm))
 
 

@@ -1,6 +1,7 @@
 """What the default profile costs: a scan, a whole recording, hours in a stored map, a start."""
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -11,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.frames import Frame, LaserScan, OdometrySample
+from drivers.frames import Frame, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.pipeline import Mapper
@@ -27,7 +27,7 @@ from tests.accuracy.driving import WHEELS, Trip
 from tests.accuracy.recorded import FR079
 from tests.bench import start_up
 from tests.papers.report import Row, Section
-from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Drive, drive
+from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, drive
 
 CORRIDOR = Path(sys.executable).with_name("corridor")  # as installed
 LAP_RATE_HZ = 5.0
@@ -42,7 +42,7 @@ def scans(seeds: Sequence[int]) -> Section:
         ("1081 beams, office", "office", UTM30LX_40HZ, (0.5, 0.8, 2.0, 10.0)),
         ("541 beams, office", "office", LMS100_50HZ, (0.3, None, None, None)),
     ):
-        spent = [scan_cpu_ms(made) for made in Trip(WORLDS[world], laser, 40.0).drives(seeds)]
+        spent = [done.scan_ms for _, done in Trip(WORLDS[world], laser, 40.0).runs(seeds)]
         for name, percent, bound in zip(("p50", "p95", "p99", "max"), (50, 95, 99, 100), bounds, strict=True):
             values = [float(np.percentile(ms, percent)) for ms in spent]
             rows.append(Row("", f"{what}: {name}", values, "ms", at_most=bound, digits=2))
@@ -165,17 +165,6 @@ def start(seeds: Sequence[int]) -> Section:
     return Section("Start", "From `corridor run` to the first pose at a subscriber.", rows)
 
 
-def scan_cpu_ms(made: Drive) -> npt.NDArray[np.float64]:
-    mapper = build_mapper(mapping_config(), {"front": LMS100_50HZ.mounting})
-    spent = []
-    for frame in made.frames:
-        began_ns = time.thread_time_ns()
-        mapper.process(frame)
-        if isinstance(frame, LaserScan):
-            spent.append((time.thread_time_ns() - began_ns) / 1e6)
-    return np.array(spent)
-
-
 def _block_of_mall() -> World:
     legs: list[Leg] = [Follow(BLOCK, corner_radius_m=1.5)]
     limits = Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2)
@@ -184,6 +173,5 @@ def _block_of_mall() -> World:
 
 def _memory_mb() -> float:
     """Resident, of this process."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS:"))
-    return int(kilobytes) / 1024
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

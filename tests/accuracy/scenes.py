@@ -7,7 +7,6 @@ still again.
 import argparse
 import gc
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -17,7 +16,7 @@ from operator import itemgetter
 from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods, mapping_config
 from tests.accuracy.scene_drives import AFTER_S, BEFORE_S, PLACES, SCENES, Case, Staged, seconds_of, staged
-from tests.accuracy.scene_judge import RIGHT_M, SIGMAS, WITHIN_M, WRONG_M, Verdict, judge, trace
+from tests.accuracy.scene_judge import RIGHT_M, SIGMAS, WITHIN_M, WRONG_M, Verdict, judge
 from tests.accuracy.trials import ghost_cells
 from tests.papers.report import Row, Section
 from tests.simulated import Run, run_session
@@ -36,22 +35,24 @@ WORST = (
 )
 
 
-def mapped(of: Staged, profile: str = "corridor") -> Run:
-    return run_session(mapping_config({"profile": profile}), of.made)
+def mapped(of: Staged) -> Run:
+    return run_session(mapping_config(), of.made)
 
 
-def verdict_of(of: Staged, done: Run, profile: str = "corridor") -> Verdict:
+def verdict_of(of: Staged) -> Verdict:
     """Ghosts: those that the same drive does not have where nothing happens."""
+    done = mapped(of)
     truth = [of.made.truth[output.stamp_ns] for output in done.outputs]
     still = replace(of.case, scene="still", share=0.0, for_s=seconds_of(of.case))
-    ghosts = ghost_cells(of.world, of.made, done, GONE_S)
-    return judge(done.outputs, truth, of.from_ns, of.to_ns, ghosts - _ghosts_without(still, profile))
+    ghosts = ghost_cells(of.world, of.made, done, GONE_S) - _ghosts_without(still)
+    gc.collect()
+    return judge(done.outputs, truth, of.from_ns, of.to_ns, ghosts)
 
 
 @lru_cache(maxsize=64)
-def _ghosts_without(still: Case, profile: str) -> int:
+def _ghosts_without(still: Case) -> int:
     of = staged(still)
-    return ghost_cells(of.world, of.made, mapped(of, profile), GONE_S)
+    return ghost_cells(of.world, of.made, mapped(of), GONE_S)
 
 
 def cases_of(scene: str, world: str, seeds: Sequence[int], moments: int) -> list[Case]:
@@ -87,14 +88,10 @@ def table(verdicts: Mapping[tuple[str, str], Sequence[Verdict]]) -> str:
 
 
 def scenes(seeds: Sequence[int]) -> Section:
-    verdicts: dict[tuple[str, str], list[Verdict]] = {}
-    for scene in SCENES:
-        for world in PLACES:
-            verdicts[scene, world] = []
-            for case in cases_of(scene, world, seeds, MOMENTS):
-                of = staged(case)
-                verdicts[scene, world].append(verdict_of(of, mapped(of)))
-                gc.collect()
+    verdicts = {
+        (scene, world): [verdict_of(staged(case)) for case in cases_of(scene, world, seeds, MOMENTS)]
+        for scene, world in product(SCENES, PLACES)
+    }
     return Section(
         "Scenes in which a source of motion is wrong",
         f"Still for {BEFORE_S:.0f} s, then what the scene says, then still for {AFTER_S:.0f} s; LMS-100 "
@@ -141,42 +138,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--speed", type=float, help="m/s; 1")
     add("--share", type=float, help="of the returns; 0.33")
     parser.add_argument("--turns", type=int, help="so many moments a seed, speeds and shares take turns")
-    parser.add_argument("--for-s", type=float, help="how long it lasts; as the scene has it")
-    parser.add_argument("--no-imu", action="store_true")
-    parser.add_argument("--profile", default="corridor")
-    parser.add_argument("--trace", action="store_true", help="a line for each second")
     parsed = parser.parse_args(arguments)
     import_methods()
     warm_up()
     verdicts: dict[tuple[str, str], list[Verdict]] = {}
+    seeds = parsed.seed or (11,)
+    others = (seeds, parsed.moment or (0.0,), parsed.speed or (1.0,), parsed.share or (0.33,))
     for scene, world in product(parsed.scene or SCENES, parsed.world or PLACES):
-        seeds = parsed.seed or (11,)
+        cases = [Case(scene, world, *of) for of in product(*others)]
         if parsed.turns is not None:
             cases = cases_of(scene, world, seeds, parsed.turns)
-        else:
-            others = (seeds, parsed.moment or (0.0,), parsed.speed or (1.0,), parsed.share or (0.33,))
-            cases = [Case(scene, world, *of) for of in product(*others)]
         for case in cases:
-            of = replace(case, for_s=parsed.for_s, has_imu=not parsed.no_imu)
-            verdicts.setdefault((scene, world), []).append(shown(of, parsed.profile, parsed.trace))
+            verdict = verdict_of(of := staged(case))
+            print(f"{case} returns={of.returns:.2f} {verdict.line()}", flush=True)
+            verdicts.setdefault((scene, world), []).append(verdict)
     print(table(verdicts))
     return 0
-
-
-def shown(case: Case, profile: str, is_traced: bool) -> Verdict:
-    """Run one and print it."""
-    of = staged(case)
-    began_s = time.process_time()
-    done = mapped(of, profile)
-    took_s = time.process_time() - began_s
-    if is_traced:
-        truth = [of.made.truth[output.stamp_ns] for output in done.outputs]
-        print(f"{case}: from {of.from_ns * 1e-9:.2f} to {of.to_ns * 1e-9:.2f} s")
-        print("\n".join(trace(done.outputs, truth, of.from_ns)))
-    verdict = verdict_of(of, done, profile)
-    print(f"{case} returns={of.returns:.2f} {verdict.line()} mapping_s={took_s:.1f}", flush=True)
-    gc.collect()
-    return verdict
 
 
 if __name__ == "__main__":

@@ -34,22 +34,18 @@ LUX_AHEAD = Laser(IBEO_LUX, 441, 25.0, -55.0, 0.25)
 GOOD_WHEELS = Wheels(sigma_m_per_sqrt_m=0.005, sigma_rad_per_sqrt_m=0.003)
 PLACES = ("ring", "office", "library")
 STOPS_AFTER_S = 20.0
-BY_TWIST = {"components": {"deskew": "deskew_by_twist"}}
 
 
 def slow_mirrors(seeds: Sequence[int]) -> Section:
     rows = []
     for place in PLACES:
         for mirror, laser in MIRRORS.items():
-            trip = Trip(WORLDS[place], laser)
-            rows += _rows(f"{place}, {mirror}", trip, seeds)
-            rows += _rows(f"{place}, {mirror}, deskewed by the twist alone", trip, seeds, BY_TWIST)
+            rows += _rows(f"{place}, {mirror}", Trip(WORLDS[place], laser), seeds)
     return Section(
         "Mirrors that turn slowly",
         "A mirror turns once a scan: a sweep of 270 deg takes three quarters of the period. LMS-100 at "
-        "another rate, and a laser of 360 deg in 400 beams with 12 m; odometry. By the twist alone: without "
-        "the motion within the sweep that odometry measures ([23] of estimator.md). That was made with the "
-        "ring (seeds 21 to 23) at these rates in view.",
+        "another rate, and a laser of 360 deg in 400 beams with 12 m; odometry. The motion within the sweep "
+        "that odometry measures ([23] of estimator.md) was made with the ring (seeds 21 to 23) in view.",
         rows,
     )
 
@@ -115,10 +111,8 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
     )
 
 
-def _rows(
-    what: str, trip: Trip, seeds: Sequence[int], settings: dict[str, object] | None = None
-) -> list[Row]:
-    errors = errors_of(trip, seeds, mapping_config(settings or {}))
+def _rows(what: str, trip: Trip, seeds: Sequence[int]) -> list[Row]:
+    errors = errors_of(trip, seeds)
     return [*errors.rows(what, "finished_mm", "lost_percent"), errors.wrong_row(what)]
 
 

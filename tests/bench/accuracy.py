@@ -1,13 +1,10 @@
 """The scenarios of tests/accuracy, and the page that shows them."""
 
-import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods
-from service.version import VERSION
 from tests.accuracy import (
     ablations,
     anchored,
@@ -25,7 +22,7 @@ from tests.accuracy import (
     terrain,
     trials,
 )
-from tests.papers.report import Scenario, below_title, seeds_text, write_page
+from tests.papers.report import Scenario, run_scenarios
 
 PAGE = Path(__file__).parents[2] / "build" / "performance.md"
 HEAD = """# Performance of the profile `corridor`
@@ -73,14 +70,5 @@ def measure(scenarios: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, f
     """Run these, or all; print and keep each table as soon as it is there. Rows: medians, for bench.json."""
     import_methods()
     warm_up()
-    rows = []
-    for name in scenarios or SCENARIOS:
-        began_s = time.monotonic()
-        section = SCENARIOS[name](seeds)
-        took_s = time.monotonic() - began_s
-        print(f"\n{section.title} ({took_s:.0f} s)\n" + "\n".join(below_title(section)), flush=True)
-        ran = f"corridor {VERSION}, {datetime.now(UTC).date()}, {seeds_text(seeds)}, {took_s:.0f} s"
-        write_page(PAGE, HEAD, {name: (section, ran)}, list(SCENARIOS))
-        rows += [(f"{name}: {row.what}", row.median, row.unit) for row in section.rows]
-    print(f"written to {PAGE}")
-    return rows
+    made = run_scenarios(PAGE, HEAD, SCENARIOS, scenarios or list(SCENARIOS), seeds)
+    return [(f"{name}: {row.what}", row.median, row.unit) for name, section in made for row in section.rows]

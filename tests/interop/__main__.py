@@ -52,7 +52,6 @@ def _checks() -> list[Check]:
         Check("rerun-sdk", "a recorded session", viewer, recording.run_rerun),
         Check("evo", "corridor score", scorer, trajectory.run_evo),
         Check("zenoh-ros2-sdk", "corridor run, ros2 on", node, ros2.run_sdk),
-        Check("zenoh-ros2-sdk", "the same, other router", node, ros2.run_sdk_by_router),
         Check("zenoh-ros2-sdk", "its laser, ros2_scan", node, ros2_laser.run_sdk_laser),
         Check("pamoja-ros2", "keys of ros2", names, ros2.run_pamoja),
         Check("pip", "wheels of dependencies", installers, install.run_wheels),

@@ -2,9 +2,8 @@
 
 import json
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from drivers.rmw_zenoh import Topic, dds_type
 from service.encoding import DIAGNOSTICS, LASER_SCAN, OCCUPANCY_GRID, ODOMETRY, TF, type_hash
 from service.encoding.ros_services import LOAD_MAP, SAVE_MAP, TRIGGER, service_hash
 from tests.interop.programs import TAIL_CHARS, InteropError, Venv, run_client, started_client
-from tests.system.machine import FakeVehicle, LiveService, free_port
+from tests.system.machine import FakeVehicle, LiveService
 
 DOMAIN = 7
 BACK_S = 2.0  # after a restart
@@ -38,14 +37,14 @@ SERVICES = {
 
 def run_sdk(venv: Venv, folder: Path) -> str:
     """It lists, subscribes and calls, and goes on when the service, which is its router, is restarted."""
-    with _machine(folder / "own", enabled=True) as service:
+    with _machine(folder / "own") as service:
         port = int(service.endpoint.rpartition(":")[2])
 
         def restart() -> None:
             service.close_process()
             service.start()
 
-        seen = _run_client(venv, {"port": port, "calls": True}, folder / "own", restart)
+        seen = _run_client(venv, {"port": port}, folder / "own", restart)
     return (
         f"{len(TOPICS)} topics and {len(SERVICES)} services with types, hashes and QoS, "
         f"{seen['messages']} messages decoded, late joiner's /map of {seen['known']} known cells after "
@@ -53,73 +52,19 @@ def run_sdk(venv: Venv, folder: Path) -> str:
     )
 
 
-def run_sdk_by_router(venv: Venv, folder: Path) -> str:
-    """The router of both is another process, which is restarted."""
-    port = free_port()
-    router = _Router(port)
-    router.start()
-    try:
-        connect = [f"tcp/127.0.0.1:{port}"]
-        with _machine(folder / "router", connect, enabled=True, router="connect"):
-            seen = _run_client(venv, {"port": port, "calls": False}, folder / "router", router.restart)
-    finally:
-        router.stop()
-    return f"{len(TOPICS)} topics; router restarted: back {seen['back_s']:.1f} s after it listens"
-
-
 @contextmanager
-def _machine(folder: Path, connect: Sequence[str] = (), **ros2: Any) -> Iterator[LiveService]:
+def _machine(folder: Path) -> Iterator[LiveService]:
     """Fake devices and a service that maps."""
     folder.mkdir()
     vehicle = FakeVehicle(folder)
     vehicle.start()
-    service = LiveService(folder, vehicle.sensors(), connect=list(connect), ros2={"domain": DOMAIN, **ros2})
+    service = LiveService(folder, vehicle.sensors(), ros2={"enabled": True, "domain": DOMAIN})
     try:
         service.start()
         yield service
     finally:
         service.close()
         vehicle.stop()
-
-
-class _Router:
-    """A router of Zenoh in a process of its own, as rmw_zenohd is."""
-
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._process: subprocess.Popen[str] | None = None
-
-    def start(self) -> None:
-        """It listens when this returns."""
-        program = (
-            "import json, sys, zenoh\nfrom drivers.zenoh_config import zenoh_config\n"
-            "with zenoh.open(zenoh_config(json.loads(sys.argv[1]))):\n"
-            "    print('listens', flush=True)\n    sys.stdin.read()\n"
-        )
-        settings = {
-            "mode": "router",
-            "listen/endpoints": [f"tcp/127.0.0.1:{self._port}"],
-            "scouting/gossip/enabled": True,
-        }
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", program, json.dumps(settings)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        if self._process.stdout.readline() != "listens\n":
-            raise InteropError("the router does not start")
-
-    def stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
-
-    def restart(self) -> None:
-        self.stop()
-        self.start()
 
 
 def _run_client(

@@ -3,12 +3,10 @@
 import argparse
 import importlib
 import sys
-import time
-from collections.abc import Mapping, Sequence
 
 from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods
-from tests.papers.report import FOLDER, Scenario, below_title, seeds_text, write_page
+from tests.papers.report import FOLDER, run_scenarios
 
 FIRST_SEED = 11  # of the pages
 PAPERS = {
@@ -50,30 +48,14 @@ def main() -> int:
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     import_methods()
     warm_up()
-    missed = sum(_run(name, of_paper, options.scenario, seeds) for name, of_paper in scenarios.items())
+    missed = 0
+    for name, of_paper in scenarios.items():
+        head = f"# {PAPERS[name]}\n\nMade by `make papers`; one section by `--scenario`.\n"
+        wanted = [one for one in of_paper if one in (options.scenario or known)]
+        for _, section in run_scenarios(FOLDER / f"{name}.md", head, of_paper, wanted, seeds):
+            missed += sum(row.met is False for row in section.rows)
     print("every bound is met" if not missed else f"{missed} bounds are missed")
     return 1 if missed else 0
-
-
-def _run(name: str, scenarios: Mapping[str, Scenario], wanted: Sequence[str] | None, seeds: range) -> int:
-    """Writes one page; what was not asked for stays on it. Returns how many bounds are missed."""
-    missed = 0
-    for scenario, experiment in scenarios.items():
-        if wanted and scenario not in wanted:
-            continue
-        began_s = time.monotonic()
-        section = experiment(seeds)
-        head = f"# {PAPERS[name]}\n\nMade by `make papers`; one section by `--scenario`.\n"
-        write_page(
-            FOLDER / f"{name}.md",
-            head,
-            {scenario: (section, section.ran_on or seeds_text(seeds))},
-            list(scenarios),
-        )
-        print("\n".join([f"{name} {scenario}: {time.monotonic() - began_s:.0f} s", *below_title(section)]))
-        sys.stdout.flush()
-        missed += sum(row.met is False for row in section.rows)
-    return missed
 
 
 if __name__ == "__main__":

@@ -4,13 +4,8 @@ from collections.abc import Sequence
 from functools import partial
 
 from service.mapper.profiles import METHODS
-from tests.papers.headings import bends, path_of, path_of_wheels
 from tests.papers.recorded import RELATIONS, scored
 from tests.papers.report import Row, Scenario, Section, seeds_text
-from tests.shared_data import SHARED
-
-NEW_GROUND_S = 640.0  # in intel
-
 
 SPARSE = (
     "without an IMU the wheels predict, and with a scan in one to two seconds and turns of up to 137 deg "
@@ -22,13 +17,11 @@ STEP_OFF = (
 )
 TURNS = (
     "the paper's filter predicts the heading by a gyro, and there is none: wheels that turn wrong by 475 deg "
-    "in 640 s take its place, and a quarter of that enters each new scan's heading and stays in the map "
-    "(section Where intel bends)"
+    "in 640 s take its place, and a quarter of that enters each new scan's heading and stays in the map"
 )
 STEPS = (
     "on new ground a scan lies on the last ones alone, with 0.2 deg RMS; it is drawn there and stays, and "
-    "over the first round of 787 scans the headings add up to 16 deg, which nothing of the paper takes out "
-    "again (section Where intel bends)"
+    "over the first round of 787 scans the headings add up to 16 deg, which nothing takes out again"
 )
 NO_LOOP = (
     "the profile closes no loop, so that the heading which one scan has wrong stays in the map: small "
@@ -85,32 +78,4 @@ def relations(name: str, seeds: Sequence[int]) -> Section:
     )
 
 
-def where_it_bends(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
-    recording = SHARED / "datasets" / "intel" / "intel.mcap"
-    if not recording.is_file():
-        return Section("Not run", "no recording intel; set CORRIDOR_SHARED")
-    usual = path_of("corridor", recording)
-    paths = {name: path_of(name, recording) for name in ("imle", "owolm_eskf")}
-    paths["the odometry"] = path_of_wheels(recording, sorted(usual))
-    lines = [
-        "| path | scans | bent by | RMS of a scan | more than 3° | then scans | bent by | more than 3° |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name, path in paths.items():
-        early, late = bends(path, usual, NEW_GROUND_S)
-        lines.append(
-            f"| {name} | {early.steps} | {early.sum_deg:.1f}° | {early.rms_deg:.2f}° | {early.jumps} "
-            f"| {late.steps} | {late.sum_deg:.1f}° | {late.jumps} |"
-        )
-    return Section(
-        "Where intel bends",
-        "Heading from scan to scan against the path of the default profile, whose loops are closed: over the "
-        f"first {NEW_GROUND_S:.0f} s, in which the vehicle goes once round the building on new ground, and "
-        "after that. A scan has 180 beams of 1°.",
-        tables=["\n".join(lines)],
-        ran_on="recordings",
-    )
-
-
 SCENARIOS: dict[str, Scenario] = {name: partial(relations, name) for name in RELATIONS}
-SCENARIOS["bends"] = where_it_bends

@@ -1,14 +1,10 @@
 """Zhang et al. 2016: one precision in worlds of 300, 2000 and 12 000 m2; a single map beside."""
 
-import json
 import pickle
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 
@@ -220,38 +216,6 @@ def memory(seeds: Sequence[int]) -> Section:
     )
 
 
-def hours(seeds: Sequence[int]) -> Section:
-    """D8: two hours in a process of its own; half an hour of a core."""
-    command = [sys.executable, "-m", "tests.papers.submap_hours", str(seeds[0])]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
-    return hours_reported(json.loads(done.stdout), seeds[0])
-
-
-def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
-    """found: what the process has said of each ten minutes, and of the graph at the end."""
-    first, last = found["hours"][0], found["hours"][-1]
-    lines = ["| minutes | way | sub-maps | resident memory | pose off by |", "|---|---|---|---|---|"]
-    lines += [
-        f"| {one['minutes']:.0f} | {one['path_m']:.0f} m | {one['submaps']} | {one['resident_mb']:.0f} MB "
-        f"| {100.0 * one['off_m']:.1f} cm |"
-        for one in found["hours"]
-    ]
-    return Section(
-        "Two hours",
-        f"The floor of 2000 m2 again and again, {last['minutes']:.0f} minutes at 5 sweeps a second, 30 "
-        "particles, mapping and graph in one process. Resident memory is what the process has grown by since "
-        "before the first scan: particles, shown map, graph, and what a solve of the graph needs, 27 MB for "
-        "2000 track points, which the C library does not give back.",
-        [
-            Row("D8", "the graph keeps", [found["graph_mb"]], "MB", at_most=50.0, digits=0),
-            Row("D8", "resident memory after ten minutes", [first["resident_mb"]], "MB", digits=0),
-            Row("D8", "resident memory at the end", [last["resident_mb"]], "MB", digits=0),
-        ],
-        ["\n".join(lines)],
-        ran_on=seeds_text([seed]),
-    )
-
-
 def worst(found: Sequence[Mapped]) -> list[float]:
     return [one.worst_m for one in found]
 
@@ -334,5 +298,4 @@ SCENARIOS = {
     "one_map": against_single,
     "weights": weights,
     "memory": memory,
-    "hours": hours,
 }

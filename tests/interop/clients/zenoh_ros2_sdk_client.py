@@ -194,9 +194,8 @@ def main() -> None:
     late_s = time.monotonic() - began_s
     known = int((late["/map"].messages[0].data >= 0).sum())
     expect(known > 100, f"the map has {known} known cells")
-    if WANTED["calls"]:
-        check_services()
-        check_pose(boxes["/diagnostics"])
+    check_services()
+    check_pose(boxes["/diagnostics"])
     heard = {topic: len(box.messages) for topic, box in boxes.items()}
     print("restart", flush=True)
     gone_s = time.time()
