@@ -42,7 +42,8 @@ def fake_vehicle(tmp_path: Path) -> Iterator[FakeVehicle]:
 
 @pytest.fixture
 def live_service(fake_vehicle: FakeVehicle, tmp_path: Path) -> Iterator[LiveService]:
-    service = LiveService(tmp_path, fake_vehicle.sensors(), ros2={"enabled": True})
+    """It records the wires, too."""
+    service = LiveService(tmp_path, fake_vehicle.sensors(), raw=True, ros2={"enabled": True})
     service.start()
     yield service
     service.close()

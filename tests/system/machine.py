@@ -18,7 +18,6 @@ import zenoh
 
 from drivers.zenoh_callback import daemon_callback
 from drivers.zenoh_config import zenoh_config
-from service.encoding import Message
 from tests.in_background import started
 
 START_TIMEOUT_S = 90.0  # a cold kernel cache is compiled first
@@ -244,7 +243,3 @@ class Subscriber:
 
     def close(self) -> None:
         self.session.close()
-
-
-def payloads(messages: list[Message]) -> list[bytes]:
-    return [message.payload for message in messages]

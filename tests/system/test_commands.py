@@ -3,11 +3,9 @@
 import json
 import math
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from drivers.registry import SENSOR_KINDS
 from service.config import parse_config
@@ -25,19 +23,10 @@ from service.offline.replay.replay import ReplayOptions, replay
 from service.outputs import UNKNOWN
 from service.recording.mcap_reader import Recording
 from service.recording.raw_wire import frames_from_wire, raw_chunks
-from tests.system.machine import FakeVehicle, LiveService, Subscriber
+from tests.system.machine import LiveService, Subscriber
 
 Subscribe = Callable[[str], Subscriber]
 FASTEST_MPS = 1.0  # that the fake vehicle drives
-
-
-@pytest.fixture
-def live_service(fake_vehicle: FakeVehicle, tmp_path: Path) -> Iterator[LiveService]:
-    """One that also records the wires."""
-    service = LiveService(tmp_path, fake_vehicle.sensors(), raw=True)
-    service.start()
-    yield service
-    service.close()
 
 
 def test_a_drive_with_commands(live_service: LiveService, subscribe: Subscribe):
@@ -57,10 +46,8 @@ def test_a_drive_with_commands(live_service: LiveService, subscribe: Subscribe):
     saved = subscriber.ask("save_map")
     first_map = Path(saved["folder"])
     stored = load_map(first_map)
-    assert (stored.number, max(tile.version for tile in stored.tiles)) == (
-        saved["version"],
-        saved["map_version"],
-    )
+    newest = max(tile.version for tile in stored.tiles)
+    assert (stored.number, newest) == (saved["version"], saved["map_version"])
 
     reset = subscriber.ask("reset_map")
     assert (reset["folder_before"], reset["folder"]) == (str(first_map), f"{first_map}_2")
@@ -157,12 +144,9 @@ def _check_the_wires_make_the_frames_again(session: Path) -> None:
         new_session = SENSOR_KINDS[sensor.type].session_maker(sensor)
         frames = list(frames_from_wire(raw_chunks(recording, name), new_session))
         recorded = list(recording.messages([channel]))
-        assert len(recorded) > least
-        again = [
-            encode_frame(frame, offset_ns, message.log_ns).payload
-            for frame, message in zip(frames, recorded, strict=False)
-        ]
-        assert again == [message.payload for message in recorded]
+        assert len(frames) >= len(recorded) > least
+        for frame, message in zip(frames, recorded, strict=False):
+            assert encode_frame(frame, offset_ns, message.log_ns).payload == message.payload
 
 
 def _check_a_session_of_its_own(session: Path) -> None:

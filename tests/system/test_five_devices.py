@@ -7,6 +7,7 @@ counted, and no more than that may be missing. Where the machine is in time, str
 import json
 import os
 import re
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import Frame
-from service.encoding import decode_diagnostics, decode_frame, encode_pose, read
+from service.encoding import decode_diagnostics, decode_frame, encode_pose
 from service.offline.replay.replay import ReplayOptions, replay
 from service.recording.mcap_reader import Recording
 from service.resources import CONFIG
@@ -66,52 +67,37 @@ def test_what_five_devices_send_is_recorded_and_maps_alike_again(demo_run: DemoR
     assert replayed.summary["scans_not_mapped"] == 0
 
 
-def test_the_layout_for_foxglove_shows_what_the_recording_holds(demo_run: DemoRun):
-    """Each of its topics is there, each of its fields, and each laser is shown."""
-    recording = Recording(sorted(Path(demo_run.summary["session"]).parent.glob("*.mcap")))
-    recorded = {topic.name: topic.type for topic in recording.topics}
+def test_another_reader_finds_what_the_layout_for_foxglove_shows_in_the_recording(demo_run: DemoRun):
+    """Topics, fields, frames and lines, decoded by rosbags with the definitions of the file alone."""
     panels = json.loads((CONFIG / "layouts" / "foxglove.json").read_text())["configById"]
-    scene = panels["3D!corridor-map"]["topics"]
+    view = panels["3D!corridor-map"]
     fields = [series["value"] for series in panels["Plot!corridor-speed"]["paths"]]
     fields.append(panels["RawMessages!corridor-events"]["topicPath"])
-    wanted = {*scene, panels["DiagnosticSummary!corridor-health"]["topicToRender"]}
-    assert wanted | {field.partition(".")[0] for field in fields} <= recorded.keys()
-    assert {topic for topic in recorded if topic.endswith("/scan")} <= scene.keys()
-    for field in fields:
-        topic, *names = field.split(".")
-        message = next(iter(recording.messages([topic])))
-        value = read(recorded[topic], message.payload)
-        for name in names:
-            value = getattr(value, name)
-        assert isinstance(value, float | str), field
-    assert {topic: recorded[topic] for topic in scene} == {
-        **{topic: "sensor_msgs/msg/LaserScan" for topic in scene},
-        "/map": "nav_msgs/msg/OccupancyGrid",
-        "/graph": "visualization_msgs/msg/MarkerArray",
-        "/pose": "nav_msgs/msg/Odometry",
-    }
-
-
-def test_another_reader_finds_the_frames_and_lines_of_the_layout_in_the_recording(demo_run: DemoRun):
-    """Decoded by rosbags, with the definitions that are in the file alone."""
-    view = json.loads((CONFIG / "layouts" / "foxglove.json").read_text())["configById"]["3D!corridor-map"]
-    frames, lines, types = set(), set(), get_typestore(Stores.EMPTY)
-    wanted = {*view["topics"], "/tf", "/tf_static", "/diagnostics", "/events"}
-    decoded = set()
+    health = panels["DiagnosticSummary!corridor-health"]["topicToRender"]
+    wanted = {*view["topics"], "/tf", "/tf_static", health, *(field.partition(".")[0] for field in fields)}
+    types, kinds, last = get_typestore(Stores.EMPTY), {}, {}
+    frames, lines = set(), set()
     for path in Path(demo_run.summary["session"]).parent.glob("*.mcap"):
         with path.open("rb") as file:
             for schema, channel, message in make_reader(file).iter_messages(topics=wanted):
                 assert schema is not None
                 if schema.name not in types.fielddefs:
                     types.register(get_types_from_msg(schema.data.decode(), schema.name))
-                content = types.deserialize_cdr(message.data, schema.name)
-                decoded.add(channel.topic)
+                kinds[channel.topic] = schema.name
+                last[channel.topic] = content = types.deserialize_cdr(message.data, schema.name)
                 if channel.topic in ("/tf", "/tf_static"):
                     frames |= {edge.header.frame_id for edge in content.transforms}
                     frames |= {edge.child_frame_id for edge in content.transforms}
                 if channel.topic == "/graph":
                     lines |= {marker.ns for marker in content.markers} - {""}
-    assert decoded == wanted
+    assert last.keys() == wanted
+    for field in fields:
+        topic, *names = field.split(".")
+        assert isinstance(reduce(getattr, names, last[topic]), float | str), field
+    own = {"/map": "OccupancyGrid", "/graph": "MarkerArray", "/pose": "Odometry"}
+    shown = {topic: kinds[topic].rpartition("/")[2] for topic in view["topics"]}
+    assert shown == {topic: own.get(topic, "LaserScan") for topic in view["topics"]}
+    assert {f"/{name}/scan" for name in ("front", "rear", "lux")} <= view["topics"].keys()
     named = {frame.removeprefix("frame:") for frame in view["transforms"]}
     assert named | {view["followTf"], view["fixedFrame"]} <= frames
     assert lines

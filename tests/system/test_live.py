@@ -1,9 +1,9 @@
 """Simulators -> service -> Zenoh and MCAP, each in a process of its own."""
 
-import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     subscriber.wait_for("pose", max(0, first + SCANS - subscriber.count("pose")))  # one for each scan
     statuses = {s.name: s for s in decode_diagnostics(heard["health"][-1][1])}
     assert statuses["sensor/front"].values["state"] == statuses["sensor/base"].values["state"] == "streaming"
-    assert {"mapping", "map", "recording", "zenoh", "ros2", "clock"} <= statuses.keys()
+    assert {"mapping", "map", "recording", "zenoh", "ros2", "web", "clock"} <= statuses.keys()
     live_service.systemd.wait_for("WATCHDOG=1")
     states = "ok", "overloaded"  # as it stays for 10 s after a scan that a busy machine passed over
     live_service.systemd.wait_for(tuple(f"STATUS=mapping {state}, 2/2 sensors, " for state in states))
@@ -52,6 +52,8 @@ def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, sub
     assert len(fetched) > 5
     assert "map" in late.get("map")
     _check_ros2(live_service.endpoint, subscriber)
+    with urlopen(statuses["web"].values["address"], timeout=PATIENCE_S) as page:
+        assert b"<title>" in page.read()
 
     assert "numpy" in live_service.libraries
     assert "llvmlite" not in live_service.libraries  # only the mapper's process calls kernels
@@ -89,17 +91,8 @@ def _check_ros2(endpoint: str, subscriber: Subscriber) -> None:
 def _check_recording(session: Path, truth: Path) -> None:
     recording = Recording([session])
     counts = {topic.name: topic.count for topic in recording.topics}
-    assert {
-        "/front/scan",
-        "/base/odom",
-        "/pose",
-        "/odom",
-        "/tf",
-        "/tf_static",
-        "/map",
-        "/graph",
-        "/diagnostics",
-    } <= counts.keys()
+    written = ("front/scan", "base/odom", "pose", "odom", "tf", "tf_static", "map", "graph", "diagnostics")
+    assert {f"/{channel}" for channel in written} <= counts.keys()
     events = [decode_event(m.payload) for m in recording.messages(["/events"])]
     too_old = sum("scan_passed_over" in event for event in events)
     assert counts["/pose"] + too_old == counts["/front/scan"]  # no scan lost
@@ -171,9 +164,3 @@ def _state(subscriber: Subscriber, sensor: str) -> str:
         return ""
     statuses = decode_diagnostics(subscriber.heard["health"][-1][1])
     return next(s.values["state"] for s in statuses if s.name == f"sensor/{sensor}")
-
-
-def test_the_service_is_the_one_installed_here():
-    import service
-
-    assert Path(service.__file__).parents[1] == Path(__file__).parents[2], os.getcwd()
