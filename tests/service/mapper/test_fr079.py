@@ -74,7 +74,7 @@ def expected(request: pytest.FixtureRequest) -> Expected:
 
 @pytest.fixture(scope="module")
 def outputs(shared: Path, expected: Expected) -> list[MapperOutput]:
-    mapper = build_mapper(mapping_config(), {"laser": SE2()})
+    mapper = build_mapper(mapping_config(), {"scan": SE2()})
     frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap", expected.scans)
     return [output for frame in frames if (output := mapper.process(frame)) is not None]
 
@@ -99,7 +99,7 @@ def test_it_is_lost_for_a_scan_at_most(outputs: list[MapperOutput], expected: Ex
 def test_orthogonal_weights_keep_slow_scans_aligned(shared: Path) -> None:
     """Rooms beside a corridor at 4 Hz: with scans entered too seldom, or furniture blurred too wide, it
     slips along the corridor by metres."""
-    mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"laser": SE2()})
+    mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"scan": SE2()})
     frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap", 1500)
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
     errors = relation_errors(outputs, relations_within(shared, outputs))

@@ -18,7 +18,7 @@ FROM_S, TO_S = 380.0, 389.0  # after the first scan: 2.2 m along a corridor whos
 def test_chance_does_not_shorten_the_motion_along_a_corridor(shared: Path) -> None:
     """Odometry is honest to 5 cm a scan there, and the scans hardly fix the position along the walls."""
     frames = frames_of(shared / "datasets" / "intel" / "intel.mcap", SCANS)
-    mapper = build_mapper(mapping_config(), {"laser": SE2()})
+    mapper = build_mapper(mapping_config(), {"scan": SE2()})
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
     odometry = [frame for frame in frames if isinstance(frame, OdometrySample)]
     matched = _path_length_m(
