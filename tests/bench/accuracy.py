@@ -9,6 +9,7 @@ from tests.accuracy import (
     ablations,
     anchored,
     buildings,
+    calibration,
     consistency,
     cost,
     given,
@@ -62,6 +63,7 @@ SCENARIOS: dict[str, Scenario] = {
     "replay": cost.recording,
     "localised": cost.localised,
     "start": cost.start,
+    "calibration": calibration.calibration,
     "ablations": ablations.ablations,
 }
 

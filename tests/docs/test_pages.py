@@ -60,3 +60,10 @@ def test_every_page_is_reached_from_the_readme():
         for target in re.findall(r"\]\(([^)#\s]+\.md)", page.read_text(encoding="utf-8")):
             ahead.append((page.parent / target).resolve())
     assert not pages.keys() - reached
+
+
+def test_each_of_the_four_papers_is_listed_with_its_doi():
+    """By author and year, as the code names them."""
+    rows = [line for line in (ROOT / "docs" / "papers.md").read_text().splitlines() if "doi:10." in line]
+    keys = ["Li et al. 2016", "Qian et al. 2019", "Tang et al. 2014", "Zhang et al. 2016"]
+    assert [row.split("|")[1].strip() for row in rows] == keys

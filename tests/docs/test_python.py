@@ -5,19 +5,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from drivers.link import RawChunk
-from drivers.sick_lms100.driver import Lms100Session
-from service.encoding import encode_pose, encode_raw
+from service.encoding import encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
-from service.recording.mcap_file import McapFile
-from simulators.sick_lms100 import FakeLms100
-from simulators.sick_setup import Lms100Setup
 from tests.docs.blocks import ROOT, written_in
-from tests.drivers.lms100 import Room, config
-from tests.drivers.virtual_time import Talk
+from tests.drivers.faulty_devices import linked
+from tests.service.offline.replay.test_raw import record
 from tests.service.publishing.conftest import (
     client,
     open_client,
@@ -70,51 +64,16 @@ def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client,
             reader.kill()
 
 
-class Taped:
-    """A session that keeps what its wire said."""
-
-    def __init__(self, session: Lms100Session) -> None:
-        self.session = session
-        self.chunks: list[RawChunk] = []
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self.session, name)
-
-    def receive_data(self, data: bytes, arrived_ns: int) -> object:
-        self.chunks.append(RawChunk(arrived_ns, "received", data))
-        return self.session.receive_data(data, arrived_ns)
-
-    def tick(self, now_ns: int) -> None:
-        self.chunks.append(RawChunk(now_ns, "sent", b""))
-        self.session.tick(now_ns)
-
-
-@pytest.fixture
-def recorded(tmp_path, monkeypatch):
-    """The wire of a LMS100 in a file of the name that docs/recording.md uses; the frames of then."""
+def test_a_recorded_wire_makes_the_frames_of_then(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    taped = Taped(Lms100Session(config()))
-    talk = Talk(taped, FakeLms100(Room(), Lms100Setup()))  # type: ignore[arg-type]
-    taped.chunks.append(RawChunk(talk.now_ns, "connected"))
-    talk.connect().run(3.0)
-    path = tmp_path / "veh1_20261121T101500Z_0001.mcap"
-    file = McapFile(path, talk.now_ns)
-    text = "vehicle: veh1\nsensors: {front: {type: sick_lms100, host: 127.0.0.1}}\n"
-    file.write_metadata("config", {"yaml": f"{text}recording: {{directory: s}}\nmap: {{directory: m}}\n"})
-    file.write_metadata("clock", {"utc_offset_ns": "1700000000000000000"})
-    for chunk in taped.chunks:
-        file.write(encode_raw("front", chunk, 1_700_000_000_000_000_000))
-    file.finish()
-    return talk.frames
-
-
-def test_a_recorded_wire_makes_the_frames_of_then(recorded):
+    link = linked("lms100 cola_a", "kind: drop, at_s: 2, for_s: 0.2, share: 0.5")
+    link.run(3.0)
+    record(tmp_path / "recorded", {"front": link}).rename(tmp_path / "veh1_20261121T101500Z_0001.mcap")
     names: dict[str, object] = {}
     exec(compile(program_of("docs/recording.md"), "docs/recording.md", "exec"), names)
     frames = names["frames"]
     assert isinstance(frames, list)
     assert len(frames) > 50
-    assert len(frames) >= len(recorded) - 2  # those from before the clock is known are held back
-    for frame, then in zip(frames, recorded[-len(frames) :], strict=True):
+    for frame, then in zip(frames, link.passed_on, strict=True):
         assert frame.stamp_ns == then.stamp_ns
         np.testing.assert_array_equal(frame.range_m, then.range_m)

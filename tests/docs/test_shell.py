@@ -131,7 +131,3 @@ def test_stored_maps_are_worked_on_as_the_manual_says(tmp_path, monkeypatch, cap
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (facts["cells_changed"], facts["keyframes_gone"]) == (0, 0)
     assert (tmp_path / "diff.png").stat().st_size > 0
-
-
-def test_the_drives_are_those_of_the_manual(drives: Path):
-    assert {"session.mcap", "intel.log.gz"} <= {path.name for path in drives.iterdir()}

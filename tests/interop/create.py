@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,8 @@ class EvenWheels:
 
 
 def run_pycreate2(venv: Venv, folder: Path) -> str:
-    device, seen = _run(venv, "pycreate2_client.py", folder)
-    _expect_commands(
-        device, Opcode.START, Opcode.SAFE, Opcode.FULL, Opcode.SENSORS, Opcode.DRIVE_DIRECT, Opcode.STOP
-    )
-    _expect_mode(device, Mode.OFF)
+    asked = (Opcode.START, Opcode.SAFE, Opcode.FULL, Opcode.SENSORS, Opcode.DRIVE_DIRECT, Opcode.STOP)
+    seen = _run(venv, "pycreate2_client.py", folder, asked, Mode.OFF)
     return (
         f"{seen['readings']} readings of 80 bytes, counts within {seen['slack_counts']} of the truth "
         f"over {seen['seconds']:.1f} s, {seen['distance_mm']} mm of {seen['true_distance_mm']:.0f} mm"
@@ -39,16 +37,16 @@ def run_pycreate2(venv: Venv, folder: Path) -> str:
 
 
 def run_pyroombaadapter(venv: Venv, folder: Path) -> str:
-    device, seen = _run(venv, "pyroombaadapter_client.py", folder)
-    _expect_commands(device, Opcode.START, Opcode.SAFE, Opcode.SENSORS, Opcode.STREAM, Opcode.DRIVE)
-    _expect_mode(device, Mode.PASSIVE)
+    asked = (Opcode.START, Opcode.SAFE, Opcode.SENSORS, Opcode.STREAM, Opcode.DRIVE)
+    seen = _run(venv, "pyroombaadapter_client.py", folder, asked, Mode.PASSIVE)
     return (
         f"{seen['requests']} packets asked for, {seen['frames']} stream frames, "
         f"{seen['left_counts']} left counts of {seen['true_left_counts']:.1f}"
     )
 
 
-def _run(venv: Venv, script: str, folder: Path) -> tuple[FakeCreate, dict[str, Any]]:
+def _run(venv: Venv, script: str, folder: Path, asked: Sequence[Opcode], mode: Mode) -> dict[str, Any]:
+    """The device must hear these commands, and be in that mode at the end."""
     wheels = EvenWheels(time.monotonic_ns())
     device = FakeCreate(wheels, "create2", start_counts=START_COUNTS)
     preset = PRESETS["create2"]
@@ -69,16 +67,9 @@ def _run(venv: Venv, script: str, folder: Path) -> tuple[FakeCreate, dict[str, A
             "bump_signals": [IDLE_VALUES[packet_id] for packet_id in range(46, 52)],
         }
         seen = run_client(venv, script, facts, folder)
-    return device, seen
-
-
-def _expect_commands(device: FakeCreate, *opcodes: Opcode) -> None:
     heard = {command.opcode for command in device.commands}
-    missing = [opcode.name for opcode in opcodes if opcode not in heard]
-    if missing:
+    if missing := [opcode.name for opcode in asked if opcode not in heard]:
         raise InteropError(f"the device never heard {', '.join(missing)}, only {sorted(heard)}")
-
-
-def _expect_mode(device: FakeCreate, mode: Mode) -> None:
     if device.mode is not mode:
         raise InteropError(f"the client left the device in mode {device.mode.name}, expected {mode.name}")
+    return seen

@@ -55,19 +55,10 @@ class Venv:
 
 def _install(command: list[str]) -> None:
     try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            timeout=INSTALL_TIMEOUT_S,
-            check=False,
-            env=environment(),
-        )
-    except subprocess.TimeoutExpired as error:
-        raise UnavailableError(f"pip did not end within {INSTALL_TIMEOUT_S:g} s") from error
-    if done.returncode != 0:
-        errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
-        raise UnavailableError(errors[-1] if errors else f"exit code {done.returncode}: {done.stderr[-200:]}")
+        run(command, timeout_s=INSTALL_TIMEOUT_S)
+    except InteropError as error:
+        errors = [line for line in str(error).splitlines() if line.startswith("ERROR")]
+        raise UnavailableError(errors[-1] if errors else str(error)[-200:]) from error
 
 
 def run(command: list[str], home: Path | None = None, timeout_s: float = CLIENT_TIMEOUT_S) -> str:
