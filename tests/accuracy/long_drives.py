@@ -1,15 +1,9 @@
 """Kilometres of corridors with few scans, and wheels that slip."""
 
 import gc
-import json
-import subprocess
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +12,9 @@ from service.mapper.profiles import mapping_config
 from simulators.disturbances import Slip
 from simulators.truth import noise_of
 from simulators.world import Plan, Point, World
-from tests.accuracy.cost import CORRIDOR
-from tests.accuracy.driving import ate_m, lost_share, ok_and_wrong, ok_and_wrong_row
+from tests.accuracy.driving import Errors
 from tests.accuracy.terrain import COARSE, driven_along, walls_with_doors
 from tests.papers.report import Row, Section
-from tests.recorded_drive import record
 from tests.simulated import Drive, Run, Wheels, begun_at, drive, heading_rad, run_session
 
 COLUMNS, ROWS = 5, 4  # of blocks
@@ -36,7 +28,6 @@ SLIP_EACH_M = 60.0
 SLIP_S = (0.5, 3.0)
 SLIP_WAY, SLIP_TURN = (0.0, 1.6), (0.7, 1.3)  # scales of what the wheels roll
 LAST_S = 60.0
-BEGIN_NS = 1_795_000_000_000_000_000  # of a recording, UTC
 
 
 def corridors(rng: np.random.Generator) -> World:
@@ -83,56 +74,34 @@ def thinned_drive(seed: int) -> Drive:
     return replace(made, frames=[frame for frame in made.frames if id(frame) not in left_out])
 
 
-@dataclass(frozen=True)
-class Thinned:
-    """Of one drive."""
-
-    run: Run
-    made: Drive
-    summary: dict[str, Any]  # of its replay, in a process of its own
-
-    @property
-    def lost_at_end(self) -> float:
-        """Scans of the last LAST_S."""
-        since_ns = self.run.outputs[-1].stamp_ns - round(LAST_S * 1e9)
-        return float(sum(o.state == "lost" and o.stamp_ns >= since_ns for o in self.run.outputs))
-
-
-def thinned_run(seed: int) -> Thinned:
-    made = thinned_drive(seed)
-    done = run_session(mapping_config(), made)
-    with tempfile.TemporaryDirectory() as folder:
-        session = record(made.frames, {THINNED.name: THINNED.mounting}, Path(folder), BEGIN_NS)
-        out = Path(folder) / "out"
-        subprocess.run([str(CORRIDOR), "replay", str(session), "--out", str(out)], check=True)
-        summary = json.loads((out / "summary.json").read_text())
-    return Thinned(done, made, summary)
+def lost_at_end(done: Run) -> float:
+    """Scans of the last LAST_S."""
+    since_ns = done.outputs[-1].stamp_ns - round(LAST_S * 1e9)
+    return float(sum(o.state == "lost" and o.stamp_ns >= since_ns for o in done.outputs))
 
 
 def thinned(seeds: Sequence[int]) -> Section:
-    runs = []
+    errors, at_end, scan_ms = Errors(), [], []
     for seed in seeds:
-        runs.append(thinned_run(seed))
+        made = thinned_drive(seed)
+        done = run_session(mapping_config(), made)
+        errors.add(made, done)
+        at_end.append(lost_at_end(done))
+        scan_ms.append(done.scan_ms)
         gc.collect()
-    ate = [1e3 * ate_m(of.made, of.run, [o.pose_map_base for o in of.run.outputs]) for of in runs]
-    worst = partial(Row, "", by_worst=True)
-    replay_percent = [100.0 / of.summary["realtime_factor"] for of in runs]
-    peak_mb = [float(of.summary["peak_rss_mb"]) for of in runs]
+    lost_row = Row(
+        "", f"scans lost in the last {LAST_S:.0f} s", at_end, "scans", 0.0, by_worst=True, digits=0
+    )
     return Section(
         "Corridors of 2 km, thinned",
         f"{COLUMNS} x {ROWS} blocks of {BLOCK_M[0]:.0f} x {BLOCK_M[1]:.0f} m, each corridor driven along "
         f"once at {SPEED_MPS} m/s; a scan of 181 beams over 180 deg each 1.5 s, a pose of odometry each 0.3 "
-        f"s, with wheels that slip each {SLIP_EACH_M:.0f} m in the mean, for {SLIP_S[0]} to {SLIP_S[1]} s. "
-        "The replay is a process of its own.",
+        f"s, with wheels that slip each {SLIP_EACH_M:.0f} m in the mean, for {SLIP_S[0]} to {SLIP_S[1]} s.",
         [
-            worst(f"scans lost in the last {LAST_S:.0f} s", [of.lost_at_end for of in runs], "scans", 0.0),
-            Row("", "scans lost", [100.0 * lost_share(of.run) for of in runs], "%", digits=1),
-            ok_and_wrong_row("thinned", [ok_and_wrong(of.run) for of in runs]),
-            Row("", "ATE live", ate, "mm", digits=0),
-            Row("", "off at the end, as is", [1e3 * of.run.end_error[0] for of in runs], "mm", digits=0),
-            Row("", "a scan, p95", [float(np.percentile(of.run.scan_ms, 95)) for of in runs], "ms", digits=1),
-            Row("", "a scan, longest", [float(of.run.scan_ms.max()) for of in runs], "ms", digits=0),
-            worst("replay, of the time of the drive", replay_percent, "%", at_most=1.0),
-            worst("replay, peak memory", peak_mb, "MB", at_most=350.0, digits=0),
+            lost_row,
+            *errors.rows("", "lost_percent", "ate_mm", "end_mm"),
+            errors.wrong_row("thinned"),
+            Row("", "a scan, p95", [float(np.percentile(ms, 95)) for ms in scan_ms], "ms", digits=1),
+            Row("", "a scan, longest", [float(ms.max()) for ms in scan_ms], "ms", digits=0),
         ],
     )

@@ -1,19 +1,17 @@
 """Freiburg 079 against its official relations: as recorded, and with odometry spoilt or scans missing."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
-
-from drivers.frames import OdometrySample
-from service.encoding import LASER_SCAN, ODOMETRY, decode_frame, encode_frame
+from drivers.frames import Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.score.score import RelationsScore, score
+from service.recording.mcap_source import open_session
 from tests.papers.report import Row, Section
+from tests.recorded_drive import record
 from tests.shared_data import SHARED
 
 FR079 = SHARED / "datasets" / "fr079"
@@ -24,6 +22,8 @@ LIVE, FINISHED = "trajectory_live.tum", "trajectory.tum"
 def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds change nothing
     if not RELATIONS.exists():
         return Section("Freiburg 079", f"Left out: {RELATIONS} is not there; set CORRIDOR_SHARED.")
+    session = open_session([FR079 / "fr079.mcap"])
+    frames = list(session.frames())
     with tempfile.TemporaryDirectory() as folder:
         plain = _mapped(FR079 / "fr079.mcap", Path(folder) / "plain")
         reference = _errors(plain / FINISHED)
@@ -32,13 +32,12 @@ def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds
             *_rows("raw, interpolated, live", _errors(plain / LIVE), None, None),
         ]
         for what, spoil in (
-            ("no odometry", WithoutOdometry()),
-            ("odometry times 1.2", ScaledOdometry()),
-            ("every second scan dropped", EverySecondScan()),
+            ("no odometry", without_odometry),
+            ("odometry times 1.2", scaled_odometry),
+            ("every second scan dropped", every_second_scan),
         ):
-            spoilt = Path(folder) / "spoilt.mcap"
-            rewrite(FR079 / "fr079.mcap", spoilt, spoil)
-            done = _mapped(spoilt, Path(folder) / what.replace(" ", "_"))
+            spoilt = record(spoil(frames), session.mountings, Path(folder) / what / "in", 0)
+            done = _mapped(spoilt, Path(folder) / what / "out")
             rows += _rows(what, _errors(done / FINISHED), 1.5 * reference[0], 1.5 * reference[1])
     return Section(
         "Freiburg 079",
@@ -49,60 +48,27 @@ def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds
     )
 
 
-class WithoutOdometry:
-    def __call__(self, type_name: str, payload: bytes) -> bytes | None:
-        return None if type_name == ODOMETRY else payload
+def without_odometry(frames: Sequence[Frame]) -> list[Frame]:
+    return [frame for frame in frames if not isinstance(frame, OdometrySample)]
 
 
-class ScaledOdometry:
+def scaled_odometry(frames: Sequence[Frame]) -> list[Frame]:
     """Each step, way and turn, 1.2 times as large: wheels that are a fifth smaller than believed."""
-
-    def __init__(self) -> None:
-        self._last: SE2 | None = None
-        self._believed = SE2()
-
-    def __call__(self, type_name: str, payload: bytes) -> bytes | None:
-        if type_name != ODOMETRY:
-            return payload
-        sample = decode_frame(type_name, payload, "base", 0)
-        assert isinstance(sample, OdometrySample)
-        pose = SE2(sample.x_m, sample.y_m, sample.theta_rad)
-        if self._last is not None:
-            step = (self._last.inverse() @ pose).log()
-            self._believed @= SE2.exp(*(1.2 * rate for rate in step))
-        self._last = pose
-        new = self._believed
-        spoilt = replace(sample, x_m=new.x_m, y_m=new.y_m, theta_rad=new.theta_rad)
-        return bytes(encode_frame(spoilt).payload)
+    spoilt: list[Frame] = []
+    last, believed = None, SE2()
+    for frame in frames:
+        if isinstance(frame, OdometrySample):
+            pose = SE2(frame.x_m, frame.y_m, frame.theta_rad)
+            step = (pose if last is None else last).inverse() @ pose
+            last, believed = pose, believed @ SE2.exp(*(1.2 * rate for rate in step.log()))
+            frame = replace(frame, x_m=believed.x_m, y_m=believed.y_m, theta_rad=believed.theta_rad)
+        spoilt.append(frame)
+    return spoilt
 
 
-class EverySecondScan:
-    def __init__(self) -> None:
-        self._scans = 0
-
-    def __call__(self, type_name: str, payload: bytes) -> bytes | None:
-        self._scans += type_name == LASER_SCAN
-        return None if type_name == LASER_SCAN and self._scans % 2 == 0 else payload
-
-
-def rewrite(source: Path, target: Path, spoil: Callable[[str, bytes], bytes | None]) -> None:
-    """Copy a recording message by message, each changed by `spoil`, or left out where it gives None."""
-    with source.open("rb") as read, target.open("wb") as written:
-        writer = Writer(written, compression=CompressionType.NONE)
-        writer.start(profile="ros2")
-        channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(read).iter_messages():
-            assert schema is not None
-            payload = spoil(schema.name, message.data)
-            if payload is None:
-                continue
-            if channel.id not in channels:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schema_id, channel.metadata
-                )
-            writer.add_message(channels[channel.id], message.log_time, payload, message.publish_time)
-        writer.finish()
+def every_second_scan(frames: Sequence[Frame]) -> list[Frame]:
+    left_out = {id(scan) for scan in [f for f in frames if isinstance(f, LaserScan)][1::2]}
+    return [frame for frame in frames if id(frame) not in left_out]
 
 
 def _mapped(recording: Path, out: Path) -> Path:

@@ -34,7 +34,7 @@ class Check:
 
 
 def _checks() -> list[Check]:
-    from tests.interop import create, debian, hokuyo, install, recording, ros2, ros2_laser, trajectory
+    from tests.interop import create, debian, hokuyo, install, recording, ros2, trajectory
 
     clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
     readers = Venv("readers", ("mcap-ros2-support",))
@@ -52,7 +52,6 @@ def _checks() -> list[Check]:
         Check("rerun-sdk", "a recorded session", viewer, recording.run_rerun),
         Check("evo", "corridor score", scorer, trajectory.run_evo),
         Check("zenoh-ros2-sdk", "corridor run, ros2 on", node, ros2.run_sdk),
-        Check("zenoh-ros2-sdk", "its laser, ros2_scan", node, ros2_laser.run_sdk_laser),
         Check("pamoja-ros2", "keys of ros2", names, ros2.run_pamoja),
         Check("pip", "wheels of dependencies", installers, install.run_wheels),
         Check("uv", "uv tool install", installers, install.run_uv),
