@@ -26,7 +26,7 @@ from tests.simulated import LMS100_50HZ, Imu, run
 ESTIMATOR, STANDSTILL = "service.estimator.estimator", "service.estimator.standstill.Standstill"
 MATCH, DESKEW = "service.mapper.scan_match", "service.mapper.filters.deskew"
 GAUSS_NEWTON = f"{MATCH}.surfel_gauss_newton"
-MODEL, LOOPS = "service.mapper.graph.model", "service.mapper.graph.loops.loop_back_end"
+MODEL, LOOPS = "service.mapper.graph.model", "service.mapper.graph.loops"
 CLOUD = f"{MODEL}.point_clouds.SurfelSet"
 UNKNOWN_MOTION = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
 
@@ -92,12 +92,12 @@ PARTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("less what chance gives, of a loop ([22])", f"{MODEL}.candidate_submap", {"CHANCE_CHI2": 0.0}),
     ("open directions as expected", f"{MODEL}.candidate_submap", {"MAX_MOVES": 0}),
     ("unknown ground neutral", f"{MODEL}.candidate_submap", {"LOOP_UNKNOWN_LIKELIHOOD": 0.0}),
-    ("points in free space count", LOOPS, {"MAX_AGAINST": 2.0}),
-    ("least inlier ratio of a loop", LOOPS, {"MIN_SHARE_ON_MAP": 0.0}),
-    ("contradicted loops disabled", LOOPS, {"CONTRADICTION_CHI2": math.inf}),
-    ("tolerance that grows with the path", LOOPS, {"agree": agree_without_growth}),
-    ("more passes than the nearest", "service.mapper.graph.loops.passes", {"PASSES": 1}),
-    ("wide search at the finish", LOOPS, {"FINISH_WINDOW": (0.01, 0.01)}),
+    ("points in free space count", f"{LOOPS}.loop_search", {"MAX_AGAINST": 2.0}),
+    ("least inlier ratio of a loop", f"{LOOPS}.loop_search", {"MIN_SHARE_ON_MAP": 0.0}),
+    ("contradicted loops disabled", f"{LOOPS}.loop_set", {"CONTRADICTION_CHI2": math.inf}),
+    ("tolerance that grows with the path", f"{LOOPS}.loop_set", {"agree": agree_without_growth}),
+    ("more passes than the nearest", f"{LOOPS}.loop_search", {"PASSES": 1}),
+    ("wide search at the finish", f"{LOOPS}.loop_back_end", {"FINISH_WINDOW": (0.01, 0.01)}),
 )
 TRIPS = {
     "ring": Trip(WORLDS["ring"], LMS100_50HZ),
