@@ -416,10 +416,23 @@ def test_a_method_may_have_other_defaults_than_its_components(monkeypatch) -> No
         mapping_config({"profile": "other", "settings": {"local_map": {"spacing_m": -1.0}}})
 
 
-def test_the_example_names_every_parameter_with_its_default() -> None:
-    example = yaml.safe_load((ROOT / "config/profiles/corridor.yaml").read_text())
-    defaults = mapping_config().model_dump()
+@pytest.mark.parametrize("profile", METHODS)
+def test_the_example_names_every_parameter_with_its_default(profile: str) -> None:
+    example = yaml.safe_load((ROOT / f"config/profiles/{profile}.yaml").read_text())
+    defaults = mapping_config({"profile": profile}).model_dump(mode="json")
     assert example == {key: defaults[key] for key in ("profile", "cell_m", "settings")}
+
+
+@pytest.mark.parametrize("profile", METHODS.keys() - {"corridor"})
+def test_each_setting_of_a_papers_profile_has_its_meaning_beside_it(profile: str) -> None:
+    shared = ("deskew", "free_space")  # docs/mapping.md describes them, and all settings of `corridor`
+    section, without = "", []
+    for line in (ROOT / f"config/profiles/{profile}.yaml").read_text().splitlines():
+        if heading := re.fullmatch(r"  (\w+):", line):
+            section = heading[1]
+        elif section and section not in shared and re.fullmatch(r" +\w+: [^#]+", line):
+            without.append(line)
+    assert without == []
 
 
 def test_every_parameter_is_documented() -> None:
