@@ -68,7 +68,6 @@ LASERS = (
     Laser(LMS100, 541, 25.0, -135.0, 0.5, MOUNTINGS["front"], "front"),
     Laser(UTM30LX, 1081, 10.0, -135.0, 0.25, MOUNTINGS["rear"], "rear"),
 )
-LIVE_EDIT = ("edit-live", "edit-live-dark", "edit-live-phone", "edit-live-phone-dark")
 VERBS = [
     *("pause", "resume", "save_map", "reset_map", "load_map", "switch_profile"),
     *("start_recording", "stop_recording", "mark", "set_pose", "edit_map", "set_mode"),
@@ -206,7 +205,6 @@ def take_edit(page: Page, folder: Path) -> None:
     with edited(page, folder):
         take_pairs(page, bent, k)
         take_panes(page, bent)
-        take_area(page)
 
 
 @contextmanager
@@ -258,15 +256,6 @@ def corner_of_second_round(bent: BentMap, k: int, xy_map: Floats) -> Floats:
     """Where a point that key frame k sees lies for the one a round later, m."""
     seen = points_seen(bent.truth[k + ROUND], xy_map[None])
     return points_from(bent.graph.map[k + ROUND], seen)[0]
-
-
-def take_area(page: Page) -> None:
-    page.resize(DESKTOP, is_dark=True)
-    page.look_at(10.7, 9.0, 70.0)
-    page.element("draw-area").click()
-    for corner in ((9.7, 9.45), (11.7, 9.45), (11.8, 9.95), (9.6, 9.95)):
-        click_at(page, corner)
-    save_picture(page, "edit-erase")
 
 
 def switch_layers(page: Page, *layers: str) -> None:
@@ -348,8 +337,8 @@ def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool)
 
 
 def take_live_edit(page: Page) -> None:
-    """The map of the running session: an area about to be erased, and two places about to be joined."""
-    if not any(is_wanted(name) for name in LIVE_EDIT):
+    """The map of the running session: an area about to be erased."""
+    if not is_wanted("edit-live"):
         return
     page.resize(DESKTOP)
     page.choose("edit")
@@ -363,32 +352,6 @@ def take_live_edit(page: Page) -> None:
     page.run("document.querySelector('#edit .cards').scrollTop = 0")
     take(page, "edit-live", "edit", DESKTOP, False)
     page.run("document.getElementById('map').focus(); corridor.edit.endTool()")
-    page.run("corridor.edit.pairs.places.a.choose(20)")
-    page.wait_for("return corridor.edit.pairs.places.a.points.length > 0")
-    page.element("other-pass").click()
-    page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
-    page.element("pick-pairs").click()
-    for number in (200, 500):  # of A; of B the point nearest to it
-        for side in ("a", "b"):
-            page.run(
-                "const {places} = corridor.edit.pairs, {points} = places[arguments[0]];"
-                "const at = places.a.points.slice(arguments[1], arguments[1] + 2);"
-                "let best = 0, least = Infinity;"
-                "for (let i = 0; i < points.length; i += 2) {"
-                " const away = Math.hypot(points[i] - at[0], points[i + 1] - at[1]);"
-                " if (away < least) [best, least] = [i, away]; }"
-                "corridor.edit.tool.click(corridor.view.camera.toScreen(points[best], points[best + 1]))",
-                side,
-                number,
-            )
-    take(page, "edit-live-dark", "edit", DESKTOP, True)
-    page.element("forget-places").click()
-    page.resize(PHONE)
-    page.choose("edit")
-    page.run("document.querySelector('#edit .cards').scrollTop = 0")
-    take(page, "edit-live-phone", "edit", PHONE, False)
-    take(page, "edit-live-phone-dark", "edit", PHONE, True)
-    page.resize(DESKTOP)
     page.element("fit").click()
 
 
