@@ -14,6 +14,7 @@ from service.geometry.se2 import SE2
 from service.recording.mcap_reader import Topic
 
 MAX_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
+SAME = 1e-3  # by which transforms of one mounting may differ, m and rad
 
 Matrix = npt.NDArray[np.float64]
 
@@ -44,6 +45,8 @@ class StaticTree:
 
     They stand in /tf_static. Where that does not lead from a sensor to the base, those edges of /tf that
     never change are taken too: tf 1 had no static topic and repeated them.
+
+    contradicted   child -> the first transform that came after the one in use and differs from it
     """
 
     def __init__(self, recording: Transforms) -> None:
@@ -51,6 +54,7 @@ class StaticTree:
         self._knows_repeated = False
         self.parents: dict[str, tuple[str, Matrix]] = {}
         self.edges: dict[str, Transform] = {}
+        self.contradicted: dict[str, Transform] = {}
         for transform in self._transforms(is_static=True):
             self._add(transform)
 
@@ -87,8 +91,11 @@ class StaticTree:
     def _add(self, transform: Transform) -> None:
         if not np.isfinite([*transform.translation_m, *transform.rotation_wxyz]).all():
             return
-        self.parents.setdefault(transform.child, (transform.frame, _matrix(transform)))
-        self.edges.setdefault(transform.child, transform)
+        used = self.edges.setdefault(transform.child, transform)
+        if used is transform:
+            self.parents[transform.child] = (transform.frame, _matrix(transform))
+        elif used.frame != transform.frame or not np.allclose(_matrix(used), _matrix(transform), atol=SAME):
+            self.contradicted.setdefault(transform.child, transform)
 
     def chain(self, frame: str) -> dict[str, Matrix]:
         """Every frame above, with the matrix that takes coordinates of `frame` to it."""
@@ -105,6 +112,15 @@ class StaticTree:
 def place_of(transform: Transform) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
     """A transform without its time: equal where nothing has moved."""
     return transform.frame, transform.translation_m, transform.rotation_wxyz
+
+
+def in_words(transform: Transform) -> str:
+    """ "base_link to laser: x 0.2, y 0, z 0.25 m, yaw 90 deg"."""
+    x_m, y_m, z_m = transform.translation_m
+    matrix = _matrix(transform)
+    yaw_deg = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
+    place = f"x {x_m:.3g}, y {y_m:.3g}, z {z_m:.3g} m, yaw {yaw_deg:.3g} deg"
+    return f"{transform.frame} to {transform.child}: {place}"
 
 
 def _matrix(transform: Transform) -> Matrix:

@@ -23,7 +23,7 @@ from service.geometry.se2 import SE2
 from service.recording.choice import Choice
 from service.recording.frames import BASE_FRAMES, is_base, robot_of
 from service.recording.mcap_reader import Readable, Topic
-from service.recording.mountings import Mounting, MountingError, StaticTree, planar_mounting
+from service.recording.mountings import Mounting, MountingError, StaticTree, in_words, planar_mounting
 from service.recording.sources import (
     LASER_TYPES,
     SCAN_TYPES,
@@ -241,6 +241,13 @@ class Vehicle:
                 found.mountings[sensor] = mount.pose_base_sensor
         if not found.mountings:
             raise InputError(_nothing_to_map(self._recording, notes))
+        above = {frame: None for source in found.sensors for frame in tree.chain(source.frame)}
+        for frame in [frame for frame in above if frame in tree.contradicted]:
+            self._warnings.append(
+                f"/tf_static has two transforms of {frame}: {in_words(tree.edges[frame])}, which is used, and "
+                f"later {in_words(tree.contradicted[frame])}; if the later one is right, map and poses are "
+                "wrong: give the mounting in a config by --config"
+            )
         return found
 
     def _is_named(self, source: Source) -> bool:

@@ -229,6 +229,29 @@ def test_a_laser_upside_down_is_mirrored(foreign):
     assert any("upside down" in note for note in session.notes)
 
 
+@pytest.mark.parametrize(
+    ("later", "is_reported"),
+    [
+        (("base_link", "front", (0.2, 0.0, 0.5), LEVEL), False),
+        (("base_link", "front", (0.2, 0.1, 0.5), LEVEL), True),
+        (("mast", "front", (0.2, 0.0, 0.5), LEVEL), True),
+        (("base_link", "camera", (0.3, 0.0, 0.5), LEVEL), False),  # no chosen sensor sits on it
+    ],
+)
+def test_two_mountings_of_one_laser_are_a_warning(foreign, later, is_reported: bool):
+    foreign.tf(("base_link", "front", (0.2, 0.0, 0.5), LEVEL), ("base_link", "camera", (0.0,) * 3, LEVEL))
+    foreign.tf(later)
+    session = open_session(foreign.add_message("/scan", scan_message(0)).close())
+    assert session.mountings["scan"] == SE2(0.2, 0.0, 0.0)
+    if not is_reported:
+        assert session.warnings == []
+        return
+    (warning,) = session.warnings
+    parent, x_m = later[0], later[2][0]
+    assert "base_link to front: x 0.2, y 0, z 0.5 m, yaw 0 deg, which is used" in warning
+    assert f"later {parent} to front: x {x_m:.3g}" in warning
+
+
 def test_a_laser_that_looks_at_the_floor_is_refused_with_its_angle(foreign):
     foreign.tf(("base_link", "front", (0.1, 0.0, 0.2), turn(pitch=35.0)))
     with pytest.raises(InputError, match="tilted by 35 deg against base_link; at most 10 can be mapped"):
