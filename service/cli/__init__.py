@@ -52,19 +52,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         from service.cli.completion import complete
 
         complete(parser)
-    parsed = parser.parse_args(arguments)
-    set_up_logging(logging.DEBUG if parsed.verbose else logging.INFO)
-    module, function = _COMMANDS[parsed.command]
-    command: Callable[..., int] = getattr(import_module(module), function)
+    if any(word == "" or (word.startswith("--") and word.endswith("=")) for word in arguments):
+        parser.error("an argument is empty; is a variable of the shell not set?")
     try:
-        return command(parsed)
+        try:
+            parsed = parser.parse_args(arguments)
+            set_up_logging(logging.DEBUG if parsed.verbose else logging.INFO)
+            module, function = _COMMANDS[parsed.command]
+            command: Callable[..., int] = getattr(import_module(module), function)
+            return command(parsed)
+        finally:
+            _flush_stdout()
     except CalledOffError:
         raise  # threads still compile: whoever runs the process ends it
     except CorridorError as error:
         print(f"corridor: {error}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:  # `corridor ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _give_up_stdout()
         return CorridorError.exit_code
     except OSError as error:
         words = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
@@ -73,8 +78,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception:
-        log.exception("corridor %s failed; this is a fault of the program", parsed.command)
+        log.exception("corridor %s failed; this is a fault of the program", " ".join(arguments))
         return CorridorError.exit_code
+
+
+def _flush_stdout() -> None:
+    """Raises BrokenPipeError, StorageError."""
+    try:
+        if sys.stdout is not None:  # None: it is closed
+            sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _give_up_stdout()
+        raise StorageError(f"stdout: {error.strerror or error}") from error
+
+
+def _give_up_stdout() -> None:
+    """The interpreter would write the rest at its end, and fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _become_the_simulators(arguments: Sequence[str]) -> None:

@@ -141,6 +141,8 @@ def test_wrong_usage_exits_with_64(wrong: list[str], capsys: pytest.CaptureFixtu
         (["demo", "--port", "http"], "argument --port: 'http' is no whole number"),
         (["replay", "a.mcap", "--jobs", "1.5"], "argument --jobs: '1.5' is no whole number"),
         (["replay", "a.mcap", "--rate", "fast"], "argument --rate: 'fast' is no number; give one, or max"),
+        (["replay", ""], "an argument is empty; is a variable of the shell not set?"),
+        (["replay", "a.mcap", "--out="], "an argument is empty; is a variable of the shell not set?"),
     ],
 )
 def test_wrong_usage_is_reported_in_plain_words(
@@ -264,6 +266,16 @@ def test_a_reader_that_has_gone_is_no_crash(good: Path):
         assert process.stderr is not None
         process.stdout.close()
         assert b"Traceback" not in process.stderr.read()
+
+
+@pytest.mark.parametrize("command", [["--help"], ["--version"], ["check", "good"]])
+def test_a_result_that_cannot_be_written_is_a_storage_error(good: Path, command: list[str]):
+    command = [str(good) if word == "good" else word for word in command]
+    with Path("/dev/full").open("w") as full:
+        env = {**os.environ, "PYTHONUNBUFFERED": ""}  # the buffer is written at the end
+        done = subprocess.run([CORRIDOR, *command], stdout=full, stderr=subprocess.PIPE, env=env, check=False)
+    assert done.returncode == StorageError.exit_code
+    assert done.stderr.decode() == "corridor: stdout: No space left on device\n"
 
 
 class Terminal(io.StringIO):
