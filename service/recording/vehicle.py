@@ -244,9 +244,9 @@ class Vehicle:
         above = {frame: None for source in found.sensors for frame in tree.chain(source.frame)}
         for frame in [frame for frame in above if frame in tree.contradicted]:
             self._warnings.append(
-                f"/tf_static has two transforms of {frame}: {in_words(tree.edges[frame])}, which is used, and "
-                f"later {in_words(tree.contradicted[frame])}; if the later one is right, map and poses are "
-                "wrong: give the mounting in a config by --config"
+                f"/tf_static has two transforms of {frame}: {in_words(tree.edges[frame])}, which is used, "
+                f"and later {in_words(tree.contradicted[frame])}; if the later one is right, map and poses "
+                "are wrong: give the mounting in a config by --config"
             )
         return found
 
