@@ -18,7 +18,9 @@ from service.encoding.frames import (
     encode_frame,
     frame_id,
     odometry_fault,
+    scan_fault,
     scan_of_fields,
+    span_fault,
     turned_over,
 )
 from service.encoding.graph import GRAPH, decode_graph, encode_graph
@@ -142,8 +144,10 @@ __all__ = [
     "odometry_fault",
     "pose_on_wire",
     "read",
+    "scan_fault",
     "scan_of_fields",
     "schema_text",
+    "span_fault",
     "tile_channel",
     "turned_over",
     "type_hash",

@@ -22,6 +22,7 @@ _FRAME_ID_AT = 12  # its length, after 4 bytes of CDR and the stamp
 # Values beyond these are damage and not measurements: a gyroscope reads at most 70 rad/s, an accelerometer
 # 4000 m/s^2; metres, m/s and the variances of odometry stay far below.
 MAX_RATE_RADPS, MAX_FORCE_MPS2, MAX_ODOMETRY = 1e3, 1e5, 1e12
+MAX_SPAN_OFF_RAD, MAX_BEAMS_OFF = math.radians(2.0), 3  # of the last beam from angle_max
 UNSET_RANGE_MAX_M = 100.0  # for a foreign scan whose range_max is 0, inf or NaN
 
 NO_ROTATION, NO_COVARIANCE = "no rotation", "no covariance"
@@ -80,6 +81,38 @@ def decode_frame(
         decode = _FRAME_DECODERS.get(message_type)
         frame = None if decode is None else decode(wire.read(message_type, payload), sensor, log_ns)
     return turned_over(frame) if upside_down else frame
+
+
+def scan_fault(message_type: str, payload: bytes) -> str:
+    """Why no mapper can use a LaserScan, with the figures; "" where one can, and for another type."""
+    if message_type != wire.LASER_SCAN:
+        return ""
+    try:
+        return _fault_of_fields(cast(ros.sensor_msgs__msg__LaserScan, wire.read(message_type, payload)))
+    except InputError as error:
+        return str(error)
+
+
+def span_fault(payload: bytes) -> str:
+    """Where the last beam of a LaserScan or MultiEchoLaserScan lies elsewhere than its angle_max, by more
+    than rounding or another count of the ends; "" where it does not, or angle_max is not set.
+
+    Only for payloads that decode_frame has read.
+    """
+    order = "<" if payload[1] & 1 else ">"
+    (size,) = struct.unpack_from(f"{order}I", payload, _FRAME_ID_AT)
+    numbers = struct.unpack_from(f"{order}7fI", payload, (_FRAME_ID_AT + 4 + size + 3) & ~3)
+    first, last, step, beams = *numbers[:3], numbers[7]
+    end = first + step * (beams - 1)
+    if last in (0.0, first) or not abs(last - end) > max(MAX_SPAN_OFF_RAD, MAX_BEAMS_OFF * abs(step)):
+        return ""
+    step_deg, first_deg, end_deg, last_deg = (
+        f"{round(math.degrees(angle), 3) + 0.0:g}" for angle in (step, first, end, last)
+    )
+    return (
+        f"{counted(beams, 'beam')} at steps of {step_deg} deg from {first_deg} deg end at {end_deg} deg, "
+        f"angle_max is {last_deg} deg"
+    )
 
 
 def odometry_fault(payload: bytes) -> str:
@@ -145,31 +178,56 @@ def _scan_frame(content: object, sensor: str, log_ns: int) -> LaserScan | None:
 
 def scan_of_fields(m: ros.sensor_msgs__msg__LaserScan, sensor: str, log_ns: int) -> LaserScan | None:
     """The frame in the fields of a LaserScan, see decode_frame."""
-    count, step = m.ranges.size, m.angle_increment
-    range_min_m, range_max_m = m.range_min, m.range_max
-    if not 0.0 < range_max_m < math.inf:
-        range_max_m = UNSET_RANGE_MAX_M
-    if not range_min_m >= 0.0:
-        range_min_m = 0.0
-    if count == 0 or not math.isfinite(m.angle_min) or not 0.0 < abs(step) * max(count - 1, 1) < 7.0:
+    if _fault_of_fields(m):
         return None
-    if range_min_m >= range_max_m:  # one of them is wrong, and no one knows which
-        return None
+    range_min_m, range_max_m = _range_limits(m)
+    stamp_ns, first_rad, step_rad = wire.stamp_ns_of(m.header.stamp), m.angle_min, m.angle_increment
+    ranges, intensities, interval_s = m.ranges, m.intensities, m.time_increment
+    if interval_s < 0.0 and (sweep_ns := _duration_ns(-interval_s * (ranges.size - 1))):
+        # the last beam was measured first, as drivers of inverted lasers have it
+        ranges, intensities, interval_s = ranges[::-1], intensities[::-1], -interval_s
+        first_rad, step_rad = first_rad + step_rad * (ranges.size - 1), -step_rad
+        stamp_ns -= sweep_ns
     # range_max itself is what many drivers send for "nothing seen", so it counts as no return.
-    valid = (m.ranges >= max(range_min_m, _SMALLEST_RANGE_M)) & (m.ranges < range_max_m)
+    valid = (ranges >= max(range_min_m, _SMALLEST_RANGE_M)) & (ranges < range_max_m)
     return LaserScan(
         sensor=sensor,
-        stamp_ns=wire.stamp_ns_of(m.header.stamp),
+        stamp_ns=stamp_ns,
         arrived_ns=log_ns,
-        beam_interval_ns=_duration_ns(m.time_increment),
+        beam_interval_ns=_duration_ns(interval_s),
         scan_period_ns=_duration_ns(m.scan_time),
-        first_angle_rad=m.angle_min,
-        angle_step_rad=step,
+        first_angle_rad=first_rad,
+        angle_step_rad=step_rad,
         range_min_m=range_min_m,
         range_max_m=range_max_m,
-        range_m=np.where(valid | np.isnan(m.ranges), m.ranges, _NAN).astype(np.float32, copy=False),
+        range_m=np.where(valid | np.isnan(ranges), ranges, _NAN).astype(np.float32, copy=False),
         # copied: an array that looks into the payload may be unaligned, which is another type to numba
-        intensity=m.intensities.astype(np.float32) if m.intensities.size == count else NO_INTENSITY,
+        intensity=intensities.astype(np.float32) if intensities.size == ranges.size else NO_INTENSITY,
+    )
+
+
+def _fault_of_fields(m: ros.sensor_msgs__msg__LaserScan) -> str:
+    count, step = m.ranges.size, m.angle_increment
+    span = abs(step) * max(count - 1, 1)
+    if count == 0:
+        return "it has no ranges"
+    if not math.isfinite(m.angle_min):
+        return f"angle_min is {m.angle_min}"
+    if not 0.0 < span < 7.0:
+        return (
+            f"{counted(count, 'beam')} with angle_increment {step:.4g} rad span {math.degrees(span):.4g} "
+            "deg, expected more than 0 and at most 360 deg; is angle_increment in rad?"
+        )
+    range_min_m, range_max_m = _range_limits(m)
+    if range_min_m >= range_max_m:  # one of them is wrong, and no one knows which
+        return f"range_min {range_min_m:.4g} m is not below range_max {range_max_m:.4g} m"
+    return ""
+
+
+def _range_limits(m: ros.sensor_msgs__msg__LaserScan) -> tuple[float, float]:
+    return (
+        m.range_min if m.range_min >= 0.0 else 0.0,
+        m.range_max if 0.0 < m.range_max < math.inf else UNSET_RANGE_MAX_M,
     )
 
 

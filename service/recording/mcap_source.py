@@ -25,6 +25,8 @@ from service.encoding import (
     decode_step,
     frame_id,
     odometry_fault,
+    scan_fault,
+    span_fault,
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
@@ -32,12 +34,13 @@ from service.mapper.mapping_session import Step
 from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_reader import Readable, Topic
 from service.recording.opening import open_recording
-from service.recording.sources import ENDINGS, FRAME_TYPES, SCAN_TYPES
+from service.recording.sources import ENDINGS, FRAME_TYPES, LASER_TYPES, SCAN_TYPES
 from service.recording.vehicle import Converter, Vehicle
 
 # A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
 MAX_INSTANT_DEG = 200.0
 INSTANT = "instant"  # scans that report it nevertheless
+SPAN = "span"  # scans of which span_fault has something to say
 
 
 @dataclass(slots=True)
@@ -57,8 +60,9 @@ class Session:
     warnings       what was chosen, or not found, and may not be what is meant; for people
     notes          what was chosen and what was passed over, one line each, for people
     counters       filled while reading: frames by topic, messages without usable content, those refused
-                   because of a frame_id that is not expected, by topic the text of odometry_fault and scans
-                   all around that claim to be of one moment
+                   because of a frame_id that is not expected, by topic the text of odometry_fault, scans
+                   all around that claim to be of one moment, and those with a span_fault
+    examples       filled while reading: "<topic> unusable", "<topic> span" -> what the first scan has wrong
     frame_ids      filled while reading: topic -> frame_id -> messages
     """
 
@@ -74,6 +78,7 @@ class Session:
     warnings: Sequence[str] = ()
     converters: Mapping[str, Converter] = field(default_factory=dict)
     counters: Counter[str] = field(default_factory=Counter)
+    examples: dict[str, str] = field(default_factory=dict)
     frame_ids: dict[str, Counter[str]] = field(default_factory=dict)
 
     @property
@@ -126,11 +131,20 @@ class Session:
             read = self.counters[topic] + unusable
             if unusable:
                 why = f"; the orientation of {rotation} is a quaternion of 0" if rotation else ""
+                if example := self.examples.get(f"{topic} unusable"):
+                    why = f"; of the first {example}"
                 lines.append(f"{topic}: {unusable} of {counted(read, 'message')} cannot be used{why}")
             if covariance:
                 lines.append(
                     f"{topic}: the covariance of {covariance} of {counted(read, 'message')} is none (not "
                     "finite, or beyond all sense) and counts as unknown; their poses are used"
+                )
+            if spans := self.counters[f"{topic} {SPAN}"]:
+                example = self.examples[f"{topic} {SPAN}"]
+                lines.append(
+                    f"{topic}: angle_max of {counted(spans, 'scan')} (of {read}) is not where the beams "
+                    f"end; of the first {example}. angle_increment is used: if it is wrong, "
+                    "map and poses are. Does a filter change the number of ranges?"
                 )
             if instant := self.counters[f"{topic} {INSTANT}"]:
                 lines.append(
@@ -159,6 +173,7 @@ class Session:
         An unusable message is counted and left out. Raises InputError at a damaged place.
         """
         self.counters.clear()
+        self.examples.clear()
         self.frame_ids = {topic: Counter() for topic in self.devices}
         for message in self._in_order():
             topic = self.topic_of(message)
@@ -179,8 +194,13 @@ class Session:
                 self.counters[f"{topic} {fault}"] += 1
             if frame is None or sensor is None:
                 self.counters[f"{topic} unusable"] += 1
+                if fault := scan_fault(message.type, message.payload):
+                    self.examples.setdefault(f"{topic} unusable", fault)
                 continue
             self.counters[topic] += 1
+            if message.type in LASER_TYPES and (fault := span_fault(message.payload)):
+                self.counters[f"{topic} {SPAN}"] += 1
+                self.examples.setdefault(f"{topic} {SPAN}", fault)
             if isinstance(frame, LaserScan) and _is_instant(frame):
                 self.counters[f"{topic} {INSTANT}"] += 1
             yield frame

@@ -291,6 +291,20 @@ def test_a_foreign_scan_may_sweep_clockwise_and_bring_senseless_intensities():
     assert decoded.intensity.size == 0
 
 
+def test_a_scan_whose_last_beam_was_measured_first_is_turned_into_the_order_of_time():
+    """As drivers of lasers mounted upside down send it: ranges turned round, time_increment below 0."""
+    payload = ros_scan([1.0, 2.0, 3.0], time_increment=-1e-3, intensities=np.arange(3, dtype=np.float32))
+    decoded = decode_frame(encoding.LASER_SCAN, payload, "laser", 9)
+    assert isinstance(decoded, LaserScan)
+    assert decoded.range_m.tolist() == [3.0, 2.0, 1.0]
+    assert decoded.intensity.tolist() == [2.0, 1.0, 0.0]
+    assert decoded.range_m.flags.c_contiguous
+    assert decoded.intensity.flags.c_contiguous
+    assert (decoded.first_angle_rad, decoded.angle_step_rad) == (-0.5, -0.25)
+    assert decoded.beam_interval_ns == 1_000_000
+    assert decoded.stamp_ns == 12_000_000_034 - 2_000_000  # of ranges[2]
+
+
 def test_big_endian_scans_read_the_same():
     message = STORE.deserialize_cdr(ros_scan([1.5, 2.5]), encoding.LASER_SCAN)
     payload = serialized(message, encoding.LASER_SCAN, little_endian=False)

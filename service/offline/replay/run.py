@@ -205,9 +205,8 @@ class ReplayRun:
         for warning in self._timing.warnings:
             log.warning("%s", warning)
         if not self._outputs:
-            raise InputError(
-                f"{self._recording.paths[0]}: not one scan could be mapped ({dict(self._session.counters)})"
-            )
+            why = "; ".join(self._session.losses) or f"messages read: {dict(self._session.counters)}"
+            raise InputError(f"{self._recording.paths[0]}: not one scan could be mapped: {why}")
         if not self._tiles:
             raise InputError(
                 f"{self._recording.paths[0]}: nothing to map: {counted(self._returns, 'beam')} came back in "

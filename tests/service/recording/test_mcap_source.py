@@ -341,6 +341,55 @@ def test_a_sweep_all_around_that_claims_to_be_of_one_moment_is_reported(
     assert loss.startswith("/scan: 1 scan (of 1) of more than 200 deg with a time_increment of 0")
 
 
+def ros_scan(beams: int, step_deg: float, last_deg: float, range_max_m: float = 10.0) -> bytes:
+    """A LaserScan of another program, from -90 deg on."""
+    header = ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(T0_NS // 10**9, 0), "front")
+    first_rad, last_rad, step_rad = map(math.radians, (-90.0, last_deg, step_deg))
+    ranges, none = np.full(beams, 2.0, np.float32), np.zeros(0, np.float32)
+    scan = ros.sensor_msgs__msg__LaserScan(
+        header, first_rad, last_rad, step_rad, 0.0, 0.1, 0.1, range_max_m, ranges, none
+    )
+    return bytes(STORE.serialize_cdr(scan, encoding.LASER_SCAN))
+
+
+@pytest.mark.parametrize(
+    ("beams", "last_deg", "reported"),
+    [
+        (181, 90.0, ""),
+        (180, 90.0, ""),  # angle_max may lie one step beyond
+        (181, 0.0, ""),  # not set
+        (91, 90.0, "91 beams at steps of 1 deg from -90 deg end at 0 deg, angle_max is 90 deg"),
+        (181, -45.0, "181 beams at steps of 1 deg from -90 deg end at 90 deg, angle_max is -45 deg"),
+    ],
+)
+def test_beams_that_end_elsewhere_than_at_angle_max_are_reported(foreign, beams, last_deg, reported):
+    for _ in range(2):
+        foreign.add("/scan", encoding.LASER_SCAN, ros_scan(beams, 1.0, last_deg))
+    session = open_session(foreign.close())
+    assert len(list(session.frames())) == 2
+    assert bool(session.losses) is bool(reported)
+    if reported:
+        (loss,) = session.losses
+        assert "/scan: angle_max of 2 scans (of 2) is not where the beams end" in loss
+        assert reported in loss
+
+
+@pytest.mark.parametrize(
+    ("scan", "why"),
+    [
+        (ros_scan(181, 1.0 * 180 / math.pi, 90.0), "181 beams with angle_increment 1 rad span 1.031e+04 deg"),
+        (ros_scan(0, 1.0, 90.0), "it has no ranges"),
+        (ros_scan(181, 1.0, 90.0, range_max_m=0.05), "range_min 0.1 m is not below range_max 0.05 m"),
+    ],
+)
+def test_why_a_scan_cannot_be_used_is_reported(foreign, scan: bytes, why: str):
+    foreign.add("/scan", encoding.LASER_SCAN, scan).add_message("/scan", scan_message(0))
+    session = open_session(foreign.close())
+    assert len(list(session.frames())) == 1
+    (loss,) = session.losses
+    assert loss.startswith(f"/scan: 1 of 2 messages cannot be used; of the first {why}")
+
+
 def test_a_second_odometry_or_imu_in_a_topic_is_refused(foreign):
     foreign.add_message("/scan", scan_message(0))
     for sensor in ("imu", "imu", "camera_imu"):
