@@ -67,6 +67,14 @@ class Page:
             lambda driver: driver.execute_script(script, *arguments), f"never true: {script}"
         )
 
+    def of_module(self, name: str, expression: str, *arguments: Any) -> Any:
+        """An expression of what a module of the page exports, `m`, and of the arguments, `a`; may await."""
+        return self.driver.execute_async_script(
+            "const [...a] = arguments, done = a.pop();"
+            f"import('./{name}').then(async (m) => done({expression}))",
+            *arguments,
+        )
+
     def report(self) -> dict[str, Any]:
         return dict(self.run("return corridor.report()"))
 
@@ -84,6 +92,17 @@ class Page:
     def wait_for_answers(self) -> None:
         """Until every command of the page is answered."""
         self.wait_for("return corridor.connection.waiting.size === 0")
+
+    def count_presses(self) -> None:
+        """From the area Information on, with mouse or finger; see `presses`."""
+        self.choose("information")
+        self.run(
+            "window.presses = 0;"
+            "window.countPress ??= addEventListener('pointerdown', () => { window.presses += 1; }, true) ?? 1"
+        )
+
+    def presses(self) -> int:
+        return int(self.run("return window.presses"))
 
     def pointer(self) -> ActionChains:
         """Moves at once; selenium's own quarter of a second sends and draws a dozen places on the way."""

@@ -4,16 +4,13 @@ A figure here depends on the machine and on what else it does, so it is printed 
 """
 
 import json
-import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,15 +22,13 @@ from service.publishing.commands import Answer
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from tests.browser import watched_mapping
-from tests.browser.conftest import DESKTOP, HEADLESS, PHONE, Page, start_chromium
+from tests.browser.conftest import DESKTOP, HEADLESS, Page, start_chromium
 from tests.browser.scene import Scene, stamp
 from tests.in_background import in_background
 
 LASERS = (("front", 541, 50.0), ("rear", 1081, 40.0), ("lux", 440, 25.0))
 SETTLE_S = 2.0
 STEADY_S = 10.0
-SLOWER = 4  # a phone's processor
-PAN_S = 5.0
 BROWSERS = 8
 LOOK = """
 import asyncio, sys, aiohttp
@@ -48,26 +43,6 @@ async def all_of_them():
     await asyncio.gather(*(look(sys.argv[1]) for _ in range(int(sys.argv[2]))))
 
 asyncio.run(all_of_them())
-"""
-DEMO_S = 28.0
-COUNT_S = 20.0
-COUNT = """
-import asyncio, sys, time, aiohttp
-
-SETTLE_S = 5.0  # the whole map comes first
-
-async def look(address, seconds):
-    url = address + "ws"
-    async with aiohttp.ClientSession() as session, session.ws_connect(url, max_msg_size=0) as socket:
-        began_s, total = time.monotonic(), 0
-        async for message in socket:
-            past_s = time.monotonic() - began_s
-            total += len(message.data) if past_s >= SETTLE_S else 0
-            if past_s >= seconds:
-                print(total * 8e-3 / (past_s - SETTLE_S))
-                return
-
-asyncio.run(look(sys.argv[1], float(sys.argv[2])))
 """
 
 
@@ -126,52 +101,6 @@ def new_server(store: TileStore) -> WebServer:
     return server
 
 
-def pan(page: Page) -> dict[str, float]:
-    """Panning and zooming for PAN_S: frames, and how long a picture takes to be drawn."""
-    per_s, draw_ms, longest_ms = page.driver.execute_async_script(
-        "const done = arguments[1], v = corridor.view, began = performance.now();"
-        "let frames = 0, before = began, longest = 0; v.drawn_ms.length = 0;"
-        "const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];"
-        "const step = (now) => { frames += 1; longest = Math.max(longest, now - before); before = now;"
-        "v.camera.panBy(8 * Math.cos(now / 300), 8 * Math.sin(now / 300));"
-        "v.camera.scale = 12 + 8 * Math.sin(now / 900); v.invalidate();"
-        "if (now < began + 1000 * arguments[0]) requestAnimationFrame(step);"
-        "else done([1000 * frames / (now - began), median(v.drawn_ms), longest]); };"
-        "requestAnimationFrame(step);",
-        PAN_S,
-    )
-    return {
-        "frames_per_s_panning": round(per_s, 1),
-        "longest_frame_ms": round(longest_ms, 1),
-        "draw_ms_p50": round(draw_ms, 2),
-    }
-
-
-def measure_phone(page: Page, address: str, tiles: int) -> dict[str, float]:
-    """A processor of a quarter of this one's speed, the size of a phone, the page's files in its cache."""
-    page.resize(PHONE)
-    page.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": SLOWER})
-    try:
-        page.driver.get("about:blank")
-        before_s = page.thread_s()
-        page.driver.get(address)
-        page.wait_for("return window.corridor && corridor.report().tiles > 0 && corridor.view.frames > 0")
-        first_ms = page.run("return corridor.view.firstMap_ms")
-        page.wait_for("return corridor.report().tiles >= arguments[0]", tiles)
-        opened_ms = page.run("return performance.now()")
-        thread_ms = 1000 * (page.thread_s() - before_s)
-        page.run("corridor.view.fit()")
-        return {
-            "first_picture_ms": round(first_ms),
-            "opened_ms": round(opened_ms),
-            "opened_thread_ms": round(thread_ms),
-            **pan(page),
-        }
-    finally:
-        page.driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
-        page.resize(DESKTOP)
-
-
 def measure_large_map(page: Page) -> dict[str, Any]:
     """A room of 12 000 m2, its cells in noise so that nothing compresses away unduly."""
     scene = Scene(half_x_m=75.0, half_y_m=40.0)
@@ -188,38 +117,13 @@ def measure_large_map(page: Page) -> dict[str, Any]:
         "return window.corridor && corridor.report().tiles >= arguments[0]", len(scene.store.since(0))
     )
     opened_s = time.monotonic() - began_s
-    page.run("corridor.view.fit()")
-    browser = [page.driver.service.process.pid, *_below(page.driver.service.process.pid)]
-    before_s, began_s = sum(map(_processor_s, browser)), time.monotonic()
-    smooth = pan(page)
-    busy = (sum(map(_processor_s, browser)) - before_s) / (time.monotonic() - began_s)
     bytes_received = page.report()["bytes"]
-    phone = measure_phone(page, server.address, len(scene.store.since(0)))
     server.close()
     return {
         "square_metres": 4 * scene.half_x_m * scene.half_y_m,
         "opened_s": round(opened_s, 2),
         "megabytes": round(bytes_received / 1e6, 2),
-        **smooth,
-        "browser_percent_of_a_core": round(100 * busy),
-        "phone": phone,
     }
-
-
-def _below(pid: int) -> list[int]:
-    """Processes that it has started, and theirs."""
-    started = [
-        int(child)
-        for task in Path(f"/proc/{pid}/task").iterdir()
-        for child in (task / "children").read_text().split()
-    ]
-    return [*started, *(process for child in started for process in _below(child))]
-
-
-def _processor_s(pid: int) -> float:
-    """That its threads have had so far (proc(5), stat: utime and stime)."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def measure_steady(page: Page) -> dict[str, float]:
@@ -247,37 +151,6 @@ def measure_steady(page: Page) -> dict[str, float]:
     }
 
 
-def demo(out: str, looking: Sequence[str]) -> tuple[dict[str, Any], str]:
-    """Its summary, and what the program said that looks at its page from READY to its end."""
-    program, *arguments = looking
-    with subprocess.Popen(
-        [sys.executable, "-m", "service", "demo", "--seconds", str(DEMO_S), "--json", "--out", out],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
-        assert process.stdout is not None
-        assert process.stderr is not None
-        said = [process.stderr.readline()]
-        address = said[0].rpartition(" ")[2].partition("#")[0]
-        while "ready;" not in said[-1]:
-            said.append(process.stderr.readline())
-            assert said[-1], "".join(said)
-        command = [sys.executable, "-c", program, address, *arguments]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as looker:
-            assert looker.stdout is not None
-            said += process.stderr.readlines()  # until it ends
-            summary = process.stdout.read()
-            looker.terminate()
-            assert summary, "".join(said)
-            return json.loads(summary), looker.stdout.read()
-
-
-def measure_traffic() -> dict[str, float]:
-    """What one browser gets from `corridor demo`, kbit/s."""
-    with tempfile.TemporaryDirectory() as out:
-        _, said = demo(out, [COUNT, str(COUNT_S)])
-    return {"kilobits_per_s": round(float(said))}
-
-
 def cpu_percent() -> float:
     """Of a core, all threads of this process: those that drive and those that serve."""
     time.sleep(SETTLE_S)  # a browser that has just come asks for the whole map: that is not the steady state
@@ -292,8 +165,8 @@ def in_chromium() -> dict[str, Any]:
 
 
 def main() -> None:
-    """`python -m tests.browser.measure [chromium] [mapping] [traffic]`, all of them where none is named."""
-    parts = {"chromium": in_chromium, "mapping": watched_mapping.measure, "traffic": measure_traffic}
+    """`python -m tests.browser.measure [chromium] [mapping]`, both where none is named."""
+    parts = {"chromium": in_chromium, "mapping": watched_mapping.measure}
     for name in sys.argv[1:] or parts:
         print(json.dumps({name: parts[name]()}, indent=1), flush=True)
 

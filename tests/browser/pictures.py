@@ -51,7 +51,7 @@ from simulators.worlds import build_world
 from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page, open_view
 from tests.browser.measure import chromium
 from tests.browser.scene import event, statuses
-from tests.browser.test_panes import choose_places
+from tests.browser.test_edit import choose_places
 from tests.in_background import in_background, started
 from tests.recorded_drive import record
 from tests.service.mapper.graph.loops.rings import HALF_M, LENGTH_M

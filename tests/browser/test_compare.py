@@ -6,41 +6,33 @@ from service.mapstore.files import save_map
 from tests.browser.conftest import PHONE
 from tests.browser.scene import Scene
 
-EARLY, LATE = Scene(), Scene(half_x_m=7.0)
+EARLY, LATE = (-7.98, 7.97), (-6.98, 6.97)  # x of the walls left and right, m
 
 
 @pytest.fixture
 def versions(page, opened, tmp_path):
-    save_map(tmp_path, EARLY.tiles(), 1)
-    save_map(tmp_path, LATE.tiles(), 2)
+    for number, half_x_m in ((1, 8.0), (2, 7.0)):
+        save_map(tmp_path, Scene(half_x_m=half_x_m).tiles(), number)
     opened(tmp_path, version=2)
-    page.run(
-        "[...document.querySelectorAll('#edit button')].find((b) => b.textContent === 'Compare').click()"
-    )
+    page.driver.find_element("xpath", "//button[text()='Compare']").click()
     page.wait_for("return corridor.view.other !== null")
     return page
 
 
-def slide(page, percent):
-    page.put("swipe-at", str(percent))
-    page.look_at(0.0, 0.0, 40.0)
-
-
 def test_the_other_version_is_left_of_the_line_and_the_present_one_right_of_it(versions):
-    early, late = (-7.98, 0.5), (-6.98, 0.5)
-    right = {"early": (7.97, 0.5), "late": (6.97, 0.5)}
-    slide(versions, 50)
-    wall = versions.pixel(*right["late"])
+    def walls(percent=None):
+        """Where there is one: early and late on the left, early and late on the right."""
+        if percent is not None:
+            versions.put("swipe-at", str(percent))
+        versions.look_at(0.0, 0.0, 40.0)
+        return [versions.pixel(x_m, 0.5) == [11, 18, 32] for x_m in (EARLY[0], LATE[0], EARLY[1], LATE[1])]
+
+    assert walls(50) == [True, False, False, True]
     assert versions.text("swipe-words") == "Left: version 1. Right: 2, the present one."
-    assert versions.pixel(*early) == wall != versions.pixel(*late)
-    assert versions.pixel(*right["early"]) != wall
-    slide(versions, 0)
-    assert versions.pixel(*late) == wall != versions.pixel(*early)
-    slide(versions, 100)
-    assert versions.pixel(*right["early"]) == wall != versions.pixel(*right["late"])
+    assert walls(0) == [False, True, False, True]
+    assert walls(100) == [True, False, True, False]
     versions.element("swipe-end").click()
-    versions.look_at(0.0, 0.0, 40.0)
-    assert versions.pixel(*late) == wall
+    assert walls() == [False, True, False, True]
     assert not versions.element("swipe").is_displayed()
 
 

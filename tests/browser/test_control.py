@@ -9,55 +9,44 @@ from tests.browser.conftest import requested
 @pytest.fixture
 def control(still, still_dispatcher):
     """The shared page at its area Control, with all commands and no notice; no command was given."""
-    still.choose("control")
-    verbs = "['mark', 'save_map', 'reset_map', 'set_pose']"
+    verbs = "['mark', 'save_map', 'reset_map', 'set_pose', 'set_mode', 'edit_map']"
     still.run(f"corridor.connection.on.hello({{run_id: '', vehicle: 'v', verbs: {verbs}}})")
     still.run("document.getElementById('notices').replaceChildren()")
     still_dispatcher.requested.clear()
+    still.count_presses()
+    still.choose("control")
     return still
 
 
 def test_commands_are_given_with_the_token(control, still_dispatcher):
-    page = control
-    page.element("do-save_map").click()
-    page.wait_for_text("notices", "Save map: done.")
-    page.element("mark-text").send_keys("a door", Keys.ENTER)
-    page.wait_for_text("notices", "Set mark: done.")
+    control.element("do-save_map").click()
+    control.wait_for_text("notices", "Save map: done.")
+    assert control.presses() == 2
+    control.element("mark-text").send_keys("a door", Keys.ENTER)
+    control.wait_for_text("notices", "Set mark: done.")
     assert requested(still_dispatcher) == [("save_map", {}), ("mark", {"text": "a door"})]
 
 
-def test_a_reset_asks_first(control, still_dispatcher):
-    page = control
-    page.element("do-reset_map").click()
-    page.answer("no")
-    page.element("do-reset_map").click()
-    page.answer()
-    page.wait_for_text("notices", "Reset map: done.")
-    assert requested(still_dispatcher) == [("reset_map", {})]
-
-
 def test_a_name_that_cannot_be_is_refused_before_it_is_sent(control, still_dispatcher):
-    page = control
-    page.element("save-as").click()
-    name = page.element("confirm-input")
+    control.element("save-as").click()
+    name = control.element("confirm-input")
     for wrong in ("../lap", "lap 1", ""):
         name.clear()
         name.send_keys(wrong, Keys.ENTER)
-        assert page.run("return document.getElementById('confirm').open")
+        assert control.run("return document.getElementById('confirm').open")
     name.send_keys("lap_1", Keys.ENTER)
-    page.wait_for_text("notices", "done")
+    control.wait_for_text("notices", "done")
     assert requested(still_dispatcher) == [("save_map", {"name": "lap_1"})]
 
 
-def test_a_question_waits_for_the_answer_to_the_one_before(control, still_dispatcher):
-    page = control
-    page.run(
+def test_a_reset_asks_first_and_a_question_waits_for_the_answer_to_the_one_before(control, still_dispatcher):
+    control.run(
         "const press = (name) => document.getElementById(name).click();"
         "press('do-reset_map'); window.once = Promise.resolve().then(() => {"
         "  press('confirm-no'); press('do-reset_map'); });"
     )  # asked again before the browser reports the answer
-    page.answer()
-    page.wait_for_text("notices", "Reset map: done.")
+    control.answer()
+    control.wait_for_text("notices", "Reset map: done.")
     assert requested(still_dispatcher) == [("reset_map", {})]
 
 
@@ -73,16 +62,7 @@ def put_health(page, mapping, recording="stopped"):
     )
 
 
-def test_a_pose_that_is_known_is_not_set_and_the_page_says_why(control):
-    put_health(control, {"state": "ok"})
-    assert not control.element("do-set_pose").is_enabled()
-    assert control.text("pose-words") == "The pose is known. It can be set while the vehicle is lost."
-    put_health(control, {"state": "lost"})
-    assert control.element("do-set_pose").is_enabled()
-
-
 def test_what_another_profile_refuses_is_disabled_with_the_reason(control):
-    control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'set_pose', 'save_map', 'edit_map']})")
     for profile, may in (("contour_lm", False), ("corridor", True)):
         put_health(control, {"state": "lost", "profile": profile})
         control.choose("control")
@@ -95,7 +75,6 @@ def test_what_another_profile_refuses_is_disabled_with_the_reason(control):
 
 
 def test_the_vehicle_is_only_localised_and_maps_again_by_one_click_each(control, still_dispatcher):
-    control.run("corridor.connection.on.verbs({verbs: ['set_mode', 'save_map', 'edit_map']})")
     for mode, wanted in (("mapping", "localization"), ("localization", "mapping")):
         put_health(control, {"state": "ok", "mode": mode})
         control.choose("control")
@@ -115,14 +94,16 @@ def test_cards_without_a_command_and_resources_without_a_store_are_not_shown(sti
     assert not still.element("tab-resources").is_displayed()
 
 
-def test_the_pose_is_set_by_dragging(control, still_dispatcher):
-    page = control
-    put_health(page, {"state": "lost"})
-    page.look_at(1.0, 2.0, 40.0)
-    page.element("do-set_pose").click()
-    canvas = page.element("map")
-    page.pointer().drag_and_drop_by_offset(canvas, 0, -60).perform()
-    page.wait_for_text("notices", "done.")
+def test_the_pose_of_a_lost_vehicle_is_set_by_dragging(control, still_dispatcher):
+    put_health(control, {"state": "ok"})
+    assert not control.element("do-set_pose").is_enabled()
+    assert control.text("pose-words") == "The pose is known. It can be set while the vehicle is lost."
+    put_health(control, {"state": "lost"})
+    control.look_at(1.0, 2.0, 40.0)
+    control.element("do-set_pose").click()
+    control.pointer().drag_and_drop_by_offset(control.element("map"), 0, -60).perform()
+    control.wait_for_text("notices", "done.")
     ((verb, request),) = requested(still_dispatcher)
     assert verb == "set_pose"
     assert request == pytest.approx({"x_m": 1.0, "y_m": 2.0, "theta_rad": 1.5707963}, abs=0.03)
+    assert control.presses() == 3

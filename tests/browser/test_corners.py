@@ -5,8 +5,7 @@ from itertools import product
 
 import numpy as np
 
-from tests.browser.test_edit import choose_place, click_map, offset_of, unchanged, unchanged_view  # noqa: F401 - fixtures
-from tests.service.offline.maps.bent_maps import ROUND
+from tests.browser.test_edit import click_map, offset_of, pick_at, unchanged, unchanged_view  # noqa: F401 - fixtures
 
 NOISE_M = 0.008
 AT = np.array([3.0, -2.0])
@@ -19,19 +18,9 @@ def wall(angle_rad, from_m=0.05, to_m=0.5, step_m=0.03):
     return AT + way * np.array([math.cos(angle_rad), math.sin(angle_rad)])
 
 
-def ring(radius_m, from_rad, to_rad, count=30):
-    angles = np.linspace(from_rad, to_rad, count)
-    return AT + radius_m * np.column_stack((np.cos(angles), np.sin(angles)))
-
-
 def corner_of(page, points, about=AT):
     noise = np.random.default_rng(1).normal(0.0, NOISE_M, points.shape)
-    return page.driver.execute_async_script(
-        "const [points, about, done] = arguments;"
-        "import('./corners.js').then(({cornerNear}) => done(cornerNear(points, about)))",
-        (points + noise).ravel().tolist(),
-        list(map(float, about)),
-    )
+    return page.of_module("corners.js", "m.cornerNear(...a)", (points + noise).tolist(), about.tolist())
 
 
 def test_two_walls_meet_where_no_point_lies(still):
@@ -45,13 +34,14 @@ def test_two_walls_meet_where_no_point_lies(still):
     assert {case: off for case, off in off_m.items() if off >= 0.02} == {}
 
 
+ROUND_RAD = np.linspace(0.0, math.pi, 30)[:, None]
 NO_CORNERS = {
     "straight": np.concatenate((wall(0.0), wall(math.pi))),
     "hardly bent": np.concatenate((wall(0.0), wall(math.pi - math.radians(20)))),
     "walls apart": np.concatenate((wall(0.0), wall(math.pi / 2, from_m=0.3))),
     "one wall": wall(0.0),
     "three points": wall(0.0)[:3],
-    "a column": ring(0.25, 0.0, math.pi),
+    "a column": AT + 0.25 * np.hstack((np.cos(ROUND_RAD), np.sin(ROUND_RAD))),
     "a bush": np.random.default_rng(3).uniform(-0.4, 0.4, (40, 2)) + AT,
 }
 
@@ -62,26 +52,18 @@ def test_what_is_no_corner_is_none(still):
 
 
 def test_a_click_beside_a_corner_means_the_corner_and_one_on_a_wall_a_point(unchanged, bent):  # noqa: F811
-    page = unchanged
-    k, corner, beside = 40, np.array([15.0, -1.0]), np.array([14.92, -0.9])
-    page.look_at(*bent.graph.map[k, :2], 60.0)
-    choose_place(page, "a", bent.graph.map[k, :2])
-    page.run("corridor.edit.pairs.places.b.choose(arguments[0])", k + ROUND)
-    page.wait_for("return corridor.edit.pairs.places.b.points.length > 0")
-    page.element("pick-pairs").click()
+    page, k, corner, beside = unchanged, 40, np.array([15.0, -1.0]), np.array([14.92, -0.9])
+    pick_at(page, bent, k)
     page.look_at(*corner, 150.0)
     dx, dy = offset_of(page, *beside)
     page.pointer().move_to_element_with_offset(page.element("map"), dx, dy).perform()
     assert page.run("return corridor.edit.tool.aimed.isCorner")
-    click_map(page, *beside)
-    picked = page.run("return corridor.edit.tool.found.a")
-    assert picked["isCorner"]
-    assert np.hypot(*(np.array(picked["at"]) - corner)) < 0.02
-    page.run("corridor.edit.tool.back()")
     begin = int(bent.graph.point_count[:k].sum())
     points = bent.graph.xy_base[begin : begin + int(bent.graph.point_count[k])] + bent.graph.map[k, :2]
     on_wall = next(p for p in points if abs(p[1] + 1.0) < 0.03 and 13.0 < p[0] < 14.0)
-    click_map(page, *on_wall)
-    picked = page.run("return corridor.edit.tool.found.a")
-    assert not picked["isCorner"]
-    assert np.hypot(*(np.array(picked["at"]) - on_wall)) < 0.02
+    for clicked, meant, is_corner in ((beside, corner, True), (on_wall, on_wall, False)):
+        click_map(page, *clicked)
+        picked = page.run("return corridor.edit.tool.found.a")
+        assert picked["isCorner"] is is_corner
+        assert np.hypot(*(np.array(picked["at"]) - meant)) < 0.02
+        page.run("corridor.edit.tool.back()")

@@ -99,28 +99,23 @@ def points_within(graph):
     return int(is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners).sum())
 
 
-def erase(page, mapping):
-    """The rectangle, by dragging."""
+def test_an_area_is_erased_by_three_presses_and_brought_back(page, session, mapping):
+    before = points_within(mapping.graph())
+    assert before > 50
+    page.count_presses()
+    page.choose("edit")
     page.look_at(*ERASED.mean(axis=0), 100.0)
     page.element("draw-rectangle").click()
     drag_map(page, *ERASED)
     wait_for_change(page, "erased 0.6")
+    assert page.presses() == 3
     assert points_within(mapping.graph()) == 0
-
-
-def test_an_area_is_erased_and_brought_back(page, session, mapping):
-    before = points_within(mapping.graph())
-    assert before > 50
-    erase(page, mapping)
     assert [verb for verb, _ in mapping.requested] == ["edit_map"]
     assert mapping.requested[0][1]["change"]["becomes"] == "as_seen"
     page.element("edit-undo").click()
     wait_for_change(page, "took back: erased")
     assert points_within(mapping.graph()) == before
     assert not page.element("edit-undo").is_enabled()
-
-
-def test_a_change_that_is_refused_is_shown_and_another_can_be_made(page, session):
     page.run("corridor.edit.change({what: 'undo'}, 'Undo')")
     wait_for_change(page, "Undo: no change of this session is left to take back")
     page.wait_for("return !corridor.edit.all.disabled")
@@ -138,11 +133,15 @@ def fetch(page, bent):
     wait_for_change(page, f"Fetched: {len(bent.graph)} key frames")
 
 
-def test_places_and_times_are_offered_once_key_frames_are_fetched(page, session, bent):
+def test_places_and_times_are_offered_while_there_are_key_frames(page, session, mapping, bent):
     assert titles(page) == ["Key frames", "Erase and draw"]
     fetch(page, bent)
     assert titles(page) == ["Key frames", "Join places by points", "Erase and draw", "Cut out a time span"]
-    assert not page.element("edit-undo").is_enabled()
+    mapping.fault = "the disk is full"
+    page.run("corridor.edit.change({what: 'optimize'}, 'Optimise')")
+    wait_for_change(page, "its key frames could not be fetched: the disk is full")
+    assert page.text("edit-note").startswith("Optimise: optimised; key frames moved by up to")
+    assert titles(page) == ["Key frames", "Erase and draw"]
     page.run("corridor.connection.on.verbs({verbs: ['save_map', 'set_pose']})")
     assert not page.element("tab-edit").is_displayed()
 
@@ -169,19 +168,24 @@ def test_a_bent_map_is_straightened_once_pairs_that_are_far_apart_are_confirmed(
     assert page.faults() == []
 
 
-def test_key_frames_that_cannot_be_fetched_after_a_change_are_not_offered_and_the_reason_is_shown(
-    page, session, mapping, bent
-):
+def test_two_passes_that_lie_apart_are_joined_by_five_presses(page, session, mapping, bent):
+    assert bent.error_m(mapping.graph()) > 0.5
+    page.count_presses()
+    page.choose("edit")
     fetch(page, bent)
-    mapping.fault = "the disk is full"
-    page.run("corridor.edit.change({what: 'optimize'}, 'Optimise')")
-    wait_for_change(page, "its key frames could not be fetched: the disk is full")
-    assert page.text("edit-note").startswith("Optimise: optimised; key frames moved by up to")
-    assert titles(page) == ["Key frames", "Erase and draw"]
+    page.driver.find_element("css selector", "#passes button").click()
+    page.wait_for("return corridor.edit.pairs.pairs.length === 3")
+    assert max(residuals_m(page)) > 0.5
+    optimise(page)
+    wait_for_change(page, "pairs 0 to 2; key frames moved by up to ")
+    assert bent.error_m(mapping.graph()) < 0.10
+    assert page.presses() == 5
+    assert page.run("return corridor.edit.pairs.passes.length") == 0
 
 
-def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, bent):
+def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, bent, axe):
     fetch(page, bent)
+    axe(page, "edit", sizes=[PHONE])
     page.element("cut-from").send_keys("3")
     page.element("cut-to").send_keys("4")
     assert page.text("cut-words") == "In it: 11 key frames."
@@ -200,8 +204,3 @@ def wait_for_change(page, words):
         words,
     )
     assert words in page.text("edit-note")
-
-
-def test_it_fits_a_phone_and_passes_axe(axe, page, session, bent):
-    fetch(page, bent)
-    axe(page, "edit", sizes=[PHONE])

@@ -6,14 +6,16 @@ from tests.browser.scene import stamp, statuses
 
 
 def test_every_status_leads_to_a_page_and_a_heading_that_there_are(still):
+    addresses = still.of_module(
+        "health.js",
+        "[...Object.keys(m.PAGES), 'sensor/front', 'anything'].map((name) => m.helpAddress(name))",
+    )
     missing = still.driver.execute_async_script(
-        "const done = arguments[0]; (async () => {"
-        " const {PAGES, helpAddress} = await import('./help_links.js'), missing = [];"
-        " for (const status of [...Object.keys(PAGES), 'sensor/front', 'anything']) {"
-        "  const [path, anchor] = helpAddress(status).split('#'), answer = await fetch(path);"
-        "  const text = answer.ok ? await answer.text() : '';"
-        '  if (!text || (anchor && !text.includes(`id="${anchor}"`))) missing.push(status);'
-        " } return missing; })().then(done)"
+        "const [addresses, done] = arguments; Promise.all(addresses.map(async (address) => {"
+        " const [path, anchor] = address.split('#'), answer = await fetch(path), text = await answer.text();"
+        ' return answer.ok && (!anchor || text.includes(`id="${anchor}"`)) ? [] : [address];'
+        "})).then((missing) => done(missing.flat()))",
+        addresses,
     )
     assert missing == []
 

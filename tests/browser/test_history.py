@@ -6,7 +6,7 @@ from tests.browser.scene import event
 from tests.browser.test_past import past, recording  # noqa: F401 - fixtures
 from tests.service.offline.past.past_recordings import DEGRADED_S, MARK_S, RESET_S
 
-LINES = "return [...document.querySelectorAll('.timeline .line')].map((line) => line.lastChild.textContent)"
+LINES = "[...document.querySelectorAll('.timeline .line')]"
 
 
 @pytest.fixture
@@ -36,14 +36,16 @@ def test_a_recording_shows_the_figures_of_all_of_it(history):
 
 
 def test_states_and_events_are_listed_and_a_click_goes_there(history):
-    history.wait_for("return document.querySelectorAll('.timeline .line').length >= 5")
-    assert history.run(LINES) == ["map reset", "ok", "degraded, 0:02 min", "mark, a door", "ok, 0:06 min"]
+    history.wait_for(f"return {LINES}.length >= 5")
+    assert history.texts(".timeline .line > :last-child") == [
+        "map reset",
+        "ok",
+        "degraded, 0:02 min",
+        "mark, a door",
+        "ok, 0:06 min",
+    ]
     for words, seconds in (("degraded", DEGRADED_S[0]), ("mark", MARK_S), ("map reset", RESET_S)):
-        history.run(
-            "[...document.querySelectorAll('.timeline .line')]"
-            ".find((line) => line.textContent.includes(arguments[0])).click()",
-            words,
-        )
+        history.run(f"{LINES}.find((line) => line.textContent.includes(arguments[0])).click()", words)
         history.wait_for(
             "return Math.abs(corridor.report().moment.position_s - arguments[0]) < 0.02", seconds
         )
@@ -70,10 +72,10 @@ def test_a_running_service_adds_a_row_a_second_and_a_click_pins_the_figures_of_t
     live.put(event('{"event": "mark", "text": "<i>door</i>"}', 4.0))
     page.wait_for("return corridor.report().rows === 3")
     page.wait_for_text("history", "mark, <i>door</i>")
-    assert page.run(LINES) == ["lost", "mark, <i>door</i>", "ok, 0:02 min"]
+    assert page.texts(".timeline .line > :last-child") == ["lost", "mark, <i>door</i>", "ok, 0:02 min"]
     assert headings(page)["Rates"] == "front 50.0 Hz, rear 0.0 Hz"
     assert headings(page)["Sigma of the position"] == "0.021 m"
-    page.run("[...document.querySelectorAll('.timeline .line')].at(-1).click()")
+    page.run(f"{LINES}.at(-1).click()")
     pinned = page.run("return corridor.history.marked_s")
     for message in scene.messages(5.0):
         live.put(message)

@@ -11,98 +11,91 @@ from tests.browser.conftest import DESKTOP
 from tests.browser.scene import CELL_M, EDGE, MOUNTINGS, Scene, stamp
 
 WALL, FREE, GROUND = [11, 18, 32], [255, 255, 255], [228, 232, 238]  # of the light theme
+APPEARED, GONE = [190, 24, 93], [3, 105, 161]
+BLUE = [29, 78, 216]  # of key frames, and of what stands for long
+CAMERA = "const c = corridor.view.camera; return [c.x_m, c.y_m, c.scale, c.rotation_rad]"
 
 
-def hide_all_but_the_map(page):
+def only_the_map(page, layer=""):
+    """And one more layer."""
     page.run("Object.assign(corridor.view.layers, {path: 0, scans: 0, vehicle: 0, grid: 0})")
+    if layer:
+        page.run("document.getElementById(arguments[0]).click()", f"layer-{layer}")
+
+
+def pixels(page, x_m, y_m, pixels_per_m, *points):
+    """At points of the map, around a place that is looked at."""
+    page.look_at(x_m, y_m, pixels_per_m)
+    return [page.pixel(*point) for point in points or [(x_m, y_m)]]
+
+
+def points_of(page, name):
+    return np.reshape(page.run("return [...corridor.view.scans.get(arguments[0]).points]", name), (-1, 2))
+
+
+def off_walls_m(scene, points):
+    return np.abs(np.abs(points) - (scene.half_x_m, scene.half_y_m)).min(axis=1).max()
 
 
 def test_the_map_appears_and_grows(page, scene, live):
     assert page.report()["tiles"] == len(scene.tiles())
     assert page.report()["follows"]
-    hide_all_but_the_map(page)
-    page.look_at(0.0, 0.0, 40.0)
-    wall_x_m = scene.half_x_m - CELL_M / 2
-    page.look_at(wall_x_m, 1.0, 400.0)
-    assert page.pixel(wall_x_m, 1.0) == WALL
-    assert page.pixel(wall_x_m - CELL_M, 1.0) == FREE
-    assert page.pixel(wall_x_m + CELL_M, 1.0) == GROUND
-    cells = np.full((EDGE, EDGE), 100, np.int8)
-    scene.store.update([TileUpdate(0, 20, 0, scene.store.version + 1, CELL_M, cells)])
+    only_the_map(page)
+    wall_m = (scene.half_x_m - CELL_M / 2, 1.0)
+    around = [(wall_m[0] + k * CELL_M, 1.0) for k in (-1, 0, 1)]
+    assert pixels(page, *wall_m, 400.0, *around) == [FREE, WALL, GROUND]
+    cells = np.random.default_rng(7).integers(-1, 101, (EDGE, EDGE), dtype=np.int8)
+    scene.store.update([TileUpdate(0, 20, -1, scene.store.version + 1, CELL_M, cells)])
     page.wait_for("return corridor.report().tiles === arguments[0]", len(scene.tiles()) + 1)
+    points = [
+        [64.0 + (c + 0.5) * CELL_M, -3.2 + (r + 0.5) * CELL_M] for r in range(EDGE) for c in range(EDGE)
+    ]
+    shown = page.run("return arguments[0].map(([x, y]) => corridor.view.tiles.valueAt(x, y))", points)
+    assert shown == cells.ravel().tolist()
+    scene.store.start_over()
+    page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0")
+    page.wait_for("return !document.getElementById('empty').hidden")
     assert page.faults() == []
 
 
-def test_every_cell_has_the_value_that_the_store_has(page, scene, live):
-    random = np.random.default_rng(7)
-    cells = random.integers(-1, 101, (64, 64), dtype=np.int8)
-    changed = TileUpdate(0, -2, -1, scene.store.version + 1, CELL_M, cells)
-    scene.store.update([changed])
-    page.wait_for("return corridor.view.tiles.valueAt(-6.375, -3.175) === arguments[0]", int(cells[0, 0]))
-    points = [[-6.4 + (c + 0.5) * CELL_M, -3.2 + (r + 0.5) * CELL_M] for r in range(64) for c in range(64)]
-    shown = page.run("return arguments[0].map(([x, y]) => corridor.view.tiles.valueAt(x, y))", points)
-    assert shown == cells.ravel().tolist()
-
-
 def test_a_wall_is_seen_at_every_zoom_and_turn(page, scene, live):
-    hide_all_but_the_map(page)
-    wall_x_m = scene.half_x_m - CELL_M / 2
+    only_the_map(page)
+    wall_x_m, y_m = scene.half_x_m - CELL_M / 2, 0.5 * CELL_M
     darkest = {}
-    for turn_rad, pixels_per_m in product((0.0, 0.7), (4000.0, 100.0, 12.0, 1.5)):
+    for turn_rad, per_m in product((0.0, 0.7), (4000.0, 100.0, 12.0, 1.5)):
         page.run("corridor.view.camera.rotation_rad = arguments[0]", turn_rad)
-        page.look_at(wall_x_m, 0.5 * CELL_M, pixels_per_m)
-        around = [page.pixel(wall_x_m + dx / pixels_per_m, 0.5 * CELL_M) for dx in (-1, 0, 1)]
-        darkest[turn_rad, pixels_per_m] = min(sum(pixel) for pixel in around)
+        around = pixels(page, wall_x_m, y_m, per_m, *[(wall_x_m + dx / per_m, y_m) for dx in (-1, 0, 1)])
+        darkest[turn_rad, per_m] = min(map(sum, around))
     assert {case: shade for case, shade in darkest.items() if shade >= sum(WALL) + 20} == {}
 
 
-def test_pose_and_its_words_agree_with_the_message(page, scene, live):
-    message = encode_pose(scene.output(3.0), stamp(3.0))
-    live.put(message)
-    page.wait_for("return corridor.report().pose.stamp_ns === arguments[0]", str(stamp(3.0)))
-    expected, shown = decode_pose(message.payload), page.report()["pose"]
-    assert (shown["x_m"], shown["y_m"], shown["theta_rad"]) == (
-        expected.pose.x_m,
-        expected.pose.y_m,
-        expected.pose.theta_rad,
-    )
-    np.testing.assert_allclose(shown["covariance"], expected.covariance.ravel(), atol=1e-15)
-    page.wait_for_text("information", f"{expected.pose.x_m:.3f} m")
-    heading_deg = math.degrees(expected.pose.theta_rad)
-    assert f"{heading_deg:.1f}" in page.text("information")
-    turned = expected.pose.theta_rad
-    c, s = math.cos(turned), math.sin(turned)
-    in_map = np.array([[c, -s], [s, c]]) @ expected.covariance[:2, :2] @ np.array([[c, s], [-s, c]])
-    assert f"{100 * math.sqrt(in_map[0, 0]):.1f} cm" in page.text("information")
-
-
-def test_the_vehicle_moves_on_the_map_and_is_followed(page, scene, live):
+def test_pose_and_its_words_agree_with_the_message_and_the_vehicle_is_followed(page, scene, live):
     for tenth in range(11, 31):
-        live.put(encode_pose(scene.output(tenth / 10), stamp(tenth / 10)))
+        message = encode_pose(scene.output(tenth / 10), stamp(tenth / 10))
+        live.put(message)
         page.wait_for("return corridor.report().pose.stamp_ns === arguments[0]", str(stamp(tenth / 10)))
-    report, there = page.report(), scene.pose(3.0)
+    expected, report = decode_pose(message.payload), page.report()
+    pose, shown = expected.pose, report["pose"]
+    assert [shown[name] for name in ("x_m", "y_m", "theta_rad")] == [pose.x_m, pose.y_m, pose.theta_rad]
+    np.testing.assert_allclose(shown["covariance"], expected.covariance.ravel(), atol=1e-15)
+    c, s = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
+    in_map = np.array([[c, -s], [s, c]]) @ expected.covariance[:2, :2] @ np.array([[c, s], [-s, c]])
+    x_std_cm, heading_deg = 100 * math.sqrt(in_map[0, 0]), math.degrees(pose.theta_rad)
+    page.wait_for_text("information", f"{pose.x_m:.3f} m \u00b1 {x_std_cm:.1f} cm")
+    assert f"{heading_deg:.1f}" in page.text("information")
     assert report["follows"]
     assert report["pathPoints"] > 15
-    camera = page.run("const {x_m, y_m} = corridor.view.camera; return [x_m, y_m]")
-    assert camera == [there.x_m, there.y_m]
-
-
-def test_scans_of_all_lasers_lie_on_the_walls(page, scene, live):
-    page.wait_for("const s = corridor.report().scanPoints; return s.front > 0 && s.rear > 0")
-    for name in MOUNTINGS:
-        points = page.run("return [...corridor.view.scans.get(arguments[0]).points]", name)
-        assert len(points) == 2 * scene.scan(name, 1.0).range_m.size
-        away_m = [
-            min(abs(abs(x) - scene.half_x_m), abs(abs(y) - scene.half_y_m))
-            for x, y in zip(points[::2], points[1::2], strict=True)
-        ]
-        assert max(away_m) < 0.01
-    colours = [page.run("return corridor.view.colourOf(arguments[0])", name) for name in MOUNTINGS]
-    assert len(set(colours)) == 2
+    assert page.run(CAMERA)[:2] == [pose.x_m, pose.y_m]
+    page.wait_for("return !corridor.view.isLive")  # no pose for 1.5 s
 
 
 def test_a_scan_is_drawn_where_it_was_taken_once_its_pose_has_come(page, scene, live):
     """Poses come late where the service is overloaded, and not at all where mapping is paused."""
+    page.wait_for("const s = corridor.report().scanPoints; return s.front > 0 && s.rear > 0")
+    for name in MOUNTINGS:
+        assert len(points_of(page, name)) == scene.scan(name, 1.0).range_m.size
+        assert off_walls_m(scene, points_of(page, name)) < 0.01
+    assert len({page.run("return corridor.view.colourOf(arguments[0])", name) for name in MOUNTINGS}) == 2
     shown_s = "Math.round(corridor.view.scans.get('front').scan.stamp_s - arguments[0])"
     first_s = page.run("const v = corridor.view; v.isHeld = true; return v.track.last.stamp_s")
     for later_s in (1, 2):
@@ -114,27 +107,23 @@ def test_a_scan_is_drawn_where_it_was_taken_once_its_pose_has_come(page, scene, 
     live.put(scene.messages(2.0)[1])
     page.wait_for(f"return {shown_s} === 1", first_s)
     page.look_at(0.0, 0.0, 40.0)
-    points = np.array(page.run("return [...corridor.view.scans.get('front').points]")).reshape(-1, 2)
-    assert np.abs(np.abs(points) - (scene.half_x_m, scene.half_y_m)).min(axis=1).max() < 0.01
+    assert off_walls_m(scene, points_of(page, "front")) < 0.01
 
 
-def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, scene, live):
+def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, live):
     """1 m/s forward: the last of 361 beams, each 1 ms after the other, is 0.36 m further on."""
     page.run(
         "const v = corridor.view, stamp_s = v.track.last.stamp_s, ranges = new Uint16Array(361).fill(200);"
-        "const scan = {sensor: 'front', stamp_s, first_angle_rad: 0, angle_step_rad: 0,"
-        "beam_interval_s: 1e-3};"
+        "const beams = {first_angle_rad: 0, angle_step_rad: 0, beam_interval_s: 1e-3};"
         "v.track.last.twist = [1, 0, 0];"
-        "v.scans.set('front', {scan: {...scan, ranges}}); v.invalidate();"
+        "v.scans.set('front', {scan: {sensor: 'front', stamp_s, ...beams, ranges}}); v.invalidate();"
     )
-    moved = page.wait_for(
-        "const p = corridor.view.scans.get('front').points;"
-        "return p ? Math.hypot(p.at(-2) - p[0], p.at(-1) - p[1]) : null"
-    )
-    assert moved == pytest.approx(0.36, abs=1e-6)
+    page.wait_for("return corridor.view.scans.get('front').points")
+    points = points_of(page, "front")
+    assert np.hypot(*(points[-1] - points[0])) == pytest.approx(0.36, abs=1e-6)
 
 
-def test_nothing_is_drawn_from_where_a_pose_jumps_away_to_where_it_goes_on(page, scene, live):
+def test_nothing_is_drawn_from_where_a_pose_jumps_away_to_where_it_goes_on(page, live):
     page.run("Object.assign(corridor.view.layers, {scans: 0, vehicle: 0, grid: 0})")
     before = page.run("return corridor.view.path.length")
     page.run(
@@ -144,53 +133,47 @@ def test_nothing_is_drawn_from_where_a_pose_jumps_away_to_where_it_goes_on(page,
     )
     points = page.run("return corridor.view.path.slice(arguments[0])", before)
     assert points == [None, None, -4, 3, -3.5, 3, None, None, 3, 3, 3.5, 3]
-    page.look_at(0.0, 3.0, 60.0)
-    driven, leapt = page.pixel(-3.75, 3.0), page.pixel(0.0, 3.0)
-    assert page.pixel(3.25, 3.0) == driven != leapt
+    driven, leapt, also_driven = pixels(page, 0.0, 3.0, 60.0, (-3.75, 3.0), (0.0, 3.0), (3.25, 3.0))
+    assert also_driven == driven != leapt
 
 
 def test_poses_of_two_lasers_at_one_moment_are_of_one_run(still):
-    kept = still.driver.execute_async_script(
-        "const poses = arguments[0], done = arguments[1]; import('./geometry.js').then(({PoseTrack}) => {"
-        " const track = new PoseTrack(); for (const pose of poses) track.add(pose);"
-        " done(track.poses.map((pose) => pose.number)); })",
+    kept = still.of_module(
+        "geometry.js",
+        "((track) => { a[0].forEach((pose) => track.add(pose)); return track.poses.map((p) => p.number); })"
+        "(new m.PoseTrack())",
         [{"number": k, "stamp_s": stamp_s} for k, stamp_s in enumerate((5.0, 1.0, 1.5, 1.5, 2.0))],
     )
     assert kept == [1, 3, 4]  # the first is of another run
 
 
-def test_keys_move_zoom_and_turn_the_map(still):
+def test_keys_and_mouse_move_zoom_and_turn_the_map(still):
     canvas = still.element("map")
     still.look_at(0.0, 0.0, 40.0)
-    canvas.send_keys(Keys.ARROW_RIGHT)
-    assert still.run("return corridor.view.camera.x_m") == pytest.approx(1.5)
-    canvas.send_keys(Keys.ARROW_UP)
-    assert still.run("return corridor.view.camera.y_m") == pytest.approx(1.5)
-    canvas.send_keys("+")
-    assert still.run("return corridor.view.camera.scale") == pytest.approx(50.0)
-    canvas.send_keys("[")
-    assert still.run("return corridor.view.camera.rotation_rad") == pytest.approx(math.pi / 12)
-    canvas.send_keys("n")
-    assert still.run("return corridor.view.camera.rotation_rad") == pytest.approx(0.0)
-    assert still.element("follow").get_attribute("aria-pressed") == "false"
-    canvas.send_keys("f")
-    assert still.element("follow").get_attribute("aria-pressed") == "true"
-
-
-def test_the_mouse_drags_the_map_and_the_wheel_zooms_about_the_pointer(still):
+    for key, camera in (
+        (Keys.ARROW_RIGHT, [1.5, 0.0, 40.0, 0.0]),
+        (Keys.ARROW_UP, [1.5, 1.5, 40.0, 0.0]),
+        ("+", [1.5, 1.5, 50.0, 0.0]),
+        ("[", [1.5, 1.5, 50.0, math.pi / 12]),
+        ("n", [1.5, 1.5, 50.0, 0.0]),
+        ("-", [1.5, 1.5, 40.0, 0.0]),
+    ):
+        canvas.send_keys(key)
+        assert still.run(CAMERA) == pytest.approx(camera), key
+    for key, is_on in (("", "false"), ("f", "true")):
+        canvas.send_keys(key)
+        assert still.element("follow").get_attribute("aria-pressed") == is_on
     still.look_at(0.0, 0.0, 40.0)
-    canvas = still.element("map")
     still.pointer().drag_and_drop_by_offset(canvas, -80, 40).perform()
-    assert still.run("const c = corridor.view.camera; return [c.x_m, c.y_m]") == pytest.approx([2.0, 1.0])
-    box = canvas.rect
+    assert still.run(CAMERA)[:2] == pytest.approx([2.0, 1.0])
     under = still.run("return corridor.view.camera.toMap(100, 300)")
     still.run(
         "document.getElementById('map').dispatchEvent(new WheelEvent('wheel',"
         "{deltaY: -300, clientX: arguments[0], clientY: arguments[1], cancelable: true}))",
-        box["x"] + 100,
-        box["y"] + 300,
+        canvas.rect["x"] + 100,
+        canvas.rect["y"] + 300,
     )
-    assert still.run("return corridor.view.camera.scale") > 50.0
+    assert still.run(CAMERA)[2] > 50.0
     assert still.run("return corridor.view.camera.toMap(100, 300)") == pytest.approx(under, abs=0.02)
 
 
@@ -200,59 +183,37 @@ def test_a_distance_is_measured_by_two_clicks(still):
     canvas = still.element("map")
     for dx, dy in ((0, 0), (120, 160)):
         still.pointer().move_to_element_with_offset(canvas, dx, dy).click().perform()
-    still.wait_for_text("hint", "5.00 m")
-    assert "x 3.00 m, y -4.00 m" in still.text("hint")
+    still.wait_for_text("hint", "5.00 m (x 3.00 m, y -4.00 m)")
     canvas.send_keys(Keys.ESCAPE)
     assert not still.element("hint").is_displayed()
 
 
-def test_the_scale_bar_is_as_long_as_it_says(still):
-    still.look_at(0.0, 0.0, 37.0)
-    found = still.driver.execute_async_script(
-        "const done = arguments[0]; import('./map_frame.js').then(({drawScale}) => {"
-        " const {camera, colours} = corridor.view, xs = []; let words;"
-        " drawScale({fillRect() {}, beginPath() {}, stroke() {}, measureText: () => ({width: 20}),"
-        "  moveTo: (x) => xs.push(x), lineTo: (x) => xs.push(x), fillText: (text) => { words = text; }},"
-        "  camera, colours); done([words, Math.max(...xs) - Math.min(...xs)]); })"
-    )
-    assert found == ["2 m", pytest.approx(2 * 37.0)]
-
-
-def test_all_shows_all_of_the_map(still, scene):
-    still.element("fit").click()
-    seen, bounds = still.run("return corridor.view.camera.seen"), still.report()["bounds"]
-    assert all(seen[low] < bounds[low] for low in ("x_min_m", "y_min_m"))
-    assert all(seen[high] > bounds[high] for high in ("x_max_m", "y_max_m"))
-
-
 def test_a_map_that_is_still_coming_is_all_in_view_until_somebody_moves_it(page, serve, store):
-    scene = Scene(half_x_m=30.0, store=store)
-    first, *others = scene.tiles()
+    first, *others = Scene(half_x_m=30.0, store=store).tiles()
+
+    def is_all_seen():
+        seen, bounds = page.run("return [corridor.view.camera.seen, corridor.view.tiles.bounds]")
+        return all(
+            seen[f"{axis}_min_m"] <= bounds[f"{axis}_min_m"]
+            and seen[f"{axis}_max_m"] >= bounds[f"{axis}_max_m"]
+            for axis in "xy"
+        )
+
     store.update([first])
     page.open(serve().address)
     page.wait_for("return corridor.report().tiles === 1")
     store.update(others[:-1])
     page.wait_for("return corridor.report().tiles === arguments[0]", len(others))
-    seen, bounds = page.run("return [corridor.view.camera.seen, corridor.view.tiles.bounds]")
-    assert all(seen[f"{axis}_min_m"] <= bounds[f"{axis}_min_m"] for axis in "xy")
-    assert all(seen[f"{axis}_max_m"] >= bounds[f"{axis}_max_m"] for axis in "xy")
+    assert is_all_seen()
     page.look_at(1.0, 2.0, 50.0)
     store.update(others[-1:])
     page.wait_for("return corridor.report().tiles === arguments[0]", 1 + len(others))
-    assert page.run("const {x_m, y_m, scale} = corridor.view.camera; return [x_m, y_m, scale]") == [1, 2, 50]
+    assert page.run(CAMERA)[:3] == [1, 2, 50]
+    page.element("fit").click()
+    assert is_all_seen()
 
 
-def test_a_reset_clears_map_and_path(page, scene, live):
-    scene.store.start_over()
-    page.wait_for("const r = corridor.report(); return r.tiles === 0 && r.pathPoints === 0")
-    page.wait_for("return !document.getElementById('empty').hidden")
-
-
-def test_what_is_not_of_now_is_not_shown_as_such(page, live):
-    page.wait_for("return !corridor.view.isLive")  # no pose for 1.5 s
-
-
-def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
+def test_the_graph_is_a_layer_with_its_parts_explained(page, live):
     line = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]], np.float32)
     accepted = np.array([[[-2.0, 1.0], [2.0, 1.0]]], np.float32)
     refused = np.array([[[-2.0, 2.0], [2.0, 2.0]], [[-2.0, 3.0], [2.0, 3.0]]], np.float32)
@@ -262,15 +223,11 @@ def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
     assert page.report()["graph"] == {"keyFrames": 3, "accepted": 1, "refused": 2, "borders": 1}
     words = page.texts(".graph-part")
     assert words == ["Key frames: 3", "Loops that hold: 1", "Loops not accepted: 2", "Sub-maps: 1"]
-    hide_all_but_the_map(page)
-    page.look_at(0.0, 1.0, 400.0)
-    assert page.pixel(0.0, 1.0) == FREE  # it is off at first
-    page.driver.find_element("css selector", ".layers summary").click()
-    page.element("layer-graph").click()
-    page.look_at(0.0, 1.0, 400.0)
-    assert page.pixel(0.0, 1.0) == [21, 128, 61]
-    page.look_at(0.0, 0.0, 400.0)
-    assert page.pixel(0.0, 0.0) == [29, 78, 216]
+    only_the_map(page)
+    assert pixels(page, 0.0, 1.0, 400.0) == [FREE]  # it is off at first
+    only_the_map(page, "graph")
+    assert pixels(page, 0.0, 1.0, 400.0) == [[21, 128, 61]]
+    assert pixels(page, 0.0, 0.0, 400.0) == [BLUE]
     page.look_at(3.0, -1.0, 400.0)
     ink = page.run(
         "const v = corridor.view, [x] = v.camera.toScreen(3, -1), h = v.canvas.height;"
@@ -283,24 +240,19 @@ def test_the_graph_is_a_layer_with_its_parts_explained(page, scene, live):
 
 
 def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, scene, live):
-    hide_all_but_the_map(page)
-    page.driver.find_element("css selector", ".layers summary").click()
-    page.element("layer-standing").click()
+    only_the_map(page, "standing")
     assert "Not known now" in page.text("parts-standing")
     cells = np.full((20, 30), -1, np.int8)
     cells[10, 10], cells[10, 20] = 0, 100
     live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "standing"))
     page.wait_for("return corridor.view.standing.isKnown")
-    points = [(0.05, 2.05), (1.05, 2.05), (0.05, 2.15), (-1.05, 2.0), (5.0, 2.0)]
+    fresh, full, between = (0.05, 2.05), (1.05, 2.05), (0.55, 2.05)
+    points = [fresh, full, (0.05, 2.15), (-1.05, 2.0), (5.0, 2.0)]
     values = page.run("return arguments[0].map((xy) => corridor.view.standing.valueAt(...xy))", points)
     assert values == [0, 100, -1, -1, -1]
     words = page.texts(".standing-part")
     assert words == ["Just come: counts little", "Stands for long: counts in full"]
-    page.run("document.querySelector('.layers').open = false")
-    page.look_at(0.5, 2.0, 200.0)
-    assert page.pixel(0.05, 2.05) == [220, 38, 38]
-    assert page.pixel(1.05, 2.05) == [29, 78, 216]
-    assert page.pixel(0.55, 2.05) == FREE
+    assert pixels(page, 0.5, 2.0, 200.0, fresh, full, between) == [[220, 38, 38], BLUE, FREE]
     page.run(
         "const [x, y] = corridor.view.camera.toScreen(1.05, 2.05), map = document.getElementById('map'),"
         " box = map.getBoundingClientRect();"
@@ -309,8 +261,7 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
     assert page.text("cursor").endswith("static score 100 %")
     page.resize(DESKTOP, is_dark=True)
     try:
-        page.look_at(0.5, 2.0, 200.0)
-        assert page.pixel(1.05, 2.05) == [110, 168, 255]
+        assert pixels(page, 0.5, 2.0, 200.0, full) == [[110, 168, 255]]
     finally:
         page.resize(DESKTOP)
     scene.store.start_over()
@@ -318,48 +269,35 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
 
 
 def test_what_is_not_as_the_stored_map_says_is_a_layer(page, scene, live):
-    hide_all_but_the_map(page)
-    page.run("document.querySelector('.layers').open = true")
-    assert not page.element("layer-stored").is_displayed()  # nobody watches
+    only_the_map(page)
+    assert page.run("return document.getElementById('layer-stored').parentElement.hidden")  # nobody watches
     cells = np.full((3, 12), -1, np.int8)
     cells[1, 1], cells[2, 11] = 100, 0
     live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "map/changes"))
     page.wait_for("const c = corridor.report().stored; return c.appeared === 1 && c.gone === 1")
-    words = page.texts(".stored-part")
-    assert words == ["Stands there now: 1 cell", "Is gone: 1 cell"]
+    assert page.texts(".stored-part") == ["Stands there now: 1 cell", "Is gone: 1 cell"]
     assert page.element("layer-stored").is_selected()
-    page.run("document.querySelector('.layers').open = false")
-    page.look_at(-0.4, 1.2, 200.0)
-    assert page.pixel(-0.85, 1.15) == [190, 24, 93]
-    assert page.pixel(0.15, 1.25) == [3, 105, 161]
-    assert page.pixel(-0.45, 1.15) == FREE
+    shown = pixels(page, -0.4, 1.2, 200.0, (-0.85, 1.15), (0.15, 1.25), (-0.45, 1.15))
+    assert shown == [APPEARED, GONE, FREE]
     scene.store.start_over()
     page.wait_for("return document.getElementById('layer-stored').parentElement.hidden")
 
 
 def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
-    hide_all_but_the_map(page)
-    page.driver.find_element("css selector", ".layers summary").click()
-    page.element("layer-change").click()
+    only_the_map(page, "change")
     page.wait_for("return document.querySelectorAll('.change-part').length === 2")
-    wall_x_m = scene.half_x_m - CELL_M / 2
+    wall_x_m, column = scene.half_x_m - CELL_M / 2, round(scene.half_x_m / CELL_M) - 1 - 2 * EDGE
     cells = next(t for t in scene.tiles() if (t.ix, t.iy) == (2, 0)).cells.copy()
-    column = round(scene.half_x_m / CELL_M) - 1 - 2 * EDGE
     assert cells[20, column] == OCCUPIED
     cells[20, column], cells[30, column - 10] = 0, 100
     scene.store.update([TileUpdate(0, 2, 0, scene.store.version + 1, CELL_M, cells)])
     page.wait_for("const c = corridor.report().change; return c.appeared === 1 && c.gone === 1")
-    words = page.texts(".change-part")
-    assert words[0].endswith(": 1 cell")
-    assert words[1] == "Free since then: 1 cell"
-    gone_y_m, new_x_m, new_y_m = 20.5 * CELL_M, wall_x_m - 10 * CELL_M, 30.5 * CELL_M
-    page.run("document.querySelector('.layers').open = false")
-    page.look_at(wall_x_m, gone_y_m, 200.0)
-    assert page.pixel(wall_x_m, gone_y_m) == [3, 105, 161]
-    assert page.pixel(new_x_m, new_y_m) == [190, 24, 93]
-    assert page.pixel(wall_x_m, gone_y_m + CELL_M) == WALL
-    page.look_at(new_x_m, new_y_m, 4.0)  # a cell is a fifth of a pixel
-    assert page.pixel(new_x_m, new_y_m) == [190, 24, 93]
+    appeared, gone = page.texts(".change-part")
+    assert appeared.endswith(": 1 cell")
+    assert gone == "Free since then: 1 cell"
+    was, new = (wall_x_m, 20.5 * CELL_M), (wall_x_m - 10 * CELL_M, 30.5 * CELL_M)
+    assert pixels(page, *was, 200.0, was, new, (wall_x_m, 21.5 * CELL_M)) == [GONE, APPEARED, WALL]
+    assert pixels(page, *new, 4.0) == [APPEARED]  # a cell is a fifth of a pixel
     page.run("document.getElementById('change-now').click()")
     assert page.report()["change"] == {"appeared": 0, "gone": 0}
 
@@ -386,17 +324,11 @@ def test_the_page_is_open_within_a_second_of_a_phones_processor(page, live):
     page.driver.get(live.address)
     page.wait_for("return window.corridor?.view.firstMap_ms > 0")
     assert page.thread_s() - before_s < 1.0 / 4
-    fetched = page.run(
-        "return performance.getEntriesByType('resource').filter((r) => r.transferSize > 0).map((r) => r.name)"
+    fetched, found_late = page.run(
+        "const got = performance.getEntriesByType('resource').filter((r) => /[.](js|css)$/.test(r.name));"
+        "const links = [...document.querySelectorAll('link[rel=modulepreload]')].map((link) => link.href);"
+        "return [got.filter((r) => r.transferSize > 0).map((r) => r.name),"
+        " got.map((r) => r.name).filter((name) => name.endsWith('.js') && !links.includes(name))]"
     )
-    assert [name for name in fetched if name.endswith((".js", ".css"))] == []
-
-
-def test_all_modules_are_fetched_at_once_and_not_one_after_another_found(still):
-    found = still.run(
-        "const urls = (list) => [...new Set(list.map((url) => new URL(url).pathname))].sort();"
-        "return [urls([...document.querySelectorAll('link[rel=modulepreload]')].map((l) => l.href)),"
-        " urls(performance.getEntriesByType('resource').map((r) => r.name).filter((n) => n.endsWith('.js')))]"
-    )
-    assert any(name.endswith("/main.js") for name in found[0])
-    assert set(found[1]) <= set(found[0])
+    assert fetched == []
+    assert found_late == []  # all modules are fetched at once

@@ -8,15 +8,10 @@ from tests.browser.conftest import DESKTOP, PHONE
 TOOLS = {  # by name: what puts it to work
     "measure": "document.getElementById('measure').click()",
     "pose": "const set = document.getElementById('do-set_pose'); set.disabled = false; set.click()",
-    "rectangle": "document.getElementById('draw-rectangle').click()",
-    "area": "document.getElementById('draw-area').click()",
-    "wall": "document.getElementById('draw-wall').click()",
+    **{kind: f"document.getElementById('draw-{kind}').click()" for kind in ("rectangle", "area", "wall")},
 }
-LONG = (
-    "office is loaded, the map before is in /var/lib/corridor/maps/veh1_20260101T000000Z_0001. Is it a copy "
-    "of that one, and the vehicle where it was?"
-)
-VERBS = ["save_map", "edit_map", "set_pose", "mark"]
+LONG = "office is loaded, the map before is in /var/lib/corridor/maps/veh1_20260101T000000Z_0001. A copy?"
+VERBS = ["save_map", "edit_map", "set_pose", "mark", "pause", "resume"]
 
 
 @pytest.fixture
@@ -49,13 +44,12 @@ def test_tools_and_strip_take_a_quarter_of_the_height_at_most(phone, strip):
         "document.getElementById('replay-note').textContent = 'half of the recording is mapped'",
         strip,
     )
-    _, top, _, bottom = box(phone, f"#{strip}")
-    _, tools_top, _, tools_bottom = box(phone, ".tools")
+    heights = [bottom - top for _, top, _, bottom in (box(phone, f"#{strip}"), box(phone, ".tools"))]
     phone.run("document.getElementById(arguments[0]).hidden = true", strip)
-    assert bottom - top + tools_bottom - tools_top <= 0.25 * PHONE[1]
+    assert sum(heights) <= 0.25 * PHONE[1]
 
 
-def test_names_of_areas_stand_apart(phone):
+def test_names_of_areas_stand_apart_and_all_areas_fit_the_width(phone):
     gaps = phone.run(
         "const range = document.createRange(), boxes = [...document.querySelectorAll('.tabs button')]"
         ".filter((tab) => tab.offsetParent).map((tab) => {"
@@ -64,28 +58,25 @@ def test_names_of_areas_stand_apart(phone):
     )
     assert len(gaps) == 5
     assert min(gaps) >= 10.0
-
-
-@pytest.mark.parametrize("size", [DESKTOP, PHONE, (320, 640)])
-def test_all_areas_fit_the_width(phone, size):
-    phone.resize(size)
-    for area in ("information", "control", "edit", "history", "resources"):
-        phone.choose(area)
-        assert phone.run("return document.documentElement.scrollWidth") == size[0]
-        assert box(phone, "#tab-resources")[2] <= size[0]
+    for size in (DESKTOP, PHONE, (320, 640)):
+        phone.resize(size)
+        for area in ("information", "control", "edit", "history", "resources"):
+            phone.choose(area)
+            assert phone.run("return document.documentElement.scrollWidth") == size[0]
+            assert box(phone, "#tab-resources")[2] <= size[0]
 
 
 @pytest.mark.parametrize("name", TOOLS)
 def test_every_tool_is_ended_by_a_button(phone, name):
     phone.run(TOOLS[name])
-    assert phone.run("return document.getElementById('map').classList.contains('pointing')")
-    assert phone.element("cancel-tool").is_displayed()
+    is_pointing = "return document.getElementById('map').classList.contains('pointing')"
+    assert phone.run(is_pointing)
     left, _, right, bottom = box(phone, "#hint-bar")
     assert 0 <= left < right <= PHONE[0]
     assert bottom <= box(phone, ".tabs")[1]
     phone.element("cancel-tool").click()
     assert not phone.element("cancel-tool").is_displayed()
-    assert not phone.run("return document.getElementById('map').classList.contains('pointing')")
+    assert not phone.run(is_pointing)
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE])
@@ -93,41 +84,35 @@ def test_notices_cover_no_instruction_and_keep_their_buttons_whole(phone, size):
     phone.resize(size)
     phone.choose("edit")
     phone.run(TOOLS["area"])
-    phone.run(
-        "import('./dom.js').then(({notice}) => { for (const k of [1, 2, 3])"
-        " notice(`${k}: ${arguments[0]}`, 'ok', {text: 'Set its pose', act: () => {}}); })",
-        LONG,
-    )
-    phone.wait_for("return document.querySelectorAll('.notice').length === 3")
+    offer = "{text: 'Set its pose', act: () => {}}"
+    phone.of_module("dom.js", f"[1, 2, 3].forEach((k) => m.notice(`${{k}}: ${{a[0]}}`, 'ok', {offer}))", LONG)
     left, top, right, bottom = box(phone, "#hint-bar")
     x0, y0, x1, y1 = box(phone, "#notices")
     assert x1 <= left or x0 >= right or y1 <= top or y0 >= bottom
     heights = phone.run("return [...document.querySelectorAll('.notice button')].map((b) => b.offsetHeight)")
+    assert len(heights) == 6
     assert max(heights) <= 40
     phone.run("document.getElementById('notices').replaceChildren()")
     phone.element("map").send_keys(Keys.ESCAPE)
 
 
-def test_a_tap_shows_why_a_control_is_disabled_and_what_a_column_is(still):
-    tap = (
-        "const {x, y, width, height} = arguments[0].getBoundingClientRect();"
-        "const at = {clientX: x + width / 2, clientY: y + height / 2, pointerType: arguments[1]};"
-        "const up = new PointerEvent('pointerup', {...at, bubbles: true});"
-        "arguments[0].parentElement.dispatchEvent(up)"
-    )
-    still.resize(PHONE)
-    still.choose("control")
-    still.run("corridor.connection.on.verbs({verbs: ['save_map', 'pause', 'resume']})")
-    resume = still.element("do-resume")
-    why = resume.get_attribute("title")
+def test_a_tap_shows_why_a_control_is_disabled_and_what_a_column_is(phone):
+    def notices_after(element, pointer):
+        phone.run(
+            "const {x, y, width, height} = arguments[0].getBoundingClientRect();"
+            "const at = {clientX: x + width / 2, clientY: y + height / 2, pointerType: arguments[1]};"
+            "document.getElementById('notices').replaceChildren();"
+            "arguments[0].parentElement.dispatchEvent(new PointerEvent('pointerup', {...at, bubbles: true}))",
+            element,
+            pointer,
+        )
+        return phone.texts(".notice span")
+
+    phone.choose("control")
+    resume = phone.element("do-resume")
     assert not resume.is_enabled()
-    assert why
-    still.run(tap, resume, "mouse")
-    assert still.texts(".notice span") == []
-    still.run(tap, resume, "touch")
-    assert still.texts(".notice span") == [f"{why}."]
-    still.press("Close notice")
-    still.choose("information")
-    still.run(tap, still.driver.find_element("xpath", "//th[text()='Delay ms']"), "touch")
-    assert still.texts(".notice span") == ["from the measurement to its arrival."]
-    still.press("Close notice")
+    assert notices_after(resume, "mouse") == []
+    assert notices_after(resume, "touch") == ["Mapping is not paused."]
+    phone.choose("information")
+    head = phone.driver.find_element("xpath", "//th[text()='Delay ms']")
+    assert notices_after(head, "touch") == ["from the measurement to its arrival."]

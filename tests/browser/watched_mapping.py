@@ -8,14 +8,10 @@ nothing, so that the figures are those of the service. They are printed and judg
 
 import json
 import logging
-import os
-import statistics
 import subprocess
 import sys
 import tempfile
 import threading
-import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +26,7 @@ SECONDS = 180.0
 BROWSERS = 8
 WINDOW_S = 4.0
 SETTLE_S = 1.0  # at the begin of a window: browsers get the whole map first, or are gone
-SAMPLE_PERIOD_S = 0.1
 MIN_SCANS = 100  # of a window: its 99th percentile means nothing below
-PAGE_THREAD = "web-serve"
 READ = """
 import base64, json, os, socket, sys, time
 
@@ -68,8 +62,6 @@ while True:
     time.sleep(window_s)
 """
 
-Times = dict[str, float]  # processor time so far, s: of the page's thread, of ingest, of the mapper
-
 
 class Watched:
     """`corridor demo` with browsers and without them in turn, from its READY on."""
@@ -77,7 +69,6 @@ class Watched:
     def __init__(self) -> None:
         self.windows: list[tuple[float, float]] = []  # in which they were open, Unix time
         self.least_read = 2**63  # bytes in a window, of the browser that got least
-        self._samples: list[tuple[float, Times]] = []
         self._reader: subprocess.Popen[str] | None = None
 
     def run(self, seconds: float, out: Path) -> dict[str, Any]:
@@ -96,7 +87,6 @@ class Watched:
         command = [sys.executable, "-c", READ, host, port, str(BROWSERS), str(WINDOW_S)]
         self._reader = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         threading.Thread(target=self._note_windows, args=(self._reader,), daemon=True).start()
-        threading.Thread(target=self._sample, args=(service,), daemon=True).start()
 
     def _note_windows(self, reader: "subprocess.Popen[str]") -> None:
         assert reader.stdout is not None
@@ -105,40 +95,12 @@ class Watched:
             self.windows.append((begins_s, ends_s))
             self.least_read = min(self.least_read, read)
 
-    def _sample(self, service: Service) -> None:
-        page = next(t.native_id for t in threading.enumerate() if t.name == PAGE_THREAD)
-        ingest = Path(f"/proc/{os.getpid()}/task")
-        while not service.stopped:
-            mapper = Path(f"/proc/{service.mapper_pid}/task")
-            try:
-                times = {
-                    "page": _processor_s(ingest / str(page)),
-                    "ingest": sum(map(_processor_s, ingest.iterdir())),
-                }
-                times["mapper"] = sum(map(_processor_s, mapper.iterdir()))
-            except FileNotFoundError:  # a thread has just ended
-                continue
-            self._samples.append((time.time(), times))
-            time.sleep(SAMPLE_PERIOD_S)
-
     def pairs(self) -> list[tuple[tuple[float, float], tuple[float, float]]]:
         """(with browsers, with none), each from when it has settled to its end, Unix time, s."""
         return [
             ((begins_s + SETTLE_S, ends_s), (ends_s + SETTLE_S, ends_s + WINDOW_S))
             for begins_s, ends_s in self.windows
         ]
-
-    def processor_percent(self, window: tuple[float, float]) -> Times:
-        """Of a core."""
-        (first_s, before), (last_s, after) = (
-            min(self._samples, key=lambda sample: abs(sample[0] - at_s)) for at_s in window
-        )
-        return {what: 100.0 * (after[what] - before[what]) / (last_s - first_s) for what in before}
-
-
-def _processor_s(task: Path) -> float:
-    """First figure of schedstat (Linux, Documentation/scheduler/sched-stats): ns on a processor."""
-    return int((task / "schedstat").read_text().split()[0]) / 1e9
 
 
 def latencies(session: Path) -> npt.NDArray[np.float64]:
@@ -163,33 +125,17 @@ def measure(seconds: float = SECONDS) -> dict[str, Any]:
     for windows in watched.pairs():
         inside = [rows[(rows[:, 0] >= begin_s) & (rows[:, 0] < end_s), 1] for begin_s, end_s in windows]
         if min(map(len, inside)) >= MIN_SCANS:
-            pairs.append((windows, inside))
-    watched_ms, alone_ms = (np.concatenate([inside[i] for _, inside in pairs]) for i in (0, 1))
-    cost: dict[str, list[float]] = {"page": [], "ingest": [], "mapper": []}
-    for (with_them, without), _ in pairs:
-        more, less = watched.processor_percent(with_them), watched.processor_percent(without)
-        for what, values in cost.items():
-            values.append(more[what] - less[what])
+            pairs.append(inside)
+    watched_ms, alone_ms = (np.concatenate([inside[i] for inside in pairs]) for i in (0, 1))
     return {
         "browsers": BROWSERS,
         "pairs_of_windows": len(pairs),
         "latency_ms_with_none": _percentiles(alone_ms),
         f"latency_ms_with_{BROWSERS}": _percentiles(watched_ms),
-        "ratio_of_p50": _ratio([inside for _, inside in pairs], 50),
-        "ratio_of_p99": _ratio([inside for _, inside in pairs], 99),
-        "percent_of_a_core_more": {what: round(statistics.median(more), 2) for what, more in cost.items()},
         "kilobytes_read_in_a_window": round(watched.least_read / 1e3),
         "scans_passed_over": summary["scans_dropped"],
         "void": summary["void"],  # why the figures say nothing, if they do
     }  # fmt: skip
-
-
-def _ratio(pairs: Sequence[Sequence[npt.NDArray[np.float64]]], percent: float) -> dict[str, float]:
-    """A percentile with browsers over that with none: median of the pairs, its 95 % interval (bootstrap)."""
-    ratios = np.array([np.percentile(more, percent) / np.percentile(less, percent) for more, less in pairs])
-    drawn = np.random.default_rng(1).choice(ratios, (2000, len(ratios)))
-    low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
-    return {"median": round(float(np.median(ratios)), 3), "low": round(low, 3), "high": round(high, 3)}
 
 
 def _percentiles(values_ms: npt.NDArray[np.float64]) -> dict[str, float]:

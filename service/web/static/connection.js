@@ -5,7 +5,6 @@ import { decode } from "./protocol.js";
 const FIRST_RETRY_MS = 500, LONGEST_RETRY_MS = 5000;
 const TOKEN_KEY = "corridor.token";
 
-/** The token of the address (#token=...), which then goes from the address bar, or the one kept. */
 const findToken = () => {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
@@ -58,22 +57,10 @@ export class Connection {
     this.#send({ type: "token", token });
   }
 
-  /** Forget a token that was refused. */
-  dropToken() {
-    this.token = "";
-    sessionStorage.removeItem(TOKEN_KEY);
-  }
-
-  keepToken() {
-    sessionStorage.setItem(TOKEN_KEY, this.token);
-  }
-
-  /** Ask for a command; resolves to its answer, {ok, error?, ...}. */
   command(verb, request = {}) {
     return this.#ask({ type: "command", verb, request });
   }
 
-  /** Ask about stored sessions and maps; resolves to {ok, error?, ...}. */
   resource(request) {
     return this.#ask({ type: "resource", ...request });
   }
@@ -96,13 +83,20 @@ export class Connection {
     return true;
   }
 
+  /** Or forget one that was refused. */
+  #keepToken({ may_control, role }) {
+    [this.mayControl, this.role] = [may_control, role];
+    if (!role) this.token = "";
+    sessionStorage.setItem(TOKEN_KEY, this.token);
+  }
+
   #tell(message) {
     if (message.type === "answer") {
       this.waiting.get(message.n)?.(message.body);
       this.waiting.delete(message.n);
       return;
     }
-    if (message.type === "access") [this.mayControl, this.role] = [message.may_control, message.role];
+    if (message.type === "access") this.#keepToken(message);
     this.on[message.type]?.(message);
   }
 }

@@ -1,4 +1,6 @@
-// Where two walls meet: the corner that a person means by a click near it.
+// Where two walls meet: the corner that a person means by a click near it. Points are [x_m, y_m].
+
+import { distance } from "./geometry.js";
 
 const NEAR_M = 0.6; // from the point that was clicked; walls beyond it have no say
 const OFF_WALL_M = 0.025; // of a point of a wall, at most
@@ -11,15 +13,9 @@ const ROUNDS = 3; // of giving each point to the wall that it is nearer to
 
 /** Line through points by least squares of the distances: {x, y, dx, dy}, a point of it and its direction. */
 const fitted = (points) => {
-  const n = points.length;
-  const x = points.reduce((sum, p) => sum + p[0], 0) / n, y = points.reduce((sum, p) => sum + p[1], 0) / n;
-  let xx = 0, xy = 0, yy = 0;
-  for (const [px, py] of points) {
-    xx += (px - x) ** 2;
-    xy += (px - x) * (py - y);
-    yy += (py - y) ** 2;
-  }
-  const angle = Math.atan2(2 * xy, xx - yy) / 2;
+  const sum = (value) => points.reduce((so_far, point) => so_far + value(...point), 0);
+  const x = sum((px) => px) / points.length, y = sum((_, py) => py) / points.length;
+  const angle = Math.atan2(2 * sum((px, py) => (px - x) * (py - y)), sum((px, py) => (px - x) ** 2 - (py - y) ** 2)) / 2;
   return { x, y, dx: Math.cos(angle), dy: Math.sin(angle) };
 };
 
@@ -30,9 +26,9 @@ const wallOf = (points) => {
   let best = [];
   for (let i = 0; i < points.length; i += 1) {
     for (let j = i + 1; j < points.length; j += 1) {
-      const dx = points[j][0] - points[i][0], dy = points[j][1] - points[i][1], length = Math.hypot(dx, dy);
+      const [x, y] = points[i], length = distance(points[i], points[j]);
       if (length < 2 * OFF_WALL_M) continue; // says nothing of the direction
-      const line = { x: points[i][0], y: points[i][1], dx: dx / length, dy: dy / length };
+      const line = { x, y, dx: (points[j][0] - x) / length, dy: (points[j][1] - y) / length };
       const on = points.filter((point) => offLine(line, point) < OFF_WALL_M);
       if (on.length > best.length) best = on;
     }
@@ -47,10 +43,9 @@ const twoWalls = (near) => {
   if (!second) return null;
   let walls = [first, second];
   for (let round = 0; round < ROUNDS; round += 1) {
-    const lines = walls.map(({ line }) => line);
     const own = [[], []];
     for (const point of near) {
-      const [toFirst, toSecond] = lines.map((line) => offLine(line, point));
+      const [toFirst, toSecond] = walls.map(({ line }) => offLine(line, point));
       if (Math.min(toFirst, toSecond) < OFF_WALL_M) own[Number(toSecond < toFirst)].push(point);
     }
     if (own.some((on) => on.length < MIN_POINTS)) return null;
@@ -59,21 +54,12 @@ const twoWalls = (near) => {
   return walls[0].on.length + walls[1].on.length < MIN_SHARE * near.length ? null : walls;
 };
 
-const gap = (points, [x, y]) => Math.min(...points.map((p) => Math.hypot(p[0] - x, p[1] - y)));
+const gap = (points, corner) => Math.min(...points.map((point) => distance(point, corner)));
 
-/**
- * Corner of the two walls around a point; null where there are no two, or where they do not reach it.
- * points: [x_m, y_m, x_m, y_m ...], about: [x_m, y_m].
- */
+/** Corner of the two walls around a point; null where there are no two, or where they do not reach it. */
 export const cornerNear = (points, about) => {
-  const near = [];
-  for (let i = 0; i < points.length; i += 2) {
-    const away = Math.hypot(points[i] - about[0], points[i + 1] - about[1]);
-    if (away < NEAR_M) near.push([points[i], points[i + 1], away]);
-  }
-  near.sort((a, b) => a[2] - b[2]);
-  near.length = Math.min(near.length, MAX_POINTS);
-  const walls = twoWalls(near);
+  const away = (point) => distance(point, about);
+  const walls = twoWalls(points.filter((point) => away(point) < NEAR_M).sort((p, q) => away(p) - away(q)).slice(0, MAX_POINTS));
   if (!walls) return null;
   const [a, b] = walls.map(({ line }) => line), cross = a.dx * b.dy - a.dy * b.dx;
   if (Math.abs(cross) < Math.sin(MIN_ANGLE_RAD)) return null;

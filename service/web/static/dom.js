@@ -2,7 +2,7 @@
 
 export const byId = (id) => document.getElementById(id);
 
-/** An element; properties starting with "on" are listeners, "data" and "aria" ones become attributes. */
+/** Properties starting with "on" are listeners; "role", "for" and those with a hyphen become attributes. */
 export const element = (tag, properties = {}, ...children) => {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
@@ -14,10 +14,20 @@ export const element = (tag, properties = {}, ...children) => {
   return made;
 };
 
+export const button = (text, onclick, properties = {}) => element("button", { type: "button", onclick, ...properties }, text);
+export const onClick = (id, act) => byId(id).addEventListener("click", act);
+export const row = (...children) => element("div", { className: "row" }, ...children);
+export const note = (text = "", properties = {}) => element("p", { className: "note", ...properties }, text);
+
+export const select = (properties, options) =>
+  element("select", properties, ...options.map(([value, words]) => element("option", { value: String(value) }, words)));
+
 /** Set text only where it differs: a selection and a screen reader stay undisturbed. */
 export const setText = (node, text) => {
   if (node.textContent !== text) node.textContent = text;
 };
+
+export const setPressed = (control, isPressed) => control.setAttribute("aria-pressed", String(isPressed));
 
 /** Disable a control, and say why where the pointer rests, where a finger taps and to who hears the page; "": it works. */
 export const setRefused = (control, reason) => {
@@ -41,25 +51,24 @@ export const NO_TOKEN = "Only with the token: enter it under Control";
 /** A name of a file, which may go on in the next line after each _ only. */
 export const fileName = (name) => name.split(/(?<=_)/).flatMap((part, i) => (i ? [element("wbr"), part] : [part]));
 
-/** Words behind a patch of the colour that they explain. */
 export const swatched = (words, colour, className = "") => {
   const swatch = element("span", { className: "swatch" });
   swatch.style.background = colour;
   return element("span", { className }, swatch, words);
 };
 
+/** A card of an area; its `aside` stands beside the title. */
 export const card = (title, ...children) => {
   const aside = element("span", { className: "aside" });
-  const made = element("section", { className: "card" }, element("h2", {}, title, aside), ...children);
-  return { node: made, aside };
+  return Object.assign(element("section", { className: "card" }, element("h2", {}, title, aside), ...children), { aside });
 };
 
 /** A list of facts, filled by set({name: text}); a name whose text is null goes. */
 export class Facts {
-  /** className: "wrapped" for long texts, which may take several lines. */
-  constructor(className = "") {
-    this.node = element("dl", { className: `facts ${className}` });
-    this.rows = new Map();
+  rows = new Map();
+
+  constructor(node) {
+    this.node = node;
   }
 
   /** The names stay, so that nothing moves; their texts are not known any more. */
@@ -69,38 +78,36 @@ export class Facts {
 
   set(facts) {
     for (const [name, text] of Object.entries(facts)) {
-      let row = this.rows.get(name);
+      const known = this.rows.get(name), made = known ?? [element("dt", {}, name), element("dd")];
       if (text === null) {
-        row?.forEach((node) => node.remove());
+        made.forEach((node) => node.remove());
         this.rows.delete(name);
         continue;
       }
-      if (!row) {
-        row = [element("dt", {}, name), element("dd")];
-        this.node.append(...row);
-        this.rows.set(name, row);
-      }
-      if (row[1].textContent !== text) row[1].replaceChildren(...fileName(text));
+      if (!known) this.node.append(...made);
+      this.rows.set(name, made);
+      if (made[1].textContent !== text) made[1].replaceChildren(...fileName(text));
     }
   }
 }
 
-const NOTICE_MS = 8000;
+const NOTICE_MS = 8000, MAX_NOTICES = 4;
 
 /** Say something at the edge of the page. level: "ok", "error" or "none"; offer: {text, act} of a button. */
 export const notice = (text, level = "none", offer = null) => {
-  const close = element("button", { type: "button", className: "quiet", "aria-label": "Close notice" }, "\u00d7");
-  const node = element("div", { className: "notice", "data-level": level }, element("span", {}, text), close);
-  if (offer) {
-    const button = element("button", { type: "button" }, offer.text);
-    button.addEventListener("click", () => { node.remove(); offer.act(); });
-    close.before(button);
-  }
-  close.addEventListener("click", () => node.remove());
-  for (const shown of byId("notices").children) if (!offer && shown.firstChild.textContent === text) shown.remove(); // once is enough
-  byId("notices").append(node);
+  const shown = byId("notices"), node = element("div", { className: "notice", "data-level": level }, element("span", {}, text));
+  if (offer) node.append(button(offer.text, () => { node.remove(); offer.act(); }));
+  node.append(button("\u00d7", () => node.remove(), { className: "quiet", "aria-label": "Close notice" }));
+  for (const one of shown.children) if (!offer && one.firstChild.textContent === text) one.remove(); // once is enough
+  shown.append(node);
   if (level !== "error") setTimeout(() => node.remove(), offer ? 4 * NOTICE_MS : NOTICE_MS);
-  while (byId("notices").children.length > 4) byId("notices").firstChild.remove();
+  while (shown.children.length > MAX_NOTICES) shown.firstChild.remove();
+};
+
+/** Say what came of a request, which goes by a name; whether it was done. */
+export const noticeOf = (name, answer, done) => {
+  notice(answer.ok ? `${done}.` : `${name}: ${answer.error}.`, answer.ok ? "ok" : "error");
+  return answer.ok;
 };
 
 let answered = Promise.resolve();
@@ -111,16 +118,12 @@ let answered = Promise.resolve();
 export const confirmed = (...question) => (answered = answered.then(() => ask(...question)));
 
 const ask = (title, text, yes, given = null, other = "") => new Promise((settle) => {
-  const dialog = byId("confirm");
-  setText(byId("confirm-title"), title);
-  setText(byId("confirm-text"), text);
-  setText(byId("confirm-yes"), yes);
-  setText(byId("confirm-other"), other);
+  const dialog = byId("confirm"), input = byId("confirm-input");
+  for (const [part, words] of Object.entries({ title, text, yes, other })) setText(byId(`confirm-${part}`), words);
   byId("confirm-other").hidden = !other;
-  const input = byId("confirm-input");
   input.hidden = given === null;
-  input.value = given ?? "";
   input.required = given !== null;
+  input.value = given ?? "";
   dialog.returnValue = "no";
   dialog.addEventListener("close", () => {
     const isYes = dialog.returnValue === "yes";

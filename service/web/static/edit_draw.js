@@ -1,29 +1,24 @@
 // Cards of the area Edit that draw on the map: areas to be erased, walls, and the time span to be cut out.
 
-import { card, confirmed, element, setRefused, setText } from "./dom.js";
+import { square } from "./canvas.js";
+import { byId, onClick, setPressed, setRefused, setText } from "./dom.js";
 import { area, CornersTool, length, RectangleTool } from "./edit_tools.js";
 import { counted, fixed } from "./format.js";
 
 const MAX_CORNERS = 500; // of one change; the service refuses more
 const SPAN_STEP_S = 0.01;
 const MAX_UNASKED_M2 = 10; // of a rectangle that is erased without a question: Undo brings it back
-const BECOMES = { as_seen: "free where scans see through", unknown: "unknown", free: "free" };
+const SHAPES = ["rectangle", "area", "wall"];
+
+const squareMetres = (corners) => fixed(area(corners), 2, " m\u00b2");
 
 export class EditDraw {
   constructor(edit) {
     this.edit = edit;
-    this.kind = null; // "rectangle", "area" or "wall", while it is drawn
-    const choose = (kind, text) => element("button", { type: "button", id: `draw-${kind}`, "aria-pressed": "false", onclick: () => this.#choose(kind) }, text);
-    this.choices = { rectangle: choose("rectangle", "Rectangle"), area: choose("area", "Area by corners"), wall: choose("wall", "Wall") };
-    this.words = element("p", { className: "note", id: "draw-words", role: "status" });
-    this.becomes = element("select", { id: "erase-becomes" },
-      ...Object.entries(BECOMES).map(([value, words]) => element("option", { value }, words)));
-    this.erase = element("button", { type: "button", className: "danger", id: "erase", onclick: () => this.#erase() }, "Erase\u2026");
-    this.wall = element("button", { type: "button", id: "wall", onclick: () => this.#wall() }, "Put up the wall\u2026");
-    this.card = card("Erase and draw");
-    this.card.node.append(element("div", { className: "row" }, ...Object.values(this.choices)), this.words,
-      element("div", { className: "row" }, element("label", { for: "erase-becomes" }, "Then the area is"), this.becomes),
-      element("div", { className: "row" }, this.erase, this.wall));
+    this.kind = null; // of SHAPES, while it is drawn
+    for (const kind of SHAPES) onClick(`draw-${kind}`, () => this.#choose(kind));
+    onClick("erase", () => this.#erase());
+    onClick("wall", () => this.#wall());
     this.update();
   }
 
@@ -33,12 +28,12 @@ export class EditDraw {
 
   update() {
     const { kind, corners } = this, isWall = kind === "wall";
-    for (const [name, button] of Object.entries(this.choices)) button.setAttribute("aria-pressed", String(name === kind));
-    setRefused(this.erase, !isWall && corners.length >= 3 ? "" : "Draw an area on the map first");
-    setRefused(this.wall, isWall && corners.length >= 2 ? "" : "Draw a wall on the map first");
-    setText(this.words, !kind ? "Choose what to draw on the map."
+    for (const shape of SHAPES) setPressed(byId(`draw-${shape}`), shape === kind);
+    setRefused(byId("erase"), !isWall && corners.length >= 3 ? "" : "Draw an area on the map first");
+    setRefused(byId("wall"), isWall && corners.length >= 2 ? "" : "Draw a wall on the map first");
+    setText(byId("draw-words"), !kind ? "Choose what to draw on the map."
       : isWall ? `${counted(corners.length, "point")}, ${fixed(length(corners), 2, " m")}`
-        : `${counted(corners.length, "corner")}, ${fixed(area(corners), 2, " m\u00b2")}`);
+        : `${counted(corners.length, "corner")}, ${squareMetres(corners)}`);
   }
 
   #choose(kind) {
@@ -46,10 +41,10 @@ export class EditDraw {
       this.edit.endTool();
       return;
     }
-    const changed = () => this.update();
+    const { view } = this.edit, changed = () => this.update();
     const done = () => (kind === "wall" ? this.#wall() : this.#erase(kind === "rectangle"));
-    const tool = kind === "rectangle" ? new RectangleTool(this.edit.view, { changed, done })
-      : new CornersTool(this.edit.view, { isClosed: kind === "area", most: MAX_CORNERS, changed, done });
+    const tool = kind === "rectangle" ? new RectangleTool(view, { changed, done })
+      : new CornersTool(view, { isClosed: kind === "area", most: MAX_CORNERS, changed, done });
     this.edit.beginTool(tool, () => {
       this.kind = null;
       this.update();
@@ -59,87 +54,68 @@ export class EditDraw {
   }
 
   /** isDragged: by one stroke, so that a small one is undone as quickly as it was drawn. */
-  async #erase(isDragged = false) {
-    const { corners } = this, becomes = this.becomes.value;
-    const isSure = (isDragged && area(corners) <= MAX_UNASKED_M2) || await confirmed("Erase the area?",
-      `What stands within ${fixed(area(corners), 2, " m\u00b2")} is gone: from the map, and from what vehicles are localised against. Undo brings it back.`, "Erase");
-    if (isSure) this.#change({ what: "erase", corners, becomes }, "Erase");
+  #erase(isDragged = false) {
+    const { corners } = this, becomes = byId("erase-becomes").value;
+    const words = `What stands within ${squareMetres(corners)} is gone: from the map, and from what vehicles are localised against. Undo brings it back.`;
+    this.edit.change({ what: "erase", corners, becomes }, "Erase", isDragged && area(corners) <= MAX_UNASKED_M2 ? null : ["Erase the area?", words, "Erase"]);
   }
 
-  async #wall() {
-    const { corners } = this;
-    const isSure = await confirmed("Put up the wall?",
-      `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. Undo takes it down.`, "Put up");
-    if (isSure) this.#change({ what: "wall", corners }, "Wall");
-  }
-
-  #change(change, label) {
-    this.edit.endTool();
-    return this.edit.change(change, label);
+  #wall() {
+    const { corners } = this, words = `${fixed(length(corners), 2, " m")} are occupied from now on, whatever lasers see there. Undo takes it down.`;
+    this.edit.change({ what: "wall", corners }, "Wall", ["Put up the wall?", words, "Put up"]);
   }
 }
 
 export class EditCut {
   constructor(edit) {
     this.edit = edit;
-    const field = (name, words) => {
-      const input = element("input", { type: "number", id: `cut-${name}`, step: String(SPAN_STEP_S), min: "0", inputMode: "decimal" });
-      input.addEventListener("input", () => this.update());
-      const round = name === "from" ? Math.floor : Math.ceil; // so that the key frame that was clicked is within
-      const pick = element("button", { type: "button", id: `cut-${name}-pick`, "aria-label": `${words}: choose on the map`,
-        onclick: () => edit.pickKeyframe(`${words === "From" ? "where the span begins" : "where it ends"}`, (k) => {
-          input.value = (round(edit.keyframes.seconds(k) / SPAN_STEP_S) * SPAN_STEP_S).toFixed(2);
-          this.update();
-        }) }, "On the map");
-      return { input, row: element("div", { className: "row" }, element("label", { for: `cut-${name}`, className: "short" }, `${words}, s`), input, pick) };
-    };
-    this.from = field("from", "From");
-    this.to = field("to", "To");
-    this.bridge = element("input", { type: "checkbox", id: "cut-bridge" });
-    this.words = element("p", { className: "note", id: "cut-words", role: "status" });
-    this.button = element("button", { type: "button", className: "danger", id: "cut", onclick: () => this.#cut() }, "Cut out\u2026");
-    this.card = card("Cut out a time span");
-    this.card.node.append(element("p", { className: "note" }, "Seconds after the map's first key frame."), this.from.row, this.to.row, this.words,
-      element("label", { className: "check" }, this.bridge, "Bridge: odometry holds the ends over what is cut"),
-      element("div", { className: "row" }, this.button));
+    this.fields = [this.#field("cut-from", "where the span begins", Math.floor), this.#field("cut-to", "where it ends", Math.ceil)];
+    onClick("cut", () => this.#cut());
     this.update();
   }
 
-  /** Both ends, s; null while a field is empty. */
+  /** round: so that the key frame that was clicked is within the span. */
+  #field(id, what, round) {
+    const input = byId(id);
+    input.oninput = () => this.update();
+    onClick(`${id}-pick`, () => this.edit.pickKeyframe(what, (k) => {
+      input.value = (round(this.edit.keyframes.seconds(k) / SPAN_STEP_S) * SPAN_STEP_S).toFixed(2);
+      this.update();
+    }));
+    return input;
+  }
+
   get span() {
-    const [from_s, to_s] = [this.from, this.to].map(({ input }) => (input.value === "" ? NaN : Number(input.value)));
+    const [from_s, to_s] = this.fields.map(({ value }) => (value === "" ? NaN : Number(value)));
     return Number.isFinite(from_s) && Number.isFinite(to_s) ? { from_s, to_s } : null;
   }
 
   update() {
     const { span } = this, isSpan = span !== null && span.to_s >= span.from_s;
-    setRefused(this.button, isSpan ? "" : "Enter when the span begins and ends, or choose it on the map");
-    setText(this.words, !span ? "" : !isSpan ? "The span ends before it begins." : `In it: ${counted(this.#count(span), "key frame")}.`);
+    setRefused(byId("cut"), isSpan ? "" : "Enter when the span begins and ends, or choose it on the map");
+    setText(byId("cut-words"), !span ? "" : !isSpan ? "The span ends before it begins." : `In it: ${this.#counted}.`);
     this.edit.view.invalidate();
   }
 
-  #count({ from_s, to_s }) {
-    const { at_s, every } = this.edit.keyframes;
-    return at_s.filter((s) => s >= from_s && s <= to_s).length * every;
+  get #points() {
+    const { span } = this, { points, at_s } = this.edit.keyframes;
+    return span ? points.filter((_, i) => at_s[i] >= span.from_s && at_s[i] <= span.to_s) : [];
+  }
+
+  get #counted() {
+    return counted(this.#points.length * this.edit.keyframes.every, "key frame");
   }
 
   async #cut() {
     const { span } = this;
-    const isSure = await confirmed("Cut out the time span?",
-      `What was driven from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} is gone: about ${counted(this.#count(span), "key frame")}, with points and loops. Undo brings them back.`, "Cut out");
-    if (!isSure || !await this.edit.change({ what: "cut", ...span, bridge: this.bridge.checked }, "Cut")) return;
-    this.from.input.value = this.to.input.value = "";
+    const words = `What was driven from ${fixed(span.from_s, 2)} to ${fixed(span.to_s, 2, " s")} is gone: about ${this.#counted}, with points and loops. Undo brings them back.`;
+    if (!await this.edit.change({ what: "cut", ...span, bridge: byId("cut-bridge").checked }, "Cut", ["Cut out the time span?", words, "Cut out"])) return;
+    this.fields.forEach((field) => { field.value = ""; });
     this.update();
   }
 
   draw(context, camera, colours) {
-    const { span } = this, { x_m, y_m, at_s } = this.edit.keyframes;
-    if (!span) return;
     context.fillStyle = colours.measure;
-    at_s.forEach((s, i) => {
-      if (s < span.from_s || s > span.to_s) return;
-      const [x, y] = camera.toScreen(x_m[i], y_m[i]);
-      context.fillRect(x - 3, y - 3, 6, 6);
-    });
+    for (const point of this.#points) square(context, camera.toScreen(...point), 6);
   }
 }

@@ -1,6 +1,6 @@
 // Loops of a stored map or of a running session: what each rests on, its two places, and what a person decides of it.
 
-import { card, confirmed, element, setText } from "./dom.js";
+import { button, byId, element, note, row, setText } from "./dom.js";
 import { fixed } from "./format.js";
 
 const SHOWN = 50; // of each kind
@@ -10,33 +10,29 @@ const KINDS = {
 };
 
 export class EditLoops {
-  /** edit: of the area Edit. */
+  isPressed = false; // what is pressed must not be moved away
+  waiting = null; // to be shown when it is released
+
   constructor(edit) {
     this.edit = edit;
-    this.isPressed = false; // what is pressed must not be moved away
-    this.waiting = null; // to be shown when it is released
-    this.card = card("Loops", element("p", { className: "note" }, "Show draws what both places saw, each in its colour. Walls must coincide."));
     this.parts = Object.entries(KINDS).map(([kind, { label, heading, rank }]) => {
       const list = element("ul", { className: "stored loops", tabIndex: 0, "aria-label": label });
-      const part = element("div", {}, element("h3", {}, heading), list);
-      this.card.node.append(part);
-      return { kind, rank, list, part, entries: new Map() };
+      return { kind, rank, list, node: element("div", {}, element("h3", {}, heading), list), entries: new Map() };
     });
-    this.card.node.addEventListener("pointerdown", () => { this.isPressed = true; });
+    byId("loops").append(...this.parts.map(({ node }) => node));
+    byId("loops").addEventListener("pointerdown", () => { this.isPressed = true; });
     for (const end of ["pointerup", "pointercancel"]) window.addEventListener(end, () => setTimeout(() => this.#release())); // behind the click
     this.put();
   }
 
-  /** loops: {accepted, refused}; without any of a map that has none. */
   put(loops = {}) {
     if (this.isPressed) {
       this.waiting = loops;
       return;
     }
-    const { accepted = [], refused = [] } = loops;
-    this.card.node.hidden = accepted.length + refused.length === 0;
-    setText(this.card.aside, `${accepted.length} accepted, ${refused.length} not`);
-    for (const part of this.parts) this.#show(part, (loops[part.kind] ?? []).toSorted((a, b) => part.rank(a) - part.rank(b)).slice(0, SHOWN));
+    const [accepted, refused] = this.parts.map((part) => this.#show(part, loops[part.kind] ?? []));
+    byId("loops").hidden = accepted + refused === 0;
+    setText(byId("loop-count"), `${accepted} accepted, ${refused} not`);
   }
 
   #release() {
@@ -45,58 +41,53 @@ export class EditLoops {
     this.waiting = null;
   }
 
-  /** Entries stay where their loops do: a list that comes every 2 s must not take the focus away. */
-  #show(part, loops) {
-    const before = part.entries, focused = document.activeElement;
-    part.part.hidden = loops.length === 0;
-    part.entries = new Map(loops.map((loop) => {
-      const key = JSON.stringify([loop.stamps_ns, loop.loop]), entry = before.get(key) ?? this.#entry();
+  /** Entries stay where their loops do: a list that comes every 2 s must not take the focus away. Returns how many there are. */
+  #show({ node, list, rank, entries }, loops) {
+    const before = [...entries.keys()].join(), known = new Map(entries), focused = document.activeElement;
+    node.hidden = loops.length === 0;
+    entries.clear();
+    for (const loop of loops.toSorted((a, b) => rank(a) - rank(b)).slice(0, SHOWN)) {
+      const key = JSON.stringify([loop.stamps_ns, loop.loop]), entry = known.get(key) ?? this.#entry();
       entry.put(loop);
-      return [key, entry];
-    }));
-    if ([...part.entries.keys()].join() === [...before.keys()].join()) return;
-    part.list.replaceChildren(...[...part.entries.values()].map(({ node }) => node));
-    if (focused !== document.activeElement && part.list.contains(focused)) focused.focus({ preventScroll: true });
+      entries.set(key, entry);
+    }
+    if ([...entries.keys()].join() !== before) {
+      list.replaceChildren(...[...entries.values()].map((entry) => entry.node));
+      if (focused !== document.activeElement && list.contains(focused)) focused.focus({ preventScroll: true });
+    }
+    return loops.length;
   }
 
   #entry() {
-    const name = element("p", { className: "stored-name" }), note = element("p", { className: "note" });
-    const decide = element("button", { type: "button", onclick: () => this.#decide(entry.loop) });
-    const show = element("button", { type: "button", onclick: () => this.show(entry.loop) }, "Show");
-    const node = element("li", {}, name, note, element("div", { className: "row" }, show, decide));
-    const entry = { node, put: (loop) => {
+    const name = element("p", { className: "stored-name" }), words = note();
+    const show = button("Show", () => this.#showPlaces(entry.loop));
+    const decide = button("", () => (entry.loop.why ? this.#accept(entry.loop) : this.#refuse(entry.loop)));
+    const entry = { node: element("li", {}, name, words, row(show, decide)), put: (loop) => {
       entry.loop = loop;
       setText(name, loop.why ?? nameOf(loop).replace("l", "L"));
-      setText(note, evidence(loop));
+      setText(words, evidence(loop));
       setText(decide, loop.why ? "Accept\u2026" : "Refuse\u2026");
-      for (const button of [show, decide]) button.setAttribute("aria-label", `${button.textContent} ${nameOf(loop)}`); // there are many
+      for (const one of [show, decide]) one.setAttribute("aria-label", `${one.textContent} ${nameOf(loop)}`); // there are many
     } };
     return entry;
   }
 
-  /** Both places with the points that they saw. */
-  async show(loop) {
+  async #showPlaces(loop) {
     const keyframes = await this.edit.keyframesOf(loop), { a, b } = this.edit.pairs.places;
     if (!keyframes) return;
     await Promise.all([a.choose(keyframes[0]), b.choose(keyframes[1])]);
     b.show();
   }
 
-  #decide(loop) {
-    if (loop.why) this.#accept(loop);
-    else this.#refuse(loop);
+  #refuse(loop) {
+    const question = [`Refuse ${nameOf(loop)}?`, `${evidence(loop)}. The map is solved without it; Undo takes that back.`, "Refuse"];
+    this.edit.change({ what: "refuse-loop", ...(this.edit.isLive ? { stamps_ns: loop.stamps_ns } : { loop: loop.loop }) }, "Refuse loop", question);
   }
 
-  async #refuse(loop) {
-    const isSure = await confirmed(`Refuse ${nameOf(loop)}?`, `${evidence(loop)}. The map is solved without it; Undo takes that back.`, "Refuse");
-    if (isSure) this.edit.change({ what: "refuse-loop", ...(this.edit.isLive ? { stamps_ns: loop.stamps_ns } : { loop: loop.loop }) }, "Refuse loop");
-  }
-
-  async #accept({ stamps_ns, pairs, keyframes, ...loop }) {
-    const isSure = await confirmed("Accept this loop?", `It was refused: ${loop.why}. ${evidence(loop)}. It holds as two pairs of points, and the map is solved with them; Undo takes that back.`, "Accept");
-    if (!isSure) return;
+  #accept({ stamps_ns, pairs, keyframes, ...loop }) {
+    const words = `It was refused: ${loop.why}. ${evidence(loop)}. It holds as two pairs of points, and the map is solved with them; Undo takes that back.`;
     this.edit.change(this.edit.isLive ? { what: "accept-loop", stamps_ns }
-      : { what: "add-pair", pairs: pairs.map((points) => ({ points, places: keyframes.map((keyframe) => ({ keyframe })) })) }, "Accept loop");
+      : { what: "add-pair", pairs: pairs.map((points) => ({ points, places: keyframes.map((keyframe) => ({ keyframe })) })) }, "Accept loop", ["Accept this loop?", words, "Accept"]);
   }
 }
 

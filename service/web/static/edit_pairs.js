@@ -1,48 +1,37 @@
 // Manual optimisation: points of two places that are one, what is left between them, and the solution.
 
-import { byId, card, confirmed, element, setRefused, setText } from "./dom.js";
+import { FONT, square, strokeLine } from "./canvas.js";
+import { button, byId, confirmed, element, note, onClick, row, setPressed, setRefused, setText } from "./dom.js";
 import { PairTool } from "./edit_tools.js";
-import { fixed } from "./format.js";
-import { PlacePane } from "./place_pane.js";
-import { PlacePicker } from "./place_picker.js";
+import { counted, fixed } from "./format.js";
+import { distance } from "./geometry.js";
+import { PlacePane, PlacePicker } from "./places.js";
 
 const MAX_PAIRS = 100; // in one change; the service refuses more
 const FAR_M = 0.5; // apart, more than a search for loops without drift errs by: then the person is asked
 
 export class EditPairs {
-  /** edit: of the area Edit. */
+  pairs = []; // not yet in the map: {points: [of A, of B], places: of each {keyframe, stamp_ns, pose}}
+  stored = []; // of the map, as map_look tells them
+  passes = []; // that could be joined, as map_look tells them
+  shownInPane = null; // pose of place B
+
   constructor(edit) {
     this.edit = edit;
-    this.pairs = []; // not yet in the map: {points: [of A, of B], places: of each {keyframe, stamp_ns, pose}}
-    this.stored = []; // of the map, as map_look tells them
-    this.passes = []; // that could be joined, as map_look tells them
-    this.places = {
-      a: new PlacePicker("a", edit, () => this.#placeChanged()),
-      b: new PlacePicker("b", edit, () => this.#placeChanged()),
-    };
-    this.otherPass = element("button", { type: "button", id: "other-pass", onclick: () => this.#otherPass() }, "B: other pass near A");
-    this.pick = element("button", { type: "button", id: "pick-pairs", "aria-pressed": "false", onclick: () => this.#pickPoints() }, "Pick points");
-    this.split = element("button", { type: "button", id: "side-by-side", "aria-pressed": "false", onclick: () => this.#sideBySide() }, "Side by side");
-    this.pane = new PlacePane(byId("pane"), edit.view, () => (edit.tool instanceof PairTool ? edit.tool : null),
-      (...drawing) => this.#drawPane(...drawing));
-    this.shownInPane = null; // pose of place B
-    this.forget = element("button", { type: "button", id: "forget-places", onclick: () => this.clear() }, "Clear");
-    this.passList = element("ul", { className: "stored", id: "passes", "aria-label": "Passes that overlap and do not agree" });
-    this.list = element("ul", { className: "stored", id: "pairs", "aria-label": "Pairs of points" });
-    this.optimise = element("button", { type: "button", className: "primary", id: "optimise", onclick: () => this.#optimise() }, "Optimise");
-    this.card = card("Join places by points");
-    this.card.node.append(this.passList,
-      element("p", { className: "note" },
-        "Where a wall shows twice, choose a place of each pass; then click a point of A and the same one of B. Two pairs some metres apart fix a turn, too."),
-      this.places.a.node, this.places.b.node,
-      element("div", { className: "row" }, this.otherPass, this.pick, this.split),
-      this.list, element("div", { className: "row" }, this.optimise, this.forget));
+    this.places = Object.fromEntries(["a", "b"].map((side) => [side, new PlacePicker(side, edit, () => this.#placeChanged())]));
+    this.pane = new PlacePane(byId("pane"), edit.view, () => this.#tool, (...drawing) => this.#drawPane(...drawing));
+    const acts = { "other-pass": () => this.#otherPass(), "pick-pairs": () => this.#pickPoints(), "side-by-side": () => this.#sideBySide(),
+      "forget-places": () => this.clear(), optimise: () => this.#optimise() };
+    for (const [id, act] of Object.entries(acts)) onClick(id, act);
+  }
+
+  get #tool() {
+    return this.edit.tool instanceof PairTool ? this.edit.tool : null;
   }
 
   /** Pairs, passes that could be joined, and key frames of the map as it is now. */
   put(pairs, passes) {
-    this.stored = pairs;
-    this.passes = passes;
+    [this.stored, this.passes] = [pairs, passes];
     for (const place of Object.values(this.places)) {
       if (place.isChosen && place.keyframe < this.edit.keyframes.count) place.choose(place.keyframe);
       else place.clear();
@@ -54,52 +43,45 @@ export class EditPairs {
     this.pairs = [];
     this.edit.endTool();
     for (const place of Object.values(this.places)) place.clear();
+    this.#changed();
+  }
+
+  #changed() {
     this.update();
     this.edit.view.invalidate();
   }
 
   update() {
-    const { a, b } = this.places, { places } = this.edit.view.colours;
-    a.swatch.style.background = places.a;
-    b.swatch.style.background = places.b;
+    const { a, b } = this.places, areTwo = a.isChosen && b.isChosen, needsTwo = areTwo ? "" : "Choose place A and place B first";
     a.update();
     b.update();
-    const areTwo = a.isChosen && b.isChosen, needsTwo = areTwo ? "" : "Choose place A and place B first";
-    setRefused(this.otherPass, a.isChosen ? "" : "Choose place A first");
-    setRefused(this.pick, needsTwo || (a.keyframe === b.keyframe ? "Place A and place B are one key frame: choose another" : ""));
-    this.pick.setAttribute("aria-pressed", String(this.edit.tool instanceof PairTool));
-    setRefused(this.split, needsTwo);
-    if (!areTwo && this.pane.isOpen) this.pane.close();
-    this.split.setAttribute("aria-pressed", String(this.pane.isOpen));
-    setRefused(this.forget, a.isChosen || b.isChosen || this.pairs.length ? "" : "Nothing is chosen");
-    setText(this.optimise, this.pairs.length ? `Optimise with ${this.pairs.length} new` : "Optimise");
+    setRefused(byId("other-pass"), a.isChosen ? "" : "Choose place A first");
+    setRefused(byId("pick-pairs"), needsTwo || (a.keyframe === b.keyframe ? "Place A and place B are one key frame: choose another" : ""));
+    setPressed(byId("pick-pairs"), this.#tool !== null);
+    setRefused(byId("side-by-side"), needsTwo);
+    if (!areTwo && this.pane.isOpen) this.pane.split(false);
+    setPressed(byId("side-by-side"), this.pane.isOpen);
+    setRefused(byId("forget-places"), a.isChosen || b.isChosen || this.pairs.length ? "" : "Nothing is chosen");
+    setText(byId("optimise"), this.pairs.length ? `Optimise with ${this.pairs.length} new` : "Optimise");
     const total = this.stored.length + this.pairs.length;
-    setText(this.card.aside, total ? `${total} ${total === 1 ? "pair" : "pairs"}` : "");
-    this.passList.hidden = this.passes.length === 0;
-    this.passList.replaceChildren(...this.passes.map((pass) => this.#proposal(pass)));
-    this.list.replaceChildren(
-      ...this.stored.map((pair) => this.#entry(`Pair ${pair.pair}`, pair.apart_mm / 1000, () => this.edit.change({ what: "remove-pair", pair: pair.pair }, "Remove pair"))),
-      ...this.pairs.map((pair, i) => this.#entry(`New ${i + 1}`, apart_m(pair), () => this.#remove(i))));
-  }
-
-  #entry(name, residual_m, remove) {
-    return element("li", { className: "pair" }, element("span", { className: "stored-name" }, name),
-      element("span", { className: "note" }, `${fixed(residual_m, 3, " m")} apart`),
-      element("button", { type: "button", "aria-label": `Remove ${name}`, onclick: remove }, "Remove"));
+    setText(byId("pair-count"), total ? counted(total, "pair") : "");
+    byId("passes").hidden = this.passes.length === 0;
+    byId("passes").replaceChildren(...this.passes.map((pass) => this.#proposal(pass)));
+    byId("pairs").replaceChildren(
+      ...this.stored.map(({ pair, apart_mm }) => entry(`Pair ${pair}`, apart_mm / 1000, () => this.edit.change({ what: "remove-pair", pair }, "Remove pair"))),
+      ...this.pairs.map((pair, i) => entry(newName(i), apart_m(pair), () => { this.pairs.splice(i, 1); this.#changed(); })));
   }
 
   /** What was aligned and not accepted, with the points that would join it. */
   #proposal(pass) {
-    const { keyframes: [a, b], apart_m, apart_deg, on_map, x_m, y_m, why } = pass, { keyframes } = this.edit;
-    const where = `x ${fixed(x_m, 1)}, y ${fixed(y_m, 1, " m")}`, isChosen = this.pairs.some((pair) => pair.pass === pass);
-    const button = element("button", { type: "button", "aria-label": `Propose points at ${where}`, onclick: () => this.#propose(pass) }, "Propose points");
-    setRefused(button, isChosen ? "Its points are in the list below" : "");
-    return element("li", { className: "pass" }, element("p", { className: "stored-name" }, `Two passes ${fixed(apart_m, 2, " m")} and ${fixed(apart_deg, 1)}\u00b0 apart at ${where}`),
-      element("p", { className: "note" }, `Driven at ${fixed(keyframes.seconds(a), 0, " s")} and ${fixed(keyframes.seconds(b), 0, " s")}; aligned, ${fixed(100 * on_map, 0, " %")} of the later points fit. Not joined by itself: ${why}.`),
-      element("div", { className: "row" }, button));
+    const { apart_m: off_m, apart_deg, on_map, x_m, y_m, why } = pass;
+    const [a, b] = pass.keyframes.map((k) => fixed(this.edit.keyframes.seconds(k), 0, " s")), where = `x ${fixed(x_m, 1)}, y ${fixed(y_m, 1, " m")}`;
+    const propose = button("Propose points", () => this.#propose(pass), { "aria-label": `Propose points at ${where}` });
+    setRefused(propose, this.pairs.some((pair) => pair.pass === pass) ? "Its points are in the list below" : "");
+    return element("li", { className: "pass" }, element("p", { className: "stored-name" }, `Two passes ${fixed(off_m, 2, " m")} and ${fixed(apart_deg, 1)}\u00b0 apart at ${where}`),
+      note(`Driven at ${a} and ${b}; aligned, ${fixed(100 * on_map, 0, " %")} of the later points fit. Not joined by itself: ${why}.`), row(propose));
   }
 
-  /** Choose both places and points of them, for the person to look at before Optimise. */
   async #propose(pass) {
     const { a, b } = this.places, [of, to] = pass.keyframes;
     await Promise.all([a.choose(of), b.choose(to)]);
@@ -109,18 +91,14 @@ export class EditPairs {
     this.update();
   }
 
-  #remove(i) {
-    this.pairs.splice(i, 1);
-    this.update();
-    this.edit.view.invalidate();
-  }
-
   #placeChanged() {
-    if (this.edit.tool instanceof PairTool) this.edit.tool.back();
-    const { b } = this.places;
-    if (this.pane.isOpen && b.pose && b.pose !== this.shownInPane) this.#showInPane();
-    this.update();
-    this.edit.view.invalidate();
+    const { pose } = this.places.b;
+    this.#tool?.back();
+    if (this.pane.isOpen && pose && pose !== this.shownInPane) {
+      this.shownInPane = pose;
+      this.pane.show(pose);
+    }
+    this.#changed();
   }
 
   #otherPass() {
@@ -130,52 +108,45 @@ export class EditPairs {
   }
 
   #pickPoints() {
-    if (this.edit.tool instanceof PairTool) {
+    if (this.#tool) {
       this.edit.endTool();
       return;
     }
-    const tool = new PairTool(this.edit.view, this.places, this.pane, (ofA, ofB) => {
+    const { places, pane } = this;
+    const tool = new PairTool(this.edit.view, { places, pane, picked: (...points) => {
       if (this.pairs.length >= MAX_PAIRS) tool.note = `${MAX_PAIRS} new pairs at most; optimise first.`;
-      else this.pairs.push({ points: [ofA, ofB], places: [this.places.a.as(), this.places.b.as()] });
+      else this.pairs.push({ points, places: [places.a.as(), places.b.as()] });
       this.update();
-    });
+    } });
     this.edit.beginTool(tool);
   }
 
-  /** Two panes, and points are picked in them; or one map again. */
   #sideBySide() {
     const { a, b } = this.places;
     if (this.pane.isOpen) this.closePane();
     else if (a.pose && b.pose) {
       this.pane.open(a.pose, b.pose);
       this.shownInPane = b.pose;
-      if (!(this.edit.tool instanceof PairTool)) this.#pickPoints();
-      else this.edit.beginTool(this.edit.tool); // its hint is another
+      if (this.#tool) this.edit.beginTool(this.#tool); // the focus goes to the map
+      else this.#pickPoints();
     }
     this.update();
   }
 
   closePane() {
-    this.pane.close();
-    if (this.edit.tool instanceof PairTool) this.edit.tool.back();
+    this.pane.split(false);
+    this.#tool?.back();
     this.update();
-  }
-
-  #showInPane() {
-    this.shownInPane = this.places.b.pose;
-    this.pane.show(this.shownInPane);
   }
 
   async #optimise() {
-    const far = this.pairs.flatMap((pair, i) => (apart_m(pair) > FAR_M ? [`New ${i + 1}: ${fixed(apart_m(pair), 3, " m")}`] : []));
+    const far = this.pairs.flatMap((pair, i) => (apart_m(pair) > FAR_M ? [`${newName(i)}: ${fixed(apart_m(pair), 3, " m")}`] : []));
     if (far.length && !await confirmed("Join points that are far apart?",
       `In the map as it is they are farther apart than ${FAR_M} m: ${far.join(", ")}. If they are one place, the map is bent by as much; if not, it is spoilt. Undo takes it back.`, "Optimise")) return;
-    const { pairs } = this, change = pairs.length ? { what: "add-pair", pairs } : { what: "optimize" };
+    const { pairs } = this;
     this.pairs = [];
-    this.edit.endTool();
-    if (!await this.edit.change(change, "Optimise")) this.pairs = pairs; // to be corrected, not picked again
-    this.update();
-    this.edit.view.invalidate();
+    if (!await this.edit.change(pairs.length ? { what: "add-pair", pairs } : { what: "optimize" }, "Optimise")) this.pairs = pairs; // to be corrected, not picked again
+    this.#changed();
   }
 
   draw(context, camera, colours) {
@@ -190,27 +161,29 @@ export class EditPairs {
   #drawPane(context, camera, colours) {
     this.places.b.draw(context, camera, colours.places.b);
     this.#drawLinks(context, camera, colours);
-    if (this.edit.tool instanceof PairTool) this.edit.tool.drawOf(["b"], context, camera, colours);
+    this.#tool?.drawOf(["b"], context, camera, colours);
   }
 
-  #drawLinks(context, camera, colours) {
-    const link = (from, to, name, dash) => {
-      const [x0, y0] = camera.toScreen(...from), [x1, y1] = camera.toScreen(...to);
-      context.strokeStyle = context.fillStyle = colours.measure;
-      context.lineWidth = 2;
+  #drawLinks(context, camera, { measure }) {
+    const link = (points, name, dash) => {
+      const ends = points.map((point) => camera.toScreen(...point)), [x, y] = ends[1];
       context.setLineDash(dash);
-      context.beginPath();
-      context.moveTo(x0, y0);
-      context.lineTo(x1, y1);
-      context.stroke();
-      context.setLineDash([]);
-      for (const [x, y] of [[x0, y0], [x1, y1]]) context.fillRect(x - 3, y - 3, 6, 6);
-      context.font = "12px system-ui, sans-serif";
-      context.fillText(name, x1 + 6, y1 + 14);
+      strokeLine(context, ...ends);
+      for (const end of ends) square(context, end, 6);
+      context.fillText(name, x + 6, y + 14);
     };
-    for (const pair of this.stored) link([pair.x_m, pair.y_m], [pair.other_x_m, pair.other_y_m], String(pair.pair), [3, 3]);
-    this.pairs.forEach(({ points: [from, to] }, i) => link(from, to, `New ${i + 1}`, []));
+    context.strokeStyle = context.fillStyle = measure;
+    context.lineWidth = 2;
+    context.font = `12px ${FONT}`;
+    for (const { pair, x_m, y_m, other_x_m, other_y_m } of this.stored) link([[x_m, y_m], [other_x_m, other_y_m]], String(pair), [3, 3]);
+    this.pairs.forEach(({ points }, i) => link(points, newName(i), []));
+    context.setLineDash([]);
   }
 }
 
-const apart_m = ({ points: [[x0, y0], [x1, y1]] }) => Math.hypot(x1 - x0, y1 - y0);
+const newName = (i) => `New ${i + 1}`;
+
+const apart_m = ({ points }) => distance(...points);
+
+const entry = (name, residual_m, remove) => element("li", { className: "pair" }, element("span", { className: "stored-name" }, name),
+  element("span", { className: "note" }, `${fixed(residual_m, 3, " m")} apart`), button("Remove", remove, { "aria-label": `Remove ${name}` }));

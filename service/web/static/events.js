@@ -10,14 +10,12 @@ const NUMBER = /(?<![\w.])-?\d+(\.\d+)?/g;
 const wordsOf = (text) => {
   try {
     const { event, ...rest } = JSON.parse(text);
-    const words = [EVENT_WORDS[event] ?? event, ...Object.values(rest).map(value)].join(", ");
+    const words = [EVENT_WORDS[event] ?? event, ...Object.values(rest).map((value) => (typeof value === "object" ? JSON.stringify(value) : value))].join(", ");
     return { words, group: event === "mapping" ? words.replace(NUMBER, "#") : words };
   } catch {
     return { words: text, group: text }; // no JSON: then it is words already
   }
 };
-
-const value = (one) => (typeof one === "object" ? JSON.stringify(one) : one);
 
 /** Lines {stamp_s, words} of events {stamp_s, text}, given as they came; of each group the newest, with its count. */
 export const eventLines = (events) => {

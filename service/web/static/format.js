@@ -12,7 +12,6 @@ export const figure = (text, digits, unit = "") => fixed(text === undefined || t
 
 export const degrees = (rad, digits = 1) => (isNumber(rad) ? `${decimal((rad * 180) / Math.PI, digits)}\u00b0` : "\u2013");
 
-/** A length in the unit in which one would say it. */
 export const metres = (m) => {
   if (!isNumber(m)) return "\u2013";
   if (Math.abs(m) < 0.995) return `${(100 * m).toFixed(1)} cm`;
@@ -39,17 +38,13 @@ export const deviceClock = (text) => {
   return String(new Date(1000 * (s > UNIX_END_S ? s - NTP_UNIX_S : s)).getUTCFullYear());
 };
 
-/** 1 cell, 2 cells. */
 export const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
 export const clockTime = (unix_s) => new Date(1000 * unix_s).toLocaleTimeString([], { hour12: false });
 
+export const dateTime = (value) => new Date(value).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+
 export const bytes = (count) => {
-  const units = ["B", "kB", "MB", "GB"];
-  let size = count, unit = 0;
-  while (size >= 1000 && unit < units.length - 1) {
-    size /= 1000;
-    unit += 1;
-  }
-  return `${size.toFixed(unit === 0 ? 0 : 1)} ${units[unit]}`;
+  const [unit, size] = [["GB", 1e9], ["MB", 1e6], ["kB", 1e3]].find(([, least]) => count >= least) ?? ["B", 1];
+  return `${(count / size).toFixed(size === 1 ? 0 : 1)} ${unit}`;
 };

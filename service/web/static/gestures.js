@@ -3,90 +3,79 @@
 const PAN_PIXELS = 60, ZOOM_STEP = 1.25, TURN_STEP_RAD = Math.PI / 12;
 const CLICK_PIXELS = 5; // a press that moved less is a click
 
+export const hasModifier = ({ ctrlKey, metaKey, altKey }) => ctrlKey || metaKey || altKey;
+
 export class Gestures {
-  /** tool(): what is at work, null where nothing is: {down, move, up}(point, event), points in CSS pixels. */
-  constructor(canvas, view, tool, changed) {
-    this.canvas = canvas;
+  /** view: MapCanvas. tool(): what is at work, null where nothing is: {drags, down, move, up, click, back}, points in CSS pixels. */
+  constructor(view, tool, ownKeys = {}) {
+    const { canvas } = view;
     this.view = view;
     this.tool = tool;
-    this.changed = changed; // called when the view was moved by hand
     this.pointers = new Map();
-    canvas.addEventListener("pointerdown", (event) => this.#down(event));
-    canvas.addEventListener("pointermove", (event) => this.#move(event));
-    canvas.addEventListener("pointerup", (event) => this.#up(event));
-    canvas.addEventListener("pointercancel", (event) => this.#up(event));
-    canvas.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    this.keys = {
+      ArrowLeft: () => this.#pan(PAN_PIXELS, 0), ArrowRight: () => this.#pan(-PAN_PIXELS, 0),
+      ArrowUp: () => this.#pan(0, PAN_PIXELS), ArrowDown: () => this.#pan(0, -PAN_PIXELS),
+      "+": () => this.#zoom(ZOOM_STEP), "=": () => this.#zoom(ZOOM_STEP), "-": () => this.#zoom(1 / ZOOM_STEP),
+      "[": () => this.#turn(TURN_STEP_RAD), "]": () => this.#turn(-TURN_STEP_RAD), n: () => this.#turn(-view.camera.rotation_rad),
+      Enter: () => tool()?.click?.(view.camera.middle), Backspace: () => tool()?.back?.(), ...ownKeys,
+    };
+    const listen = (kinds, act) => { for (const kind of kinds) canvas.addEventListener(kind, act, { passive: false }); };
+    listen(["pointerdown"], (event) => this.#down(event));
+    listen(["pointermove"], (event) => this.#move(event));
+    listen(["pointerup", "pointercancel"], (event) => this.#up(event));
+    listen(["wheel"], (event) => this.#wheel(event));
+    listen(["contextmenu"], (event) => event.preventDefault());
+    listen(["keydown"], (event) => {
+      if (!hasModifier(event) && !(event.repeat && event.key === "Enter") && this.key(event.key)) event.preventDefault();
+    });
+    listen(["focus", "blur"], () => view.invalidate()); // the cross-hair
   }
 
-  zoom(factor, at = this.#middle) {
-    const centre = this.view.follows ? this.#middle : at;
-    this.view.camera.zoomAt(centre[0], centre[1], factor);
-    this.view.invalidate();
-  }
-
-  turn(steps) {
-    const [x, y] = this.#middle;
-    this.view.camera.zoomAt(x, y, 1, steps * TURN_STEP_RAD);
-    this.view.invalidate();
-  }
-
-  north() {
-    const [x, y] = this.#middle;
-    this.view.camera.zoomAt(x, y, 1, -this.view.camera.rotation_rad);
-    this.view.invalidate();
-  }
-
-  /** True where the key means something on the map. */
   key(name) {
-    switch (name) {
-      case "ArrowLeft": this.#pan(PAN_PIXELS, 0); return true;
-      case "ArrowRight": this.#pan(-PAN_PIXELS, 0); return true;
-      case "ArrowUp": this.#pan(0, PAN_PIXELS); return true;
-      case "ArrowDown": this.#pan(0, -PAN_PIXELS); return true;
-      case "+": case "=": this.zoom(ZOOM_STEP); return true;
-      case "-": this.zoom(1 / ZOOM_STEP); return true;
-      case "[": this.turn(1); return true;
-      case "]": this.turn(-1); return true;
-      case "n": case "N": this.north(); return true;
-      default: return false;
-    }
-  }
-
-  get #middle() {
-    return [this.view.camera.width / 2, this.view.camera.height / 2];
+    const act = this.keys[name.length === 1 ? name.toLowerCase() : name];
+    act?.();
+    return act !== undefined;
   }
 
   #point(event) {
-    const box = this.canvas.getBoundingClientRect();
+    const box = this.view.canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
   #pan(dx, dy) {
-    this.view.follows = false;
     this.view.camera.panBy(dx, dy);
+    this.view.follow(false);
+  }
+
+  #zoom(factor, at = this.view.camera.middle) {
+    this.view.camera.zoomAt(this.view.follows ? this.view.camera.middle : at, factor);
     this.view.invalidate();
-    this.changed();
+  }
+
+  #turn(turn_rad) {
+    this.view.camera.zoomAt(this.view.camera.middle, 1, turn_rad);
+    this.view.invalidate();
   }
 
   #down(event) {
-    this.canvas.setPointerCapture(event.pointerId);
-    const point = this.#point(event);
-    this.pointers.set(event.pointerId, { point, start: point, turns: event.button === 2 || event.shiftKey });
-    if (this.pointers.size === 1 && !this.pointers.get(event.pointerId).turns) this.tool()?.down?.(point);
+    this.view.canvas.setPointerCapture(event.pointerId);
+    const point = this.#point(event), turns = event.button === 2 || event.shiftKey;
+    this.pointers.set(event.pointerId, { point, start: point, turns });
+    if (this.pointers.size === 1 && !turns) this.tool()?.down?.(point);
   }
 
   #move(event) {
-    const point = this.#point(event);
+    const point = this.#point(event), [x, y] = point;
     this.onHover?.(point);
     const pressed = this.pointers.get(event.pointerId);
     if (!pressed) return;
+    const dx = x - pressed.point[0], dy = y - pressed.point[1];
     if (this.pointers.size === 2) this.#pinch(event.pointerId, point);
-    else if (pressed.turns) this.#turnBy(point[0] - pressed.point[0]);
+    else if (pressed.turns) this.#turn(-dx * 0.01);
     else if (this.tool()?.drags) this.tool().move(point);
-    else if (Math.hypot(point[0] - pressed.start[0], point[1] - pressed.start[1]) > CLICK_PIXELS || pressed.hasMoved) {
+    else if (pressed.hasMoved || Math.hypot(x - pressed.start[0], y - pressed.start[1]) > CLICK_PIXELS) {
       pressed.hasMoved = true;
-      this.#pan(point[0] - pressed.point[0], point[1] - pressed.point[1]);
+      this.#pan(dx, dy);
     } else return; // the first pixels of what may become a click
     pressed.point = point;
   }
@@ -100,31 +89,20 @@ export class Gestures {
     else if (!pressed.hasMoved && this.pointers.size === 0) this.tool()?.click?.(point);
   }
 
-  #turnBy(dx) {
-    const [x, y] = this.#middle;
-    this.view.camera.zoomAt(x, y, 1, -dx * 0.01);
-    this.view.invalidate();
-  }
-
   /** Two fingers: the points of the map under them stay under them. */
-  #pinch(id, point) {
-    const moved = this.pointers.get(id);
-    const other = [...this.pointers].find(([key]) => key !== id)[1];
-    const before = [moved.point[0] - other.point[0], moved.point[1] - other.point[1]];
-    const after = [point[0] - other.point[0], point[1] - other.point[1]];
+  #pinch(id, [x, y]) {
+    const moved = this.pointers.get(id), other = [...this.pointers].find(([key]) => key !== id)[1], [x0, y0] = other.point;
+    const before = [moved.point[0] - x0, moved.point[1] - y0], after = [x - x0, y - y0];
     const factor = Math.hypot(...after) / Math.max(Math.hypot(...before), 1);
     const turn_rad = Math.atan2(before[1], before[0]) - Math.atan2(after[1], after[0]);
     moved.hasMoved = other.hasMoved = true;
-    this.view.follows = false;
-    this.view.camera.zoomAt(other.point[0], other.point[1], factor, turn_rad);
-    this.view.invalidate();
-    this.changed();
-    moved.point = point;
+    this.view.camera.zoomAt(other.point, factor, turn_rad);
+    this.view.follow(false);
   }
 
   #wheel(event) {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 16 : 1;
-    this.zoom(Math.exp(-event.deltaY * lines * 0.0015), this.#point(event));
+    this.#zoom(Math.exp(-event.deltaY * lines * 0.0015), this.#point(event));
   }
 }

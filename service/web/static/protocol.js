@@ -1,25 +1,19 @@
 // The binary messages of service/web/protocol.py, which describes them.
 
-const TILES = 1, SCAN = 2, PATH = 3, GRAPH = 4, STANDING = 5, CHANGED = 6;
 export const RANGE_STEP_M = 0.005;
 const FIRST_CAUSE = 65_280; // from here on a number says why a beam has no range
 
-const inflate = async (bytes) => {
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Response(stream).arrayBuffer();
-};
+/** What is compressed from a byte on. */
+const inflated = (view, from) =>
+  new Response(new Blob([new Uint8Array(view.buffer, from)]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
+
+const edgeOfCell = (view) => Math.round(view.getFloat32(4, true) * 1e6) / 1e6;
 
 const decodeTiles = async (view) => {
-  const edge = view.getUint16(2, true), cell_m = view.getFloat32(4, true), count = view.getUint32(8, true);
-  const body = await inflate(new Uint8Array(view.buffer, 12));
-  const places = new Int32Array(body, 0, 2 * count);
-  const cells = new Int8Array(body, 8 * count);
-  const tiles = [];
-  for (let i = 0; i < count; i += 1) {
-    const of = cells.subarray(i * edge * edge, (i + 1) * edge * edge);
-    tiles.push({ ix: places[2 * i], iy: places[2 * i + 1], cells: of });
-  }
-  return { type: "tiles", edge, cell_m: Math.round(cell_m * 1e6) / 1e6, tiles };
+  const edge = view.getUint16(2, true), count = view.getUint32(8, true), body = await inflated(view, 12);
+  const places = new Int32Array(body, 0, 2 * count), cells = new Int8Array(body, 8 * count);
+  const tile = (_, i) => ({ ix: places[2 * i], iy: places[2 * i + 1], cells: cells.subarray(i * edge * edge, (i + 1) * edge * edge) });
+  return { type: "tiles", edge, cell_m: edgeOfCell(view), tiles: Array.from({ length: count }, tile) };
 };
 
 const decodeScan = (view) => {
@@ -45,7 +39,7 @@ const decodePath = (view) => ({
 
 /** Every list of points is flat: [x_m, y_m, x_m, y_m ...]. */
 const decodeGraph = async (view) => {
-  const body = await inflate(new Uint8Array(view.buffer, 4));
+  const body = await inflated(view, 4);
   const [ways, borders, accepted, refused] = new Uint32Array(body, 0, 4);
   const counts = new Uint32Array(body, 16, ways + borders);
   let at = 16 + 4 * (ways + borders);
@@ -65,25 +59,20 @@ const decodeGraph = async (view) => {
 const decodePicture = async (type, view) => ({
   type,
   isKnown: view.getUint8(1) === 1,
-  cell_m: Math.round(view.getFloat32(4, true) * 1e6) / 1e6,
+  cell_m: edgeOfCell(view),
   column: view.getInt32(8, true),
   row: view.getInt32(12, true),
   width: view.getUint32(16, true),
   height: view.getUint32(20, true),
-  cells: new Int8Array(await inflate(new Uint8Array(view.buffer, 24))),
+  cells: new Int8Array(await inflated(view, 24)),
 });
+
+const DECODERS = [decodeTiles, decodeScan, decodePath, decodeGraph, (view) => decodePicture("standing", view), (view) => decodePicture("changes", view)];
 
 /** A message of the service as an object with a type; tiles take a moment to inflate. */
 export const decode = (data) => {
   if (typeof data === "string") return JSON.parse(data);
-  const view = new DataView(data);
-  switch (view.getUint8(0)) {
-    case TILES: return decodeTiles(view);
-    case SCAN: return decodeScan(view);
-    case PATH: return decodePath(view);
-    case GRAPH: return decodeGraph(view);
-    case STANDING: return decodePicture("standing", view);
-    case CHANGED: return decodePicture("changes", view);
-    default: throw new Error(`message of kind ${view.getUint8(0)}; expected 1 to 6`);
-  }
+  const view = new DataView(data), kind = view.getUint8(0); // from 1 on
+  if (!DECODERS[kind - 1]) throw new Error(`message of kind ${kind}; expected 1 to ${DECODERS.length}`);
+  return DECODERS[kind - 1](view);
 };

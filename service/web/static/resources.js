@@ -1,41 +1,27 @@
 // The area Resources: stored maps and sessions; to have, to load, to name, to delete and to take back.
 
-import { card, confirmed, element, fileName, NO_TOKEN, notice, setRefused, setText } from "./dom.js";
-import { bytes } from "./format.js";
-import { GRAPH_PROFILE } from "./profile_card.js";
+import { button, byId, confirmed, element, fileName, NO_TOKEN, note, notice, noticeOf, onClick, row, select, setRefused, setText } from "./dom.js";
+import { bytes, dateTime } from "./format.js";
+import { GRAPH_PROFILE, valuesOf } from "./health.js";
 
-const KINDS = { map: "Maps", session: "Sessions" };
+const KINDS = ["map", "session"];
 const SHOWN = 30; // of a kind; the rest on demand
 
 export class Resources {
+  formats = {};
+  verbs = [];
+  written = ""; // what the service writes to
+  mapping = {}; // values of health
+
   /** lastPose(): {x_m, y_m, theta_rad} of the vehicle in the present map, null where it is not known now. */
   constructor(root, connection, lastPose) {
-    this.connection = connection;
-    this.lastPose = lastPose;
-    this.formats = {};
-    this.lists = {};
-    this.verbs = [];
-    this.written = ""; // what the service writes to
-    this.mapping = {}; // what health tells of it
-    this.root = root;
-    const refresh = element("button", { type: "button", onclick: () => this.refresh() }, "Refresh");
-    root.append(element("div", { className: "row" }, refresh,
-      element("span", { className: "note" }, "Deleted things can be taken back until the service starts again.")));
-    for (const [kind, title] of Object.entries(KINDS)) {
-      const { node, aside } = card(title);
-      const list = element("ul", { className: "stored" });
-      if (kind === "map") node.append(element("p", { className: "note" }, "The command corridor view shows a stored map, and edits it."));
-      node.append(list);
-      root.append(node);
-      this.lists[kind] = { list, aside };
-    }
+    Object.assign(this, { root, connection, lastPose });
+    onClick("refresh", () => this.refresh());
   }
 
-  /** Another map is loaded, another recording begun. */
-  putHealth({ statuses }) {
-    const values = (name) => statuses.find((status) => status.name === name)?.values ?? {};
-    this.mapping = values("mapping");
-    const written = `${values("map").folder} ${values("recording").file} ${this.mapping.profile}`;
+  putHealth(health) {
+    this.mapping = valuesOf(health, "mapping");
+    const written = `${valuesOf(health, "map").folder} ${valuesOf(health, "recording").file} ${this.mapping.profile}`;
     if (written === this.written) return;
     this.written = written;
     if (!this.root.hidden) this.refresh();
@@ -48,91 +34,70 @@ export class Resources {
       return;
     }
     this.formats = answer.formats;
-    for (const kind of Object.keys(KINDS)) this.#show(kind, answer[kind]);
+    for (const kind of KINDS) this.#show(kind, answer[kind], SHOWN);
   }
 
-  #show(kind, entries) {
-    const { list, aside } = this.lists[kind];
-    const size = entries.reduce((sum, entry) => sum + entry.bytes, 0);
-    setText(aside, `${entries.length}, ${bytes(size)}`);
-    list.replaceChildren(...entries.slice(0, SHOWN).map((entry) => this.#entry(kind, entry)));
+  #show(kind, entries, most) {
+    const list = byId(`${kind}-list`);
+    setText(byId(`${kind}-total`), `${entries.length}, ${bytes(entries.reduce((sum, entry) => sum + entry.bytes, 0))}`);
+    list.replaceChildren(...entries.slice(0, most).map((entry) => this.#entry(kind, entry)));
     if (entries.length === 0) list.append(element("li", { className: "note" }, "None stored."));
-    if (entries.length > SHOWN) {
-      const all = element("button", { type: "button" }, `Show all ${entries.length}`);
-      all.addEventListener("click", () => list.replaceChildren(...entries.map((entry) => this.#entry(kind, entry))));
-      list.append(element("li", {}, all));
-    }
+    if (entries.length > most) list.append(element("li", {}, button(`Show all ${entries.length}`, () => this.#show(kind, entries, Infinity))));
   }
 
-  #entry(kind, entry) {
-    const may = this.connection.mayControl;
-    const when = new Date(1000 * entry.changed_s).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-    const format = element("select", { "aria-label": `Format of ${entry.name}` },
-      ...this.formats[kind].map((name) => element("option", { value: name }, name)));
-    const act = (text, label, onclick, refused, className = "") => {
-      const button = element("button", { type: "button", className, onclick, "aria-label": `${text} ${label}` }, text);
-      setRefused(button, may ? refused : NO_TOKEN);
-      return button;
+  #entry(kind, { name, bytes: size, changed_s, in_use, has_graph }) {
+    const format = select({ "aria-label": `Format of ${name}` }, this.formats[kind].map((one) => [one, one]));
+    const act = (text, onclick, refused, className = "") => {
+      const made = button(text, onclick, { className, "aria-label": `${text} ${name}` });
+      setRefused(made, this.connection.mayControl ? refused : NO_TOKEN);
+      return made;
     };
-    const isBeingWritten = entry.name.endsWith(".active"), inUse = entry.in_use ? "The service is using it" : "";
+    const isWritten = name.endsWith(".active") ? "It is being recorded: stop the recording first" : "", inUse = in_use ? "The service is using it" : "";
     const load = kind === "map" && this.verbs.includes("load_map")
-      ? [act("Load\u2026", entry.name, () => this.#load(entry.name), inUse || this.#whyNotLoaded(entry))] : [];
+      ? [act("Load\u2026", () => this.#load(name), inUse || this.#whyNotLoaded(has_graph))] : [];
     return element("li", {},
-      element("div", { className: "stored-head" }, element("div", {},
-        element("p", { className: "stored-name" }, ...fileName(entry.name)),
-        element("p", { className: "note" }, `${bytes(entry.bytes)}, ${when}${entry.in_use ? ", in use" : ""}`)), ...load),
-      element("div", { className: "row" }, format,
-        act("Download", entry.name, () => this.#download(kind, entry.name, format.value), isBeingWritten ? "It is being recorded: stop the recording first" : ""),
-        act("Rename\u2026", entry.name, () => this.#rename(kind, entry.name), inUse),
-        act("Delete\u2026", entry.name, () => this.#delete(kind, entry.name), inUse, "danger")));
+      element("div", { className: "stored-head" }, element("div", {}, element("p", { className: "stored-name" }, ...fileName(name)),
+        note(`${bytes(size)}, ${dateTime(1000 * changed_s)}${in_use ? ", in use" : ""}`)), ...load),
+      row(format, act("Download", () => this.#download(kind, name, format.value), isWritten),
+        act("Rename\u2026", () => this.#rename(kind, name), inUse), act("Delete\u2026", () => this.#delete(kind, name), inUse, "danger")));
   }
 
-  #whyNotLoaded({ has_graph }) {
+  #whyNotLoaded(hasGraph) {
     const { profile = GRAPH_PROFILE } = this.mapping;
     if (profile !== GRAPH_PROFILE) return `The profile ${profile} begins in no stored map; ${GRAPH_PROFILE} does`;
-    return has_graph ? "" : "It holds a picture without key frames: no session can begin in it";
+    return hasGraph ? "" : "It holds a picture without key frames: no session can begin in it";
   }
 
   async #download(kind, name, to) {
     notice(`${name} is being made ready as ${to}.`);
     const answer = await this.connection.resource({ action: "download", kind, name, to });
-    if (!answer.ok) {
-      notice(`${name}: ${answer.error}.`, "error");
-      return;
-    }
-    element("a", { href: answer.url, download: "" }).click();
+    if (answer.ok) element("a", { href: answer.url, download: "" }).click();
+    else notice(`${name}: ${answer.error}.`, "error");
   }
 
-  /** The mapping goes on in a stored map. */
   async #load(name) {
     const isFixed = this.mapping.configured_mode === "localization"; // it is localised anyway
     const choice = await confirmed(`Load ${name}?`, `The present map is saved and closed. The vehicle goes on in this one: ${isFixed ? "it" : "it maps there, or"} is only localised, and the map stays as it is. `
       + "It is lost until it is found there; Set pose helps it. The recording goes on.", isFixed ? "Load and localise" : "Load and map", null, !isFixed && this.verbs.includes("set_mode") ? "Load and localise" : "");
     if (!choice) return;
-    const pose = this.lastPose();
-    const answer = await this.connection.command("load_map", { map: name });
+    const pose = this.lastPose(), answer = await this.connection.command("load_map", { map: name });
     const mode = answer.ok && choice === "other" ? await this.connection.command("set_mode", { mode: "localization" }) : answer;
-    const before = answer.folder_before ? `, the map before is in ${answer.folder_before}` : "";
-    if (!answer.ok) notice(`Load ${name}: ${answer.error}.`, "error");
-    else if (!mode.ok) notice(`${name} is loaded${before}, but the vehicle maps in it: ${mode.error}.`, "error");
-    else if (!pose) notice(`${name} is loaded${before}.`, "ok");
-    else {
-      notice(`${name} is loaded${before}. Is it a copy of that one, and the vehicle where it was?`, "ok",
-        { text: "Set its pose", act: () => this.#setPose(pose) });
-    }
+    const loaded = `${name} is loaded${answer.folder_before ? `, the map before is in ${answer.folder_before}` : ""}`;
+    if (answer.ok && !mode.ok) notice(`${loaded}, but the vehicle maps in it: ${mode.error}.`, "error");
+    else if (!answer.ok || !pose) noticeOf(`Load ${name}`, answer, loaded);
+    else notice(`${loaded}. Is it a copy of that one, and the vehicle where it was?`, "ok", { text: "Set its pose", act: () => this.#setPose(pose) });
     this.refresh();
   }
 
   async #setPose({ x_m, y_m, theta_rad }) {
-    const answer = await this.connection.command("set_pose", { x_m, y_m, theta_rad });
-    notice(answer.ok ? "The vehicle is looked for where it was." : `Set pose: ${answer.error}.`, answer.ok ? "ok" : "error");
+    noticeOf("Set pose", await this.connection.command("set_pose", { x_m, y_m, theta_rad }), "The vehicle is looked for where it was");
   }
 
   async #rename(kind, name) {
     const to = await confirmed(`Rename ${name}`, "The new name: letters, digits, _ . and -", "Rename", name);
     if (!to || to === name) return;
     const answer = await this.connection.resource({ action: "rename", kind, name, to });
-    notice(answer.ok ? `${name} is called ${answer.name} now.` : `${name}: ${answer.error}.`, answer.ok ? "ok" : "error");
+    noticeOf(name, answer, `${name} is called ${answer.name} now`);
     this.refresh();
   }
 
@@ -147,7 +112,7 @@ export class Resources {
 
   async #undo(to) {
     const answer = await this.connection.resource({ action: "undo", to });
-    notice(answer.ok ? `${answer.name} is back.` : `Undo: ${answer.error}.`, answer.ok ? "ok" : "error");
+    noticeOf("Undo", answer, `${answer.name} is back`);
     this.refresh();
   }
 }

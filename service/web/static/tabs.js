@@ -2,12 +2,12 @@
 
 import { byId } from "./dom.js";
 
-const isPhone = () => matchMedia("(max-width: 820px)").matches;
-const tabs = () => [...document.querySelectorAll('[role="tab"]')].filter((tab) => tab.offsetParent !== null);
+const phone = matchMedia("(max-width: 820px)");
+const tabs = () => [...document.querySelectorAll('[role="tab"]')];
 
 export const chooseTab = (name, { onlyOnPhone = false } = {}) => {
-  if (onlyOnPhone && !isPhone()) return;
-  for (const tab of document.querySelectorAll('[role="tab"]')) {
+  if (onlyOnPhone && !phone.matches) return;
+  for (const tab of tabs()) {
     const isChosen = tab.id === `tab-${name}`;
     tab.setAttribute("aria-selected", String(isChosen));
     tab.tabIndex = isChosen ? 0 : -1;
@@ -22,17 +22,15 @@ export const setUpTabs = () => {
     if (tab) chooseTab(tab.id.slice("tab-".length));
   });
   list.addEventListener("keydown", (event) => {
-    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key], shown = tabs().filter((tab) => tab.offsetParent !== null);
     if (!step) return;
-    const shown = tabs(), next = shown[(shown.indexOf(document.activeElement) + step + shown.length) % shown.length];
+    const next = shown.at((shown.indexOf(document.activeElement) + step) % shown.length);
     next.focus();
     next.click();
     event.preventDefault();
   });
-  const fitToScreen = () => {
-    const isMapChosen = byId("tab-map").getAttribute("aria-selected") === "true";
-    if (!isPhone() && isMapChosen) chooseTab("information");
-  };
-  if (isPhone()) chooseTab("map");
-  matchMedia("(max-width: 820px)").addEventListener("change", fitToScreen);
+  if (phone.matches) chooseTab("map");
+  phone.addEventListener("change", () => {
+    if (!phone.matches && byId("tab-map").getAttribute("aria-selected") === "true") chooseTab("information");
+  });
 };

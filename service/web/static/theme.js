@@ -3,23 +3,20 @@
 import { byId, setText } from "./dom.js";
 
 const KEY = "corridor.theme";
-const NEXT = { auto: "light", light: "dark", dark: "auto" };
-const SIGNS = { auto: "\u25d0", light: "\u2600", dark: "\u263e" };
-const WORDS = { auto: "as the device says", light: "light", dark: "dark" };
+const CHOICES = { auto: ["\u25d0", "as the device says", "light"], light: ["\u2600", "light", "dark"], dark: ["\u263e", "dark", "auto"] }; // sign, words, the next
 
 export const setUpTheme = (changed) => {
-  const device = matchMedia("(prefers-color-scheme: dark)");
+  const device = matchMedia("(prefers-color-scheme: dark)"), button = byId("theme");
   const chosen = () => localStorage.getItem(KEY) ?? "auto";
   const apply = () => {
-    const theme = chosen() === "auto" ? (device.matches ? "dark" : "light") : chosen();
-    document.documentElement.dataset.theme = theme;
-    setText(byId("theme"), SIGNS[chosen()]);
-    byId("theme").setAttribute("aria-label", `Colours: ${WORDS[chosen()]}`);
-    byId("theme").title = `Colours: ${WORDS[chosen()]}`;
+    const [sign, words] = CHOICES[chosen()];
+    document.documentElement.dataset.theme = chosen() !== "auto" ? chosen() : device.matches ? "dark" : "light";
+    setText(button, sign);
+    button.ariaLabel = button.title = `Colours: ${words}`;
     changed();
   };
-  byId("theme").addEventListener("click", () => {
-    localStorage.setItem(KEY, NEXT[chosen()]);
+  button.addEventListener("click", () => {
+    localStorage.setItem(KEY, CHOICES[chosen()][2]);
     apply();
   });
   device.addEventListener("change", apply);

@@ -1,88 +1,88 @@
 // What can be done on the map besides looking: measure a distance, give the vehicle its pose.
 
+import { dot, trace } from "./canvas.js";
 import { degrees, metres } from "./format.js";
+import { distance } from "./geometry.js";
 
 const SHORTEST_DRAG_PIXELS = 12;
+const DOT_PIXELS = 4;
 
-const drawLine = (context, from, to, colour) => {
-  context.strokeStyle = colour;
-  context.fillStyle = colour;
-  context.lineWidth = 2;
-  context.beginPath();
-  context.moveTo(...from);
-  context.lineTo(...to);
-  context.stroke();
-  for (const [x, y] of [from, to]) {
-    context.beginPath();
-    context.arc(x, y, 4, 0, 2 * Math.PI);
-    context.fill();
-  }
-};
-
-/** Two clicks, a distance; a third starts over. */
-export class MeasureTool {
+/** What takes the clicks of the map, or its drags: down, move, up. */
+export class MapTool {
   drags = false;
-  hint = "Click two points. Esc ends.";
+  area = ""; // to which a phone goes back when it is ended
+  note = ""; // in place of what it asks for
 
-  constructor(view) {
-    this.view = view;
-    this.points = []; // map points
+  constructor(view, own = {}) {
+    Object.assign(this, { view, ...own });
   }
 
-  click([sx, sy]) {
-    if (this.points.length === 2) this.points = [];
-    this.points.push(this.view.camera.toMap(sx, sy));
-    this.view.invalidate();
-  }
-
-  get text() {
-    if (this.points.length < 2) return "";
-    const [[x0, y0], [x1, y1]] = this.points;
-    const dx = x1 - x0, dy = y1 - y0;
-    return `${metres(Math.hypot(dx, dy))} (x ${metres(dx)}, y ${metres(dy)}), ${degrees(Math.atan2(dy, dx))}`;
-  }
-
-  draw(context, camera, colours) {
-    const shown = this.points.map(([x, y]) => camera.toScreen(x, y));
-    if (shown.length === 1) drawLine(context, shown[0], shown[0], colours.measure);
-    if (shown.length === 2) drawLine(context, shown[0], shown[1], colours.measure);
+  get hint() {
+    return this.note || this.ask;
   }
 }
 
-/** Press where the vehicle stands, drag to where it looks, let go. done(pose_map_base) */
-export class PoseTool {
-  drags = true;
-  area = "control";
-  hint = "Press where the vehicle stands, drag to where it looks, let go. Esc ends.";
+/** What is drawn on the map by its corners, map points. changed(): they are others; done(): the person is content. */
+export class ShapeTool extends MapTool {
+  corners = [];
+  colour = "measure";
 
-  constructor(view, done) {
-    this.view = view;
-    this.done = done;
-    this.from = this.to = null; // map points
-  }
-
-  down([sx, sy]) {
-    this.from = this.to = this.view.camera.toMap(sx, sy);
+  tell() {
+    this.changed?.();
     this.view.invalidate();
-  }
-
-  move([sx, sy]) {
-    this.to = this.view.camera.toMap(sx, sy);
-    this.view.invalidate();
-  }
-
-  up() {
-    if (!this.from) return;
-    const dx = this.to[0] - this.from[0], dy = this.to[1] - this.from[1];
-    const pose = { x_m: this.from[0], y_m: this.from[1], theta_rad: Math.atan2(dy, dx) };
-    const isDrag = Math.hypot(dx, dy) * this.view.camera.scale >= SHORTEST_DRAG_PIXELS;
-    this.from = this.to = null;
-    this.view.invalidate();
-    if (isDrag) this.done(pose); // a click says nothing about the heading
   }
 
   draw(context, camera, colours) {
-    if (!this.from) return;
-    drawLine(context, camera.toScreen(...this.from), camera.toScreen(...this.to), colours.vehicle);
+    const shown = this.corners.map((corner) => camera.toScreen(...corner)), isArea = this.isClosed && shown.length > 2;
+    context.strokeStyle = context.fillStyle = colours[this.colour];
+    context.lineWidth = 2;
+    context.beginPath();
+    trace(context, shown, isArea);
+    if (isArea) {
+      context.globalAlpha = 0.2;
+      context.fill();
+      context.globalAlpha = 1;
+    }
+    context.stroke();
+    for (const corner of shown) dot(context, corner, DOT_PIXELS);
+  }
+}
+
+/** Two clicks, a distance; a third starts over. */
+export class MeasureTool extends ShapeTool {
+  click(point) {
+    this.corners = [...(this.corners.length < 2 ? this.corners : []), this.view.camera.toMap(...point)];
+    this.tell();
+  }
+
+  get ask() {
+    if (this.corners.length < 2) return "Click two points. Esc ends.";
+    const [[x0, y0], [x1, y1]] = this.corners, dx = x1 - x0, dy = y1 - y0;
+    return `${metres(Math.hypot(dx, dy))} (x ${metres(dx)}, y ${metres(dy)}), ${degrees(Math.atan2(dy, dx))}`;
+  }
+}
+
+export class PoseTool extends ShapeTool {
+  drags = true;
+  area = "control";
+  colour = "vehicle";
+  ask = "Press where the vehicle stands, drag to where it looks, let go. Esc ends.";
+
+  down(point) {
+    this.corners = [this.view.camera.toMap(...point)];
+    this.tell();
+  }
+
+  move(point) {
+    this.corners = [...this.corners.slice(0, 1), this.view.camera.toMap(...point)];
+    this.tell();
+  }
+
+  up() {
+    const [from, to = from] = this.corners, { scale } = this.view.camera;
+    this.corners = [];
+    this.tell();
+    if (!from || distance(from, to) * scale < SHORTEST_DRAG_PIXELS) return; // a click says nothing about the heading
+    this.done({ x_m: from[0], y_m: from[1], theta_rad: Math.atan2(to[1] - from[1], to[0] - from[0]) });
   }
 }
