@@ -115,7 +115,7 @@ class ClockMap:
 
     @property
     def offset_sigma_ns(self) -> int:
-        """How well the fastest arrival is known, as a standard deviation; UNKNOWN_NS for the first message.
+        """Standard deviation of the fastest arrival; UNKNOWN_NS for the first message.
 
         Lateness l_1 .. l_n is taken as exponential: the least of n lies mean(l) / n above its bound, and
         scatters by as much (Johnson, Kotz, Balakrishnan, Continuous Univariate Distributions 1, 1994, 19.7).
@@ -173,7 +173,7 @@ class ClockMap:
         self.residual_ns = arrived_ns - self._translate(unwrapped)
 
     def _lateness_of(self, young: _Hull) -> float:
-        """How much later than the line its fastest message came, ns."""
+        """Delay of its fastest message behind the line, ns."""
         hull = self._hull
         assert hull is not None
         offset, skew = self._line

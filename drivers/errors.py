@@ -39,7 +39,7 @@ class UnforeseenError(DriverError):
 
 
 def contained(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """What a driver's function returns. Raises DriverError alone: an UnforeseenError for every exception that
+    """Result of a driver's function. Raises DriverError alone: an UnforeseenError for every exception that
     the driver did not raise on purpose, so that one sensor's bytes cannot end the service of all."""
     try:
         return call(*args, **kwargs)

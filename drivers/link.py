@@ -71,7 +71,7 @@ class Session(Protocol):
         ...
 
     def shutdown_request(self) -> bytes:
-        """What to send before a clean close, b"" where nothing is needed."""
+        """Bytes to send before a clean close, b"" for none."""
         ...
 
     @property

@@ -37,7 +37,7 @@ NOT_FINITE = DropReason(
 
 
 class SilenceWatch:
-    """How long a device has sent no usable frame, counted over the time that it was watched.
+    """Time for which a device has sent no usable frame, counted while it was watched.
 
     Call `look` at every tick, `heard` for each frame that is handed on, and `dropped` for each that came
     complete and is not: those do not end the silence, but distinguish it from that of an unplugged cable.
@@ -86,7 +86,7 @@ class SilenceWatch:
 
 
 class StampGate:
-    """Which frames are handed on: stamped no later than their arrival, and later than the one before.
+    """Lets frames pass that are stamped no later than their arrival, and later than the one before.
 
     Others are counted as `<what>_ahead_of_arrival` and `<what>_out_of_order`, and `silence` is set, where
     there is one.

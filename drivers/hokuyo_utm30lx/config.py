@@ -73,7 +73,7 @@ class HokuyoUtm30lxConfig(Section):
 
     @property
     def limits(self) -> Model:
-        """What this model is."""
+        """Limits of this model."""
         return MODELS[self.model]
 
     @property

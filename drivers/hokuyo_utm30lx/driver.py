@@ -116,7 +116,7 @@ class HokuyoUtm30lxSession:
             self._clock.synchronise(dialogue.time_samples)
 
     def _stamped_step(self, geometry: Geometry) -> float:
-        """Which step the device's stamp belongs to."""
+        """Step at which the device stamps a scan."""
         if self._config.stamp_moment == "rear":
             return geometry.front_step - geometry.steps_per_turn / 2
         return 0.0

@@ -66,7 +66,7 @@ class Geometry:
         return (step - self.front_step) * 360.0 / self.steps_per_turn
 
     def first_angle_rad(self, request: ScanRequest) -> float:
-        """Of the first beam; one that stands for several neighbours looks into their middle."""
+        """Angle of the first beam; that of several neighbours is their middle."""
         return (self.first_beam_step(request) - self.front_step) * self.step_rad
 
     def first_beam_step(self, request: ScanRequest) -> float:

@@ -43,7 +43,7 @@ class Model:
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """Of the settings that depend on the model."""
+        """Defaults of the settings that depend on the model."""
         names = "first_angle_deg", "last_angle_deg", "range_min_m", "range_max_m"
         return {name: getattr(self, name) for name in names}
 

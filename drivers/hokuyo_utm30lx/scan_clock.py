@@ -83,7 +83,7 @@ class ScanClock:
 
     @property
     def resets(self) -> int:
-        """How often the device's clock began again."""
+        """Number of restarts of the device's clock."""
         return self._clock.resets
 
     @property
@@ -139,7 +139,7 @@ class ScanClock:
         return True
 
     def _ideal_arrival_ns(self) -> int:
-        """Of the newest scan: the value of the line, within what its own stamp and arrival allow."""
+        """Ideal arrival of the newest scan: the line, within the bounds of its stamp and arrival."""
         sweep, stamp_ms, arrived_ns = self._window[-1]
         lowest = self._clock.to_host_ns(stamp_ms % CLOCK_MODULUS)
         highest = min(lowest + TICK_NS, arrived_ns)

@@ -258,7 +258,7 @@ class IbeoLuxSession:
         return self._frame(scan, arrived_ns)
 
     def _is_new(self, scan: Scan) -> bool:
-        """Also counts what is missing in between."""
+        """Whether the scan is new; also counts the missing ones before it."""
         last = self._last
         if last is None:
             return True

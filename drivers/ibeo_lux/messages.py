@@ -268,7 +268,7 @@ class DeviceStatus:
 
     @property
     def firmware(self) -> str:
-        """As printed by the vendor: 0x3021 is 3.02.1."""
+        """Firmware version as the vendor prints it: 0x3021 is 3.02.1."""
         code = self.firmware_code
         version = f"{code >> 12:x}.{code >> 4 & 0xFF:02x}.{code & 0xF:x}"
         year, day, minute = self.firmware_time_code

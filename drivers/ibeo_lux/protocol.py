@@ -170,7 +170,7 @@ def _is_plausible(size: int, data_type: int) -> bool:
 
 
 def _unfinished_magic(data: bytes | bytearray) -> int:
-    """How many bytes at the end may be the beginning of a magic word."""
+    """Number of bytes at the end that may be the beginning of a magic word."""
     for count in (3, 2, 1):
         if data.endswith(MAGIC[:count]):
             return count

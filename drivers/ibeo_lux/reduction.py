@@ -191,7 +191,7 @@ class LayerReduction:
         angle_ticks: Integers,
         candidates: Integers,
     ) -> Integers:
-        """Of the candidates of one layer and angle the configured echo."""
+        """The configured echo of the candidates of each layer and angle."""
         echo = (points["layer_echo"] >> 4)[candidates].astype(np.int64)
         if not echo.any():
             return candidates

@@ -45,7 +45,7 @@ NEAR_ZERO_COUNTS = 1_000  # 0.44 m: a robot that was reset counts from 0, and ha
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Of the encoders, in counts."""
+    """Reading of both encoders, counts."""
 
     left: int
     right: int
@@ -184,7 +184,7 @@ class IrobotCreateSession:
         return self._odometry.sample(self._config.name, stamp_ns, arrived_ns, twist)
 
     def _ended_ns(self, frame: StreamFrame, arrived_ns: int) -> int:
-        """When the frame's last byte was on the line; never too early.
+        """Time at which the frame's last byte was on the line; never too early.
 
         What came behind it in the same read took its time on the line. Not so where the read holds more than
         the line can have brought since the read before: that was delayed elsewhere.
@@ -223,7 +223,7 @@ class IrobotCreateSession:
         return 0.0, 0.0
 
     def _path_lengths_m(self, before: Reading, now: Reading, arrived_ns: int) -> tuple[float, float] | None:
-        """Of the left and the right wheel; None where they cannot have turned so far."""
+        """Travel of the left and the right wheel, m; None where they cannot have turned so far."""
         left_m, right_m = self._steps_m(before, now)
         possible = max(abs(left_m), abs(right_m)) <= _reach_m(before, arrived_ns)
         return (left_m, right_m) if possible else None

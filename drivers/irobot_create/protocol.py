@@ -190,7 +190,7 @@ def _code(packet_id: int) -> str:
 
 @lru_cache(maxsize=256)  # a robot sends one list all the time
 def _layout(packet_ids: tuple[int, ...]) -> struct.Struct:
-    """Of the plain answer to these ids."""
+    """struct layout of the plain answer to these ids."""
     return struct.Struct(">" + "".join(_code(packet_id) for packet_id in packet_ids))
 
 
@@ -294,7 +294,7 @@ class StreamDecoder:
 
     @property
     def text_bytes(self) -> int:
-        """How many of the bytes skipped were text."""
+        """Number of skipped bytes that were text."""
         return self._text.text_bytes
 
     def receive_data(self, data: bytes) -> list[StreamFrame]:
@@ -395,7 +395,7 @@ def is_banner(line: str) -> bool:
 
 
 def banner_identity(line: str) -> dict[str, str]:
-    """What a line of the banner states of the robot: `firmware`, `bootloader`; empty for other lines."""
+    """Identity that a line of the banner states: `firmware`, `bootloader`; empty for other lines."""
     if match := _FIRMWARE.search(line):
         return {"firmware": match[1]} if match[1] else {"bootloader": match[2]}
     return {}

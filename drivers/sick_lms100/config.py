@@ -80,5 +80,5 @@ class Lms100Config(Section):
 
     @property
     def limits(self) -> Model:
-        """What this model can do."""
+        """Limits of this model."""
         return MODELS[self.model]

@@ -179,14 +179,14 @@ class Lms100Dialogue:
 
     @property
     def scan_config(self) -> ScanConfig:
-        """What the config requests, in device units."""
+        """The configured scan rate and angle step, in device units."""
         step_e4deg = round(self._config.angle_step_deg * 10_000)
         limits = self._limits
         return ScanConfig(self._config.scan_rate_hz * 100, step_e4deg, limits.first_e4deg, limits.last_e4deg)
 
     @property
     def output_range(self) -> OutputRange:
-        """What the config requests, in device units: device angle is sensor angle + 90 deg."""
+        """The configured field of view, in device units: device angle is sensor angle + 90 deg."""
         return OutputRange(
             round((self._config.first_angle_deg + 90.0) * 10_000),
             round((self._config.last_angle_deg + 90.0) * 10_000),

@@ -179,7 +179,7 @@ class Lms100Session:
         return self._frame(scan, echoes, arrived_ns)
 
     def _is_new(self, scan: ScanTelegram) -> bool:
-        """Also counts what is missing in between."""
+        """Whether the scan is new; also counts the missing ones before it."""
         last = self._last
         if last is None:
             return True
@@ -271,7 +271,7 @@ class Lms100Session:
         )
 
     def _wanted_beams(self, geometry: Channel) -> slice:
-        """Those of the configured field of view, where the device sends more than a step beyond it."""
+        """The beams of the configured field of view, where the device sends more than a step beyond it."""
         wanted, count = self._dialogue.output_range, len(geometry.values)
         step_e4deg = exact_step_deg(geometry.step_e4deg) * 10_000
         before_e4deg = wanted.first_e4deg - geometry.first_e4deg
@@ -317,7 +317,7 @@ class Lms100Session:
         return round(1e9 / by_rotation_hz)
 
     def _first_beam_before_zero_us(self, scan: ScanTelegram, geometry: Channel) -> int:
-        """How long before the zero-index stamp the first beam was measured. By the earliest sending of this
+        """Time of the first beam before the zero-index stamp, us. By the earliest sending of this
         sweep: one that is delayed gives no information, and the others scatter by 0.2 ms, which stamps shall
         not.
         """

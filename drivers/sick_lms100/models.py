@@ -14,7 +14,7 @@ ModelName = Literal["lms1xx", "lms5xx", "tim5xx", "tim7xx"]
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What a family can do. Angles are the device's own, 900_000 is straight ahead."""
+    """Abilities of a family. Angles are the device's own, 900_000 is straight ahead."""
 
     name: str
     rates_hz: tuple[int, ...]  # the first is the default, as of the steps
@@ -43,12 +43,12 @@ class Model:
 
     @property
     def field_of_view_deg(self) -> tuple[float, float]:
-        """As in the config: 0 straight ahead, left positive."""
+        """Field of view as in the config: 0 straight ahead, left positive."""
         return self.first_e4deg / 1e4 - 90.0, self.last_e4deg / 1e4 - 90.0
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """Of the settings that depend on the model."""
+        """Defaults of the settings that depend on the model."""
         first_deg, last_deg = self.field_of_view_deg
         return {
             "scan_rate_hz": self.rates_hz[0],

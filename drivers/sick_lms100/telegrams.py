@@ -108,7 +108,7 @@ class OutputRange:
 
     @property
     def words(self) -> str:
-        """As in the config: 0 straight ahead, left positive."""
+        """The range as text, angles as in the config: 0 straight ahead, left positive."""
         return f"{self.first_e4deg / 1e4 - 90.0:g} to {self.last_e4deg / 1e4 - 90.0:g} deg"
 
     def agrees(self, other: "OutputRange", slack_e4deg: int = 0) -> bool:

@@ -85,7 +85,7 @@ class XsensMtigConfig(Section):
 
     @property
     def usb_serial(self) -> str | None:
-        """Which of several units; None: the only one."""
+        """Serial number of one of several units; None: the only one."""
         return self.device.removeprefix(f"{USB}:") if ":" in self.device else None
 
     @property

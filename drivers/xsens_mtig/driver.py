@@ -172,7 +172,7 @@ class XsensMtigSession:
         return frames
 
     def _sent_ns(self, message: Message, arrived_ns: int) -> int:
-        """When the first byte of the message was on the line; never too early.
+        """Time at which the first byte of the message was on the line; never too early.
 
         What came behind it in the same read took its time on the line too. Not so where the read holds more
         than the line can have brought since the read before: that was delayed elsewhere.

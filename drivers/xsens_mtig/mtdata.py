@@ -92,7 +92,7 @@ class LegacyData:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What a device in this mode with these settings sends."""
+    """Layout of the data that a device in this mode with these settings sends."""
 
     mode: int
     settings: int

@@ -54,7 +54,7 @@ class Kind(IntEnum):
 
 
 class LocalFrame(IntEnum):
-    """As in bits 3-2 of the id of an orientation or a velocity."""
+    """Local frame, bits 3-2 of the id of an orientation or a velocity."""
 
     ENU = 0x0
     NED = 0x4

@@ -166,7 +166,7 @@ class MessageDecoder:
 
     @property
     def waiting_bytes(self) -> int:
-        """Of a message begun and not complete."""
+        """Number of bytes of an incomplete message."""
         return len(self._buffer)
 
     def receive_data(self, data: bytes) -> list[Message]:

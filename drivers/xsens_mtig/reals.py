@@ -16,7 +16,7 @@ Reals = tuple[float, ...]
 
 
 class Precision(IntEnum):
-    """As in the two lowest bits of an MTData2 id and in bits 9-8 of the OutputSettings."""
+    """Number format, the two lowest bits of an MTData2 id and bits 9-8 of the OutputSettings."""
 
     FLOAT32 = 0
     FP1220 = 1

@@ -117,7 +117,7 @@ class _Stream:
         return None if self._utc_stands else ticks
 
     def _arrival_stamp_ns(self, sent_ns: int, arrived_ns: int, messages_behind: float) -> int:
-        """Of a sample without a time; messages_behind: how many more came in the same read."""
+        """Stamp of a sample without a time; messages_behind: how many more came in the same read."""
         self._counters["samples_stamped_by_arrival"] += 1
         ready_ns = min(sent_ns, arrived_ns - round(messages_behind * self._sample_period_ns))
         last_ns = self._sample_gate.last_ns
@@ -294,7 +294,7 @@ class Mtdata2Stream(_Stream):
         self._last_packet = packet
 
     def _count_samples(self, step: int) -> None:
-        """By device time, so what is lost of the GNSS stream does not count here, nor the reverse.
+        """Count missing samples by device time, independent of losses of the GNSS stream.
 
         step  in ticks since the last sample; 0: there was none
         """

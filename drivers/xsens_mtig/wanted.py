@@ -142,7 +142,7 @@ def agree(wanted: OutputItems, given: OutputItems) -> bool:
 
 
 def difference(wanted: OutputItems, given: OutputItems) -> str:
-    """What an MTData2 unit gives otherwise than requested, as text; "" for nothing."""
+    """Difference of an MTData2 unit's output from the requested one, as text; "" for none."""
     rates = dict(given)
     missing = [WORDS[Kind(i & KIND_MASK)] for i, _ in wanted if i not in rates]
     texts = [f"configured {', '.join(missing)} not sent"] if missing else []
@@ -155,7 +155,7 @@ def difference(wanted: OutputItems, given: OutputItems) -> str:
 
 
 def legacy_difference(wanted: LegacyOutput, given: LegacyOutput) -> str:
-    """What an MTi-G gives otherwise than requested, as text; "" for nothing."""
+    """Difference of an MTi-G's output from the requested one, as text; "" for none."""
     lacks = wanted.layout.mode & ~given.layout.mode
     missing = [words for bit, words in LEGACY_WORDS.items() if lacks & bit]
     texts = [f"configured {', '.join(missing)} not sent"] if missing else []

@@ -156,7 +156,7 @@ class CommandDispatcher:
             raise CommandError(f"{faults}; expected {self._expected(verb)}") from error
 
     def _expected(self, verb: str) -> str:
-        """Such as {"text": ..., "id": ...} (id may be left out)."""
+        """Expected payload such as {"text": ..., "id": ...} (id may be left out)."""
         fields = self._verbs[verb].request.model_fields
         names = sorted(fields, key=lambda name: not fields[name].is_required())
         shape = ", ".join(f'"{name}": ...' for name in names)

@@ -39,7 +39,7 @@ PlainEndpoint = Annotated[Endpoint, AfterValidator(_refuse_tls)]
 
 
 def host_of(endpoint: str) -> str:
-    """Of an Endpoint, without brackets; "" of a socket file."""
+    """Host of an Endpoint, without brackets; "" for a socket file."""
     found = _ENDPOINT.fullmatch(endpoint)
     return (found[2] or "").strip("[]") if found is not None else ""
 

@@ -7,7 +7,7 @@ import zenoh
 
 
 class Listeners:
-    """Of one key. An advanced publisher cannot tell; this plain one on the same key, which never puts, can.
+    """Subscribers of one key, known by a plain publisher that never puts: an advanced one does not report them.
 
     appeared   called in Zenoh's thread when there is a subscriber and was none
     """

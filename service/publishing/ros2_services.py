@@ -164,7 +164,7 @@ class Ros2Services:
 
 
 def _error(answer: Answer) -> str:
-    """Of a command that failed."""
+    """Error of a command that failed."""
     return str(json.loads(answer.body)["error"])
 
 

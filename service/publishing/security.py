@@ -143,7 +143,7 @@ def access_control(
     subjects, policies = [], []
 
     def allow(who: str, names: Sequence[str], allowed: list[str]) -> None:
-        """By user where there are users; by certificate that of a router to which this service connects."""
+        """Rule by user where there are users; by certificate for a router to which this service connects."""
         kinds = {"usernames": security.users is not None, "cert_common_names": security.tls is not None}
         for kind in (kind for kind, is_used in kinds.items() if is_used and names):
             subjects.append({"id": f"{who}-{kind}", kind: list(names)})

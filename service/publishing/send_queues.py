@@ -106,7 +106,7 @@ class BulkQueue:
             self._wake.notify()
 
     def take(self) -> Bulk | None:
-        """What is due; waits for something. When closed: all that is left, then None."""
+        """Messages that are due; waits for some. When closed: all that is left, then None."""
         with self._wake:
             while True:
                 now_s = time.monotonic()

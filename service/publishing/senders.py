@@ -82,7 +82,7 @@ class Senders:
         return True
 
     def count(self, channel: str) -> None:
-        """One more was sent."""
+        """Count a sent message."""
         with self._lock:
             self._sent[channel] += 1
 

@@ -40,7 +40,7 @@ def open_session(config: PublishingConfig, max_sessions: int = MAX_SESSIONS) -> 
 
 
 def router_settings(config: PublishingConfig, max_sessions: int = MAX_SESSIONS) -> dict[str, Any]:
-    """Of Zenoh, by path: no multicast, and no gossip but for ROS 2.
+    """Settings of Zenoh, by path: no multicast, and no gossip but for ROS 2.
 
     Nodes of ROS 2 are peers; a router without gossip would let none of them find another. Raises StorageError
     where a file of the security cannot be read.

@@ -53,7 +53,7 @@ def open_client(config: PublishingConfig, further: Mapping[str, object] = {}) ->
 
 
 def open_uplink(config: PublishingConfig) -> zenoh.Session:
-    """Of a vehicle: Zenoh lets through what `config.fleet` allows a second. Raises as open_client."""
+    """Session of a vehicle; Zenoh limits it to the rates of `config.fleet`. Raises as open_client."""
     health_s = 1.0 / config.fleet.health_hz - HEALTH_JITTER_S
     limits_hz = {"pose": config.fleet.pose_hz, "health": 1.0 / health_s}
     rules = [{"key_expr": f"{ROOT}/*/{channel}", "freq": hz} for channel, hz in limits_hz.items()]
@@ -96,7 +96,7 @@ def read_presence(key: str) -> tuple[str, Presence] | None:
 
 
 def presences(keys: Iterable[str]) -> dict[str, list[Presence]]:
-    """By vehicle, the earliest first. Two of one name: two vehicles have the same."""
+    """Sessions by vehicle, the earliest first. Two sessions: two vehicles have one name."""
     found: dict[str, list[Presence]] = {}
     for vehicle, presence in filter(None, map(read_presence, keys)):
         found.setdefault(vehicle, []).append(presence)
@@ -125,7 +125,7 @@ class LinkBytes:
 
 
 def _acked_and_received(port: str) -> tuple[int, int] | None:
-    """Of this process's connection from that port; None where the kernel does not report it."""
+    """Bytes of this process's connection from that port; None where the kernel does not report them."""
     for descriptor in Path("/proc/self/fd").glob("*"):
         try:
             if not str(descriptor.readlink()).startswith("socket:"):

@@ -52,7 +52,7 @@ def chunk_records(chunk: Chunk, unpacking: Unpacking, what: object) -> list[Chun
 
 
 def complete_records(content: bytes, what: object) -> tuple[list[ChunkRecord], int]:
-    """Those at the beginning of what a chunk holds, and how many bytes they take. Raises TooLargeError."""
+    """Complete records at the beginning of a chunk's content, and their bytes. Raises TooLargeError."""
     records: list[ChunkRecord] = []
     at = others = 0
     while at + _FRAME.size <= len(content):

@@ -245,7 +245,7 @@ def _scan(file: Unpacked, stream: BinaryIO) -> tuple[Summary, list[Metadata]]:
 
 @dataclass(frozen=True, slots=True, order=True)
 class _Place:
-    """Where a chunk, or a message in it, stands in the order that is read."""
+    """Position of a chunk, or a message in it, in the order of reading."""
 
     log_ns: int
     chunk_at: int

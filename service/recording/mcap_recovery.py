@@ -299,7 +299,7 @@ class _Walk:
         yield from self._counted(records)
 
     def _next_chunk(self, offset: int) -> int:
-        """Where the next chunk seems to begin, or the end of the file."""
+        """Offset at which the next chunk seems to begin, or the end of the file."""
         return min(self._find_chunk(name, offset) for name in _CHUNK_NAMES)
 
     def _find_chunk(self, name: bytes, offset: int) -> int:

@@ -45,7 +45,7 @@ SPAN = "span"  # scans of which span_fault has something to say
 
 @dataclass(slots=True)
 class Session:
-    """What a recording offers to a mapper.
+    """The contents of a recording for a mapper.
 
     devices        topic -> frame_id -> sensor name; the topics and devices whose frames come out
     scan_counts    laser -> how many of its scans the recording states; where several devices share a
@@ -120,7 +120,7 @@ class Session:
 
     @property
     def losses(self) -> list[str]:
-        """What could not be read of the files, and not be used of the messages that were read: one line a
+        """Unreadable parts of the files, and unusable messages: one line a
         file or topic, for people.
         """
         lines = list(self.recording.losses)
@@ -156,12 +156,12 @@ class Session:
         return lines
 
     def topic_of(self, message: Message) -> str:
-        """As the recording names it: in ROS with a slash ahead, by other writers perhaps without."""
+        """Topic as the recording names it: in ROS with a slash ahead, by other writers perhaps without."""
         name = f"/{message.channel}"
         return name if name in self.devices or name in self.events else message.channel
 
     def frames(self) -> Iterator[Frame]:
-        """What `steps` gives, without the requests in between."""
+        """Frames of `steps`, without the requests."""
         return (step for step in self.steps() if not isinstance(step, Step))
 
     def steps(self) -> Iterator[Frame | Step]:

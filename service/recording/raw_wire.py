@@ -36,7 +36,7 @@ def utc_offset_ns(recording: Recording) -> int:
 
 
 def raw_chunks(recording: Recording, sensor: str) -> Iterator[RawChunk]:
-    """What happened on the sensor's wire, at the host's monotonic times of then. Raises InputError."""
+    """Events on the sensor's wire, at the host's monotonic times of the recording. Raises InputError."""
     topic = raw_topics(recording).get(sensor)
     if topic is None:
         raise InputError(

@@ -35,7 +35,7 @@ Bytes = bytes | mmap.mmap
 
 @dataclass(slots=True)
 class Scan:
-    """What a walk through a bag found; what was lost is counted."""
+    """Result of a walk through a bag; losses are counted."""
 
     connections: dict[int, Connection] = field(default_factory=dict)
     chunks: dict[int, Chunk] = field(default_factory=dict)  # by where they begin

@@ -41,7 +41,7 @@ _ONE_OF = {  # why others are passed over, and the usual names
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """One device: what comes in a topic under one header.frame_id."""
+    """One device: the messages of a topic with one header.frame_id."""
 
     topic: Topic
     frame: str

@@ -35,7 +35,7 @@ class WithOdometryOfTf:
     def messages(
         self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
     ) -> Iterator[Message]:
-        """As of the recording."""
+        """Messages of the recording, with the odometry among them."""
         if topics is None or ODOM_OF_TF not in topics:
             yield from self._recording.messages(topics, from_ns, to_ns)
             return
@@ -70,7 +70,7 @@ def moving_tf(recording: Readable) -> list[str]:
 
 @dataclass(slots=True)
 class Edges:
-    """How often each edge of /tf comes, and which of them change."""
+    """Number of messages of each edge of /tf, and which edges change."""
 
     counts: Counter[Edge] = field(default_factory=Counter)
     changed: set[Edge] = field(default_factory=set)

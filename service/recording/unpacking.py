@@ -102,7 +102,7 @@ class Unpacked:
                 self.losses = [f"{self.given} is cut off; {target.tell()} bytes of it could be unpacked"]
 
     def _decompress(self, source: BinaryIO, new: NewDecompressor, target: BinaryIO) -> bool:
-        """Of a file in one part or several; True where its end is missing."""
+        """Decompress a file of one part or several; True where its end is missing."""
         stream = None
         unpacking = Unpacking(self.given, self.size)
         while block := source.read(_BLOCK_BYTES):
@@ -141,7 +141,7 @@ class Unpacked:
 
 
 def decompressor_of(packed: bytes) -> NewDecompressor | None:
-    """By how it begins; None for what is not compressed."""
+    """Decompressor by the first bytes; None for an uncompressed file."""
     return next((new for mark, new in _DECOMPRESSORS.items() if packed.startswith(mark)), None)
 
 
@@ -156,7 +156,7 @@ def plain(payload: bytes) -> bytes:
 
 
 def unpacked(packed: bytes, new: NewDecompressor, limit: int, what: str) -> bytes:
-    """Of one stream, what can be had of it where its end is missing. Raises TooLargeError beyond the limit,
+    """Readable content of one stream, whose end may be missing. Raises TooLargeError beyond the limit,
     UnpackError for bad bytes.
     """
     stream, content = new(), bytearray()
@@ -170,7 +170,7 @@ def unpacked(packed: bytes, new: NewDecompressor, limit: int, what: str) -> byte
 
 
 def _contents(stream: Any, block: bytes) -> Iterator[bytes]:
-    """What a block becomes, a part at a time. Raises UnpackError."""
+    """Decompressed parts of a block. Raises UnpackError."""
     try:
         if not hasattr(stream, "needs_input"):  # zlib and zstd, which cannot be stopped, reach 4 and 130 MB
             yield stream.decompress(block)

@@ -42,7 +42,7 @@ Converter = Callable[[bytes, str, int], LaserScan | None]  # of a payload, a sen
 
 @dataclass(slots=True)
 class Devices:
-    """What was chosen of a recording; fields as of mcap_source.Session."""
+    """The chosen devices of a recording; fields as of mcap_source.Session."""
 
     recording: Readable  # with the odometry of its /tf, where it has no other
     sensors: dict[Source, str]
@@ -68,7 +68,7 @@ class Vehicle:
         self._edges: Edges | None = None  # of /tf, once they were looked at
 
     def all_of(self, ours: Sequence[Topic]) -> list[Source]:
-        """Of a session of ours."""
+        """All devices of our own session."""
         self._sources = {topic.name: sources_of(self._recording, topic) for topic in ours}
         return all_of_ours(self._sources)
 
@@ -146,7 +146,7 @@ class Vehicle:
         return found() or (found() if self._tree.learn_repeated() else [])
 
     def _frames(self) -> set[str]:
-        """Of transforms, and those that odometry moves."""
+        """Frames of transforms, and those that odometry moves."""
         frames = {frame for child, (parent, _) in self._tree.parents.items() for frame in (child, parent)}
         frames |= {frame for edge in self._edges_of_tf().counts for frame in edge}
         found = [source for of_topic in self._sources.values() for source in of_topic]
@@ -160,7 +160,7 @@ class Vehicle:
     def _odometry(
         self, is_own: Callable[[Source], bool], robot: str | None, scans: Sequence[Source]
     ) -> list[Source]:
-        """As it is named, else of the vehicle's own base; where there is none, out of /tf."""
+        """The odometry that is named, else that of the vehicle's own base, else that of /tf."""
         choice, sources = self._choice, self._sources
         if choice.odom_topic is not None:
             topic = named_topic(self._recording, "--odom-topic", choice.odom_topic, (ODOMETRY, TF))
@@ -207,7 +207,7 @@ class Vehicle:
         return []
 
     def devices(self, chosen: Sequence[Source]) -> Devices:
-        """What was chosen, with its mountings. Raises InputError where no laser is left to be mapped."""
+        """The chosen devices with their mountings. Raises InputError where no laser is left to be mapped."""
         notes, tree = self._notes, self._tree
         found = Devices(self._recording, name_sensors(chosen, self._sources), notes, self._warnings)
         bases = self._base_frames(chosen)
@@ -255,7 +255,7 @@ class Vehicle:
         return source.topic.name.strip("/") in {name.strip("/") for name in names}
 
     def _base_frames(self, chosen: Sequence[Source]) -> list[str]:
-        """What mountings are counted from: the named one, else what the odometry moves, else by its name."""
+        """Base frames of the mountings: the named one, else the frame that odometry moves, else by name."""
         if self._choice.base_frame is not None:
             return [self._choice.base_frame]
         moved = [moved_frame(source) for source in chosen if source.topic.type == ODOMETRY]
@@ -308,7 +308,7 @@ def _mount(
     bases: Sequence[str],
     notes: list[str],
 ) -> Mounting:
-    """Of several devices in one topic none is taken as mounted at the origin beside one that is mounted.
+    """Mounting of a device. None in a topic counts as mounted at the origin beside one with a mounting.
 
     Raises MountingError.
     """

@@ -24,7 +24,7 @@ class ChannelClosedError(Exception):
 
 
 class End(Protocol):
-    """What wait_for can wait for."""
+    """Objects that wait_for can wait for."""
 
     @property
     def waiting_bytes(self) -> int: ...
@@ -54,7 +54,7 @@ class Channel:
 
     @property
     def waiting_bytes(self) -> int:
-        """What the other side has not taken yet."""
+        """Number of bytes that the other side has not taken yet."""
         return len(self._waiting)
 
     def send(self, *messages: Any) -> None:
@@ -162,7 +162,7 @@ class Listening:
 
 
 def wait_for(channels: Collection[End], timeout_s: float) -> list[End]:
-    """Those of which something can be read, or whose other side is gone; meanwhile what waits is sent."""
+    """The ends that can be read, or whose other side has closed; meanwhile waiting data is sent."""
     deadline_s = time.monotonic() + timeout_s
     while True:
         poll = select.poll()

@@ -247,7 +247,7 @@ class Commands:
         self._intake.request_session("reset_map", event.log_ns, answered)
 
     def _load_verb(self) -> Verb:
-        """What is recorded is the folder and the version that are begun in, whatever they were called.
+        """Records the folder and the version that the session begins in.
 
         The map before ends with its graph as it is now.
         """

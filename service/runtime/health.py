@@ -222,7 +222,7 @@ class HealthReport:
         return state, reason
 
     def _mapping_values(self) -> dict[str, str]:
-        """Those that do not depend on the newest scan."""
+        """Values that do not depend on the newest scan."""
         outputs, config = self._outputs, self._mapping_config()
         values = {name: str(count) for name, count in sorted(outputs.counters.items())}
         values |= {
@@ -355,5 +355,5 @@ def _seconds(ns: int) -> str:
 
 
 def _snapshot(counters: Counter[str]) -> list[tuple[str, int]]:
-    """By name. Copied in one step first: its owner, another thread, goes on counting."""
+    """Counts by name, copied in one step: their owner, another thread, continues to count."""
     return sorted(dict(counters).items())

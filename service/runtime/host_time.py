@@ -43,6 +43,6 @@ class HostTime:
         return unix_ns - self.offset_ns
 
     def step_ns(self, now: "HostTime") -> int:
-        """How far the wall clock has stepped away since this offset was fixed; 0 if it has not."""
+        """Step of the wall clock since this offset was fixed; 0 if there was none."""
         step = now.offset_ns - self.offset_ns
         return step if abs(step) >= STEP_NS else 0

@@ -123,12 +123,12 @@ class MapperLink:
 
     @property
     def pid(self) -> int:
-        """Of the process that maps; 0 while there is none."""
+        """Process id of the mapper; 0 while there is none."""
         return self._pid
 
     @property
     def standby_pid(self) -> int:
-        """Of the process that would take over; 0 while there is none."""
+        """Process id of the stand-by; 0 while there is none."""
         return self._standby[1].pid if self._standby is not None else 0
 
     @property
@@ -162,7 +162,7 @@ class MapperLink:
         )
 
     def next_number(self) -> int:
-        """That the next item must have."""
+        """Number of the next item."""
         return self._number + 1
 
     def submit(self, item: Item, answered: Callable[[Answer], None] | None = None) -> None:
@@ -233,7 +233,7 @@ class MapperLink:
         self._closed.set()
 
     def clean_up(self) -> None:
-        """When `run` has returned. Raises nothing: recording and map are finished after it."""
+        """Call it when `run` has returned. Raises nothing: recording and map are finished after it."""
         standby = self._standby[0] if self._standby is not None else None
         channels = [self._active, *self._given_up, *self._unidentified, standby]
         for channel in channels:

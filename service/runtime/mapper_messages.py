@@ -79,7 +79,7 @@ Item = FrameItem | SessionItem | LoadItem | SwitchItem | GraphItem | TilesItem
 
 
 class Decisions(NamedTuple):
-    """What the mapper that died had decided by the clock, by the number of its next item."""
+    """Decisions by the clock of a mapper that died, by the number of its next item."""
 
     applied: Mapping[int, int]  # how many results of the graph's back end it applied
     passed_over: frozenset[int]
@@ -147,7 +147,7 @@ class StandingRendered(NamedTuple):
 
 
 class ChangesRendered(NamedTuple):
-    """What has changed since the map was stored in which the vehicle is localised; see MapChanges.as_grid."""
+    """Changes against the stored map in which the vehicle is localised; see MapChanges.as_grid."""
 
     grid: Grid
     stamp_ns: int  # Unix time of the newest scan that was mapped
@@ -161,7 +161,7 @@ class Progress(NamedTuple):
 
 
 class LongWork(NamedTuple):
-    """What may compute for longer than a scan begins, or has ended; several may overlap."""
+    """Work that may take longer than a scan begins, or has ended; several may overlap."""
 
     has_begun: bool
 

@@ -11,7 +11,7 @@ STILL_S = 2.0
 
 
 class MapperSilence:
-    """Of the mapper that items are sent to."""
+    """Silence of the mapper that items are sent to."""
 
     def __init__(self) -> None:
         self._heard_s = 0.0  # host monotonic
@@ -32,7 +32,7 @@ class MapperSilence:
         self._standstill.reset()
 
     def announce(self, has_begun: bool) -> None:
-        """As LongWork."""
+        """Take a LongWork message."""
         self._long_works += 1 if has_begun else -1
 
     def is_too_long(self, pid: int) -> bool:

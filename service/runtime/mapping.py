@@ -183,8 +183,8 @@ class MappingLoop:
             self.tell_status()
 
     def hand_over_tiles(self, most: int | None = None) -> None:
-        """Those that changed since the last call, at most so many. While items come again they wait: they
-        would be old.
+        """Send tiles that changed since the last call, at most so many. While items come again they wait:
+        they would be old.
         """
         self.has_tiles = False
         if not self.is_up_to_date:
@@ -206,7 +206,7 @@ class MappingLoop:
             self._send(GraphRendered(picture if picture is not None else NO_GRAPH))
 
     def _show_changes(self) -> None:
-        """Where other cells are reported than before; nothing where no one watches."""
+        """Send the changes where the reported cells differ from before."""
         facts, shown = self.mapper.changes_reported, self._shown_changes
         if facts is shown or not self.is_up_to_date:
             return
@@ -299,7 +299,7 @@ class MappingLoop:
         self._map_timed(self._timing.take(frame, is_mapped), item)
 
     def _map_timed(self, frames: Sequence[Timed], item: FrameItem) -> None:
-        """Those that the newest item releases: mostly its own frame."""
+        """Map the frames that the newest item releases: mostly its own."""
         for frame, is_mapped in frames:
             if is_mapped:
                 self._map_frame(frame, item)

@@ -14,7 +14,7 @@ MIN_INTERVAL_NS = 500_000_000  # of a rate: one event more or less then changes 
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Of durations, ms. All 0 where nothing was measured."""
+    """Percentiles of durations, ms. All 0 where nothing was measured."""
 
     p50: float
     p95: float

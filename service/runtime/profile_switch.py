@@ -41,7 +41,7 @@ class ProfileRequest(Request):
 
 
 class PresentMapping:
-    """How frames are mapped now: as configured, or since a switch otherwise.
+    """The present mapping section: as configured, or as of the newest switch.
 
     A later switch back to the profile of the config takes its settings from there again.
     """
@@ -54,7 +54,7 @@ class PresentMapping:
         return self.config.profile
 
     def with_profile(self, profile: str) -> MappingConfig:
-        """What a switch to that profile leads to. Raises CommandError where it cannot be switched to."""
+        """The mapping section after a switch to that profile. Raises CommandError where it is refused."""
         if self.config.mode == "localization":
             raise CommandError(
                 "this session is localised in a stored map, which stays as it is; only the profile "
@@ -71,7 +71,7 @@ class PresentMapping:
 
 
 def make_kernels_ready(section: Section) -> None:
-    """As compile_kernels; at once where those of all profiles are there, as after `corridor warmup`."""
+    """Like compile_kernels; returns at once where those of all profiles are compiled, as after `warmup`."""
     if not is_warm():
         compile_kernels(section)
 

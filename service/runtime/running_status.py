@@ -15,7 +15,7 @@ from service.runtime.metrics import LatencyHistogram, Percentiles
 
 @dataclass(frozen=True, slots=True)
 class RunningStatus:
-    """As of the newest health report, the pose as of the newest scan."""
+    """State at the newest health report, the pose at the newest scan."""
 
     state: str  # of the mapping: ok, degraded, lost, waiting, stale, paused, overloaded
     reason: str  # in words; that of health

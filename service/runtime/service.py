@@ -159,12 +159,12 @@ class Service:
 
     @property
     def frame_sink(self) -> Callable[[Frame], None]:
-        """Where the drivers put their frames, from any thread."""
+        """Sink for the frames of the drivers, from any thread."""
         return self._intake.put
 
     @property
     def mapper_pid(self) -> int:
-        """Of the process that maps now."""
+        """Process id of the mapper."""
         return self._link.pid
 
     @property
@@ -174,7 +174,7 @@ class Service:
 
     @property
     def places(self) -> dict[str, str]:
-        """By name of the sink, the place of its output: Zenoh's endpoints, the map's folder ..."""
+        """Place of each sink's output, by its name: Zenoh's endpoints, the map's folder ..."""
         return self._sinks.places()
 
     @property

@@ -10,7 +10,7 @@ MAX_PERIODS = 3  # without a scan; then a laser is silent, and nothing is expect
 
 
 class ScanForecast:
-    """When the next scan is due. Host monotonic ns; `arrived` with each scan, in order; then `pause_ns`."""
+    """Forecast of the next scan. Host monotonic ns; `arrived` with each scan, in order; then `pause_ns`."""
 
     def __init__(self) -> None:
         self._arrived_ns: dict[str, deque[int]] = {}

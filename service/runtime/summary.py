@@ -30,7 +30,7 @@ class Summary:
 
     @property
     def map_folder(self) -> Path | None:
-        """Of the newest map; None where nothing was mapped."""
+        """Folder of the newest map; None where nothing was mapped."""
         return next(iter(self.written.get("map", [])), None)
 
     def as_dict(self) -> dict[str, Any]:

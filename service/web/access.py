@@ -38,7 +38,7 @@ def new_token() -> str:
 
 
 def state_folder() -> Path:
-    """What systemd names in STATE_DIRECTORY, else corridor/ in the user's folder of state (XDG)."""
+    """STATE_DIRECTORY of systemd, else corridor/ in the user's folder of state (XDG)."""
     if given := os.environ.get("STATE_DIRECTORY", "").partition(":")[0]:
         return Path(given)
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "corridor"

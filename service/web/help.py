@@ -138,7 +138,7 @@ def _mark_reasons(tokens: list[Token]) -> None:
 
 
 def anchor_of(heading: str) -> str:
-    """As GitHub makes them: lower case, punctuation dropped, blanks to hyphens."""
+    """Anchor of a heading as GitHub makes it: lower case, punctuation dropped, blanks to hyphens."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 

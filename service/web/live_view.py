@@ -86,7 +86,7 @@ class StatusSince:
 
 
 def kind_of(text: str) -> str:
-    """Of an event; "" of words that are no JSON of ours."""
+    """Kind of an event; "" for text that is no event."""
     try:
         event = json.loads(text)
     except (ValueError, RecursionError):
@@ -115,7 +115,7 @@ class DrivenPath:
             self._step_m *= 2.0
 
     def leave_off(self) -> None:
-        """What comes next is not joined to what was added."""
+        """Begin another stretch: the next point is not joined to the last."""
         if self._points and not math.isnan(self._points[-1][0]):
             self._points.append((math.nan, math.nan))
 
@@ -129,7 +129,7 @@ class DrivenPath:
 
 @dataclass(slots=True)
 class _Streams:
-    """What came and is not shown yet; guarded by the view's lock."""
+    """Messages that are not shown yet; guarded by the view's lock."""
 
     newest: dict[str, Message] = field(default_factory=dict)
     events: deque[Message] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
@@ -176,7 +176,7 @@ class LiveView:
                 self._came.latencies_ns.append(self._monotonic_ns() - origin_ns)
 
     def due(self) -> list[Shown]:
-        """What every browser should get now."""
+        """Payloads that every browser should get now."""
         now_ns = self._monotonic_ns()
         came = self._take(now_ns)
         shown = self._show_path(came)
@@ -231,7 +231,7 @@ class LiveView:
         ]
 
     def _take(self, now_ns: int) -> _Streams:
-        """What came. Scans whose laser was shown just now stay, and a graph likewise."""
+        """Take the waiting messages. Scans whose laser was just shown stay, and a graph likewise."""
         with self._lock:
             came, self._came = self._came, _Streams()
             for channel in [c for c in came.newest if self._due_ns.get(c, 0) > now_ns]:

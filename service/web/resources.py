@@ -63,7 +63,7 @@ class Resources:
         self._map_process = SessionMapProcess()
 
     def listing(self) -> dict[str, Any]:
-        """By kind, newest first: name, bytes, time of the last change (Unix, s), whether it is in use, and
+        """Entries by kind, newest first: name, bytes, last change (Unix, s), whether it is in use, and
         whether a session can begin in it.
         """
         in_use = {path.resolve() for path in self._in_use()}
@@ -127,7 +127,7 @@ class Resources:
         shutil.rmtree(self._scratch, ignore_errors=True)
 
     def download(self, kind: Kind, name: str, to: str) -> Download:
-        """As it is stored, or exported by a process of its own. Raises ResourceError."""
+        """File as it is stored, or exported by a process of its own. Raises ResourceError."""
         path = self._own(kind, name, is_changed=False)
         if to not in FORMATS[kind]:
             raise ResourceError(f"{to!r}: a {kind} is had as {', '.join(FORMATS[kind])}")

@@ -16,7 +16,7 @@ class Seated(Protocol):
     def address(self) -> str: ...
     @property
     def is_guest(self) -> bool:
-        """It has shown no token."""
+        """Whether it has shown no token."""
         ...
 
     @property

@@ -59,7 +59,7 @@ class FigureRows:
         self._latencies_ms.extend(ms)
 
     def put_health(self, statuses: Sequence[Status]) -> None:
-        """Of several states in one row the worst remains."""
+        """Take the state of health; of several in one row the worst remains."""
         for status in statuses:
             kind, _, sensor = status.name.partition("/")
             if kind == "sensor" and (rate_hz := _number(status, "rate_hz")) is not None:

@@ -141,7 +141,7 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Such as http://127.0.0.1:8080/, "" while nothing is served."""
+        """Address of the page such as http://127.0.0.1:8080/, "" while it is not served."""
         return self._address
 
     def start(self) -> None:

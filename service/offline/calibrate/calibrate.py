@@ -41,7 +41,7 @@ GYRO_OFF_PERCENT = 5.0  # a scale so far from 1 is no error of a gyro
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One thing that was estimated."""
+    """One estimated value."""
 
     name: str
     value: float
@@ -66,7 +66,7 @@ def _digits(unit: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class SensorCalibration:
-    """Of one sensor. Latency is from the stamp to the last byte, as recorded."""
+    """Values of one sensor. Latency is from the stamp to the last byte, as recorded."""
 
     sensor: str
     kind: Literal["laser", "wheels", "gyro"]
@@ -275,7 +275,7 @@ def _of_mounting(
 def _of_other(
     mounting: SE2, mounting_fit: Fit | None, other: Fit, before: ServiceConfig | None, name: str
 ) -> list[Value]:
-    """Of a laser that was compared with the reference."""
+    """Calibration of a laser that was compared with the reference."""
     pose = mounting @ SE2(other["x_m"], other["y_m"], other["yaw_rad"])
     values = (
         _of_mounting(pose, other, before, name)

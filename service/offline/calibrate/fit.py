@@ -39,7 +39,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """What came out: values, their covariance, and what is left over."""
+    """Result: values, their covariance, and the residuals."""
 
     names: tuple[str, ...]
     values: Floats  # (P,)

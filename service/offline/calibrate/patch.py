@@ -33,7 +33,7 @@ def wheel_settings(fit: Fit, wheel_base_m: float, left_scale: float, right_scale
 
 
 def why_not_taken(values: Mapping[str, Any], settings: Any) -> str:
-    """What of the values the settings of a sensor refuse, and why; "" where they take them."""
+    """Values that the settings of a sensor refuse, and why; "" where they accept all."""
     merged = settings.model_dump(mode="json", exclude_unset=True)
     _overlay(merged, values)
     try:

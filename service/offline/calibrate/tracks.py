@@ -26,7 +26,7 @@ SMALL_RAD = 1e-6  # below it the chord of an arc is its length
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserTrack:
-    """Where a laser was, by its scans alone."""
+    """Path of a laser, by its scans alone."""
 
     sensor: str
     stamp_ns: Stamps  # (N,), rising: first ray of each scan
@@ -40,7 +40,7 @@ class LaserTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelTrack:
-    """What wheels counted, as steps from sample to sample."""
+    """Odometry as steps from sample to sample."""
 
     sensor: str
     stamp_ns: Stamps  # (N,), rising

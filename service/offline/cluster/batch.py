@@ -54,7 +54,7 @@ def run_batch(tasks: Sequence[Task], engine: Engine, progress: Progress) -> list
 
 
 def _pace(done: Sequence[Done], count: int, began_s: float) -> str:
-    """Of those that had to be mapped: the others take no time."""
+    """Rate of the sessions that had to be mapped: the others take no time."""
     mapped = sum(not one.was_done for one in done)
     failed = sum(isinstance(one.outcome, CorridorError) for one in done)
     words = f", {len(done)} of {count} sessions, {failed} failed"

@@ -34,7 +34,7 @@ Engine = Callable[[Sequence[AnyTask]], Ended]
 
 
 def in_turn(tasks: Sequence[AnyTask]) -> Ended:
-    """One after the other in this process."""
+    """Run the tasks one after the other in this process."""
     for k, task in enumerate(tasks):
         yield k, run(task)
 
@@ -143,7 +143,7 @@ class Cluster:
         self._stack.close()
 
     def __call__(self, tasks: Sequence[AnyTask]) -> Ended:
-        """Where the scheduler is lost, what is not done goes to it again once it is back."""
+        """Run the tasks; after a loss of the scheduler open ones are sent again once it is back."""
         left = dict(enumerate(tasks))
         while left:
             with self._client() as client:
@@ -154,7 +154,7 @@ class Cluster:
                 log.warning("%s: the scheduler was lost; %d tasks go to it again", self._wanted, len(left))
 
     def _round(self, client: Any, left: dict[int, AnyTask]) -> Ended:
-        """Those that end before the scheduler is lost."""
+        """Outcomes of tasks that end before the scheduler is lost."""
         batch = uuid4().hex
         futures = {
             client.submit(_run_on_worker, f"{batch}-{k}", task, key=f"corridor-{k}-{batch}", pure=False): k

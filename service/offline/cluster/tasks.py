@@ -33,7 +33,7 @@ class AnyTask(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the session, for the report of a failure."""
+        """Name of the session, for the report of a failure."""
 
     @property
     def program(self) -> str:
@@ -114,7 +114,7 @@ def run(task: AnyTask) -> Done:
 
 
 def _manifest(task: Task) -> dict[str, Any]:
-    """What the bytes of the result depend on. Raises InputError."""
+    """All that the bytes of the result depend on. Raises InputError."""
     options = asdict(replace(task.options, config=None, map=None))
     of_files = {"config": task.options.config, "map": task.options.map}
     return {

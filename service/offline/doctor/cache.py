@@ -8,7 +8,7 @@ from service.offline.doctor.machine import Machine
 
 
 def look_at_cache(machine: Machine) -> Finding:
-    """Where numba keeps machine code, whether it can, and how many kernels are there already."""
+    """Finding on numba's cache: its folder, whether it is writable, and the number of compiled kernels."""
     places = cache_places(machine.environment)
     writable = [place for place in places if not cannot_write(nearest_parent(place))]
     if not writable:

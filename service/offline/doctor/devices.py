@@ -48,7 +48,7 @@ class PortWire:
 
 
 def wire_of(config: Any) -> TcpWire | PortWire | None:
-    """By the settings' names, which all types share: host and port, or device. None: another kind of wire."""
+    """Wire by the settings that all types share: host and port, or device. None: another kind of wire."""
     host, device = getattr(config, "host", None), getattr(config, "device", None)
     if host is not None:
         return TcpWire(host, config.port)
@@ -154,7 +154,7 @@ def _judge(
 
 
 def reported_identity(kind: SensorKind, config: Any, seen: Probe) -> dict[str, str]:
-    """What the device itself has added to the identity that a session begins with."""
+    """Identity that the device itself has reported."""
     at_first = kind.session_maker(config)().identity
     return {key: text for key, text in seen.identity.items() if at_first.get(key) != text}
 

@@ -72,7 +72,7 @@ def _with_config(
 
 
 def _devices(machine: Machine, config: ServiceConfig, patience: Patience) -> list[Finding]:
-    """Of all sensors, looked at side by side."""
+    """Findings on all sensors, examined in parallel."""
     stop = threading.Event()
     with ThreadPoolExecutor(max_workers=len(config.sensors), thread_name_prefix="doctor") as workers:
         try:

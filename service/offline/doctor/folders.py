@@ -38,7 +38,7 @@ def _folder(machine: Machine, who: str, key: str, folder: Path) -> Finding:
 
 
 def look_at_map_to_load(machine: Machine, config: ServiceConfig) -> list[Finding]:
-    """That of map.load, read as a session that begins in it reads it; nothing where there is none."""
+    """Finding on the map of map.load, read as a session reads it; none without the setting."""
     if config.begin_in is None:
         return []
     try:

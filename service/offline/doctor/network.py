@@ -37,7 +37,7 @@ def resolve(who: str, host: str, port: int) -> tuple[str, Finding | None]:
 
 
 def route_to(machine: Machine, address: str) -> Route | None:
-    """By the kernel's table; None where no line of it fits. IPv4 alone: other addresses look direct."""
+    """Route by the kernel's table; None where no line fits. IPv4 only: other addresses count as direct."""
     target = ipaddress.ip_address(address)
     if target.is_loopback or target.version != 4:
         return Route("lo", "", True)

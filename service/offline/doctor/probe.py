@@ -47,7 +47,7 @@ class Probe:
 
     @property
     def rate_hz(self) -> float | None:
-        """By the stamps, which are free of the wire's bunching; None below three frames."""
+        """Rate by the stamps, which do not depend on the wire's bunching; None below three frames."""
         span_ns = self.stamps_ns[-1] - self.stamps_ns[0] if self.frames >= 3 else 0
         return (self.frames - 1) * 1e9 / span_ns if span_ns > 0 else None
 
@@ -72,7 +72,7 @@ class Probe:
 
     @property
     def losses(self) -> dict[str, int]:
-        """What the session counted since the first frame and did not count among the good."""
+        """Counters of losses since the first frame."""
         since = self.counters - self.counters_at_first
         return {name: count for name, count in sorted(since.items()) if _is_loss(name)}
 
@@ -156,7 +156,7 @@ def _step(seen: Probe, transport: Transport, session: Session) -> list[Frame]:
 
 
 def listen(open_transport: Callable[[], Transport], seconds: float, stop: threading.Event) -> bytes:
-    """What comes by itself; nothing is written. b"" also where the wire cannot be opened."""
+    """Bytes that come by themselves; nothing is written. b"" also where the wire cannot be opened."""
     heard = bytearray()
     try:
         with open_transport() as transport:

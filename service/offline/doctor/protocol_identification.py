@@ -59,7 +59,7 @@ def is_text(data: bytes) -> bool:
 
 
 def _texture(data: bytes) -> str:
-    """How the bytes are spread: a line read at the wrong rate has few values, mostly 00, ff, 80, f8, fe."""
+    """Distribution of the bytes: a line read at the wrong rate has few values, mostly 00, ff, 80, f8, fe."""
     counts = Counter(data)
     bits = -sum(n / len(data) * log2(n / len(data)) for n in counts.values())
     if len(counts) == 1:

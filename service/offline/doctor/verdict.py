@@ -104,7 +104,7 @@ def _other_unit(config: Any, seen: Probe) -> str:
 
 
 def slow(config: Any, seen: Probe, identity: dict[str, str]) -> Finding:
-    """It answers, and has not come to its first frame in time."""
+    """The device answers, and sends no frame in time."""
     return fault(
         config.name,
         f"{_identity(identity)} answers, but no frame in {seen.seconds:.0f} s; its status: {seen.status}",
@@ -114,7 +114,7 @@ def slow(config: Any, seen: Probe, identity: dict[str, str]) -> Finding:
 
 
 def refused(config: Any, seen: Probe) -> Finding:
-    """It is the right type, and does not stream."""
+    """The device is of the right type, and does not stream."""
     if seen.error is None:
         return fault(
             config.name,

@@ -111,12 +111,12 @@ def _write_png(out: Path, picture: Picture, reference: GeoReference | None) -> N
 
 
 def _path(source: "_Source") -> list[SE2]:
-    """Where the source has one."""
+    """The trajectory of the source, if it has one."""
     return [pose for _, pose in source.poses()] if source.has_poses else []
 
 
 class _Source(Protocol):
-    """What is exported. Each raises InputError where the source does not have it, or where it is damaged."""
+    """Source of an export. Each method raises InputError where the data is missing or damaged."""
 
     @property
     def has_picture(self) -> bool: ...

@@ -79,7 +79,7 @@ def _simplified(loop: Points) -> Points:
 
 
 def _area(loop: Points) -> float:
-    """By the shoelace formula."""
+    """Area by the shoelace formula."""
     x, y = loop.T
     return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 

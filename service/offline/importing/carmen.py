@@ -398,7 +398,7 @@ def _is_rigid(scans: Sequence[_Scan]) -> bool:
 
 
 def _laser_poses(scans: Sequence[_Scan], sensor: str) -> list[SE2]:
-    """Of that laser on the robot, scan by scan."""
+    """Poses of that laser on the robot, scan by scan."""
     return [s.pose_robot.inverse() @ s.pose_laser for s in scans if s.frame.sensor == sensor]
 
 
@@ -412,7 +412,7 @@ def _median(poses: Sequence[SE2]) -> SE2:
 
 
 def _mounting(log: _Log, sensor: str, corrected: bool) -> SE2:
-    """By the poses of laser and robot where both are logged; else by PARAM; else at the robot's centre."""
+    """Mounting by the poses of laser and robot where both are logged, else by PARAM, else at the centre."""
     relative = _median(_laser_poses(log.scans, sensor))
     if not corrected and relative.log() != (0.0, 0.0, 0.0):
         return SE2(round(relative.x_m, 4), round(relative.y_m, 4), round(relative.theta_rad, 6))

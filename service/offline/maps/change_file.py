@@ -39,7 +39,7 @@ def write_changes(path: Path, changes: MapChanges | None) -> None:
 
 
 def read_changes(path: Path, cell_m: float) -> MapChanges | None:
-    """What write_changes wrote of a map with cells of cell_m; None where there is no such file.
+    """Read the file of write_changes for a map with cells of cell_m; None where there is no such file.
 
     Raises InputError.
     """

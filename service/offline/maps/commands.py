@@ -139,7 +139,7 @@ def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
 
 
 def _loops(graph: SavedGraph | None) -> dict[str, Any]:
-    """As `map loops` lists them; of each refused one the pairs by which it would be accepted, without those
+    """Loops as in `map loops`; of each refused one the pairs by which it would be accepted, without those
     that a person has accepted so.
     """
     if graph is None:
@@ -179,7 +179,7 @@ def as_edit(change: requested_by.ChangeRequest) -> map_edit.Change:
 
 
 def _keyframes(graph: SavedGraph) -> dict[str, Any]:
-    """Where and when: lists by rising number, of each `every`-th key frame."""
+    """Poses and times by rising number, of each `every`-th key frame."""
     every = -(-len(graph) // MAX_KEYFRAMES) or 1
     seconds = (graph.stamp_ns - graph.stamp_ns.min()) / 1e9 if len(graph) else np.zeros(0)
     return {

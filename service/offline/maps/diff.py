@@ -27,7 +27,7 @@ Named = tuple[Path, int | None]  # folder, version
 
 
 def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
-    """What the second has and the first has not, and the reverse; for JSON.
+    """Differences of the second map from the first, for JSON.
 
     out   file of a PNG that shows it; None: none is written
 

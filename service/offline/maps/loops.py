@@ -49,7 +49,7 @@ def loops_of(graph: SavedGraph) -> tuple[list[dict[str, Any]], list[dict[str, An
 
 
 def as_pairs(graph: SavedGraph, ends: np.ndarray, measured: Floats) -> list[list[list[list[float]]]]:
-    """Of each loop two pairs of points of the map, (2, 2, 2) m, that together give its measurement."""
+    """Two pairs of points of the map for each loop, (2, 2, 2) m, that together give its measurement."""
     pairs = []
     for (of, to), second in zip(ends.tolist(), measured, strict=True):
         seen = points_of(second)

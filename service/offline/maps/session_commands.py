@@ -36,7 +36,7 @@ class SessionMapCommands:
         self._name = ""  # of that look, unlike that of any other
 
     def answer(self, line: bytes) -> dict[str, Any]:
-        """What becomes of a request; what cannot be done is answered with the reason."""
+        """Answer a request; a refused one with the reason."""
         requested = json.loads(line)
         folder, request = Path(requested["map"]), json.dumps(requested["request"]).encode()
         table: Table = {

@@ -19,7 +19,7 @@ from service.outputs import UNKNOWN
 
 
 def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
-    """What a version of a stored map is (None: the current one), for JSON. Raises InputError where it cannot
+    """Facts on a version of a stored map (None: the current one), for JSON. Raises InputError where it cannot
     be read.
     """
     stored = load_map(folder, version)

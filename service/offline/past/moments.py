@@ -114,7 +114,7 @@ class MomentCommands:
 
 
 def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payload]:
-    """By key, in the order in which a page wants them."""
+    """Payloads by key, in the order in which a page needs them."""
     payloads: dict[str, Payload] = {}
     if moment.mountings is not None:
         payloads["mountings"] = mountings_json(moment.mountings)

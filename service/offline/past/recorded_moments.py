@@ -112,7 +112,7 @@ class RecordedMoments:
 
     @property
     def name(self) -> str:
-        """Of the first file."""
+        """Name of the first file."""
         return name_of(self._recording.paths[0])
 
     @property
@@ -143,7 +143,7 @@ class RecordedMoments:
         )
 
     def tiles_at(self, at_ns: int) -> Sequence[TileUpdate]:
-        """Of the newest map that was recorded by then; none where there is none. Raises InputError."""
+        """Tiles of the newest map that was recorded by then, if any. Raises InputError."""
         log_ns = _newest(self._map_log_ns, at_ns)
         return () if log_ns is None else self._tiles_of(log_ns)
 

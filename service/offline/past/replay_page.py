@@ -59,7 +59,7 @@ VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
 
 
 class NoRequest(Section):
-    """Of replay_pause and replay_resume."""
+    """Request of replay_pause and replay_resume."""
 
 
 class RateRequest(Section):

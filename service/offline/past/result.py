@@ -58,7 +58,7 @@ def open_result(source: Path) -> "Result":
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Of a TUM file, or of a result's newest version. Raises InputError."""
+    """Trajectory of a TUM file, or of a result's newest version. Raises InputError."""
     if not path.is_dir():
         return read_tum(path)
     if (trajectory := open_result(path).trajectory) is None:
@@ -69,7 +69,7 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 class Drive:
-    """What a replay wrote of its drive, before any edit. Each is read once, when it is requested."""
+    """Files of a replay before any edit. Each is read once, when it is requested."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -147,14 +147,14 @@ class Result:
 
     @property
     def picture(self) -> Picture:
-        """Of the map. Raises InputError where there is none."""
+        """Picture of the map. Raises InputError where there is none."""
         if self.stored is not None:
             return picture_of_tiles(self.stored.tiles)
         return picture_of_grid(self._ros_map())
 
     @property
     def tiles(self) -> Sequence[TileUpdate]:
-        """Of the map; those of a ROS map lie within half a cell of where it has them. Raises as `picture`."""
+        """Tiles of the map; those of a ROS map are off by at most half a cell. Raises as `picture`."""
         return self.stored.tiles if self.stored is not None else tiles_of_grid(self._ros_map())
 
     @property

@@ -108,7 +108,7 @@ class View:
             self.server.put_ready({CHANGES: encode_changes(changes.as_grid())})
 
     def _changes(self, result: Result, tiles: Sequence[TileUpdate]) -> MapChanges | None:
-        """Of a site what changed from session to session; of a drive that was localised in a stored map what
+        """Changes of a site from session to session; of a drive that was localised in a stored map what
         differs from it.
         """
         if result.stored is not None:

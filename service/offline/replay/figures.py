@@ -34,7 +34,7 @@ def percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:
 
 
 def peak_rss_mb() -> int:
-    """Of this process alone; getrusage would count the memory of a parent before exec."""
+    """Peak memory of this process alone; getrusage would count the memory of a parent before exec."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
     return round(int(kilobytes) / 1024)
