@@ -53,7 +53,7 @@ def ask_json(
 
 
 def for_each(vehicles: Sequence[str], work: Callable[[str], ResultT]) -> dict[str, ResultT | CorridorError]:
-    """What `work` gives of each vehicle, or why it failed; AT_ONCE at the same time, each once."""
+    """Result of `work` for each vehicle, or why it failed; AT_ONCE at the same time, each once."""
 
     def attempt(vehicle: str) -> ResultT | CorridorError:
         try:

@@ -38,7 +38,7 @@ def connected(config: PublishingConfig | None) -> Iterator[zenoh.Session]:
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """As of its last health message. Without one: state "silent"."""
+    """State of a vehicle by its last health message. Without one: state "silent"."""
 
     name: str
     state: str  # of the mapping
@@ -146,7 +146,7 @@ def vehicle_in(key: str) -> str:
 
 
 def last_of(session: zenoh.Session, channel: str) -> dict[str, zenoh.Sample]:
-    """By vehicle, from the vehicles themselves."""
+    """Last messages by vehicle, from the vehicles themselves."""
     replies = session.get(
         vehicle_key("*", channel), timeout=ANSWER_S, consolidation=zenoh.ConsolidationMode.NONE
     )

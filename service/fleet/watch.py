@@ -23,7 +23,7 @@ Show = Callable[[Vehicle], None]
 
 
 class Watch:
-    """What is known of each vehicle, by one subscription for all of them."""
+    """State of each vehicle, by one subscription for all of them."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
@@ -90,7 +90,7 @@ class Watch:
         return read_pose(self._poses.get(name))
 
     def vehicle(self, name: str) -> Vehicle:
-        """As it is known now; silent once its last session has gone."""
+        """Present state of a vehicle; silent once its last session has ended."""
         sessions = self._present.get(name, ())
         health = self._health.get(name) if sessions else None
         return vehicle_of(name, health, self._poses.get(name), sessions)

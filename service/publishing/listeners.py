@@ -7,7 +7,7 @@ import zenoh
 
 
 class Listeners:
-    """Subscribers of one key, known by a plain publisher that never puts: an advanced one does not report them.
+    """Subscribers of one key, by a plain publisher that never puts: an advanced one does not report them.
 
     appeared   called in Zenoh's thread when there is a subscriber and was none
     """

@@ -73,7 +73,7 @@ class Machine:
     bind: Callable[[socket.socket, Any], None] = lambda door, address: door.bind(address)
 
     def path(self, name: str | Path) -> Path:
-        """Where an absolute path lies under this machine's root; a relative one is the caller's own."""
+        """An absolute path under this machine's root; a relative one is returned as it is."""
         given = Path(name)
         return self.root / given.relative_to("/") if given.is_absolute() else given
 

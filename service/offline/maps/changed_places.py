@@ -81,8 +81,8 @@ def write_changed_places(folder: Path, changed: ChangedPlaces) -> None:
 
 
 def read_changed_places(folder: Path, version: int) -> ChangedPlaces | None:
-    """What was written beside a map; None where there is none, or only one of a later version than the one
-    that is looked at. Raises InputError.
+    """Changed places of the file beside a map; None where there is none, or only of a later version than that
+    which is read. Raises InputError.
     """
     path = folder / CHANGED_PLACES_FILE
     if not path.is_file():

@@ -139,7 +139,7 @@ class Result:
 
     @property
     def geo(self) -> GeoReference | None:
-        """Where the map lies on the earth; None: that is not known."""
+        """Geo-reference of the map; None: not known."""
         if self.stored is not None:
             return self.stored.geo
         path = self.source / GEO_FILE

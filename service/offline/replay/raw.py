@@ -25,7 +25,7 @@ FROM_RAW = "from_raw"  # metadata of a session whose frames were made again
 
 @dataclass(frozen=True, slots=True)
 class Remade:
-    """What a driver made of one sensor's wire; the fields are those of WireReplay."""
+    """Frames and counts of one sensor's wire; the fields are those of WireReplay."""
 
     frames: int
     chunks_without_start: int

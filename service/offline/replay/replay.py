@@ -57,7 +57,7 @@ def group_sessions(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def _drive_of(file: Path) -> str:
-    """What files of one drive have in common, else the full name; `ros2 bag record` numbers the files in a
+    """Common name of the files of one drive, else the full name; `ros2 bag record` numbers the files in a
     folder of their name, which has no metadata.yaml where it was killed.
     """
     if part_of := _SESSION_FILE.fullmatch(file.name):
@@ -67,7 +67,7 @@ def _drive_of(file: Path) -> str:
 
 
 def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list[Path]:
-    """Where the result of each session goes, no two to the same: one to `out` itself, several to folders
+    """Folder of each session's result, all different: of one `out` itself, of several folders
     below it, named after them; without `out` each to out/replay_<name>.
     """
     if out is not None and len(sessions) == 1:
@@ -82,7 +82,7 @@ def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list
 
 
 def session_name(session: Sequence[Path]) -> str:
-    """Of the files of one drive."""
+    """Name of the session that files of one drive make."""
     part_of = _SESSION_FILE.fullmatch(session[0].name)
     return part_of[1] if part_of else name_of(session[0])
 

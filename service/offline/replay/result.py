@@ -131,7 +131,7 @@ def _write_files(
     geo: GeoReference | None,
     summary: Mapping[str, Any],
 ) -> None:
-    """What describes one version of a map and the drive in it."""
+    """Write the files of one version of a map and the drive in it."""
     write_tum(out / TRAJECTORY_FILE, poses)
     if g2o:
         (out / GRAPH_FILE).write_text(g2o, encoding="ascii")

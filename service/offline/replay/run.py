@@ -290,7 +290,7 @@ class ReplayRun:
 
 
 def _as_mounting(pose: SE2) -> dict[str, float]:
-    """As in a config."""
+    """The pose as a mounting of a config."""
     yaw_deg = math.degrees(pose.theta_rad)
     return {"x_m": round(pose.x_m, 4), "y_m": round(pose.y_m, 4), "yaw_deg": round(yaw_deg, 3)}
 
@@ -321,7 +321,7 @@ def _unusable(session: Session, topics: Iterable[str]) -> int:
 
 
 def _in_words(devices: Mapping[str, Mapping[str, Any]]) -> str:
-    """What came in a shared topic: "300 of front, read as scan; 299 of rear, refused"."""
+    """Messages of a shared topic as text: "300 of front, read as scan; 299 of rear, refused"."""
     return "; ".join(
         f"{device['messages']} of {frame or 'an empty one'}, "
         + ("refused" if device["sensor"] is None else f"read as {device['sensor']}")

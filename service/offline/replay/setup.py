@@ -117,7 +117,7 @@ def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
 
 
 def _version(options: ReplayOptions, begun_in: MapVersion | None) -> int | None:
-    """Of the stored map to begin in; None: the current one, or none at all."""
+    """Version of the stored map to begin in; None: the current one, or no map."""
     if options.map is None or options.version is not None or begun_in is None:
         return options.version
     if has_version(options.map, begun_in.number, begun_in.digest):

@@ -31,7 +31,7 @@ class TimeAxis:
         self.duration_s = max(content.duration_s, 1e-3)
 
     def share(self, seconds: float) -> float:
-        """Of the width, %; seconds since the begin."""
+        """Share of the width, %, at seconds since the begin."""
         return 100.0 * min(max(seconds / self.duration_s, 0.0), 1.0)
 
     def seconds(self, stamp_ns: int) -> float:

@@ -34,7 +34,7 @@ class StateReason(_Lenient):
 
 
 class SensorFrames(_Lenient):
-    """As service.offline.replay.sensor_rates has it."""
+    """Frames of a sensor, as in service.offline.replay.sensor_rates."""
 
     frames: int
     rate_hz: float | None = None
@@ -49,7 +49,7 @@ class Mounting(_Lenient):
 
 
 class Summary(_Lenient):
-    """What the report shows of summary.json."""
+    """The shown part of summary.json."""
 
     corridor: str = ""
     profile: str = ""
@@ -87,7 +87,7 @@ class Loop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """What of a result is shown; None: it is not in the folder.
+    """Contents of a report; None: missing in the folder.
 
     edit       words of the edit that made the newest version of the map; None: the drive made it
     missing    what is not in the folder, and what to do: a line each
@@ -105,7 +105,7 @@ class Content:
 
     @property
     def begin_ns(self) -> int:
-        """Of the first scan; 0 where that is unknown."""
+        """Stamp of the first scan; 0 where that is unknown."""
         for stamps in (self.states, self.trajectory):
             if stamps is not None and len(stamps.stamp_ns):
                 return int(stamps.stamp_ns[0])
@@ -120,7 +120,7 @@ class Content:
 
 
 def read_content(folder: Path) -> Content:
-    """Of the newest version of the map. Raises InputError where the folder is none of a replay, or where a
+    """Content for the newest version of the map. Raises InputError where the folder is of no replay, or where a
     file of it is damaged.
     """
     refuse_unreadable(folder)

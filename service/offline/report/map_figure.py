@@ -108,7 +108,7 @@ def _coarser(picture: Picture) -> Picture:
 
 
 def _smallest(pixels: Pixels, k: int) -> Pixels:
-    """Of each k x k pixels, what is left over at the right and at the bottom included."""
+    """Smallest value of each k x k pixels, incomplete blocks at the right and the bottom included."""
     rows = np.minimum.reduceat(pixels, np.arange(0, pixels.shape[0], k), axis=0)
     return np.minimum.reduceat(rows, np.arange(0, pixels.shape[1], k), axis=1)
 
@@ -202,7 +202,7 @@ def _grid(frame: _Frame, step_m: float) -> str:
 
 
 def _coordinates(frame: _Frame, step_m: float) -> list[Markup]:
-    """Of the grid lines, along the top and the left edge."""
+    """Coordinates of the grid lines, along the top and the left edge."""
     return [
         tag("span", f"{x:g}", class_="tick x", style=f"left:{100 * (x - frame.x_min_m) / frame.width_m:.3f}%")
         for x in _ticks(frame.x_min_m, frame.width_m, step_m)

@@ -38,7 +38,7 @@ MAX_SHIFT = 4e9  # s or m; from 1970 to a stamp of today and more
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Of errors: unsigned, in metres or degrees. std divides by N - 1."""
+    """Statistics of unsigned errors, in metres or degrees. std divides by N - 1."""
 
     mean: float
     std: float

@@ -38,7 +38,7 @@ class Holder:
 
 @dataclass(frozen=True, slots=True)
 class SiteFiles:
-    """What `init_site` did, by names; `config` is what a vehicle's config gets."""
+    """Result of `init_site`, by names; `config` is the section for a vehicle's config."""
 
     folder: str
     made: tuple[str, ...]
@@ -113,7 +113,7 @@ class _Site:
         )
 
     def _holders(self) -> Iterator[tuple[str, Holder]]:
-        """Those that have a certificate already."""
+        """Holders of existing certificates."""
         for path in sorted(self._folder.glob("*.pem")):
             if path.name != "ca.pem":
                 certificate = read_certificate(path)
@@ -195,7 +195,7 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """Of its holder, "" where there is none."""
+    """Common name of its holder, "" where there is none."""
     return _first(certificate.subject, NameOID.COMMON_NAME)
 
 

@@ -32,7 +32,7 @@ class SharedDevice(NamedTuple):
 
 
 def faults_here(config: ServiceConfig, file: str) -> list[str]:
-    """As ConfigError has them; `file` is the config's name in them."""
+    """Faults as in ConfigError; `file` is the config's name in them."""
     document = load(config.text)
     found: list[tuple[KeyPath, str]] = [
         (
@@ -96,7 +96,7 @@ def _hosts_with_one_address(
 
 
 def known_addresses(host: str) -> frozenset[str]:
-    """Of a host, as this machine knows them now; the host itself where it knows none in NAME_TIMEOUT_S."""
+    """Addresses of a host, as this machine resolves it; the host itself after NAME_TIMEOUT_S without any."""
     answer: Future[frozenset[str]] = Future()
 
     def ask() -> None:

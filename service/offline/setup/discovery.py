@@ -31,7 +31,7 @@ PORT_NAMES = ("corridor/*", "serial/by-id/*", "ttyACM*", "ttyUSB*")  # the names
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Where to query: a host, with a port or with that of each type; or a device file. type "": any."""
+    """A place to query: a host, with a port or with that of each type; or a device file. type "": any."""
 
     host: str = ""
     port: int | None = None
@@ -72,7 +72,7 @@ def parse_wire(text: str) -> Wire:
 
 
 def serial_ports(dev: Path = Path("/dev")) -> list[Wire]:
-    """Of this machine, each once, by the name that stays longest."""
+    """Serial ports of this machine, each once, by its most permanent name."""
     seen: dict[Path, Wire] = {}
     for pattern in PORT_NAMES:
         for path in sorted(dev.glob(pattern)):

@@ -35,7 +35,7 @@ NEXT_STEPS = (
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """What `install_unit` did. kept: files that were there with other content."""
+    """Result of `install_unit`. kept: existing files with other content."""
 
     program: str  # that the unit starts, as systemd reads it; "" where a unit that was kept does not tell
     written: list[str]

@@ -103,7 +103,7 @@ def write_new_config(
 
 
 def named(found: Sequence[Found]) -> dict[str, Found]:
-    """By names that fit their types: lms, lms_2, imu ..."""
+    """Devices by names of their types: lms, lms_2, imu ..."""
     sensors: dict[str, Found] = {}
     for one in found:
         name, number = SENSOR_KINDS[one.type].advice.name or one.type, 1

@@ -41,7 +41,7 @@ class StoredAnchors(Anchoring):
         )
 
     def edges(self, keyframes: KeyframeList) -> Edges:
-        """As edges from pose N, where east and north lie in the map, to one key frame of each session."""
+        """Edges from pose N, the frame of east and north in the map, to one key frame of each session."""
         to = np.array(list(self._of_keyframes), np.int64)
         anchors = self._of_keyframes.values()
         sigmas = np.array(

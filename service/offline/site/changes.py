@@ -44,7 +44,7 @@ _NO_KEYS: Keys = np.zeros(0, np.int64)
 
 
 def seen_by(graph: SavedGraph, cell_m: float) -> RenderedMap:
-    """What the key frames of one session saw, without what a person drew."""
+    """Map of the key frames of one session, without edits by hand."""
     keyframes = KeyframeList(replace(graph, by_hand=ByHand()))
     return OccupancyRenderer(FREE_RANGE_M, cell_m).render(to_render(keyframes, np.ones(len(graph), np.bool_)))
 
@@ -84,7 +84,7 @@ class Comparison:
 
 
 def log_odds_elsewhere(places: int, gone: int, new: int) -> float:
-    """That a session is of another place, against that of things moved since, by its Comparison.
+    """Log-odds that a session is of another place, against that objects were moved, by its Comparison.
 
     Another floor of the plan lacks walls and has others; doors that were shut, or a store that was emptied,
     are of one kind. So the kind counts of which there is less.
@@ -155,7 +155,7 @@ class Layers:
         return replace(shown, evidence=evidence)
 
     def _places(self, keys: Keys, least: int) -> set[tuple[int, ...]]:
-        """That have so many of the cells."""
+        """Places that have so many of the cells."""
         places = Counter(map(tuple, (_cells_of(keys) // self._place_cells).tolist()))
         return {place for place, count in places.items() if count >= least}
 
@@ -215,7 +215,7 @@ def _cells_of(keys: Keys) -> Cells:
 
 
 def _at(cells: Cells) -> Iterator[tuple[Tile, int, int]]:
-    """Of each cell its tile, and row and column in it."""
+    """Tile of each cell, and row and column in it."""
     for row, column in cells.tolist():
         tile_row, row_in_tile = divmod(row, GRID_TILE_CELLS)
         tile_column, column_in_tile = divmod(column, GRID_TILE_CELLS)

@@ -68,7 +68,7 @@ class Member:
 
 @dataclass(slots=True, eq=False)
 class Site:
-    """What is known of a site.
+    """State of a site.
 
     elsewhere   of those left out, whom the newest state contradicts as another place would: in which words
     """
@@ -85,7 +85,7 @@ class Site:
 
     @property
     def begins(self) -> list[int]:
-        """Of each member the number of its first key frame; at the end that of all."""
+        """Number of the first key frame of each member; at the end that of all."""
         return [0, *accumulate(one.keyframes for one in self.members)]
 
     def graph_of(self, k: int) -> SavedGraph:
@@ -94,7 +94,7 @@ class Site:
         return only(self.graph, (number >= self.begins[k]) & (number < self.begins[k + 1]))
 
     def seen(self, k: int) -> RenderedMap:
-        """What a member saw by itself."""
+        """Map of a member by itself."""
         graph, name = self.graph_of(k), self.members[k].name
         if name not in self.kept or not self.kept[name].is_of(graph.map):
             self.kept[name] = Seen(seen_by(graph, self.cell_m), graph.map)
@@ -105,7 +105,7 @@ class Site:
         return sorted(range(len(self.members)), key=lambda k: self.members[k].stamps_ns)
 
     def layers(self) -> tuple[Layers, dict[int, Comparison]]:
-        """What changed from member to member; and each against those before it in time."""
+        """Changes from member to member; and each member compared with those before it in time."""
         if self._layers is None:
             self.compare(self.in_time(), lambda k, compared: True)
             assert self._layers is not None
@@ -190,7 +190,7 @@ class _Round:
     joined: Collection[str]
 
     def find(self, known: Mapping[str, int]) -> dict[str, Floats]:
-        """Where sessions lie in the site, (3,) each, by name; looked for where they were not yet."""
+        """Poses of sessions in the site, (3,) each, by name; searched where they were not yet."""
         site, found = self.site, dict[str, Floats]()
         firsts: dict[int, Path] = {}
         requested, tasks = [], []

@@ -23,7 +23,7 @@ SAME_M, SAME_RAD = 0.01, 0.001  # a fifth of a cell of 5 cm, and the same 10 m a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a member saw by itself, rendered with its key frames at (N, 3) in the map."""
+    """Map of a member by itself, rendered with its key frames at (N, 3) in the map of the site."""
 
     rendered: RenderedMap
     keyframes: Floats

@@ -35,7 +35,7 @@ class _OfSession:
 
 
 class Find(_OfSession):
-    """Where the session lies in the site: outcome `pose_first_second` [x m, y m, theta rad], or `why` it is
+    """Search of a session in the site: outcome `pose_first_second` [x m, y m, theta rad], or `why` it is
     not found.
     """
 

@@ -39,7 +39,7 @@ class Measured:
 
 
 def measure(result: Path, summary: dict[str, Any], truth: Path | None) -> Measured:
-    """Of a replay's folder; None: by itself. Raises InputError where the truth does not fit, or where a
+    """Cost of a replay; truth None: by itself. Raises InputError where the truth does not fit, or where a
     profile without a pose graph is to be measured by itself.
     """
     if truth is None:

@@ -93,7 +93,7 @@ IMPORTANCE_NOTE = (
 
 
 def importances(outcome: Outcome) -> dict[str, float]:
-    """By parameter, adding up to 1; {} where too few trials tell."""
+    """Importance of each parameter, 1 in sum; {} where there are too few trials."""
     optuna = optional("optuna", "tune", "importances")
     complete = outcome.study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
     if len(complete) < MIN_TRIALS or len({trial.value for trial in complete}) < 2:

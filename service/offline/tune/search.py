@@ -47,7 +47,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a search found.
+    """Result of a search.
 
     present, best   values by name of the parameter
     measured        drive -> with the present and with the best values
@@ -73,7 +73,7 @@ class Outcome:
 
 
 def geometric_mean(measured: Sequence[Measured]) -> float:
-    """Of the costs: a drive whose errors are ten times larger counts as much as any other."""
+    """Geometric mean of the costs: a drive whose errors are ten times larger counts as much as any other."""
     return math.exp(sum(math.log(max(one.cost, 1e-9)) for one in measured) / len(measured))
 
 

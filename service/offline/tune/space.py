@@ -35,7 +35,7 @@ class Parameter:
         return ".".join(self.path[1:])
 
     def suggested(self, trial: Any) -> float:
-        """What an Optuna trial tries."""
+        """Values of an Optuna trial."""
         suggest_number = trial.suggest_int if self.is_whole else trial.suggest_float
         return self.tried(suggest_number(self.name, self.low, self.high, log=True))
 
@@ -85,7 +85,7 @@ def _between(parameter: Parameter, span: str) -> Parameter:
 
 
 def _numbers(settings: BaseModel | None, path: tuple[str, ...]) -> Iterator[Parameter]:
-    """Those above 0: of others, as 0 for `off`, no factor leads elsewhere."""
+    """Numbers above 0: others, such as 0 for `off`, cannot be scaled by a factor."""
     for name, field in type(settings).model_fields.items() if settings is not None else ():
         value = getattr(settings, name)
         if isinstance(value, BaseModel):
