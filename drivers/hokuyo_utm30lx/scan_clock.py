@@ -1,4 +1,4 @@
-"""When a sweep began, on the host's clock and finer than the device's milliseconds.
+"""Begin of a sweep on the host's clock, finer than the device's milliseconds.
 
 Three things are known of a sweep: its stamp, cut to integer milliseconds; that the mirror turns evenly; that
 it arrived some time after it was complete, never before. Call "ideal arrival" the moment stamped plus the

@@ -1,4 +1,4 @@
-"""When a stream frame was made, from counting frames: they carry no time but come every 15 ms.
+"""Time of a stream frame, from counting frames: they carry no time but come every 15 ms.
 
 The count is the device's clock for a ClockMap. What this adds to it: frames that were lost must not make the
 clock late, and a robot whose period is not 15.0 ms must not make it drift.

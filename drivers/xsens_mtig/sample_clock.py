@@ -1,4 +1,4 @@
-"""When a sample was taken, on the host's clock: from SampleTimeFine, from UTC, or by counting samples.
+"""Time of a sample on the host's clock: from SampleTimeFine, from UTC, or by counting samples.
 
 SampleTimeFine counts 0.1 ms and wraps after a day (864 000 000, MTi-G-700/710) or at 2^32 (later devices);
 which one it is shows when it wraps. GNSS messages carry the time of the receiver's measurement, some 45 ms

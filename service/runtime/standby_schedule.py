@@ -1,4 +1,4 @@
-"""When the mapper forks its next stand-by: in a pause between scans that is long enough for a fork."""
+"""Time of the mapper's next stand-by: in a pause between scans that is long enough for a fork."""
 
 from collections import deque
 

@@ -1,4 +1,4 @@
-"""Who is let in at the port: so many connections at once, none of which may stay without asking for anything.
+"""Limits of the port: so many connections at once, none of which may stay without a request.
 
 Every connection is a file that the process may open less: recordings and devices need some, too.
 """

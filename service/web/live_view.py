@@ -1,4 +1,4 @@
-"""What the page shows, kept from the service's messages: the newest of each, and the path driven.
+"""Data of the page, from the service's messages: the newest of each, and the path driven.
 
 Any thread puts; the event loop takes what is due. Messages are decoded when they are due, not when they come:
 most are replaced before.

@@ -120,7 +120,7 @@ class Content:
 
 
 def read_content(folder: Path) -> Content:
-    """Content for the newest version of the map. Raises InputError where the folder is of no replay, or where a
+    """Content for the newest version of the map. Raises InputError where the folder is no result, or where a
     file of it is damaged.
     """
     refuse_unreadable(folder)
