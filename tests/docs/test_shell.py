@@ -17,8 +17,7 @@ from simulators.run import _parse as parse_simulate
 from tests.docs.blocks import ROOT, written_in
 from tests.recorded_drive import record_office
 from tests.service.offline.importing.test_carmen import flaser, odom
-from tests.service.offline.importing.test_rosbag import drive as ros_drive
-from tests.service.offline.importing.test_rosbag import noetic, write_ros1
+from tests.service.recording.bags import write_ros1
 from tests.service.recording.sessions import drive, write_file
 
 SHELL = written_in("sh")
@@ -73,7 +72,7 @@ def drives(tmp_path, monkeypatch):
         "veh1_20261121T101500Z_0001.mcap",
     ):
         write_file(tmp_path / name, messages)
-    write_ros1(tmp_path / "drive.bag", ros_drive(noetic()))
+    write_ros1(tmp_path / "drive.bag", messages)
     for name in ("cut_off.mcap.active", "veh1_20261121T101500Z_0003.mcap.active"):
         write_file(tmp_path / name.removesuffix(".active"), messages, finish=False)
     log = "".join(

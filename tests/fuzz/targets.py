@@ -29,6 +29,7 @@ from service.errors import CorridorError
 from service.mapstore.files import load_map, save_map
 from service.mapstore.manifest import MANIFEST, digest_of
 from service.offline.importing.carmen import import_carmen
+from service.offline.importing.rosbag import import_rosbag
 from service.offline.score.score import read_relations
 from service.offline.score.trajectory import read_tum
 from service.recording.mcap_reader import Recording
@@ -200,6 +201,7 @@ TARGETS: dict[str, Target] = {
     "recovery": of_file("a.mcap", recover, write_recording),
     "maps": Target(in_folder(read_stored), stored_files),
     "carmen": of_text("a.log", lambda path: import_carmen(path, path.with_suffix(".mcap")), CARMEN_LOG),
+    "import": of_file("a.mcap", lambda path: import_rosbag(path, path.with_name("b.mcap")), write_recording),
     "relations": of_text("a.relations", read_relations, "1.0 2.0 0.5 0.1 0.0 0.0 0.0 0.2\n" * 3),
     "tum": of_text("a.tum", read_tum, "1.0 2.0 0.5 0.0 0.0 0.0 0.0 1.0\n2.0 2.0 0.5 0.0 0.0 0.0 0.0 1.0\n"),
     "asked": Target(

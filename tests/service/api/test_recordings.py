@@ -4,12 +4,12 @@ import pytest
 
 import corridor
 from tests.service.api.rooms import driven, recorded
-from tests.service.offline.importing.test_rosbag import drive as ros_drive
-from tests.service.offline.importing.test_rosbag import noetic, write_ros1
+from tests.service.recording.bags import write_ros1
+from tests.service.recording.sessions import drive
 
 
 def test_a_ros_1_bag_and_a_folder_are_read_too(tmp_path, recording):
-    write_ros1(tmp_path / "drive.bag", ros_drive(noetic()))
+    write_ros1(tmp_path / "drive.bag", drive(2))
     assert any(isinstance(frame, corridor.LaserScan) for frame in corridor.read(tmp_path / "drive.bag"))
     assert len(list(corridor.read(str(recording.parent)))) == len(driven().frames)
 

@@ -13,13 +13,13 @@ from rosbags.typesys.store import Typestore
 
 from service.encoding import TF, Message
 
-OLD_TF = "tf/msg/tfMessage"
+OLD_TF, TRANSFORMS = "tf/msg/tfMessage", "geometry_msgs/TransformStamped[] transforms"
 
 
 def noetic() -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC)
     for name in (OLD_TF, TF):  # not in rosbags' Noetic
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        store.register(get_types_from_msg(TRANSFORMS, name))
     return store
 
 
@@ -32,6 +32,7 @@ def write_ros1(
     """NAME.bag, in chunks of about so many bytes."""
     store, known = noetic(), {}
     writer, humble = Ros1Writer(path), get_typestore(Stores.ROS2_HUMBLE)
+    humble.register(get_types_from_msg(TRANSFORMS, OLD_TF))
     writer.chunk_threshold = chunk_bytes
     if compression is not None:
         writer.set_compression(compression)

@@ -147,11 +147,6 @@ def test_replay_and_import_read_a_bag_by_the_command_line(tmp_path: Path):
     assert (out / "trajectory.tum").read_bytes() == (tmp_path / "out2" / "trajectory.tum").read_bytes()
 
 
-def test_calibrate_reads_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["calibrate", str(CONTAINERS["bag"](tmp_path))]) == InputError.exit_code
-    assert "front: 30 scans; expected 100 or more" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("write", [write_ros1, write_ros2], ids=["bag", "ROS 2 folder"])
 def test_view_shows_the_moments_of_a_session_that_was_converted(write: Callable[..., Path], tmp_path: Path):
     scan = DRIVE[-1]

@@ -127,12 +127,6 @@ def test_config_names_topics_and_options_are_before_it(tmp_path: Path, capsys: p
     assert "c.yaml:1:1: replay: z_min_m (1) is not below z_max_m (0.5)" in capsys.readouterr().err
 
 
-def test_the_recording_of_echoes_alone_is_mapped(shared: Path, tmp_path: Path):
-    done = replay([shared / "cases" / "multi_echo_only.mcap"], ReplayOptions())
-    assert done.summary["scans"] == 29
-    assert done.summary["state"]["lost"] == 0
-
-
 @pytest.mark.parametrize("change", [lambda m: m, as_echoes, as_cloud], ids=["scans", "echoes", "cloud"])
 def test_a_page_shows_the_scans_of_a_bag_at_any_moment(change, tmp_path: Path):
     session = open_session([write_ros1(tmp_path / "drive.bag", with_scans(change))])
