@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,9 @@ class Sinks:
     raises there is counted, logged once, and makes its row in health an error.
     """
 
-    def __init__(self) -> None:
-        self._sinks: list[Sink] = []
+    def __init__(self, sinks: Iterable[Sink] = ()) -> None:
+        """sinks   those that are open already"""
+        self._sinks = list(sinks)
         self._lock = threading.Lock()  # of what follows
         self._faults: dict[str, str] = {}  # by name of the sink: why it does not work any more
         self._hung: set[str] = set()  # sinks that did not flush

@@ -8,8 +8,8 @@ from service.offline.past.recording_view import RecordingView
 from service.offline.past.replay_page import ReplayPage
 from service.offline.replay.replay import ReplayOptions, replay
 from tests.browser.scene import Scene, stamp
+from tests.service.offline.conftest import record_drive  # noqa: F401 - a fixture
 from tests.service.offline.past.past_recordings import LASTS_S, write_past
-from tests.service.offline.replay.test_replay import record_drive  # noqa: F401 - a fixture
 
 END_S = LASTS_S + 0.005  # the last scan's arrival
 

@@ -8,7 +8,7 @@ from service.offline.past.result import open_result
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.report import REPORT_FILE, write_report
 from tests.browser.conftest import DESKTOP, PHONE
-from tests.service.offline.replay.test_replay import recorder_in
+from tests.service.offline.recorded_drives import recorder_in
 
 
 @pytest.fixture(scope="module")

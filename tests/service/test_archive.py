@@ -17,7 +17,8 @@ from service.archive import path_or_url
 from service.cli import main
 from service.errors import InputError, UsageError
 from tests.service.offline.cluster.test_cluster import results_in
-from tests.service.offline.replay.test_replay import RecordDrive, record_drive
+from tests.service.offline.conftest import record_drive
+from tests.service.offline.recorded_drives import RecordDrive
 
 __all__ = ["record_drive"]  # a fixture
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from service.encoding import OK, Status, encode_diagnostics
-from service.errors import StorageError
 from service.fleet.push import push
 from service.fleet.queries import RefusedError, ask
 from service.mapstore.files import load_map, save_map
@@ -124,14 +123,6 @@ def test_what_belongs_to_no_map_is_refused(machines, endpoint, open_client, tmp_
     with pytest.raises(RefusedError, match=words):
         ask(open_client(endpoint), "veh1", f"{MAPS}/{channel}", b"payload")
     assert not (tmp_path / "veh1/site").exists()
-
-
-def test_viewers_bring_nothing(endpoint, start_router, start_vehicle, client_of, tmp_path):
-    secured = endpoint.replace("tcp", "tls")
-    start_router(secured)
-    start_vehicle(secured, folders={"map": tmp_path})
-    with pytest.raises(StorageError, match="does not answer"):
-        ask(client_of(secured, "viewer"), "veh1", f"{MAPS}/site/{MANIFEST}?offset=0", b"{}")
 
 
 def test_the_command_says_what_became_of_it(machines, site_file, site_map, capsys):

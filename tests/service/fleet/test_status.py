@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -22,7 +24,6 @@ from service.fleet.watch import Watch
 from service.publishing.uplink import PRESENCES
 from tests.service.cli.test_commands import code_of
 from tests.service.fleet.conftest import diagnostics, router_config
-from tests.service.publishing.conftest import tls
 from tests.service.test_encoding_outputs import OUTPUT
 from tests.waiting import wait_until
 
@@ -32,11 +33,10 @@ def vehicles_at(capsys, site_file, *names: str) -> tuple[int, dict[str, dict]]:
     return code, {one["name"]: one for one in json.loads(capsys.readouterr().out)["vehicles"]}
 
 
-def put_health(sink, client, state: str = "ok") -> None:
+def put_health(sink, client, vehicle: str = "veh1") -> None:
     """And wait until it is the answer to a get."""
-    sink.put(diagnostics(state))
-    key = f"corridor/v1/{sink._context.vehicle}/health"
-    wait_until(lambda: list(client.get(key, timeout=20.0)))
+    sink.put(diagnostics())
+    wait_until(lambda: list(client.get(f"corridor/v1/{vehicle}/health", timeout=20.0)))
 
 
 def test_status_lists_each_vehicle_with_what_it_says_of_itself(
@@ -46,7 +46,7 @@ def test_status_lists_each_vehicle_with_what_it_says_of_itself(
     for name in ("veh2", "veh1"):
         sink = start_vehicle(endpoint, name)
         sink.put(encode_pose(OUTPUT, 1))
-        put_health(sink, client)
+        put_health(sink, client, name)
     code, vehicles = vehicles_at(capsys, site_file)
     assert (code, list(vehicles)) == (0, ["veh1", "veh2"])
     veh1 = vehicles["veh1"]
@@ -124,37 +124,35 @@ def test_a_vehicle_that_comes_while_the_router_is_asked_is_not_forgotten(
     assert watch.vehicle("veh1").sessions
 
 
-def test_the_router_runs_until_sigterm(tmp_path, endpoint, start_vehicle):
-    path = tmp_path / "router.yaml"
+@contextmanager
+def router_process(endpoint: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    path = folder / "router.yaml"
     path.write_text(f"publishing: {{listen: [{endpoint}]}}\n")
     command = [sys.executable, "-m", "service", "fleet", "router", str(path), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert json.loads(process.stdout.readline())["listen"] == [endpoint]
-        start_vehicle(endpoint)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20.0) == 0
+        try:
+            assert json.loads(process.stdout.readline())["listen"] == [endpoint]
+            yield process
+        finally:
+            process.kill()
 
 
 def test_a_router_that_does_not_say_who_is_there_is_an_error_and_no_empty_fleet(
     endpoint, start_vehicle, site_file, tmp_path, monkeypatch
 ):
+    """It runs until SIGTERM."""
     monkeypatch.setattr(vehicles_module, "ANSWER_S", 0.5)
-    path = tmp_path / "router.yaml"
-    path.write_text(f"publishing: {{listen: [{endpoint}]}}\n")
-    command = [sys.executable, "-m", "service", "fleet", "router", str(path), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout.readline()
-            start_vehicle(endpoint)
-            with vehicles_module.connected(load_publishing(Path(site_file))) as session:
-                process.send_signal(signal.SIGSTOP)
-                os.waitid(os.P_PID, process.pid, os.WSTOPPED)  # all of its threads stand
-                with pytest.raises(StorageError, match="did not say within"):
-                    vehicles_module.present(session)
-                process.send_signal(signal.SIGCONT)
-                wait_until(lambda: list(vehicles_module.present(session)) == ["veh1"])
-        finally:
-            process.kill()
+    with router_process(endpoint, tmp_path) as process:
+        start_vehicle(endpoint)
+        with vehicles_module.connected(load_publishing(Path(site_file))) as session:
+            process.send_signal(signal.SIGSTOP)
+            os.waitid(os.P_PID, process.pid, os.WSTOPPED)  # all of its threads stand
+            with pytest.raises(StorageError, match="did not say within"):
+                vehicles_module.present(session)
+            process.send_signal(signal.SIGCONT)
+            wait_until(lambda: list(vehicles_module.present(session)) == ["veh1"])
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20.0) == 0
 
 
 def test_the_config_for_zenohd_keeps_strangers_and_viewers_out_as_our_router_does(
@@ -170,15 +168,3 @@ def test_the_config_for_zenohd_keeps_strangers_and_viewers_out_as_our_router_doe
     key = "corridor/v1/veh1/cmd/any"
     assert list(client_of(secured, "operator").get(key, timeout=20.0))
     assert not list(client_of(secured, "viewer").get(key, timeout=20.0))
-
-
-def test_status_shows_its_certificate(site, endpoint, start_router, start_vehicle, tmp_path, capsys):
-    secured = endpoint.replace("tcp", "tls")
-    start_router(secured)
-    start_vehicle(secured)
-    path = tmp_path / "anna.yaml"
-    path.write_text(
-        json.dumps({"publishing": {"connect": [secured], "security": {"tls": tls(site, "viewer")}}})
-    )
-    _, vehicles = vehicles_at(capsys, str(path))
-    assert list(vehicles) == ["veh1"]

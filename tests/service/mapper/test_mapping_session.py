@@ -11,7 +11,7 @@ from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import NO_REASON, MapperOutput, TileUpdate
-from tests.service.offline.replay.test_replay import room_scan
+from tests.service.offline.recorded_drives import room_scan
 
 
 class FakeGraph(NoGraph):

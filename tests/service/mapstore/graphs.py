@@ -4,8 +4,6 @@ import numpy as np
 
 from service.mapper.saved_graph import SavedGraph
 
-KEYFRAMES_A_VERSION, POINTS = 8, 40
-
 
 def graph_of(count: int, points_each: int = 3) -> SavedGraph:
     """Key frames with seeded random poses and points, and one loop. A longer one begins with the same."""
@@ -31,11 +29,6 @@ def graph_of(count: int, points_each: int = 3) -> SavedGraph:
         loop_points=np.full(1, 400),
         loop_against=np.zeros(1),
     )
-
-
-def growing_graph(version: int) -> SavedGraph:
-    """KEYFRAMES_A_VERSION more with each version."""
-    return graph_of(KEYFRAMES_A_VERSION * version, POINTS)
 
 
 def _random(count: int, seed: int, width: int) -> np.ndarray:

@@ -81,11 +81,6 @@ def test_it_reads_as_a_picture_in_colour(picture, tmp_path):
     assert (colours == PALETTE[WAY]).all(axis=2).sum() >= 80
 
 
-def test_a_map_of_which_nothing_is_known_is_shown_whole():
-    empty = picture_of_grid(Grid(1, CELL_M, 0.0, 0.0, np.full((10, 10), UNKNOWN, dtype=np.int8)))
-    assert annotated(empty).width >= 10
-
-
 @pytest.mark.parametrize(
     ("width_m", "bar_m"), [(4.0, 1.0), (7.9, 1.0), (8.0, 2.0), (45.0, 10.0), (1600.0, 200.0), (0.5, 0.1)]
 )

@@ -22,28 +22,6 @@ def undo(folder) -> int:
     return restore_version(folder, back_to, 99, Edit("ada", "undo", "", current, back_to))
 
 
-def shown(folder) -> int:
-    return int(load_map(folder).tiles[0].cells[0, 0])
-
-
-def test_an_undo_goes_back_edit_by_edit_and_is_itself_a_version(tmp_path):
-    save_map(tmp_path, [tile(0, 0, 1, value=1)], 1)
-    edited(tmp_path, 2, 1)
-    edited(tmp_path, 3, 2)
-    assert undo(tmp_path) == 4
-    assert shown(tmp_path) == 2
-    assert undo(tmp_path) == 5
-    assert shown(tmp_path) == 1
-    with pytest.raises(InputError, match="holds no edit that could be taken back"):
-        undo(tmp_path)
-    edited(tmp_path, 6, 5)
-    assert undo(tmp_path) == 7
-    assert shown(tmp_path) == 1
-    versions, _, _ = versions_of(tmp_path)
-    assert [version.number for version in versions] == [1, 2, 3, 4, 5, 6, 7]
-    assert versions[3].edit == Edit("ada", "undo", "", 3, 2)
-
-
 def test_what_is_restored_is_all_of_the_version(tmp_path):
     tiles = [tile(0, 0, 3), tile(-1, 2, 4)]
     save_map(tmp_path, tiles, 1, {"vehicle": "veh1"}, graph=graph_of(5))

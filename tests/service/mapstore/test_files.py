@@ -10,11 +10,24 @@ from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore import files
-from service.mapstore.files import check_versions, has_version, keep_version, load_map, save_map
+from service.mapstore.files import (
+    KEEP_VERSIONS,
+    check_versions,
+    has_version,
+    keep_version,
+    load_map,
+    save_map,
+)
 from service.mapstore.geo_file import read_geo
 from service.mapstore.manifest import FORMAT, digest_of
 from service.mapstore.ros_map import read_ros_map
+from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import same, tile
+
+
+class Killed(BaseException):
+    """The process is gone."""
+
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4), tile(0, 0, 5, level=1)]
 
@@ -60,14 +73,6 @@ def test_a_damaged_version_is_passed_over_and_named(tmp_path, name, damage):
     assert (stored.number, stored.saved_ns) == (1, 1)
     assert len(stored.problems) == 1
     assert str(path) in stored.problems[0]
-
-
-def test_the_map_of_a_result_is_named(tmp_path):
-    save_map(tmp_path / "map", TILES, 1)
-    with pytest.raises(InputError, match=r"no stored map .*; the map of this result is .*/map$"):
-        load_map(tmp_path)
-    with pytest.raises(InputError, match=r"nowhere: no stored map that can be read: no such file or folder"):
-        check_versions(tmp_path / "nowhere")
 
 
 def test_a_later_format_is_refused_by_name(tmp_path):
@@ -157,14 +162,28 @@ def test_a_full_disk_leaves_the_version_before(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.glob("*v*")) == ["v000001"]
 
 
+def test_a_kill_while_an_old_version_goes_leaves_no_half_of_it(tmp_path, monkeypatch):
+    def half_gone(path: Path) -> None:
+        (path / "manifest.json").unlink()
+        raise Killed
+
+    for version in range(1, KEEP_VERSIONS + 1):
+        save_map(tmp_path, [tile(0, 0, version)], version)
+    monkeypatch.setattr(files.shutil, "rmtree", half_gone)
+    with pytest.raises(Killed):
+        save_map(tmp_path, [tile(0, 0, 4)], 4)
+    monkeypatch.undo()
+    assert check_versions(tmp_path) == ([2, 3, 4], [])
+    save_map(tmp_path, [tile(0, 0, 5)], 5)
+    assert check_versions(tmp_path) == ([3, 4, 5], [])
+    assert not list(tmp_path.glob(".unfinished-*"))
+
+
 @pytest.mark.parametrize("step", range(60))
 def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path, monkeypatch, step):
     """Each call that changes the folder is once the last one made before the process is gone."""
-    save_map(tmp_path, [tile(0, 0, 1, value=0)], 1)
-    save_map(tmp_path, [tile(0, 0, 2, value=0)], 2)
-
-    class Killed(BaseException):
-        pass
+    for version in (1, 2):
+        save_map(tmp_path, [tile(0, 0, version, value=0)], version, graph=graph_of(4 * version))
 
     calls = 0
 
@@ -182,11 +201,12 @@ def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path
         monkeypatch.setattr(Path, name, counted(getattr(Path, name)))
     for module, name in ((files.np, "savez_compressed"), (files, "write_png"), (files, "write_ros_map")):
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
-    monkeypatch.setattr(files.os, "fsync", counted(os.fsync))
+    for name in ("fsync", "link"):
+        monkeypatch.setattr(os, name, counted(getattr(os, name)))
     monkeypatch.setattr(files.shutil, "rmtree", counted(files.shutil.rmtree))
     killed = False
     try:
-        save_map(tmp_path, [tile(0, 0, 3, value=100)], 3)
+        save_map(tmp_path, [tile(0, 0, 3, value=100)], 3, graph=graph_of(12))
     except Killed:
         killed = True
     monkeypatch.undo()
@@ -194,9 +214,12 @@ def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path
     stored = load_map(tmp_path)
     assert stored.problems == []
     assert stored.saved_ns in ((2, 3) if killed else (3,))
+    assert len(stored.graph) == 4 * stored.saved_ns
     assert (read_ros_map(tmp_path / "map.yaml").cells == (100 if stored.saved_ns == 3 else 0)).all()
-    later = [tile(0, 0, 4, value=50)]
-    assert save_map(tmp_path, later, 4) in (3, 4)  # the next save is not hindered by what lies about
+    assert save_map(tmp_path, [tile(0, 0, 4)], 4) in (
+        3,
+        4,
+    )  # the next save is not hindered by what lies about
     assert load_map(tmp_path).saved_ns == 4
     assert not list(tmp_path.glob(".unfinished-*"))
 

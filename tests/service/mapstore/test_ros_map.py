@@ -135,13 +135,6 @@ def test_a_picture_that_cannot_be_read_is_refused_by_name(tmp_path, content, dia
     assert str(tmp_path / "a.pgm") in str(caught.value)
 
 
-def test_a_picture_that_is_not_there_is_refused_by_name(tmp_path):
-    path = map_of(tmp_path, Image.fromarray(GREYS))
-    (tmp_path / "map.png").unlink()
-    with pytest.raises(InputError, match=r"map\.png: .*No such file"):
-        read_ros_map(path)
-
-
 @pytest.mark.parametrize(
     "change",
     [

@@ -86,12 +86,6 @@ def test_a_grid_given_out_never_changes():
         second.cells[0, 0] = 1
 
 
-def test_a_grid_is_not_made_again_while_nothing_changes():
-    store = TileStore()
-    store.update([tile(0, 0, 1)])
-    assert store.grid() is store.grid()
-
-
 def test_a_tile_far_away_is_refused_as_a_picture_and_kept_as_a_tile():
     store = TileStore()
     store.update([tile(0, 0, 1), tile(10_000, 10_000, 2)])
@@ -167,18 +161,6 @@ def test_maps_are_handed_out_whole_one_after_another():
     assert all((t.cells == 100).all() for t in ended[0].tiles)
     assert (present.number, present.version, len(present.tiles)) == (2, 5, 1)
     assert store.take()[0] == []
-
-
-def test_a_map_too_large_for_a_picture_is_no_fault_to_the_next():
-    store = TileStore()
-    store.update([tile(0, 0, 1), tile(100_000, 100_000, 2)])
-    with pytest.raises(StorageError, match="one picture holds at most"):
-        store.grid()
-    store.start_over()
-    store.update([tile(0, 0, 9, value=0)])
-    grid = store.grid()
-    assert grid is not None
-    assert (grid.cells == 0).all()
 
 
 def test_a_map_keeps_its_place_on_the_earth_when_another_begins():

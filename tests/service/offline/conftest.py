@@ -1,10 +1,16 @@
-"""The stored map that is bent, for all who edit it; see bent_maps."""
+"""Recorded drives for all who replay them, and the stored map that is bent for all who edit it."""
 
 from pathlib import Path
 
 import pytest
 
 from tests.service.offline.maps.bent_maps import BentMap, bent_map, save_bent
+from tests.service.offline.recorded_drives import RecordDrive, recorder_in
+
+
+@pytest.fixture
+def record_drive(tmp_path: Path) -> RecordDrive:
+    return recorder_in(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -3,17 +3,14 @@ import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from service.cli import main
 from service.errors import InputError
-from service.mapstore.picture import Picture
 from service.offline.maps.edit import edit_map, erase
 from service.offline.replay.replay import ReplayOptions, replay, replay_all, write_replay
 from service.offline.report import REPORT_FILE, write_report
-from service.offline.report.map_figure import _coarser
-from tests.service.offline.replay.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
+from tests.service.offline.recorded_drives import RecordDrive, recorder_in
 
 NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 
@@ -181,7 +178,7 @@ def test_a_folder_of_no_replay_is_bad_input(tmp_path: Path, capfd: pytest.Captur
 
 
 def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
-    record_drive: RecordDrive,  # noqa: F811
+    record_drive: RecordDrive,
     tmp_path: Path,
 ):
     (summary,) = replay_all(
@@ -200,19 +197,8 @@ def test_the_command_says_where_the_page_is(result: Path, capfd: pytest.CaptureF
     assert "summary.json</a>" not in page.read_text(encoding="utf-8")  # no links to what is not beside it
 
 
-def test_a_drive_of_one_scan_has_a_page(record_drive: RecordDrive, tmp_path: Path):  # noqa: F811
+def test_a_drive_of_one_scan_has_a_page(record_drive: RecordDrive, tmp_path: Path):
     write_replay(replay([record_drive(scans=1)], ReplayOptions()), tmp_path / "out")
     page = page_of(tmp_path / "out")
     assert "path: no trajectory.tum with 2 poses or more" in page.text
     assert page.count("rect", "ok") == 1
-
-
-def test_walls_stay_where_a_large_map_is_shown_coarser(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("service.offline.report.map_figure.MAX_PIXELS", 4)
-    pixels = np.full((5, 7), 254, np.uint8)
-    pixels[4, 6] = pixels[0, 1] = 0
-    shown = _coarser(Picture(7, 5, 0.05, 1.0, 2.0, lambda: iter((pixels[:3], pixels[3:]))))
-    assert (shown.width, shown.height, shown.cell_m) == (4, 3, 0.1)
-    coarse = np.concatenate(list(shown.bands()))
-    assert np.argwhere(coarse == 0).tolist() == [[0, 0], [2, 3]]
-    assert shown.y_min_m + shown.height * shown.cell_m == pytest.approx(2.0 + 5 * 0.05)

@@ -52,7 +52,6 @@ def test_the_registry_line_opens_it_and_a_pose_comes_out(udp_sink: ModuleType):
         sink.put(pose())
         assert json.loads(receiver.recv(1000)) == {"stamp_ns": 5, "x_m": 1.0, "y_m": 2.0}
         assert (sink.health().level, sink.health().values) == (OK, {"sent": "1"})
-        sink._socket.close()  # type: ignore[attr-defined]
+        sink.close()
         sink.put(pose())
         assert (sink.health().level, sink.health().message) == (WARNING, "1 dropped")
-        sink.close()

@@ -2,7 +2,6 @@
 
 import logging
 import threading
-import time
 from collections.abc import Iterator, Sequence
 
 import pytest
@@ -62,12 +61,6 @@ def message(channel: str = "pose") -> Message:
     return Message(channel, "std_msgs/msg/String", 1, 2, b"")
 
 
-def open_all(*sinks: Sink) -> Sinks:
-    opened = Sinks()
-    opened._sinks.extend(sinks)
-    return opened
-
-
 # Kinds for `Sinks.open`: a registry line names them by module and name.
 OPENED: list[ListSink] = []
 
@@ -101,7 +94,7 @@ def test_where_one_cannot_be_opened_those_before_are_closed():
 
 def test_every_sink_gets_every_message_and_every_tile():
     first, second = ListSink("first"), ListSink("second")
-    sinks = open_all(first, second)
+    sinks = Sinks([first, second])
     pose, tiles = message(), [tile(0, 0, 1)]
     sinks.put(pose, 7)
     sinks.put_tiles(tiles, 10, 11)
@@ -115,7 +108,7 @@ def test_a_sink_that_raises_is_an_error_in_health_reported_once_and_the_next_get
     what: str, caplog: pytest.LogCaptureFixture
 ):
     broken, well = ListSink("broken", [what]), ListSink("well")
-    sinks = open_all(broken, well)
+    sinks = Sinks([broken, well])
     for _ in range(3):
         sinks.put(message())
         sinks.put_tiles([tile(0, 0, 1)], 1, 1)
@@ -129,13 +122,8 @@ def test_a_sink_that_raises_is_an_error_in_health_reported_once_and_the_next_get
     assert well_row == Status("well", OK, "ok", {"messages": "3"})
 
 
-def test_a_sink_that_cannot_tell_its_health_is_an_error_row():
-    sinks = open_all(ListSink("mute", ["health"]), ListSink("well"))
-    assert [(row.name, row.level) for row in sinks.health()] == [("mute", ERROR), ("well", OK)]
-
-
 def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_not():
-    sinks = open_all(ListSink("list"), ListSink("other"))
+    sinks = Sinks([ListSink("list"), ListSink("other")])
     assert not sinks.thread_died("listless", ValueError("x"))
     assert sinks.thread_died("list-writer", ValueError("x"))
     rows = {row.name: row for row in sinks.health()}
@@ -147,7 +135,7 @@ def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_
 
 def test_what_is_lost_while_closing_is_reported_and_other_faults_cost_nothing():
     full = ListSink("full", ["close"], StorageError("recording: no space"))
-    assert open_all(full, ListSink("odd", ["close"])).close() == ["recording: no space"]
+    assert Sinks([full, ListSink("odd", ["close"])]).close() == ["recording: no space"]
 
 
 @pytest.mark.parametrize("action", ["flush", "close"])
@@ -157,7 +145,7 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
     monkeypatch.setattr(fan_out, "STALL_S", 0.2)
     hangs, well = ListSink("hangs"), ListSink("well")
     hangs.may_end.clear()
-    sinks = open_all(hangs, well)
+    sinks = Sinks([hangs, well])
     getattr(sinks, action)()
     assert well.ended == [action]
     row = sinks.health()[0]
@@ -167,19 +155,6 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
 
 def test_what_commands_need_is_found_or_reported_missing():
     with pytest.raises(LookupError, match="records sessions"):
-        open_all(ListSink()).session_recorder()
+        Sinks([ListSink()]).session_recorder()
     with pytest.raises(LookupError, match="stores maps"):
-        open_all(ListSink()).map_storage()
-
-
-def test_a_slow_reader_of_one_sink_does_not_hold_up_whoever_puts():
-    """The contract of `put`, by the two sinks that have a queue: the writer stands still all the while."""
-    from service.recording.config import RecordingConfig
-    from service.sinks.mcap_sink import McapSink
-
-    sink = McapSink(RecordingConfig(directory="/nowhere"), sink_context())  # type: ignore[arg-type]
-    began_s = time.thread_time()
-    for _ in range(25_000):  # never started: nothing is taken out
-        sink.put(message("front/scan"))
-    assert time.thread_time() - began_s < 10.0
-    assert int(sink.health().values["dropped.front/scan"]) == 5_000
+        Sinks([ListSink()]).map_storage()

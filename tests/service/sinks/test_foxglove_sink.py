@@ -6,6 +6,7 @@ import re
 import socket
 import struct
 import sys
+import threading
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
@@ -153,9 +154,7 @@ def test_the_map_is_there_for_who_comes_late_and_again_when_it_changes(
 def test_nothing_waits_while_the_port_is_taken_and_it_is_had_when_it_is_free(
     open_one: Callable[..., FoxgloveSink],
 ) -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
+    with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         sink = open_one(f"127.0.0.1:{port}")
         wait_until(lambda: "cannot be served" in sink.health().message)
@@ -174,12 +173,9 @@ def test_nothing_waits_while_the_port_is_taken_and_it_is_had_when_it_is_free(
 
 
 def test_it_ends_also_where_it_never_had_its_port(open_one: Callable[..., FoxgloveSink]) -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        sink = open_one(f"127.0.0.1:{other.getsockname()[1]}")
-        sink.close()
-        assert not sink._thread.is_alive()
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        open_one(f"127.0.0.1:{other.getsockname()[1]}").close()
+    assert "foxglove-send" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_without_the_package_the_config_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,9 @@
 import os
-import queue
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +34,13 @@ def tile(version: int) -> TileUpdate:
     return TileUpdate(0, 0, 0, version, 0.05, np.full((8, 8), 100, np.int8))
 
 
+def saver_in(
+    folder: Path, checkpoint_s: float = 3600.0, load: Path | None = None, **context: Any
+) -> MapSaver:
+    config = MapConfig.model_construct(directory=folder, load=load, checkpoint_s=checkpoint_s)
+    return MapSaver(config, sink_context(**context))
+
+
 class Kept:
     """A map saver with its store and what it emitted."""
 
@@ -41,8 +48,7 @@ class Kept:
         self.tiles = TileStore()
         self.emitted: list[Message] = []
         self.emitted_one = threading.Event()
-        context = sink_context(tiles=self.tiles, map_folder=folder, emit=self._emit)
-        self.saver = MapSaver(MapConfig.model_construct(directory=folder, checkpoint_s=checkpoint_s), context)
+        self.saver = saver_in(folder, checkpoint_s, tiles=self.tiles, map_folder=folder, emit=self._emit)
 
     def _emit(self, message: Message) -> None:
         self.emitted.append(message)
@@ -206,28 +212,31 @@ def test_where_the_map_lies_is_saved_with_it_and_again_when_that_alone_changed(t
 
 def test_a_map_that_a_session_goes_on_in_is_not_edited_meanwhile(tmp_path: Path):
     save_map(tmp_path / "office", [tile(1)], 1)
-    config = MapConfig.model_construct(directory=tmp_path, load=tmp_path / "office", checkpoint_s=30.0)
-    saver = MapSaver(config, sink_context())
+    saver = saver_in(tmp_path, load=tmp_path / "office")
     saver.start()
     change = erase([0.0, 0.0, 0.1, 0.0, 0.1, 0.1], "unknown")
     try:
         with pytest.raises(StorageError, match="a session of veh1 uses this map"):
             edit_map(tmp_path / "office", "erase", change, "ada", 2)
         with pytest.raises(StorageError, match="a session of veh1 uses this map"):
-            MapSaver(config, sink_context()).start()
-        MapSaver(config, sink_context(is_localizing=True)).close()
+            saver_in(tmp_path, load=tmp_path / "office").start()
+        saver_in(tmp_path, load=tmp_path / "office", is_localizing=True).close()
     finally:
         saver.flush()
     assert edit_map(tmp_path / "office", "erase", change, "ada", 2)["version"] == 2
 
 
-def test_the_version_that_a_session_began_in_outlives_its_checkpoints(tmp_path: Path):
-    folder = tmp_path / "office"
-    save_map(folder, [tile(1)], 1)
-    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=30.0)
+def gone_on_in(folder: Path, **context: Any) -> tuple[TileStore, MapSaver]:
+    """A session that began in a stored map: its tiles, its saver, started."""
+    save_map(folder, [tile(1)], 1, graph=graph_of(4))
     tiles = TileStore()
-    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1))
+    saver = saver_in(folder.parent, load=folder, tiles=tiles, load_version=1, **context)
     saver.start()
+    return tiles, saver
+
+
+def test_the_version_that_a_session_began_in_outlives_its_checkpoints(tmp_path: Path):
+    tiles, saver = gone_on_in(folder := tmp_path / "office")
     for version in range(2, 7):
         tiles.update([tile(version)])
         saver.save()
@@ -240,12 +249,7 @@ def test_the_version_that_a_session_began_in_outlives_its_checkpoints(tmp_path: 
 
 
 def test_a_run_that_began_in_a_stored_map_and_is_reset_at_once_has_a_folder_of_its_own(tmp_path: Path):
-    folder = tmp_path / "office"
-    save_map(folder, [tile(1)], 1)
-    config = MapConfig.model_construct(directory=tmp_path, load=folder, checkpoint_s=30.0)
-    tiles = TileStore()
-    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1))
-    saver.start()
+    tiles, saver = gone_on_in(folder := tmp_path / "office")
     assert saver.folder == folder
     saver.begun_new()
     assert saver.folder.name.startswith("veh1_")
@@ -255,10 +259,28 @@ def test_a_run_that_began_in_a_stored_map_and_is_reset_at_once_has_a_folder_of_i
     assert load_map(saver.folder).number == 1
 
 
-def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path):
+def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(
+    tmp_path: Path, answers: Answers
+):
+    """Tiles come with the first scan, the graph with the first checkpoint."""
+    tiles, saver = gone_on_in(folder := tmp_path / "office", stores_graph=True)
+    try:
+        tiles.update([tile(2)])
+        saver.ask_to_save(answers)
+        assert answers.came.acquire(timeout=20.0)
+        why = "the graph of what was mapped since is not put away"
+        assert answers.heard[0][0] is None
+        assert answers.heard[0][1].startswith(f"{folder} stays as it is, for {why}; a replay of ")
+        tiles.start_over()
+        saver.save()
+        assert check_versions(folder)[0] == [1]
+    finally:
+        saver.flush()
+
+
+def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Path, answers: Answers):
     """The mapper puts it away a moment after it was asked to."""
-    tiles = TileStore()
-    kept = GraphFolder(tmp_path / "graphs")
+    tiles, kept = TileStore(), GraphFolder(tmp_path / "graphs")
     requested: list[str] = []
 
     def command(verb: str, payload: bytes) -> Answer:
@@ -267,49 +289,19 @@ def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Pa
         threading.Timer(0.05, tiles.keep_graph, [folder]).start()
         return Answer(True, b"{}")
 
-    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
-    saver = MapSaver(config, sink_context(tiles=tiles, stores_graph=True, command=command))
+    saver = saver_in(tmp_path, tiles=tiles, stores_graph=True, command=command)
     tiles.update([tile(3)])
     saver.start()
     try:
-        for count, name in ((5, ""), (6, "office")):
-            heard: queue.Queue[SavedMap | None] = queue.Queue()
-            saver.ask_to_save(lambda saved, fault: heard.put(saved), name, with_graph=True)  # noqa: B023
-            saved = heard.get(timeout=20.0)
+        for number, name in enumerate(("", "office")):
+            saver.ask_to_save(answers, name, with_graph=True)
+            assert answers.came.acquire(timeout=20.0)
+            saved, _ = answers.heard[number]
             assert saved is not None
             graph = load_map(saved.folder).graph
             assert graph is not None
-            assert len(graph) == count
+            assert len(graph) == 5 + number
         assert requested == ["checkpoint", "checkpoint"]
-    finally:
-        saver.flush()
-
-
-def gone_on_in(folder: Path) -> tuple[TileStore, MapSaver]:
-    """A session that began in a stored map and has put no graph away yet: its tiles, its saver, started."""
-    save_map(folder, [tile(1)], 1, graph=graph_of(4))
-    config = MapConfig.model_construct(directory=folder.parent, load=folder, checkpoint_s=3600.0)
-    tiles = TileStore()
-    saver = MapSaver(config, sink_context(tiles=tiles, load_version=1, stores_graph=True))
-    saver.start()
-    return tiles, saver
-
-
-def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(tmp_path: Path):
-    """Tiles come with the first scan, the graph with the first checkpoint."""
-    tiles, saver = gone_on_in(folder := tmp_path / "office")
-    heard: queue.Queue[tuple[SavedMap | None, str]] = queue.Queue()
-    try:
-        tiles.update([tile(2)])
-        saver.ask_to_save(lambda saved, fault: heard.put((saved, fault)))
-        assert heard.get(timeout=20.0) == (
-            None,
-            f"{folder} stays as it is, for the graph of what was mapped since is not put away; a replay of "
-            "the recording with --map and --out maps it again",
-        )  # fmt: skip
-        tiles.start_over()
-        saver.save()
-        assert check_versions(folder)[0] == [1]
     finally:
         saver.flush()
 
@@ -317,8 +309,7 @@ def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(tmp
 def test_the_graph_that_was_reported_last_stays_while_the_back_end_puts_away_others(tmp_path: Path):
     """As at the end of a run where the back end is given up after it has written more of them."""
     tiles = TileStore()
-    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
-    saver = MapSaver(config, sink_context(tiles=tiles, stores_graph=True))
+    saver = saver_in(tmp_path, tiles=tiles, stores_graph=True)
     keep = GraphFolder(saver.graph_folder / "map1")
     tiles.update([tile(3)])
     kept = [Path(keep(graph_of(count)).folder) for count in (4, 5, 6, 7)]
@@ -344,8 +335,7 @@ def test_the_graph_of_a_session_that_was_killed_is_removed_by_a_later_one(tmp_pa
         (folder / "map1").mkdir(parents=True)
     for folder in (long_gone, living):
         os.utime(folder, (1e9, 1e9))
-    config = MapConfig.model_construct(directory=tmp_path, load=None, checkpoint_s=3600.0)
-    saver = MapSaver(config, sink_context(stores_graph=True))
+    saver = saver_in(tmp_path, stores_graph=True)
     saver.start()
     saver.flush()
     assert sorted(tmp_path.iterdir()) == [just_killed, living]

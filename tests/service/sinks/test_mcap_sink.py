@@ -9,7 +9,6 @@ from service.errors import StorageError
 from service.recording.config import RecordingConfig
 from service.recording.mcap_file import McapFile
 from service.recording.mcap_reader import Recording
-from service.recording.session_change import SessionChange
 from service.sinks.mcap_sink import McapSink
 from tests.service.sinks.contexts import sink_context
 
@@ -24,20 +23,6 @@ def sink_in(folder: Path, is_paused: bool = False, **config: object) -> McapSink
 
 def event(text: str, log_ns: int) -> Message:
     return encode_event(text, log_ns, log_ns)
-
-
-def end(sink: McapSink) -> list[Path]:
-    """End the session that is being recorded; its files."""
-    ended = threading.Event()
-    changes: list[SessionChange] = []
-
-    def heard(change: SessionChange) -> None:
-        changes.append(change)
-        ended.set()
-
-    sink.end_session(heard)
-    assert ended.wait(20.0)
-    return changes[0].files
 
 
 def events(path: Path) -> list[str]:
@@ -93,18 +78,3 @@ def test_files_that_a_disk_error_left_unfinished_are_named_at_the_end(
     (left,) = tmp_path.glob("*.mcap.active")
     assert f"unfinished: {left}; the next start" in str(caught.value)
     assert sink.written() == []
-
-
-def test_a_disk_that_takes_nothing_at_all_is_reported_at_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    def fail(file: McapFile, message: Message, log_ns: int | None = None) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(McapFile, "write", fail)
-    sink = sink_in(tmp_path)
-    sink.start()
-    sink.put(event("a", T0_NS))
-    with pytest.raises(StorageError, match=r"No space left on device; 1 message dropped$"):
-        sink.close()
-    assert list(tmp_path.iterdir()) == []

@@ -106,11 +106,11 @@ def test_the_token_lies_in_the_folder_of_state(monkeypatch, tmp_path):
 
 
 def test_a_page_that_can_show_nothing_any_more_ends_and_its_row_says_so(open_page, monkeypatch):
-    sinks, reported, fails = Sinks(), threading.Event(), threading.Event()
+    died, fails = threading.Event(), threading.Event()
 
-    def report(died):
-        sinks.thread_died(died.thread.name, died.exc_value)
-        reported.set()
+    def report(thread):
+        sinks.thread_died(thread.thread.name, thread.exc_value)
+        died.set()
 
     def due(self):
         if fails.is_set():
@@ -120,9 +120,9 @@ def test_a_page_that_can_show_nothing_any_more_ends_and_its_row_says_so(open_pag
     monkeypatch.setattr(threading, "excepthook", report)
     monkeypatch.setattr(LiveView, "due", due)
     sink = open_page()
-    sinks._sinks.append(sink)
+    sinks = Sinks([sink])
     fails.set()
-    assert reported.wait(TIMEOUT_S)
+    assert died.wait(TIMEOUT_S)
     (row,) = sinks.health()
     assert (row.level, row.message) == (ERROR, "thread web-serve died: ValueError: a pose of no length")
     assert sink.place() == ""

@@ -5,11 +5,8 @@ import zenoh
 
 from drivers.link import LinkHealth
 from service.encoding import OK, STRING, WARNING, Message, Status, encode_diagnostics
-from service.mapstore.tiles import TileStore
-from service.publishing.commands import Answer
 from service.publishing.config import PublishingConfig
 from service.sinks.zenoh_sink import ZenohSink
-from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import Inbox, client_config
 from tests.service.sinks.contexts import sink_context
 from tests.service.web.conftest import repeating
@@ -23,18 +20,9 @@ def link() -> LinkHealth:
 
 
 @pytest.fixture
-def store() -> TileStore:
-    return TileStore()
-
-
-@pytest.fixture
-def sink(link: LinkHealth, store: TileStore) -> Iterator[ZenohSink]:
-    context = sink_context(
-        links={"front": link},
-        tiles=store,
-        command=lambda verb, payload: Answer(True, b'{"did": "' + verb.encode() + b'"}'),
-    )
-    opened = ZenohSink(PublishingConfig(listen=("tcp/127.0.0.1:0",)), context)
+def sink(link: LinkHealth) -> Iterator[ZenohSink]:
+    config = PublishingConfig(listen=("tcp/127.0.0.1:0",))
+    opened = ZenohSink(config, sink_context(links={"front": link}))
     opened.start()
     yield opened
     opened.close()
@@ -98,22 +86,6 @@ def test_diagnostics_are_called_health_and_bring_the_tokens_of_sensors_up_to_dat
     assert tokens.wait_for(2)[1].kind == zenoh.SampleKind.DELETE
     for declared in (subscriber, watcher):
         declared.undeclare()  # type: ignore[no-untyped-call]
-
-
-def test_commands_go_to_the_service(sink: ZenohSink, client: zenoh.Session):
-    (reply,) = list(client.get(f"{ROOT}/cmd/pause", timeout=20.0))
-    assert reply.ok is not None
-    assert reply.ok.payload.to_string() == '{"did": "pause"}'
-
-
-def test_changed_tiles_go_out(sink: ZenohSink, client: zenoh.Session, store: TileStore):
-    inbox = Inbox()
-    subscriber = client.declare_subscriber(f"{ROOT}/map/tile/**", inbox)
-    changed = [tile(2, 3, 1)]
-    store.update(changed)
-    heard = put_until_heard(lambda: sink.put_tiles(changed, 1, 1), inbox)
-    assert str(heard[0].key_expr) == f"{ROOT}/map/tile/0/2/3"
-    subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def test_what_was_dropped_is_a_warning(sink: ZenohSink):

@@ -49,20 +49,6 @@ def test_who_guesses_tokens_is_let_go(serve):
     talk(serve(), guess)
 
 
-def test_a_wrong_token_takes_the_right_away_again(serve, dispatcher):
-    async def ask(client):
-        async with client.socket() as socket:
-            await client.ask(socket, type="token", token=TOKEN)
-            assert (await client.next(socket, "access"))["may_control"]
-            await client.ask(socket, type="token", token="wrong")
-            assert not (await client.next(socket, "access"))["may_control"]
-            await client.ask(socket, type="command", n=1, verb="mark")
-            assert not (await client.next(socket, "answer"))["body"]["ok"]
-        assert dispatcher.requested == []
-
-    talk(serve(), ask)
-
-
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
 def test_another_page_cannot_open_the_socket(serve, origin):
     server = serve()
@@ -154,19 +140,6 @@ def test_sockets_without_a_token_do_not_keep_out_one_that_has_it(serve, dispatch
     talk(server, look)
     assert server.health().values["refused"] == "21"
     assert [verb for verb, _ in dispatcher.requested] == ["mark"]
-
-
-def test_who_shows_no_token_where_the_places_without_one_are_taken_has_to_go(serve, monkeypatch):
-    monkeypatch.setattr(browser, "SHOW_TOKEN_S", 0.05)
-
-    async def look(client):
-        async with contextlib.AsyncExitStack() as crowd:
-            for _ in range(3):
-                await client.next(await crowd.enter_async_context(client.socket()), "hello")
-            async with client.socket() as late:
-                assert await client.closed_with(late) == aiohttp.WSCloseCode.TRY_AGAIN_LATER
-
-    talk(serve(most_browsers=4), look)
 
 
 def test_a_viewers_token_gives_no_commands_and_a_revoked_one_no_more(serve, tmp_path, dispatcher):

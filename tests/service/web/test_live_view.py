@@ -11,14 +11,13 @@ from service.encoding import (
     Message,
     encode_diagnostics,
     encode_frame,
-    encode_graph,
     encode_grid,
     encode_pose,
     encode_tf_static,
 )
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import NOTHING_CHANGED
-from service.outputs import GraphPicture, Grid
+from service.outputs import Grid
 from service.web.live_view import SCAN_PERIOD_NS, DrivenPath, LiveView
 from tests.browser.scene import MOUNTINGS, Scene, event, stamp, statuses
 
@@ -60,32 +59,6 @@ def test_the_newest_of_each_is_shown_once(view):
     assert pose["stamp_ns"] == str(stamp(0.1))
     assert (pose["x_m"], pose["y_m"]) == (scene.pose(0.1).x_m, scene.pose(0.1).y_m)
     assert view.due() == []
-
-
-def test_a_graph_is_shown_every_two_seconds_at_most_and_kept_for_who_comes_late(view, clock):
-    line = np.ones((2, 2), np.float32)
-    counts = []
-    for tenth in range(45):
-        clock.ns = tenth * 100_000_000
-        picture = GraphPicture(tenth + 1, [line], np.ones((tenth, 2, 2), np.float32), line[None][:0])
-        view.put(encode_graph(picture, tenth + 1))
-        for shown in view.due():
-            assert (shown.key, shown.payload[0]) == ("graph", 4)
-            counts.append(struct.unpack_from("<4I", zlib.decompress(shown.payload[4:]))[2])
-    assert counts == [0, 20, 40]
-    assert [s.payload[0] for s in view.snapshot() if s.key == "graph"] == [4]
-
-
-def test_a_path_that_was_put_goes_behind_the_path_and_a_path_in_its_place(view):
-    view.put_way(np.array([[0.0, 0.0], [1.0, 0.0]], np.float32))
-    (more,) = view.due()
-    assert (more.key, more.payload[:2]) == ("", bytes([3, 1]))
-    view.put_way(np.array([[2.0, 0.0]], np.float32))
-    view.put_path(np.array([[5.0, 5.0], [6.0, 5.0], [7.0, 5.0]], np.float32))
-    (path,) = view.due()
-    assert (path.key, path.payload[:2]) == ("path", bytes([3, 0]))
-    kept = next(s.payload for s in view.snapshot() if s.key == "path")
-    assert np.frombuffer(kept, "<f4", offset=8).reshape(-1, 2)[:, 0].tolist() == [5.0, 6.0, 7.0]
 
 
 def test_a_laser_is_shown_five_times_a_second_with_its_newest_scan(view, clock):
@@ -161,16 +134,6 @@ def test_figures_of_a_run_that_begins_again_take_the_place_of_those_before(view)
     assert len(whole["stamp_s"]) == 2
 
 
-def test_a_late_browser_gets_everything(view):
-    scene = Scene()
-    for message in (*scene.messages(0.0), event('{"event": "start"}', 0.0)):
-        view.put(message)
-    now = view.due()
-    later = view.snapshot()
-    assert {key for key in keys(now) if key} <= set(keys(later))
-    assert texts(later, "event") == texts(now, "event") != []
-
-
 def test_a_late_browser_gets_the_path_and_a_map_reset_ends_it(view):
     scene = Scene()
     for seconds in (0.0, 0.01, 1.0, 2.0):  # the second is nearer than 5 cm
@@ -188,31 +151,25 @@ def test_a_late_browser_gets_the_path_and_a_map_reset_ends_it(view):
     assert len(points()) == 0
 
 
-def test_what_stands_is_shown_until_the_map_begins_again(view):
-    grid = Grid(0, 0.1, -1.2, 3.4, np.array([[-1, 5, 100], [7, -1, -1]], np.int8))
-    view.put(encode_grid(grid, 1, 1, "standing"))
+@pytest.mark.parametrize(("channel", "kind"), [("standing", 5), ("map/changes", 6)])
+def test_a_layer_of_cells_is_shown_until_the_map_begins_again(view, channel, kind):
+    cells = np.array([[-1, 5, 100], [7, -1, -1]], np.int8)
+    view.put(encode_grid(Grid(0, 0.1, -1.2, 3.4, cells), 1, 1, channel))
     (shown,) = view.due()
-    assert shown.key == "standing"
-    kind, _, _, cell_m, column, row, width, height = struct.unpack_from("<BBHfiiII", shown.payload)
-    assert (kind, round(cell_m, 6), column, row, width, height) == (5, 0.1, -12, 34, 3, 2)
-    assert np.frombuffer(zlib.decompress(shown.payload[24:]), np.int8).tolist() == [-1, 5, 100, 7, -1, -1]
-    _, emptied, _ = view.map_reset()
+    assert shown.key == channel
+    begins, _, _, cell_m, column, row, width, height = struct.unpack_from("<BBHfiiII", shown.payload)
+    assert (begins, round(cell_m, 6), column, row, width, height) == (kind, 0.1, -12, 34, 3, 2)
+    assert np.frombuffer(zlib.decompress(shown.payload[24:]), np.int8).tolist() == cells.ravel().tolist()
+    (emptied,) = [s for s in view.map_reset() if s.key == channel]
     assert struct.unpack_from("<II", emptied.payload, 16) == (0, 0)
-    assert [s.payload for s in view.snapshot() if s.key == "standing"] == [emptied.payload]
+    assert [s.payload for s in view.snapshot() if s.key == channel] == [emptied.payload]
 
 
-def test_what_has_changed_is_shown_until_the_map_begins_again(view):
-    view.put(encode_grid(Grid(0, 0.1, 0.3, -0.2, np.array([[100, -1, 0]], np.int8)), 1, 1, "map/changes"))
-    (shown,) = view.due()
-    assert shown.key == "map/changes"
-    kind, is_known, _, _, column, row, width, height = struct.unpack_from("<BBHfiiII", shown.payload)
-    assert (kind, is_known, column, row, width, height) == (6, 1, 3, -2, 3, 1)
-    assert np.frombuffer(zlib.decompress(shown.payload[24:]), np.int8).tolist() == [100, -1, 0]
+def test_that_nothing_has_changed_differs_from_what_is_not_known(view):
     view.put(encode_grid(NOTHING_CHANGED, 2, 2, "map/changes"))
     (shown,) = view.due()
-    assert struct.unpack_from("<BBHfiiII", shown.payload)[1] == 1  # it is known that nothing has
     *_, forgotten = view.map_reset()
-    assert struct.unpack_from("<BB", forgotten.payload) == (6, 0)
+    assert [struct.unpack_from("<BB", one.payload) for one in (shown, forgotten)] == [(6, 1), (6, 0)]
 
 
 def test_a_long_path_keeps_its_shape_and_its_bound():
@@ -245,17 +202,6 @@ def path_of(view):
     return np.frombuffer(payload, "<f4", offset=8).reshape(-1, 2)[:, 0].tolist()
 
 
-def test_gaps_of_a_path_stay_when_it_is_thinned():
-    path = DrivenPath(step_m=1.0, most=10)
-    for metre in range(9):
-        path.add(float(metre), 0.0)
-    path.leave_off()
-    path.leave_off()
-    path.add(50.0, 0.0)
-    points = np.frombuffer(path.payload(), "<f4", offset=8).reshape(-1, 2)
-    assert np.isnan(points[:, 0]).sum() == 1
-
-
 def test_bytes_that_are_no_pose_are_counted(view):
     view.put(Message("pose", "nav_msgs/msg/Odometry", 1, 1, b"\x00\x01\x00\x00"))
     assert view.due() == []
@@ -275,12 +221,6 @@ def test_sensors_with_poses_of_their_own_are_not_the_pose(view):
     message = encode_pose(Scene().output(5.0), 1)
     view.put(Message("base/pose", message.type, 1, 1, message.payload))
     assert texts(view.due(), "pose") == []
-
-
-def test_a_turn_of_the_mounting_is_sent(view):
-    view.put(encode_tf_static({"front": SE2(0.2, 0.1, 0.5)}, 1, 1))
-    (facts,) = texts(view.due(), "mountings")
-    assert facts["pose_base_sensor"]["front"] == pytest.approx([0.2, 0.1, 0.5])
 
 
 def test_events_that_come_many_a_second_are_left_out(view):

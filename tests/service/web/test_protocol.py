@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.encoding import Pose, Status
+from service.encoding import Pose
 from service.geometry.se2 import SE2
 from service.web.protocol import (
     RANGE_STEP_M,
@@ -17,7 +17,6 @@ from service.web.protocol import (
     encode_path,
     encode_scan,
     encode_tiles,
-    health_json,
     pose_json,
     read_request,
     to_json,
@@ -34,13 +33,6 @@ def test_tiles_come_back_as_they_went():
     assert np.frombuffer(body, "<i4", 4).tolist() == [-3, 2, 7, -1]
     cells = np.frombuffer(body, np.int8, offset=16).reshape(2, EDGE, EDGE)
     np.testing.assert_array_equal(cells, [t.cells for t in tiles])
-
-
-def test_tiles_of_an_emptied_map_share_one_cell_and_are_sent_whole():
-    empty = tile(0, 0, 1, value=5)
-    shared = type(empty)(0, 0, 0, 2, CELL_M, np.broadcast_to(np.int8(-1), (EDGE, EDGE)))
-    body = zlib.decompress(encode_tiles([shared])[12:])
-    assert body[8:] == b"\xff" * EDGE**2
 
 
 def scan(ranges: list[float]) -> LaserScan:
@@ -82,25 +74,14 @@ def test_what_is_not_finite_becomes_null():
     assert facts == {"type": "x", "a": None, "b": [None, 1.0], "c": {"d": None}}
 
 
-def test_health_says_since_when():
-    facts = json.loads(health_json([Status("map", 1, "full", {"k": "v"})], {"map": 7.5}, {"front": 4.0}, 9.0))
-    assert facts["statuses"] == [
-        {"name": "map", "level": 1, "message": "full", "values": {"k": "v"}, "since_s": 7.5}
-    ]
-    assert facts["latency_ms"] == {"front": 4.0}
-
-
-def test_a_token_and_a_command_are_read():
+def test_requests_are_read():
     assert read_request('{"type": "token", "token": "abc"}') == TokenShown(type="token", token="abc")
-    requested = read_request('{"type": "command", "n": 3, "verb": "mark", "request": {"text": "x"}}')
-    assert requested == CommandRequest(type="command", n=3, verb="mark", request={"text": "x"})
-
-
-def test_a_look_at_a_key_frame_is_read():
-    requested = read_request(
+    command = read_request('{"type": "command", "n": 3, "verb": "mark", "request": {"text": "x"}}')
+    assert command == CommandRequest(type="command", n=3, verb="mark", request={"text": "x"})
+    look = read_request(
         '{"type": "resource", "n": 1, "action": "keyframe", "name": "a", "request": {"keyframe": 3}}'
     )
-    assert (requested.action, requested.name, requested.request) == ("keyframe", "a", {"keyframe": 3})
+    assert (look.action, look.name, look.request) == ("keyframe", "a", {"keyframe": 3})
 
 
 @pytest.mark.parametrize(

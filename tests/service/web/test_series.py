@@ -51,18 +51,6 @@ def test_the_worst_state_of_a_row_remains_and_the_next_row_begins_with_its_own()
     assert rows.row(20.0).state == "ok"
 
 
-def test_without_health_a_row_comes_after_two_periods_in_the_state_before():
-    rows = FigureRows()
-    rows.row(0.0)
-    rows.put_health([mapping("degraded", 1)])
-    rows.row(1.0)
-    rows.put_latencies([3.0, 1.0, 2.0])
-    assert rows.row(2.0) is None
-    row = rows.row(3.0)
-    assert row.state == "degraded"
-    assert row.figures == {"latency_p50_ms": 2.0, "latency_max_ms": 3.0}
-
-
 @pytest.mark.parametrize("text", ["", "nan", "inf", "many"])
 def test_a_figure_that_is_no_number_is_left_out(text):
     rows = FigureRows()

@@ -7,14 +7,6 @@ from service.web.tile_stream import TileFeed
 from tests.service.mapstore.tile_makers import EDGE, tile
 
 
-class CountingStore(TileStore):
-    requested = 0
-
-    def since(self, version):
-        self.requested += 1
-        return super().since(version)
-
-
 def count_of(payload: bytes) -> int:
     return struct.unpack_from("<I", payload, 8)[0]
 
@@ -32,19 +24,6 @@ def test_a_browser_gets_what_it_has_not():
         assert count_of((await feed.after(2)).payload) == 1
 
     asyncio.run(ask())
-
-
-def test_browsers_that_ask_for_the_same_share_one_message():
-    store = CountingStore()
-    store.update([tile(0, 0, 1)])
-
-    async def ask():
-        feed = TileFeed(store)
-        first, second = await asyncio.gather(feed.after(0), feed.after(0))
-        assert first.payload is second.payload
-
-    asyncio.run(ask())
-    assert store.requested == 1
 
 
 def test_a_large_map_comes_in_parts_between_versions(monkeypatch):

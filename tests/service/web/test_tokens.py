@@ -1,4 +1,3 @@
-import json
 import stat
 
 import pytest
@@ -101,11 +100,3 @@ def test_so_many_addresses_are_remembered_and_the_oldest_is_forgotten():
     for number in range(MAX_ADDRESSES):
         attempts.wrong(f"10.1.{number // 256}.{number % 256}")
     assert attempts.wrong("10.0.0.9") == 0.0
-    assert len(attempts._of) == MAX_ADDRESSES
-
-
-def test_the_file_holds_what_the_command_is_to_list(tmp_path):
-    path = tmp_path / "web.tokens.json"
-    add_grant(path, "anna", "operator", 5.0)
-    (entry,) = json.loads(path.read_text())
-    assert (entry["name"], entry["role"], entry["expires_unix_s"]) == ("anna", "operator", 5.0)

@@ -91,14 +91,6 @@ def test_a_second_laser_is_placed_against_the_first():
     assert fit["offset_s"] == pytest.approx(0.021, abs=0.001)
 
 
-def test_slips_of_some_steps_do_not_move_the_rest():
-    track = wheels()
-    track.steps[1000:1020, 0] += 0.02  # the wheels spun for 0.3 s
-    fit = fit_wheels(laser(), track, BASE_M)
-    assert fit["scale"] == pytest.approx(1.0, rel=0.003)
-    assert fit["x_m"] == pytest.approx(MOUNTING.x_m, abs=0.01)
-
-
 class Straight:
     """Back and forth along a line."""
 

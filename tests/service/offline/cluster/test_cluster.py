@@ -17,10 +17,8 @@ from service.offline.cluster.batch import TABLE_FILE, run_batch
 from service.offline.cluster.engines import MAX_TRIES, Cluster, Engine, Processes, in_turn
 from service.offline.cluster.tasks import DONE_FILE, Done, Task, new_tasks
 from service.offline.replay.replay import ReplayOptions
-from tests.service.offline.replay.test_replay import RecordDrive, record_drive
+from tests.service.offline.recorded_drives import RecordDrive
 from tests.soaked import in_soak
-
-__all__ = ["record_drive"]  # a fixture
 
 
 def run_all(tasks: list[Task], engine: Engine = in_turn) -> list[Done]:

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from service.compile import cache as kernel_cache
-from service.offline.doctor import cache
 from service.offline.doctor.cache import look_at_cache
 from tests.service.offline.doctor.conftest import FakeTree
 
@@ -48,11 +47,3 @@ def test_a_cache_is_good_once_all_is_compiled_and_until_a_source_changes(
     finding = look_at_cache(tree.machine(environment=environment))
     assert finding.severity == "note"
     assert finding.measured.startswith("0 kernels ")
-
-
-def test_no_place_for_kernels_is_a_fault(tree: FakeTree, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(cache, "cannot_write", lambda folder: "Permission denied")
-    finding = look_at_cache(tree.machine())
-    assert finding.severity == "fault"
-    assert "home/.cache/numba" in finding.measured
-    assert "NUMBA_CACHE_DIR" in finding.remedy

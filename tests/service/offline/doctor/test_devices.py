@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from drivers.hokuyo_utm30lx.protocol import encode_reply
 from drivers.irobot_create.config import IrobotCreateConfig
 from drivers.irobot_create.driver import STREAM_IDS
 from drivers.irobot_create.protocol import encode_frame
@@ -24,11 +23,8 @@ from service.offline.doctor.devices import (
 )
 from service.offline.doctor.findings import Finding
 from service.offline.doctor.machine import Machine
-from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
-from simulators.wire import serve_pty
-from tests.drivers.irobot_bench import STANDING
 from tests.drivers.lms100 import Room
 from tests.service.offline.doctor.conftest import FakeTree, Line, Parrot
 
@@ -73,25 +69,11 @@ def test_a_good_device_is_named_with_rate_identity_and_clock(on_tcp: OnTcp):
     assert float(finding.values["delay_ms_p50"]) > 3.0
 
 
-@pytest.mark.usefixtures("any_rate_will_do")
-def test_a_good_robot_is_named_with_rate_and_battery():
-    with serve_pty(FakeCreate(STANDING, wakes_on_connect=True)) as path:
-        finding = only(examine(create(path), WAITING), "ok")
-    assert "battery" in finding.measured
-    assert SLOW < float(finding.values["rate_hz"]) / 66.7 < BURST
-
-
 def test_a_web_server_in_the_devices_place_is_recognised(on_tcp: OnTcp):
     page = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n<html></html>"
     finding = only(examine(lms100(on_tcp(Parrot(page)))))
     assert finding.measured == 'wrong protocol: a web server ("HTTP/1.1 400 Bad Request")'
     assert finding.expected == "messages of a sick_lms100"
-
-
-def test_another_type_of_sensor_is_recognised(on_tcp: OnTcp):
-    finding = only(examine(lms100(on_tcp(Parrot(encode_reply("QT", "00"))))))
-    assert finding.measured == "a Hokuyo laser that speaks SCIP answers here"
-    assert "wires are swapped" in finding.remedy
 
 
 def test_the_other_dialect_is_found_by_asking_in_it(on_tcp: OnTcp):
@@ -138,23 +120,6 @@ def test_a_rate_below_the_configured_one_is_a_fault(on_tcp: OnTcp):
     assert SLOW < float(second.measured.split()[0]) / 40.0 < BURST
 
 
-def test_a_stream_that_dries_up_is_a_fault(serial_line: SerialLine):
-    frames = [encode_frame(STREAM_IDS, dict.fromkeys(STREAM_IDS, 0))] * 8
-    lines: list[Any] = []  # empty while the line is made, on which its thread writes already
-    lines.append(
-        serial_line(lambda _: frames.pop() if frames and lines and len(lines[0].heard) > 10 else b"")
-    )
-    first, second, *_ = examine(create(lines[0].path), Patience(measure_s=0.9, start_up_s=5.0))
-    assert (first.severity, second.severity) == ("ok", "fault")
-    assert second.expected == "66.6667 frames/s as configured"
-
-
-def test_what_is_counted_beside_good_frames_is_noted(on_tcp: OnTcp):
-    first, *findings = examine(lms100(on_tcp(fake_lms100(repeat_every=3))), WAITING)
-    assert first.severity == "ok"
-    assert that_says("scans_duplicate", findings).severity == "note"
-
-
 def test_a_dirty_window_is_a_fault_of_the_device(on_tcp: OnTcp):
     device = fake_lms100()
     device.contamination = 2
@@ -194,35 +159,12 @@ def test_noise_at_every_rate_is_reported_in_words(serial_line: SerialLine):
     assert "RS-232" in finding.remedy
 
 
-def test_text_is_a_wrong_protocol_and_not_noise(serial_line: SerialLine):
-    line = serial_line(lambda baud: b"temp 21.5 C\r\n")
-    finding = only(examine(create(line.path)))
-    assert finding.measured.startswith('wrong protocol: text that begins "')
-
-
-def test_a_gnss_receiver_on_the_robots_port_is_recognised(serial_line: SerialLine):
-    line = serial_line(lambda baud: b"$GPGGA,123519,4807.038,N,01131.000,E*47\r\n")
-    finding = only(examine(create(line.path)))
-    assert "wrong protocol: a GNSS receiver" in finding.measured
-
-
 def test_a_busy_port_is_not_touched(serial_line: SerialLine, hold: Callable[[str], int]):
     line = serial_line()
     number = hold(line.path)
     finding = only(examine(create(line.path)))
     assert f"(process {number})" in finding.measured
     assert not line.heard
-
-
-def test_a_port_used_by_a_process_that_is_hidden_is_busy_all_the_same(
-    tree: FakeTree, serial_line: SerialLine, hold: Callable[[str], int]
-):
-    line = serial_line()
-    hold(line.path)
-    tree.link(line.path, line.path)  # a /proc without that process
-    finding = only(examine(create(line.path), machine=tree.machine()))
-    assert "another user's process" in finding.measured
-    assert "fuser" in finding.remedy
 
 
 @pytest.mark.parametrize(

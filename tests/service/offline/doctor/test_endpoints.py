@@ -1,5 +1,4 @@
 import errno
-import os
 import socket
 from collections.abc import Iterator
 
@@ -66,11 +65,6 @@ def test_an_address_of_another_machine_is_a_fault(tree: FakeTree):
     assert "this machine has no such address" in finding.measured
 
 
-def test_a_socket_file_is_not_tried(tree: FakeTree):
-    finding, _ = look(tree.machine(), "unixsock-stream//run/corridor/zenoh.sock")
-    assert finding.measured.endswith("is not tried")
-
-
 def test_the_page_of_the_running_service_is_good(tree: FakeTree, taken: int):
     tree.process(41, "corridor", "corridor", "run", "v.yaml")
     _, running = look(tree.machine(), f"tcp/127.0.0.1:{taken}")
@@ -93,11 +87,3 @@ def test_a_port_that_the_user_may_not_bind_is_a_fault_with_both_remedies(tree: F
     )
     zenoh, _ = look(tree.machine(bind=refuse), f"tcp/{listen}")
     assert "driver may not bind port 80" in zenoh.measured
-
-
-def test_a_port_of_udp_that_is_taken_is_a_fault_with_its_name():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
-        door.bind(("127.0.0.1", 0))
-        finding, _ = look(Machine(), f"udp/127.0.0.1:{door.getsockname()[1]}")
-    assert finding.severity == "fault"
-    assert f"(process {os.getpid()})" in finding.measured

@@ -56,18 +56,6 @@ def test_a_vehicle_with_a_fault_exits_with_1_and_says_what_to_do(
     assert "\x1b" not in said
 
 
-def test_two_names_of_one_device_are_reported_beside_what_the_device_says(tmp_path: Path, closed_port: int):
-    (tmp_path / "port").touch()
-    (tmp_path / "create").symlink_to("port")
-    config = written(tmp_path, closed_port, f"{tmp_path}/create")
-    imu = f"  imu: {{type: xsens_mtig, device: {tmp_path}/port}}\n"
-    config.write_text(config.read_text().replace("sensors:\n", f"sensors:\n{imu}"))
-    report, exit_code = examine(config, patience=Patience(0.1, 0.1, 0.1, 0.1))
-    facts = [finding.measured for finding in report.findings if finding.who == "base"]
-    assert f"its device is {tmp_path}/port, as is that of imu" in facts
-    assert exit_code == 1
-
-
 @pytest.mark.parametrize("text", ["vehicle: veh1\nsensors: {front: {type: sick_lms1000}}\n", "a: [", ""])
 def test_a_bad_config_exits_with_78_and_the_machine_is_looked_at_all_the_same(
     tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]

@@ -1,5 +1,3 @@
-import json
-
 from service.offline.doctor.findings import Report, fault, note, ok
 
 REPORT = Report(
@@ -32,11 +30,3 @@ def test_a_note_alone_needs_no_mending():
     assert Report("", REPORT.findings[:2]).exit_code == 0
     assert Report("", REPORT.findings[:2]).text().endswith("nothing to mend: 1 ok, 1 note")
     assert REPORT.exit_code == 1
-
-
-def test_json_has_everything_that_the_text_has():
-    facts = json.loads(json.dumps(REPORT.as_dict()))
-    assert facts["ok"] is False
-    assert facts["counts"] == {"ok": 1, "note": 1, "fault": 1}
-    assert facts["findings"][0]["values"] == {"rate_hz": 49.8}
-    assert facts["findings"][2]["expected"] == "a serial port"

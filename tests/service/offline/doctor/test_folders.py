@@ -34,13 +34,6 @@ def test_a_folder_that_cannot_be_written_says_why(
     assert "change map.directory" in maps.remedy
 
 
-def test_a_file_in_a_folders_place_is_a_fault(tree: FakeTree, config: ServiceConfig):
-    tree.write("/data", "a file")
-    sessions, _ = look_at_folders(tree.machine(), config)
-    assert sessions.severity == "fault"
-    assert "which is a file" in sessions.measured
-
-
 def test_writing_is_tried_and_leaves_nothing(tmp_path: Path):
     assert folders.cannot_write(tmp_path) == ""
     assert list(tmp_path.iterdir()) == []

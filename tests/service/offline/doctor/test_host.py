@@ -60,14 +60,6 @@ def test_rights_on_serial_ports_go_by_group(
     assert words in finding.measured
 
 
-def test_a_machine_without_the_group_says_so(tree: FakeTree, monkeypatch: pytest.MonkeyPatch):
-    def missing(name: str) -> None:
-        raise KeyError(name)
-
-    monkeypatch.setattr(grp, "getgrnam", missing)
-    assert "there is no group dialout" in look_at_rights(tree.machine()).measured
-
-
 def test_the_unit_is_missing_there_or_enabled(tree: FakeTree):
     assert "is not installed" in look_at_unit(tree.machine()).measured
     tree.write("/etc/systemd/system/corridor@.service", "")

@@ -28,40 +28,28 @@ def test_a_cable_that_is_out_is_seen_before_the_device_is_called(tree: FakeTree)
     assert "nothing is plugged in there" in finding.measured
 
 
+ARP = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:06:77:00:00:01 * eth1\n"
+
+
 @pytest.mark.parametrize(
-    ("number", "words"),
+    ("route", "arp", "number", "words"),
     [
-        (errno.ECONNREFUSED, "nothing listens at port 2111"),
-        (errno.ENETUNREACH, "no route to 192.168.0.1"),
-        (errno.ECONNRESET, "hangs up at once"),
-        (errno.EHOSTUNREACH, "no answer from 192.168.0.1"),
-        (0, "no answer from 192.168.0.1"),
-        (errno.EPROTO, "cannot connect to 192.168.0.1:2111"),
+        (VEHICLE_NET, "", errno.ECONNREFUSED, "nothing listens at port 2111"),
+        (VEHICLE_NET, "", errno.ENETUNREACH, "no route to 192.168.0.1"),
+        (VEHICLE_NET, "", errno.ECONNRESET, "hangs up at once"),
+        (VEHICLE_NET, "", errno.EHOSTUNREACH, "no answer from 192.168.0.1"),
+        (VEHICLE_NET, ARP.format(2), 0, "no answer from 192.168.0.1"),
+        (VEHICLE_NET, ARP.format(0), 0, "no machine has the address"),
+        (DEFAULT + OFFICE_NET, "", 0, "leads over eth0 and the gateway 10.0.0.1"),
+        (VEHICLE_NET, "", errno.EPROTO, "cannot connect to 192.168.0.1:2111"),
     ],
 )
-def test_each_way_to_fail_has_its_own_words(tree: FakeTree, number: int, words: str):
-    tree.write("/proc/net/route", HEAD + VEHICLE_NET)
+def test_each_way_to_fail_has_its_own_words(tree: FakeTree, route: str, arp: str, number: int, words: str):
+    tree.write("/proc/net/route", HEAD + route)
+    tree.write("/proc/net/arp", arp)
     finding = call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(number))
     assert words in finding.measured
     assert finding.remedy
-
-
-def test_silence_by_way_of_a_gateway_blames_the_missing_net(tree: FakeTree):
-    tree.write("/proc/net/route", HEAD + DEFAULT + OFFICE_NET)
-    finding = call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0))
-    assert "leads over eth0 and the gateway 10.0.0.1" in finding.measured
-    assert "ip addr add" in finding.remedy
-
-
-def test_an_address_that_no_one_has_is_distinguished_from_a_silent_device(tree: FakeTree):
-    tree.write("/proc/net/route", HEAD + VEHICLE_NET)
-    arp = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:06:77:00:00:01 * eth1\n"
-    tree.write("/proc/net/arp", arp.format(0))
-    assert "no machine has the address" in (
-        call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0)).measured
-    )
-    tree.write("/proc/net/arp", arp.format(2))
-    assert "no answer from" in call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(0)).measured
 
 
 def test_a_name_without_an_address_is_reported(monkeypatch: pytest.MonkeyPatch):

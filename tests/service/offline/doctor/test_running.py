@@ -1,7 +1,4 @@
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-
-import pytest
 
 from service.encoding import Status, encode_diagnostics
 from service.mapstore.tiles import TileStore
@@ -22,13 +19,6 @@ STATUSES = [
 PROCESS = Process(41, "corridor", ("corridor", "run"))
 
 
-@pytest.fixture
-def publisher() -> Iterator[ZenohPublisher]:
-    opened = ZenohPublisher(PublishingConfig(listen=("tcp/127.0.0.1:0",)), "veh1", TileStore())
-    yield opened
-    opened.close()
-
-
 def test_each_status_becomes_a_finding():
     running = RunningService(PROCESS, "tcp/127.0.0.1:7447")
     front, base, mapping, rear = from_health(running, "veh1", ["front", "base", "rear"], STATUSES)
@@ -47,36 +37,19 @@ def test_a_service_without_health_is_a_fault():
     assert "no health of vehicle veh1 comes" in finding.measured
 
 
-def test_health_is_read_from_zenoh(publisher: ZenohPublisher):
-    (endpoint,) = publisher.endpoints
-    running = RunningService(PROCESS, endpoint)
-    with ThreadPoolExecutor(1) as worker:
-        requested = worker.submit(ask_health, running, "veh1", None, 5.0)
-        for number in range(100):  # as the service does each second
-            publisher.put(encode_diagnostics("health", STATUSES, number, number))
-            if wait([requested], timeout=0.1).done:
-                break
-        assert requested.result() == STATUSES
-
-
 def test_health_is_read_over_tls_from_an_endpoint_at_every_address(site):
     files = tls(site, "veh1")
     security = SecurityConfig(tls=files, roles={"vehicle": ["veh1"]})
     config = PublishingConfig(listen=("tls/127.0.0.1:0",), security=security)
-    with ZenohPublisher(config, "veh1", TileStore()) as publisher:
-        assert asked_while_published(publisher, security) == STATUSES
-
-
-def asked_while_published(publisher: ZenohPublisher, security: SecurityConfig) -> list[Status]:
-    port = publisher.endpoints[0].rpartition(":")[2]
-    running = RunningService(PROCESS, f"tls/0.0.0.0:{port}")
-    with ThreadPoolExecutor(1) as worker:
+    with ZenohPublisher(config, "veh1", TileStore()) as publisher, ThreadPoolExecutor(1) as worker:
+        port = publisher.endpoints[0].rpartition(":")[2]
+        running = RunningService(PROCESS, f"tls/0.0.0.0:{port}")
         requested = worker.submit(ask_health, running, "veh1", security, 5.0)
         for number in range(100):  # as the service does each second
             publisher.put(encode_diagnostics("health", STATUSES, number, number))
             if wait([requested], timeout=0.1).done:
                 break
-        return requested.result()
+        assert requested.result() == STATUSES
 
 
 def test_no_one_at_the_endpoint_ends_in_time(closed_port: int):

@@ -47,12 +47,6 @@ def test_a_missing_port_names_those_that_are_there(tree: FakeTree, terminal: str
     assert known_ports(tree.machine()) == ["/dev/serial/by-id/usb-Hokuyo-if00 (ttyACM0)", "/dev/ttyUSB3"]
 
 
-def test_a_file_that_took_the_ports_place_is_named(tree: FakeTree):
-    tree.write(PORT, "left by a logger")
-    (finding,) = look_at_port(tree.machine(), "base", PORT).findings
-    assert "is an ordinary file" in finding.measured
-
-
 def test_who_has_no_rights_learns_which_group_to_join(
     tree: FakeTree, port: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -88,12 +82,6 @@ def test_who_holds_the_port_is_named(tree: FakeTree, port: Path, terminal: str):
     (finding,) = look.findings
     assert finding.measured == "/dev/ttyUSB0 is held by minicom (process 77)"
     assert "kill 77" in finding.remedy
-
-
-def test_a_running_service_is_distinguished_from_a_stranger(tree: FakeTree, port: Path, terminal: str):
-    tree.process(90, "corridor", "/usr/bin/python3", "/opt/bin/corridor", "run", "v.yaml", holds=terminal)
-    (finding,) = look_at_port(tree.machine(), "base", PORT).findings
-    assert "the service itself is running" in finding.remedy
 
 
 def test_modem_manager_is_only_a_danger_where_it_may_take_the_port(tree: FakeTree, port: Path, terminal: str):

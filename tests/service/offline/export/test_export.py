@@ -7,13 +7,13 @@ from service.encoding import encode_grid, encode_pose
 from service.errors import InputError, UsageError
 from service.geometry.se2 import SE2
 from service.mapstore.files import load_map, save_map
-from service.mapstore.picture import picture_of_grid, to_pixels
-from service.mapstore.ros_map import read_ros_map, write_ros_map
+from service.mapstore.ros_map import read_ros_map
 from service.offline.export.export import export
-from service.offline.score.trajectory import read_tum, write_tum
+from service.offline.score.trajectory import read_tum
 from service.outputs import NO_REASON, Grid, MapperOutput
 from service.recording.mcap_file import McapFile
 from tests.service.mapstore.tile_makers import tile
+from tests.service.offline.export.conftest import cells
 
 START_NS = 1_700_000_000_000_000_001
 POSES = [SE2(0.1 * k, -0.05 * k, 0.3 * k - 2.0) for k in range(12)]
@@ -39,15 +39,6 @@ def session(tmp_path) -> Path:
 
 
 @pytest.fixture
-def replayed(tmp_path) -> Path:
-    folder = tmp_path / "replayed"
-    folder.mkdir()
-    write_ros_map(folder / "map.pgm", folder / "map.yaml", picture_of_grid(grid(3)))
-    write_tum(folder / "trajectory.tum", zip(STAMPS, POSES, strict=True))
-    return folder
-
-
-@pytest.fixture
 def stored(tmp_path) -> Path:
     save_map(tmp_path / "depot", [tile(0, 0, 1), tile(2, -1, 2)], 1)
     return tmp_path / "depot"
@@ -65,14 +56,6 @@ def test_the_last_map_of_a_session_becomes_a_ros_map(session, tmp_path):
     np.testing.assert_array_equal(back.cells, grid(10).cells)
     assert (back.cell_m, back.x_min_m, back.y_min_m) == (0.05, -1.5, 2.25)
     assert (tmp_path / "new" / "hall.yaml").read_text().startswith("image: hall.pgm\n")
-
-
-def test_the_last_map_of_a_session_becomes_a_picture(session, tmp_path):
-    from PIL import Image
-
-    export(session, "png", tmp_path / "hall.png")
-    with Image.open(tmp_path / "hall.png") as image:
-        np.testing.assert_array_equal(np.asarray(image), to_pixels(grid(10).cells))
 
 
 def test_the_poses_of_a_session_become_a_trajectory(session, tmp_path):
@@ -114,17 +97,12 @@ def test_what_is_no_source_is_refused(tmp_path, to):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_pgm_has_a_name_that_leaves_room_for_its_yaml(stored, tmp_path):
-    with pytest.raises(UsageError, match=r"write --out .*a\.pgm"):
-        export(stored, "pgm", tmp_path / "a.yaml")
-
-
 def test_a_ros_map_is_exported_by_its_yaml(replayed, tmp_path):
     for name in ("map.pgm", "map.yaml"):
         (replayed / name).rename(replayed / name.replace("map", "hall"))
     path = replayed / "hall.yaml"
     path.write_text(path.read_text().replace("map.pgm", "hall.pgm"))
     export(path, "pgm", tmp_path / "out.pgm")
-    np.testing.assert_array_equal(read_ros_map(tmp_path / "out.yaml").cells, grid(3).cells)
+    np.testing.assert_array_equal(read_ros_map(tmp_path / "out.yaml").cells, cells())
     with pytest.raises(InputError, match="neither a stored map"):
         export(path, "tum", tmp_path / "out.tum")

@@ -39,12 +39,6 @@ def test_cells_that_touch_by_a_corner_are_two():
     assert [area_m2(loop) for loop in loops] == [pytest.approx(CELL_M**2)] * 2
 
 
-def test_at_the_edge_of_the_map_an_outline_closes():
-    (block,) = outlines(picture(["##", "##"]))
-    assert block.min(axis=0).tolist() == [X_MIN_M, Y_MIN_M]
-    assert area_m2(block) == pytest.approx(1.0)
-
-
 def test_a_slanting_wall_becomes_straight_and_stays_near_its_cells():
     rows = ["." * (39 - k // 3) + "###" + "." * (k // 3) for k in range(60)]
     wall = outlines(picture(rows))

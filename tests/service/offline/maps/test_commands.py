@@ -9,7 +9,6 @@ import pytest
 
 from service.geometry import poses as se2
 from service.mapstore.files import load_map, save_map
-from service.mapstore.in_use import InUse
 from service.offline.maps import edit as map_edit
 from service.offline.maps.commands import MapCommands
 from service.offline.past.view import View
@@ -178,11 +177,6 @@ def test_other_requests_are_refused_in_words(picture):
     assert "Extra inputs" in asking.ask("map_look", more=1)["error"]
     change = {"what": "optimize"}
     assert "who" in asking.ask("map_edit", version=1, who="x" * 101, change=change)["error"]
-
-
-def test_nothing_is_changed_under_a_session(picture):
-    with InUse(picture, "a session of veh1"):
-        assert "a session of veh1 uses this map" in Asking(picture).edit(1, "undo", to=1)["error"]
 
 
 def test_the_page_of_a_stored_map_takes_edits_with_the_token(folder):

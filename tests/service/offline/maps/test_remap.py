@@ -156,10 +156,3 @@ def test_the_command_does_the_same_and_says_it(remapped, folder, recording, tmp_
     assert (stored.edit.who, stored.edit.what) == ("ada", "remap")
     for place, cells in cells_of(after).items():
         np.testing.assert_array_equal(cells_of(stored)[place], cells)
-
-
-def test_the_command_refuses_an_area_that_the_drive_did_not_see(folder, recording, capsys):
-    far = [str(length_m) for length_m in lengths((30, 30), (31, 30), (31, 31))]
-    code = main(["map", "remap", str(folder), str(recording), "--area", *far])
-    assert code == InputError.exit_code
-    assert "saw nothing of the area" in capsys.readouterr().err

@@ -41,11 +41,6 @@ def test_every_version_is_verified_and_damage_named(tmp_path):
         map_verify(tmp_path)
 
 
-def test_what_is_no_map_is_no_map(tmp_path):
-    with pytest.raises(InputError, match="no stored map"):
-        map_verify(tmp_path)
-
-
 def test_a_merge_overwrites_nothing(tmp_path):
     save_map(tmp_path / "a", TILES, 1, graph=graph_of(5))
     with pytest.raises(InputError, match="is there already"):

@@ -106,20 +106,17 @@ def test_events_and_graph_are_those_until_then(moments):
     assert len(moments.at(stamp(GRAPH_S)).graph.paths) == 1
 
 
-def test_what_stands_is_the_newest_of_the_present_map(moments):
+def test_what_stands_and_what_has_changed_is_the_newest_of_the_present_map(moments):
     def percent(seconds):
         grid = moments.at(stamp(seconds)).standing
         return None if grid is None else int(grid.cells[0, 0])
 
-    assert [percent(s) for s in (1.9, 2.0, 5.0, RESET_S - 0.01)] == [None, 20, 40, 40]
-    assert [percent(s) for s in (RESET_S, 13.0, 14.0)] == [None, None, 60]
-
-
-def test_what_has_changed_is_the_newest_of_the_present_map(moments):
-    def cells(seconds):
+    def changed(seconds):
         return moments.at(stamp(seconds)).changes.cells.tolist()
 
-    assert [cells(s) for s in (2.9, 3.0, 5.0, RESET_S)] == [[], [[100]], [[0]], []]
+    assert [percent(s) for s in (1.9, 2.0, 5.0, RESET_S - 0.01)] == [None, 20, 40, 40]
+    assert [percent(s) for s in (RESET_S, 14.0)] == [None, 60]
+    assert [changed(s) for s in (2.9, 3.0, 5.0, RESET_S)] == [[], [[100]], [[0]], []]
 
 
 def test_a_laser_that_fell_silent_is_not_of_the_moment(moments):
@@ -158,11 +155,3 @@ def test_a_recording_without_poses_is_refused_with_what_helps(tmp_path):
     write_file(tmp_path / "raw.mcap", drive(20))
     with pytest.raises(InputError, match=r"no /pose .*/front/scan.*corridor replay .*raw\.mcap --web"):
         RecordedMoments([tmp_path / "raw.mcap"])
-
-
-def test_how_much_is_read_is_reported(tmp_path):
-    facts = []
-    RecordedMoments(write_past(tmp_path), facts.append)
-    assert facts == sorted(facts)
-    assert facts[-1] == 1.0
-    assert len(facts) > 10

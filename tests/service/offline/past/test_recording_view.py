@@ -52,16 +52,6 @@ def test_a_scan_comes_with_its_moment(shown):
     talk(shown, look)
 
 
-def test_without_the_token_no_one_is_taken_elsewhere(shown):
-    async def ask(client):
-        async with client.socket() as socket:
-            await client.ask(socket, type="command", n=1, verb=GO_TO, request={"position_s": 1.0})
-            body = (await client.next(socket, "answer"))["body"]
-            assert "token" in body["error"]
-
-    talk(shown, ask)
-
-
 class Line:
     """A past of ten seconds in which nothing happens."""
 

@@ -1,7 +1,6 @@
 import json
 import struct
 import zlib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,13 +11,11 @@ from service.mapstore.files import save_map
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
 from service.offline.maps.change_file import write_changes
-from service.offline.maps.changed_places import write_changed_places
 from service.offline.past.view import View
 from service.offline.score.trajectory import write_tum
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.offline.maps.bent_maps import ROUND, save_bent
 from tests.service.offline.maps.test_change_file import CHANGES
-from tests.service.offline.maps.test_changed_places import SITE as SITE_CHANGES
 from tests.service.web.conftest import talk
 
 TILES, PATH, GRAPH, CHANGED = 1, 3, 4, 6
@@ -70,18 +67,6 @@ def test_a_result_shows_what_had_changed_since_its_map_was_stored(show, tmp_path
             assert struct.unpack_from("<BBHfiiII", facts)[4:] == (12, -4, 59, 26)
 
     talk(show(tmp_path), look)
-
-
-def test_a_site_shows_what_changed_between_its_sessions(show, tmp_path):
-    save_map(tmp_path / "m", [TileUpdate(0, 0, 0, 1, 0.05, np.zeros((64, 64), np.int8))], 1)
-    write_changed_places(tmp_path / "m", replace(SITE_CHANGES, version=1))
-
-    async def look(client):
-        async with client.socket() as socket:
-            told = await client.next(socket, CHANGED)
-            assert struct.unpack_from("<BBHfiiII", told)[4:] == (2, 3, 2, 1)
-
-    talk(show(tmp_path / "m"), look)
 
 
 def test_a_result_is_looked_at_where_the_vehicle_was_at_any_moment(show, tmp_path):

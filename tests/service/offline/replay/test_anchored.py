@@ -1,6 +1,4 @@
-"""A recorded drive through streets with a receiver: its replay, what it writes, and that a fix more or less
-that says nothing changes no bit.
-"""
+"""A drive through streets with a receiver is replayed; a fix that says nothing changes no bit."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -12,14 +10,10 @@ import pytest
 
 from drivers.frames import Frame, GnssFix
 from service.config import mountings, parse_config
-from service.encoding import decode_frame, encode_frame, encode_tf_static
-from service.mapper.mapping_session import MappingSession
-from service.mapper.pipeline import Mapper
-from service.mapper.profiles import build_mapper
+from service.encoding import encode_frame, encode_tf_static
 from service.mapstore.geo_file import read_geo
 from service.offline.export.export import export
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
-from service.outputs import MapperOutput
 from service.recording.mcap_recorder import McapRecorder
 from simulators.gnss import GnssModel, Receiver
 from simulators.truth import Ride
@@ -66,11 +60,8 @@ def record(folder: Path, frames: Sequence[Frame], config: str = CONFIG) -> Path:
     return session
 
 
-Replayed = Callable[..., Path]
-
-
 @pytest.fixture(scope="module")
-def replayed(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+def replayed(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Folder of the replay with each fix changed, or left out; of all or of the first seconds."""
 
     def make(
@@ -88,7 +79,7 @@ def replayed(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Replayed
 
 
 def test_a_replay_says_where_the_map_lies_and_export_uses_it(
-    drive: Drive, replayed: Replayed, tmp_path: Path
+    drive: Drive, replayed: Callable[..., Path], tmp_path: Path
 ):
     folder = replayed("anchored", lambda fix: fix)
     reference = read_geo(folder / "geo.json")
@@ -111,38 +102,7 @@ def test_a_replay_says_where_the_map_lies_and_export_uses_it(
     assert max(off_m) < 2.0
 
 
-def mapped(frames: Sequence[Frame]) -> tuple[MappingSession, list[MapperOutput]]:
-    """Live: the mapper as the service builds it, with what is decoded from the very bytes."""
-    config = parse_config(CONFIG, "c")
-
-    def new_mapper() -> Mapper:
-        return build_mapper(config.mapping, mountings(config.sensors))
-
-    mapper, outputs = MappingSession(new_mapper, ["front"]), []
-    for frame in frames:
-        message = encode_frame(frame)
-        eaten = decode_frame(message.type, message.payload, frame.sensor, message.log_ns)
-        if eaten is not None and (output := mapper.process(eaten)) is not None:
-            outputs.append(output)
-    return mapper, outputs
-
-
-def test_live_and_replay_give_the_same_bits_and_odom_does_not_feel_the_anchors(
-    drive: Drive, replayed: Replayed
-):
-    mapper, outputs = mapped(drive.frames)
-    assert outputs[0].geo_reference is None
-    assert outputs[-1].geo_reference is not None
-    assert outputs[-1].pose_map_odom != outputs[0].pose_map_odom
-    folder = replayed("anchored", lambda fix: fix)
-    assert mapper.finish().g2o == (folder / "graph.g2o").read_text()
-    assert mapper.geo_reference is not None
-    assert json.loads((folder / "geo.json").read_text()) == mapper.geo_reference.as_dict()
-    _, bare = mapped([frame for frame in drive.frames if not isinstance(frame, GnssFix)])
-    assert [o.pose_odom_base for o in outputs] == [o.pose_odom_base for o in bare]
-
-
-def test_fixes_of_no_use_change_no_bit_and_an_older_reference_does_not_stay(replayed: Replayed):
+def test_fixes_of_no_use_change_no_bit_and_an_older_reference_does_not_stay(replayed: Callable[..., Path]):
     bare = replayed("bare", lambda fix: None, 12.0)
     poor = replayed("poor", lambda fix: replace(fix, covariance=tuple(1e4 * c for c in fix.covariance)), 12.0)
     for name in ("trajectory.tum", "trajectory_live.tum", "graph.g2o", "map.pgm", "map.yaml"):

@@ -1,15 +1,11 @@
 """The graph of a recorded drive with loops, as GTSAM and g2o read it."""
 
-import json
-import shutil
-
 import g2opy
 import gtsam
 import numpy as np
 import pytest
 
 from service.mapper.graph.model.pose_graph import Edges, edge_chi2
-from service.offline.maps import edit as map_edit
 from service.offline.replay.replay import replay
 from service.offline.replay.result import write_replay
 from service.offline.replay.setup import ReplayOptions
@@ -56,18 +52,3 @@ def test_gtsam_finds_the_poses_of_the_replay_again(result):
     found = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
     poses = np.array([(found.atPose2(k).x(), found.atPose2(k).y()) for k in range(found.size())])
     np.testing.assert_allclose(poses, read_lines(result, "VERTEX_SE2", 4)[:, 1:3], atol=0.02)
-
-
-def test_the_summary_counts_its_key_frames(result):
-    summary = json.loads((result / "summary.json").read_text())
-    assert summary["keyframes"] == (result / "graph.g2o").read_text().count("VERTEX_SE2")
-
-
-def test_an_undo_brings_its_trajectory_back_to_the_bit(result, tmp_path):
-    own = tmp_path / "result"
-    shutil.copytree(result, own, symlinks=True)
-    before = (own / "trajectory.tum").read_bytes()
-    map_edit.edit_map(own / "map", "refuse-loop", map_edit.refuse_loops([0]), "ada", 2_000)
-    assert (own / "trajectory.tum").read_bytes() != before
-    map_edit.undo(own / "map", None, "ada", 3_000)
-    assert (own / "trajectory.tum").read_bytes() == before

@@ -54,20 +54,6 @@ def test_it_begins_paused_goes_to_a_time_and_pauses_there() -> None:
     assert steps.taken == list(range(50))
 
 
-def test_a_pause_ends_going_to_a_time() -> None:
-    pace = Pace(1e-6)
-    pace.go_to(3 * S)
-    pace.pause()
-    steps = Steps(pace)
-    assert steps.wait_held() == 0
-    pace.go_to(S)
-    assert steps.wait_held() == 10
-    pace.set_rate(0.0)  # of a pause nothing changes
-    assert pace.is_paused
-    pace.resume()
-    steps.wait_ended()
-
-
 def test_a_change_of_the_rate_holds_from_there_on() -> None:
     pace = Pace(1e-6)  # days
     steps = Steps(pace)

@@ -8,7 +8,7 @@ from service.mapstore import tiles
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.replay.result_session import RESULT_SESSION
 from service.recording.mcap_reader import Recording
-from tests.service.offline.replay.test_replay import RecordDrive, record_drive, recorder_in  # noqa: F401 - a fixture
+from tests.service.offline.recorded_drives import RecordDrive, recorder_in
 
 SCANS, COVERED = 40, range(20, 26)
 
@@ -40,7 +40,7 @@ def test_another_reader_of_ros_2_messages_finds_poses_map_states_and_loops(out: 
 
 
 def test_a_map_that_is_too_large_for_a_message_is_left_out_and_reported(
-    record_drive: RecordDrive,  # noqa: F811
+    record_drive: RecordDrive,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -51,12 +51,3 @@ def test_a_map_that_is_too_large_for_a_message_is_left_out_and_reported(
     assert payloads(tmp_path / "out", "/map") == []
     assert len(payloads(tmp_path / "out", "/pose")) == 40
     assert "session.mcap has no /map: " in caplog.text
-
-
-def test_the_same_recording_gives_the_same_bytes(tmp_path: Path, record_drive: RecordDrive):  # noqa: F811
-    folders = [tmp_path / name for name in ("one", "two")]
-    for folder in folders:
-        drive = record_drive(folder.name, scans=SCANS, covered=COVERED)
-        write_replay(replay([drive], ReplayOptions()), folder, ["mcap"])
-    for name in (RESULT_SESSION, "states.csv"):
-        assert len({(folder / name).read_bytes() for folder in folders}) == 1

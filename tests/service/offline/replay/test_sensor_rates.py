@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 from service.offline.replay.sensor_rates import MAX_GAPS, SensorRates
-from tests.service.offline.replay.test_replay import T0_NS, odometry_at, room_scan
+from tests.service.offline.recorded_drives import T0_NS, odometry_at, room_scan
 
 PERIOD_NS = 20_000_000
 

@@ -1,7 +1,6 @@
 """A recording in which the profile was switched on the way."""
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,16 +42,6 @@ def test_from_the_event_on_the_other_profile_maps_in_a_map_of_its_own(made, tmp_
     assert done.summary["profile_switches"] == [{"at_s": 2.0, "profile": "contour_lm"}]
     assert done.summary["map_resets"] == 1
     assert done.graph is None  # of contour_lm no one can begin in it
-
-
-def test_the_poses_after_a_switch_are_those_of_that_profile_alone(made, tmp_path):
-    event = {"event": "switch_profile", "profile": "contour_lm"}
-    done = replay([recorded(tmp_path / "s.mcap", made, event)], ReplayOptions())
-    after = [output for output in done.outputs if output.stamp_ns >= AT_NS]
-    later = replace(made, frames=[frame for frame in made.frames if T0_NS + frame.arrived_ns > AT_NS])
-    session = recorded(tmp_path / "later.mcap", later, {"event": "mark"})
-    alone = replay([session], ReplayOptions(profile="contour_lm"))
-    np.testing.assert_allclose(places(after), places(alone.outputs), atol=1e-12)  # odom goes on, rounded
 
 
 def test_a_profile_that_is_asked_for_stays(made, tmp_path, caplog):

@@ -13,8 +13,6 @@ from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper, mapping_config
 from service.offline.importing.session_file import write_session
 from service.offline.replay.replay import Replay, ReplayOptions, replay
-from service.offline.score.score import score
-from service.offline.score.trajectory import write_tum
 from service.runtime.mapper_messages import FrameItem, Mapped
 from service.runtime.mapping import MappingLoop
 from tests.service.timing.damages import FORWARD, aligned_rms_m, damaged
@@ -58,18 +56,6 @@ def test_wrong_times_are_mended_and_reported(name: str, dropped: int, warning: s
     }
     kept = [round(o.stamp_ns / 5e7) for o in done.outputs]
     assert aligned_rms_m(done.poses_map_base, [good_poses[k] for k in kept]) <= WORSE_M
-
-
-@with_cases
-def test_in_a_bare_corridor_odometry_of_another_clock_serves_as_if_it_were_right(tmp_path: Path):
-    errors = []
-    for name in ("corridor_good", "corridor_odometry_96_days_behind"):
-        done = replay([CASES / f"{name}.mcap"], ReplayOptions())
-        stamps = [output.stamp_ns for output in done.outputs]
-        write_tum(tmp_path / f"{name}.tum", zip(stamps, done.poses_map_base, strict=True))
-        scored: Any = score(tmp_path / f"{name}.tum", CASES / "corridor_truth.tum", 0.0, 0.0, "all")
-        errors.append(scored.ate_aligned_m.rms)
-    assert errors[1] == pytest.approx(errors[0], abs=1e-4)
 
 
 def test_the_last_lines_of_a_replay_name_the_topic_that_was_dropped(

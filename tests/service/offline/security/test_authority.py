@@ -84,13 +84,6 @@ def test_a_vehicle_with_other_hosts_gets_another_certificate(tmp_path):
     assert init_site(tmp_path, [Holder("veh1", "vehicle", ("10.0.0.8",))], days=700).renewed == ("veh1",)
 
 
-def test_a_removed_key_is_made_again_with_its_certificate(tmp_path):
-    init_site(tmp_path, [VEH1], days=700)
-    (tmp_path / "veh1.key").unlink()
-    assert init_site(tmp_path, [], days=700).renewed == ("veh1",)
-    ssl.create_default_context().load_cert_chain(tmp_path / "veh1.pem", tmp_path / "veh1.key")
-
-
 def test_no_certificate_outlives_its_authority(tmp_path):
     nine_years_ago = datetime.now(UTC) - timedelta(days=9 * 365)
     init_site(tmp_path, [], days=30, now=nine_years_ago)

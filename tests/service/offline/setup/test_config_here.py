@@ -7,11 +7,9 @@ import pytest
 from service.config import ServiceConfig, parse_config
 from service.mapstore.files import save_map
 from service.offline.setup import config_here
-from service.offline.setup.config_here import faults_here, known_addresses, shared_devices
+from service.offline.setup.config_here import faults_here, known_addresses
 from service.outputs import TileUpdate
 from tests.service.mapstore.graphs import graph_of
-
-ADDRESSES = {"lms": frozenset({"10.0.0.7"}), "front.local": frozenset({"10.0.0.7", "fe80::7"})}
 
 
 def config_of(sensors: str, load: Path | None = None) -> ServiceConfig:
@@ -46,14 +44,6 @@ def test_a_name_and_its_address_are_one_device():
     assert fault.startswith("v.yaml:4:29: sensors.rear.host: this is 127.0.0.1:2111, as is that of front; ")
     other_port = rear.replace("}", ", port: 2112}")
     assert faults_here(config_of(f"{FRONT}\n{other_port}"), "v.yaml") == []
-
-
-def test_two_names_of_one_address_are_one_device():
-    sensors = config_of(
-        "  front: {type: sick_lms100, host: lms}\n  rear: {type: sick_lms100, host: front.local}"
-    ).sensors
-    (shared,) = shared_devices(sensors, addresses_of=lambda host: ADDRESSES[host])
-    assert shared == ("rear", "host", "front", "10.0.0.7:2111")
 
 
 def test_a_name_server_that_is_silent_is_not_waited_for(monkeypatch: pytest.MonkeyPatch):

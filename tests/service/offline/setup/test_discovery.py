@@ -4,12 +4,9 @@ import pytest
 
 from service.errors import UsageError
 from service.offline.setup.discovery import Wire, discover, parse_wire, serial_ports
-from simulators.hokuyo_setup import Utm30lxSetup
-from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
-from simulators.wire import serve_pty, serve_tcp
-from tests.drivers import utm30lx
+from simulators.wire import serve_tcp
 from tests.drivers.lms100 import Room
 
 
@@ -79,10 +76,3 @@ def test_scanner_that_is_not_read_is_named_with_what_it_would_need():
     found = found_at_a(Lms100Setup(ident="MRS1xxxx"))
     assert found.type == ""
     assert "MRS1000 (it calls itself MRS1xxxx), which is not read: that would need one of its" in found.words
-
-
-def test_model_on_a_wire_it_does_not_have_is_named_with_the_wire_to_give():
-    setup = Utm30lxSetup(product="UST-05LA")
-    with serve_pty(FakeUtm30lx(utm30lx.Room(), setup)) as path:
-        [found] = discover([Wire(device=str(path), type="hokuyo_utm30lx")], ASK_S)
-    assert found.words == f"no hokuyo_utm30lx: {path}: model ust has no device; give host"

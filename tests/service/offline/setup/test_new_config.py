@@ -9,7 +9,7 @@ from service.cli import main
 from service.config import load_config
 from service.errors import ConfigError, CorridorError, StorageError, UsageError
 from service.offline.setup.discovery import Found, Wire
-from service.offline.setup.new_config import named, render, write_new_config
+from service.offline.setup.new_config import render, write_new_config
 from tests.in_background import started
 from tests.system.machine import FakeVehicle, free_port
 
@@ -81,11 +81,6 @@ def test_a_file_that_is_there_is_kept(tmp_path: Path):
 def test_without_a_port_and_without_a_host_it_says_what_to_write(tmp_path: Path):
     with pytest.raises(UsageError, match=r"corridor init 192\.168\.0\.1"):
         write_new_config([], tmp_path / "v.yaml")
-
-
-def test_two_of_a_type_have_names_of_their_own():
-    found = [Found(Wire(host=host), "sick_lms100") for host in "ab"] + [Found(Wire(), "ibeo_lux")]
-    assert list(named(found)) == ["lms", "lms_2", "lux"]
 
 
 def test_what_a_device_says_of_itself_cannot_become_part_of_the_config(tmp_path: Path):

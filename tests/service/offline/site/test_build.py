@@ -31,7 +31,6 @@ from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.maps.log import utc
 from service.offline.maps.work import map_info
 from service.offline.replay.setup import ReplayOptions
-from service.offline.score.trajectory import read_tum
 from service.offline.site import growth, kept
 from service.offline.site.build import site_build
 from service.offline.site.changes import seen_by
@@ -221,16 +220,6 @@ def test_what_a_drive_saw_is_rendered_again_only_if_its_key_frames_moved(
     assert sorted(set(names)) == rendered
 
 
-def test_a_path_goes_on_from_where_it_was_without_its_file(grown, drives, tmp_path):
-    other = Path(shutil.copytree(grown, tmp_path / "other", symlinks=True))
-    shutil.rmtree(other / "kept")
-    for out in (grown, other):
-        build([drives / "c"], out)
-    paths = [read_tum(out / "paths" / "a.tum") for out in (grown, other)]
-    np.testing.assert_array_equal(paths[0].stamp_ns, paths[1].stamp_ns)
-    np.testing.assert_allclose(paths[0].pose, paths[1].pose, atol=1e-8)
-
-
 def test_what_was_drawn_by_hand_outlives_the_next_build(grown, drives):
     assert main(["map", "edit", str(grown), "--wall", "2", "-0.5", "2", "0.5"]) == 0
     build([drives / "c"], grown)
@@ -256,12 +245,6 @@ def test_one_drive_counts_once(drives, tmp_path):
     report = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
     assert names_in(report) == ["a"]
     assert report["left_out"] == {"copy_of_a": "it is the drive of a, by the stamps of its key frames"}
-
-
-def test_the_most_drives_that_fit_make_the_site(drives, tmp_path):
-    report = build([drives / "elsewhere", drives / "a", drives / "b"], tmp_path / "map")
-    assert names_in(report) == ["a", "b"]
-    assert report["left_out"] == {"elsewhere": "it overlaps with no other session"}
 
 
 def test_fixes_place_drives_that_do_not_overlap(tmp_path):

@@ -26,10 +26,8 @@ from service.offline.tune.space import parameters_of
 from service.outputs import TileUpdate
 from simulators.worlds import WORLDS
 from tests.recorded_drive import record
-from tests.service.offline.replay.test_replay import T0_NS, RecordDrive, record_drive
+from tests.service.offline.recorded_drives import T0_NS, RecordDrive
 from tests.simulated import FORWARD, LMS100_50HZ, Wheels, drives
-
-__all__ = ["record_drive"]  # a fixture
 
 MAPPING = mapping_config()
 PARAMETERS = parameters_of(MAPPING, ["wall_sigma_m=0.0001:1", "odometry_position_walk=0.0001:1"])
