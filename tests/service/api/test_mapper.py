@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 import corridor
-from service.mapper.mapping_session import MappingSession
-from service.mapstore.files import load_map
 from tests.service.api.rooms import MOUNTINGS, driven
-from tests.service.mapstore.test_tiles import GEO
-from tests.service.timing.damages import damaged
-from tests.service.timing.test_damaged_times import zero
 
 ROOM_SCAN = next(frame for frame in driven().frames if isinstance(frame, corridor.LaserScan))
 
@@ -71,21 +66,22 @@ def test_a_config_is_a_file_or_what_would_stand_in_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("config", "words"),
+    ("settings", "error", "words"),
     [
-        ({"mapping": {"cel_m": 0.1}}, r"config:2:3: mapping\.cel_m: .*cell_m"),
-        ({"mapping": {"mode": "localization"}}, "localisation is in a stored map"),
+        (
+            {"config": {"mapping": {"cel_m": 0.1}}},
+            corridor.ConfigError,
+            r"config:2:3: mapping\.cel_m: .*cell_m",
+        ),
+        ({"config": {"mapping": {"mode": "localization"}}}, corridor.ConfigError, "is in a stored map"),
+        ({"mountings": {"front": (1.0, 2.0)}}, corridor.UsageError, r"mounting of front: .*expected \(x m"),
+        ({"mountings": {"front": (1.0, 2.0, np.nan)}}, corridor.UsageError, "mounting of front: "),
+        ({"version": 2}, corridor.UsageError, "version 2 is of a stored map"),
     ],
 )
-def test_a_wrong_config_is_refused_with_its_fault(config, words):
-    with pytest.raises(corridor.ConfigError, match=words):
-        corridor.Mapper(config)
-
-
-@pytest.mark.parametrize("mounting", [(1.0, 2.0), (1.0, 2.0, np.nan)])
-def test_a_mounting_has_three_numbers(mounting):
-    with pytest.raises(corridor.UsageError, match=r"mounting of front: .*expected \(x m, y m, yaw rad\)"):
-        corridor.Mapper(mountings={"front": mounting})
+def test_wrong_settings_are_refused_in_words(settings, error, words):
+    with pytest.raises(error, match=words):
+        corridor.Mapper(**settings)
 
 
 def test_a_scan_of_an_unknown_laser_is_refused_and_one_of_an_unmapped_laser_counted():
@@ -94,11 +90,6 @@ def test_a_scan_of_an_unknown_laser_is_refused_and_one_of_an_unmapped_laser_coun
     assert mapper.counters["scans_not_mapped"] == 1
     with pytest.raises(corridor.InputError, match="'left', where the mapper knows front, rear"):
         mapper.process(replace(ROOM_SCAN, sensor="left"))
-
-
-def test_a_version_of_no_map_is_refused():
-    with pytest.raises(corridor.UsageError, match="version 2 is of a stored map"):
-        corridor.Mapper(version=2)
 
 
 def test_what_is_no_frame_is_refused():
@@ -111,22 +102,6 @@ def test_a_late_scan_is_dropped_and_counted():
     assert mapper.process(ROOM_SCAN) is not None
     assert mapper.process(ROOM_SCAN) is None
     assert mapper.counters["scans_dropped_late"] == 1
-
-
-def test_frames_that_wait_for_their_stamps_to_be_judged_are_mapped_at_the_end():
-    mapper = corridor.Mapper(mountings={"front": (0.0, 0.0, 0.0)})
-    assert mapped(mapper, damaged("scan", zero(1))[:200]) == []
-    mapper.finish()
-    assert mapper.counters["scans"] == 7
-
-
-def test_a_saved_map_has_its_time_and_its_place_on_the_earth(tmp_path, monkeypatch):
-    monkeypatch.setattr(MappingSession, "geo_reference", GEO)
-    mapper = corridor.Mapper(mountings=MOUNTINGS)
-    mapper.process(ROOM_SCAN)
-    mapper.save(tmp_path / "map")
-    stored = load_map(tmp_path / "map")
-    assert (stored.geo, stored.saved_ns) == (GEO, ROOM_SCAN.stamp_ns)
 
 
 def test_a_saved_map_is_gone_on_in(stored):

@@ -1,5 +1,3 @@
-import logging
-
 import pytest
 
 import corridor
@@ -35,16 +33,3 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path):
         corridor.read(tmp_path / "x.mcap")
     with pytest.raises(corridor.InputError, match="no such file"):
         corridor.read(tmp_path / "y.mcap")
-
-
-def test_messages_that_cannot_be_used_are_in_the_log(recording, caplog, monkeypatch):
-    opened = corridor.read(recording)
-    decode = type(opened.session).decode
-    first = iter([None])
-    monkeypatch.setattr(
-        type(opened.session), "decode", lambda self, *given: next(first, decode(self, *given))
-    )
-    with caplog.at_level(logging.WARNING):
-        assert len(list(opened)) == len(driven().frames) - 1
-    assert "1 of" in caplog.text
-    assert "cannot be used" in caplog.text

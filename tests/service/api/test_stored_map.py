@@ -23,27 +23,10 @@ def test_a_scan_is_found_in_the_map_and_the_map_stays_as_it_is(stored):
     assert sorted(stored.rglob("*")) == before
 
 
-def test_a_scan_is_found_in_a_map_of_other_cells_too(tmp_path):
-    mapper = corridor.Mapper({"mapping": {"cell_m": 0.1}}, MOUNTINGS)
-    for frame in driven().frames:
-        mapper.process(frame)
-    mapper.save(tmp_path / "coarse")
-    scan = next(frame for frame in driven().frames if isinstance(frame, corridor.LaserScan))
-    pose = corridor.Map.load(tmp_path / "coarse").localize(scan, mountings=MOUNTINGS)
-    assert pose is not None
-    assert np.hypot(pose.x_m, pose.y_m) < 0.02
-
-
 def test_a_scan_that_fits_nowhere_has_no_pose(stored):
     angle = np.linspace(-2.0, 2.0, 400)
     elsewhere = corridor.scan(1.0 + 0.3 * np.sin(5.0 * angle), -2.0, 0.01, 10**9)
     assert corridor.Map.load(stored).localize(elsewhere) is None
-
-
-def test_a_scan_of_a_laser_without_mounting_is_refused(stored):
-    scan = next(frame for frame in driven().frames if isinstance(frame, corridor.LaserScan))
-    with pytest.raises(corridor.InputError, match="'front', where the mapper knows rear"):
-        corridor.Map.load(stored).localize(scan, mountings={"rear": (0.0, 0.0, 3.1)})
 
 
 def test_a_folder_without_a_map_is_refused(tmp_path, stored):

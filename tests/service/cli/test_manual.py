@@ -1,4 +1,3 @@
-import argparse
 import re
 import shutil
 import subprocess
@@ -11,22 +10,6 @@ from service.cli.arguments import new_parser
 from service.cli.manual import pages
 
 PAGES = dict(pages(new_parser()))
-
-
-def actions_of(parser: argparse.ArgumentParser):
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for child in action.choices.values():
-                yield from actions_of(child)
-        elif action.help is not argparse.SUPPRESS:
-            yield parser.prog.replace(" ", "-"), action
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_whatis_can_show_what_each_command_does(name: str):
-    assert re.search(
-        rf"^\.SH NAME\n{re.escape(name.replace('-', chr(92) + '-'))} \\- \w.+$", PAGES[name], re.MULTILINE
-    )
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="no groff: apt install groff")

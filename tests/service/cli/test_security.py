@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 
 import pytest
 
@@ -34,12 +33,6 @@ def test_init_makes_the_files_of_a_site_and_says_what_goes_into_the_config(tmp_p
 def test_wrong_names_hosts_and_days_are_wrong_usage(tmp_path, wrong):
     assert code_of(["security", "init", str(tmp_path / "site"), *wrong]) == UsageError.exit_code
     assert not (tmp_path / "site").exists()
-
-
-def test_a_folder_that_cannot_be_written_is_an_error_of_storage(tmp_path: Path, capsys):
-    (tmp_path / "file").touch()
-    assert code_of(["security", "init", str(tmp_path / "file" / "site")]) == 74
-    assert "Not a directory" in capsys.readouterr().err
 
 
 def test_tokens_of_the_page_are_added_listed_and_revoked(tmp_path, capsys):

@@ -38,13 +38,6 @@ print(gap)
 """).split() == ["2"]
 
 
-def test_a_kernel_that_waits_is_known_by_its_name_and_its_words():
-    run("""
-assert by_name.__name__ == "usual_gap" and "Most common gap" in by_name.__doc__
-assert by_name.__module__ == "service.kernels.usual_gap"
-""")
-
-
 def test_a_kernel_that_is_imported_later_finds_those_that_waited_and_waits_for_nothing():
     run("""
 held["gap"](np.array([0, 2], np.int32))

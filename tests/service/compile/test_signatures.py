@@ -13,7 +13,7 @@ import service.kernels
 from service.compile import signatures
 from service.compile.lazy import DECLARED, load_compiler
 from service.compile.signatures import declared_types, jobs_of_process, name_of
-from service.kernels.deskew import deskew_points, project_returns
+from service.kernels.deskew import deskew_points
 from service.kernels.likelihood_search import LikelihoodLayer, SearchWindow, search_exhaustive
 from service.kernels.tiles import TileIndex
 from service.mapper.profiles import import_methods, mapping_config
@@ -56,13 +56,6 @@ def arguments_of_a_search(cell: type[np.floating | np.integer]) -> Iterator[obje
 def test_what_is_declared_are_the_types_of_what_python_passes(cell: type):
     assert tuple(map(typeof, arguments_of_a_search(cell))) in declared_types(search_exhaustive)
     assert len(declared_types(search_exhaustive)) == 2
-
-
-def test_a_read_only_array_is_declared_as_such():
-    range_m = np.zeros(3, np.float32)
-    assert typeof(range_m) != declared_types(project_returns)[0][0]
-    range_m.setflags(write=False)
-    assert typeof(range_m) == declared_types(project_returns)[0][0]
 
 
 @pytest.mark.parametrize("xy", [np.zeros((3, 2), np.float32), np.zeros((2, 3)).T, np.zeros((3, 4))[:, ::2]])

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 from numba import njit
-from numba.core.dispatcher import Dispatcher
 
 from service.compile import warm_up as module
 from service.compile.cache import cache_folder
-from service.compile.signatures import Job, jobs_of_process
-from service.compile.warm_up import Jobs, KernelProgress, warm_up
+from service.compile.signatures import Job
+from service.compile.warm_up import KernelProgress, warm_up
 from service.compile.worker import Worker
-from service.mapper.profiles import mapping_config
 
 CORES = {0, 1}
 
@@ -143,33 +141,3 @@ def test_a_cache_that_was_cut_short_is_emptied_and_filled_again(
     assert work.done == ["cached"]
     assert not damaged.exists()
     assert "all are compiled again" in caplog.text
-
-
-def test_what_cannot_be_read_from_an_empty_cache_is_raised(
-    work: Work, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-):
-    def broken(job: Job) -> None:
-        raise EOFError
-
-    work.is_to_do("cached")
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(Job, "do", broken)
-    with pytest.raises(EOFError):
-        warm_up()
-
-
-def test_a_process_takes_the_kernel_that_shares_most_with_what_it_has_compiled():
-    mapping_config()
-    jobs = {job.name: job for job in jobs_of_process()[0]}
-    names = ("match_scan", "predict_motion", "take_match", "bias_information")
-    left = Jobs([jobs[name] for name in names])
-    here: set[Dispatcher] = set()
-    there: set[Dispatcher] = set()
-    taken = [left.take(compiled) for compiled in (here, there, here, there, here)]
-    assert [job and job.name for job in taken] == [
-        "match_scan",
-        "predict_motion",
-        "bias_information",
-        "take_match",
-        None,
-    ]

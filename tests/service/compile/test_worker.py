@@ -1,4 +1,3 @@
-import logging
 import os
 import select
 import shutil
@@ -12,7 +11,7 @@ import pytest
 from service.compile.cache import cache_folder
 from service.compile.lazy import load_compiler
 from service.compile.signatures import Job, jobs_of_process
-from service.compile.worker import LAST, SeldomKernels, Worker
+from service.compile.worker import SeldomKernels
 from service.mapper.profiles import mapping_config
 
 WITHIN_S = 600.0  # the process that compiles takes only what processor time no one else wants
@@ -53,23 +52,6 @@ def test_seldom_kernels_are_compiled_by_another_process_and_loaded_here_one_at_a
     for name in ("build_pyramid", "write_tiles"):
         assert list(tmp_path.glob(f"**/*.{name}-*.nbc"))
     assert not list(tmp_path.glob("**/match.match_scan*.nbi"))
-
-
-def test_the_process_has_the_lowest_priority():
-    with Worker(LAST) as process:
-        assert process.wait_for_line()
-        assert os.getpriority(os.PRIO_PROCESS, process.pid) == LAST
-        process.send(None)
-    assert process.returncode == 0
-
-
-def test_a_process_that_died_is_logged_once(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-):
-    monkeypatch.setattr(sys, "executable", "/bin/false")
-    with caplog.at_level(logging.WARNING):
-        drain(SeldomKernels([Job("service.kernels.occupancy", "write_tiles", 0, 1)]))
-    assert caplog.text.count("compiled when needed") == 1
 
 
 SCRIPT = """

@@ -91,16 +91,6 @@ def test_a_clock_that_is_set_back_keeps_the_order(tmp_path):
     ]
 
 
-def test_a_journal_that_cannot_be_written_is_an_error_in_the_log_once(tmp_path, caplog):
-    journal = FleetJournal(tmp_path / "missing" / "fleet.sqlite")
-    drive(journal.health, 1)
-    journal.write()
-    drive(journal.health, 1, first=5)
-    journal.write()
-    assert [record.levelname for record in caplog.records] == ["ERROR"]
-    assert "fleet.sqlite" in caplog.text
-
-
 def test_a_journal_that_is_damaged_is_refused_and_the_link_stays(
     endpoint, router, start_vehicle, open_client, tmp_path
 ):

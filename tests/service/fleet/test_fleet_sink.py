@@ -110,16 +110,6 @@ def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
     wait_until(lambda: answers(client) == ["second"])  # once the router knows of its commands
 
 
-def test_over_tls_a_vehicle_shows_its_certificate(start_router, start_vehicle, endpoint, client_of):
-    secured = endpoint.replace("tcp", "tls")
-    start_router(secured)
-    sink = start_vehicle(secured)
-    sink.put(diagnostics())
-    wait_until(lambda: list(client_of(secured, "viewer").get(f"{VEH1}/health", timeout=20.0)))
-    stranger = start_vehicle(secured, "veh2", waits=False, certificate="other/operator")
-    wait_until(lambda: "no router" in stranger.health().message)
-
-
 def test_a_vehicle_may_not_speak_by_the_name_of_another(start_router, start_vehicle, endpoint, client_of):
     secured = endpoint.replace("tcp", "tls")
     start_router(secured)

@@ -103,15 +103,3 @@ def test_with_a_stored_map_the_tiles_of_the_vehicles_are_left_out(
         assert [(t.ix, t.iy) for t in page.store.since(0)] == [(7, 7)]
     with pytest.raises(InputError, match="no stored map"):
         FleetPage(open_client(endpoint), "127.0.0.1:0", tmp_path / "nothing")
-
-
-def test_what_is_no_tile_is_passed_over(endpoint, router, open_client, caplog):
-    client = open_client(endpoint)
-    with closing(FleetPage(open_client(endpoint), "127.0.0.1:0")) as page:
-        wait_until(
-            lambda: (
-                client.put("corridor/v1/veh1/map/tile/0/0/x", b"\0\1\0\0nonsense")
-                or "is no tile" in caplog.text
-            )
-        )
-        assert page.store.version == 0

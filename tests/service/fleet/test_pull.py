@@ -107,11 +107,6 @@ def test_of_two_vehicles_by_one_name_nothing_is_fetched(
     assert not out.exists()
 
 
-def test_a_router_without_vehicles_is_a_warning(router, site_file, tmp_path, capsys):
-    assert code_of(["fleet", "pull", "--site", site_file, "--out", str(tmp_path / "out")]) == 0
-    assert "no vehicle at this router" in capsys.readouterr().err
-
-
 def test_the_command_says_what_it_fetched_and_asks_a_vehicle_that_is_named_twice_once(
     vehicle, site_file, recordings, tmp_path, capsys
 ):

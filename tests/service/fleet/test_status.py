@@ -15,7 +15,7 @@ import zenoh
 
 from service.config import load_publishing
 from service.encoding import encode_pose
-from service.errors import ConfigError, StorageError
+from service.errors import StorageError
 from service.fleet import vehicles as vehicles_module
 from service.fleet import watch as watch_module
 from service.fleet.router import zenohd_config
@@ -68,13 +68,6 @@ def test_two_vehicles_by_one_name_make_the_exit_code_1_and_both_are_named(
     wait_until(lambda: len(list(client.liveliness().get(PRESENCES, timeout=20.0))) == 2)
     code, vehicles = vehicles_at(capsys, site_file)
     assert (code, len(vehicles["veh1"]["sessions"])) == (1, 2)
-
-
-def test_a_site_file_with_a_fault_is_a_bad_config(tmp_path, capsys):
-    path = tmp_path / "site.yaml"
-    path.write_text('publishing:\n  conect: ["tcp/127.0.0.1:7447"]\n')
-    assert code_of(["fleet", "status", "--site", str(path)]) == ConfigError.exit_code
-    assert f"{path}:2:3" in capsys.readouterr().err
 
 
 def test_what_is_no_health_message_is_a_fault_of_its_vehicle(endpoint, router, open_client):

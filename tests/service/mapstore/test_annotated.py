@@ -3,10 +3,9 @@ import pytest
 from PIL import Image
 
 from service.mapstore.annotated import AXIS_X, AXIS_Y, INK, PALETTE, WAY, annotated, scale_bar_m
-from service.mapstore.picture import GREY_UNKNOWN, WHITE_FREE, picture_of_grid, picture_of_tiles
+from service.mapstore.picture import GREY_UNKNOWN, WHITE_FREE, picture_of_grid
 from service.mapstore.png import write_png
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
-from tests.service.mapstore.tile_makers import tile
 
 CELL_M, X_MIN_M, Y_MIN_M = 0.05, -20.0, -15.0
 
@@ -59,15 +58,6 @@ def test_the_path_the_origin_and_the_bar_are_where_they_belong(picture):
     rows, columns = np.nonzero(pixels == INK)
     assert rows.min() > at(shown, 0.0, -3.0)[0]  # below the room
     assert columns.max() - columns.min() == 2.0 / CELL_M  # 2 m
-
-
-def test_marks_lie_in_the_right_band_of_tiles():
-    tiles = [tile(x, y, 1, value=FREE, edge=32) for x in range(-1, 2) for y in range(-1, 2)]
-    by_bands = annotated(picture_of_tiles(tiles), [np.array([(-10.0, -10.0), (20.0, 20.0)])])
-    pixels = pixels_of(by_bands)
-    for x_m in (-9.0, 0.0, 7.0, 19.0):
-        row, column = at(by_bands, x_m, x_m)
-        assert np.isin(pixels[row - 1 : row + 2, column - 1 : column + 2], (WAY, AXIS_X, AXIS_Y)).any()
 
 
 def test_it_reads_as_a_picture_in_colour(picture, tmp_path):

@@ -1,7 +1,5 @@
 """Versions that a person made: kept, listed, taken back one by one."""
 
-import json
-
 import pytest
 
 from service.errors import InputError
@@ -43,25 +41,3 @@ def test_a_damaged_version_is_not_restored(tmp_path):
     assert versions_of(tmp_path)[1] == 2
     with pytest.raises(InputError, match="no version 9; there are 1, 2"):
         restore_version(tmp_path, 9, 1, Edit("ada", "undo", "", 2, 9))
-
-
-def test_a_version_whose_manifest_no_one_can_read_is_named_and_stays(tmp_path):
-    for k in (1, 2):
-        save_map(tmp_path, [tile(0, 0, k)], k)
-    (tmp_path / "v000001" / "manifest.json").write_text("{}")
-    for k in range(3, 7):
-        save_map(tmp_path, [tile(0, 0, k)], k)
-    versions, _, problems = versions_of(tmp_path)
-    assert [version.number for version in versions] == [4, 5, 6]
-    assert len(problems) == 1
-    assert "v000001/manifest.json" in problems[0]
-
-
-def test_a_changed_edit_is_seen(tmp_path):
-    save_map(tmp_path, [tile(0, 0, 1)], 1)
-    edited(tmp_path, 2, 1)
-    path = tmp_path / "v000002" / "manifest.json"
-    manifest = json.loads(path.read_text())
-    manifest["edit"]["who"] = "eve"
-    path.write_text(json.dumps(manifest))
-    assert "its own checksum" in versions_of(tmp_path)[2][0]

@@ -6,9 +6,6 @@ from pathlib import Path
 import pytest
 
 from service.errors import InputError, StorageError
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
-from service.geometry.se2 import SE2
 from service.mapstore import files
 from service.mapstore.files import (
     KEEP_VERSIONS,
@@ -22,7 +19,7 @@ from service.mapstore.geo_file import read_geo
 from service.mapstore.manifest import FORMAT, digest_of
 from service.mapstore.ros_map import read_ros_map
 from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import same, tile
+from tests.service.mapstore.tile_makers import GEO, same, tile
 
 
 class Killed(BaseException):
@@ -54,11 +51,11 @@ def test_a_version_that_a_session_began_in_is_kept(tmp_path):
     assert not has_version(tmp_path, 1, digest)
 
 
-@pytest.mark.parametrize("name", ["tiles.npz", "map.pgm", "map.yaml", "map.png", "manifest.json"])
+@pytest.mark.parametrize("name", ["tiles.npz", "map.pgm", "map.yaml", "map.png", "geo.json", "manifest.json"])
 @pytest.mark.parametrize("damage", ["flipped", "cut", "gone"])
 def test_a_damaged_version_is_passed_over_and_named(tmp_path, name, damage):
-    save_map(tmp_path, [tile(0, 0, 1)], 1)
-    save_map(tmp_path, [tile(0, 0, 2)], 2)
+    for version in (1, 2):
+        save_map(tmp_path, [tile(0, 0, version)], version, geo=GEO)
     path = tmp_path / "v000002" / name
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0x10
@@ -224,9 +221,6 @@ def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path
     assert not list(tmp_path.glob(".unfinished-*"))
 
 
-GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
-
-
 def test_a_map_keeps_where_it_lies_on_the_earth_and_map_yaml_is_the_same(tmp_path):
     save_map(tmp_path / "there", TILES, 1, geo=GEO)
     save_map(tmp_path / "nowhere", TILES, 1)
@@ -238,21 +232,3 @@ def test_a_map_keeps_where_it_lies_on_the_earth_and_map_yaml_is_the_same(tmp_pat
     save_map(tmp_path / "there", TILES, 2)
     assert not (tmp_path / "there" / "geo.json").is_symlink()
     assert load_map(tmp_path / "there").geo is None
-
-
-def test_a_damaged_geo_reference_makes_a_version_damaged(tmp_path):
-    save_map(tmp_path, TILES, 1, geo=GEO)
-    save_map(tmp_path, TILES, 2, geo=GEO)
-    path = tmp_path / "v000002" / "geo.json"
-    path.write_text(path.read_text().replace("60.161", "61.161"))
-    stored = load_map(tmp_path)
-    assert stored.number == 1
-    assert "geo.json" in stored.problems[0]
-
-
-def test_a_geo_json_of_someone_else_is_not_written_over(tmp_path):
-    (tmp_path / "geo.json").write_text("mine")
-    with pytest.raises(StorageError, match=r"geo\.json is a file of somebody else"):
-        save_map(tmp_path, TILES, 1, geo=GEO)
-    assert (tmp_path / "geo.json").read_text() == "mine"
-    assert save_map(tmp_path, TILES, 1) == 1

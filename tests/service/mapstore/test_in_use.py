@@ -13,8 +13,3 @@ def test_a_disk_that_takes_nothing_is_reported_and_leaves_the_map_free(tmp_path:
     (tmp_path / ".in_use").unlink()
     with InUse(tmp_path, "an edit"):
         pass
-
-
-def test_a_folder_that_is_gone_is_reported(tmp_path: Path):
-    with pytest.raises(StorageError, match="gone"):
-        InUse(tmp_path / "gone", "an edit")

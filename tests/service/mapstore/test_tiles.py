@@ -5,15 +5,10 @@ import numpy as np
 import pytest
 
 from service.errors import StorageError
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
-from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
 from service.outputs import UNKNOWN
 from tests.in_background import in_background
-from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
-
-GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
+from tests.service.mapstore.tile_makers import CELL_M, EDGE, GEO, tile
 
 
 def test_an_empty_store_has_no_version_and_no_grid():
@@ -30,15 +25,6 @@ def test_a_newer_tile_replaces_and_an_older_one_does_not():
     assert [(t.ix, t.version) for t in store.since(0)] == [(1, 6), (0, 7)]
     assert [(t.ix, t.version) for t in store.since(6)] == [(0, 7)]
     assert store.since(7) == []
-
-
-def test_the_size_of_the_map_is_that_of_its_finest_level_without_maps_before():
-    store = TileStore()
-    assert (store.finest_count, store.extent_m) == (0, (0.0, 0.0))
-    store.update([tile(-1, 0, 1), tile(2, 0, 2), tile(9, 9, 3, level=1)])
-    assert (store.finest_count, store.extent_m) == (2, (4 * EDGE * CELL_M, EDGE * CELL_M))
-    store.start_over()
-    assert (store.finest_count, store.extent_m) == (0, (0.0, 0.0))
 
 
 def slow_grid(tiles):
@@ -93,13 +79,6 @@ def test_a_tile_far_away_is_refused_as_a_picture_and_kept_as_a_tile():
         with pytest.raises(StorageError, match=r"spans 40004 x 40004 m, 6401280064 cells"):
             store.grid()
     assert len(store.since(0)) == 2
-
-
-def test_tiles_of_another_cell_size_are_refused():
-    store = TileStore()
-    store.update([tile(0, 0, 1), tile(1, 0, 2, edge=16)])
-    with pytest.raises(ValueError, match=r"\(16, 16\) cells of 0.5 m; this map has 8 x 8 of 0.5 m"):
-        store.grid()
 
 
 def test_updates_and_pictures_from_two_threads_end_in_the_same_map():

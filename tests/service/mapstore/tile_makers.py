@@ -1,10 +1,14 @@
-"""Tiles for tests."""
+"""Tiles for tests, and where their map lies."""
 
 import numpy as np
 
+from service.geometry.geo_reference import GeoReference
+from service.geometry.geodesy import LocalFrame
+from service.geometry.se2 import SE2
 from service.outputs import TileUpdate
 
 EDGE, CELL_M = 8, 0.5
+GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
 
 
 def tile(

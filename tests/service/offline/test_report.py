@@ -7,7 +7,6 @@ import pytest
 
 from service.cli import main
 from service.errors import InputError
-from service.offline.maps.edit import edit_map, erase
 from service.offline.replay.replay import ReplayOptions, replay, replay_all, write_replay
 from service.offline.report import REPORT_FILE, write_report
 from tests.service.offline.recorded_drives import RecordDrive, recorder_in
@@ -140,16 +139,6 @@ def test_an_older_result_says_what_it_does_not_hold(result: Path):
     assert page.count("image", "cells") == 1  # that of map.yaml
 
 
-def test_an_edit_of_the_map_is_in_the_page(result: Path):
-    before = page_of(result)
-    walls = [of["href"] for name, of in before.tags if name == "image"]
-    corners = (4.0, -4.0, 8.0, -4.0, 8.0, 4.0, 4.0, 4.0)
-    edit_map(result / "map", "erase", erase(corners, "unknown"), "me", now_ns=1)
-    after = page_of(result)
-    assert [of["href"] for name, of in after.tags if name == "image"] != walls
-    assert "map as edited: " in after.text
-
-
 @pytest.mark.parametrize(
     ("summary", "fault"),
     [
@@ -188,13 +177,6 @@ def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
     written = (tmp_path / "out" / REPORT_FILE).read_bytes()
     write_report(tmp_path / "out", tmp_path / "out" / REPORT_FILE)
     assert (tmp_path / "out" / REPORT_FILE).read_bytes() == written
-
-
-def test_the_command_says_where_the_page_is(result: Path, capfd: pytest.CaptureFixture[str]):
-    page = result.with_name("page.html")
-    assert main(["report", str(result), "--out", str(page), "--json"]) == 0
-    assert json.loads(capfd.readouterr().out) == {"result": str(result), "out": str(page), "missing": []}
-    assert "summary.json</a>" not in page.read_text(encoding="utf-8")  # no links to what is not beside it
 
 
 def test_a_drive_of_one_scan_has_a_page(record_drive: RecordDrive, tmp_path: Path):

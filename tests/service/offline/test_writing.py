@@ -7,7 +7,7 @@ from service.cli import main
 from service.errors import StorageError
 from service.offline.calibrate import calibrate as calibrate_module
 from service.offline.replay import replay as replay_module
-from service.offline.writing import complete_files, refuse_unwritable_file, refuse_unwritable_folder
+from service.offline.writing import refuse_unwritable_file, refuse_unwritable_folder
 
 
 def test_a_file_where_a_folder_is_needed_is_named(tmp_path: Path):
@@ -22,15 +22,6 @@ def test_a_folder_without_rights_is_named(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(StorageError, match=f"no right to write in {tmp_path}"):
         refuse_unwritable_folder(tmp_path / "x")
-
-
-def test_what_is_no_ordinary_file_is_written_directly(tmp_path: Path):
-    (tmp_path / "link").symlink_to(tmp_path / "target")
-    with complete_files(tmp_path / "link") as path:
-        path.write_text("content")
-    assert (tmp_path / "target").read_text() == "content"
-    with complete_files(Path("/dev/null")) as path:
-        assert path == Path("/dev/null")
 
 
 def test_an_output_that_cannot_be_written_is_refused_before_the_work(

@@ -151,10 +151,3 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
     row = sinks.health()[0]
     assert (row.level, row.message) == (ERROR, f"hangs did not {action} within 0 s")
     hangs.may_end.set()
-
-
-def test_what_commands_need_is_found_or_reported_missing():
-    with pytest.raises(LookupError, match="records sessions"):
-        Sinks([ListSink()]).session_recorder()
-    with pytest.raises(LookupError, match="stores maps"):
-        Sinks([ListSink()]).map_storage()

@@ -13,7 +13,6 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
-from foxglove import layouts
 from rosbags.typesys import Stores, get_typestore
 
 from service.encoding import ERROR, OK, encode_tf_static
@@ -21,7 +20,6 @@ from service.errors import StorageError
 from service.geometry.se2 import SE2
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
-from service.resources import CONFIG
 from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.foxglove_sink import MAX_WAITING, FoxgloveSink, open_sink
 from service.sinks.sink import SinkContext
@@ -31,7 +29,6 @@ from tests.waiting import wait_until
 
 TIMEOUT_S = 20.0
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
-LAYOUT = json.loads((CONFIG / "layouts" / "foxglove.json").read_text())
 
 
 @pytest.fixture
@@ -184,36 +181,3 @@ def test_without_the_package_the_config_is_refused_in_words(monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(StorageError, match=re.escape("-m pip install 'foxglove-sdk<")):
         open_sink(FoxgloveConfig(enabled=True), context)
-
-
-def keys(model: Any) -> set[str]:
-    return set(model()._to_dict())
-
-
-def test_the_layout_is_made_of_panels_and_settings_that_the_sdk_knows() -> None:
-    of_panel = {
-        "3D": keys(layouts.ThreeDeeConfig),
-        "DiagnosticSummary": keys(layouts.DiagnosticsSummaryConfig),
-        "Plot": keys(layouts.PlotConfig),
-        "RawMessages": keys(layouts.RawMessagesConfig),
-    }
-    for name, config in LAYOUT["configById"].items():
-        assert config.keys() <= of_panel[name.partition("!")[0]], name
-    scene = LAYOUT["configById"]["3D!corridor-map"]
-    assert scene["cameraState"].keys() <= keys(layouts.ThreeDeeCameraState)
-    of_topic = {
-        "/map": keys(layouts.BaseRendererRosOccupancyGridTopicSettings),
-        "/graph": keys(layouts.BaseRendererRosMarkerTopicSettings),
-        "/pose": keys(layouts.BaseRendererPoseTopicSettings),
-    }
-    for topic, settings in scene["topics"].items():
-        known = of_topic.get(topic, keys(layouts.BaseRendererLaserScanTopicSettings))
-        assert settings.keys() <= known, topic
-    for series in LAYOUT["configById"]["Plot!corridor-speed"]["paths"]:
-        assert series.keys() <= keys(layouts.PlotSeries)
-    assert sorted(shown(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
-
-
-def shown(part: Any) -> list[str]:
-    """Panels of a split, and of the splits in it."""
-    return [part] if isinstance(part, str) else [*shown(part["first"]), *shown(part["second"])]

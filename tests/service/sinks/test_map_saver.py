@@ -10,9 +10,6 @@ import pytest
 
 from service.encoding import Message, decode_grid
 from service.errors import StorageError
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
-from service.geometry.se2 import SE2
 from service.mapstore.config import MapConfig
 from service.mapstore.files import check_versions, load_map, save_map
 from service.mapstore.graph_files import GraphFolder
@@ -23,11 +20,11 @@ from service.publishing.commands import Answer
 from service.sinks.map_saver import MAX_ASKED, MapSaver
 from service.sinks.sink import SavedMap
 from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import GEO
 from tests.service.sinks.contexts import sink_context
 from tests.waiting import wait_until
 
 NOBODY = 4_194_305  # above every process id that Linux gives
-GEO = GeoReference(LocalFrame(60.161, 24.546, 51.7), SE2(3.0, -4.0, 0.0), 0.8, 0.01, 41)
 
 
 def tile(version: int) -> TileUpdate:

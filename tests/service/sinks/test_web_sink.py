@@ -83,18 +83,6 @@ def test_commands_reach_the_service_from_the_start_on_with_the_token_of_the_file
     assert not ask_at(sink, "another")["ok"]
 
 
-def test_a_token_that_others_may_read_is_used_by_no_one(open_page, tmp_path):
-    path = tmp_path / "open.token"
-    path.write_text("known\n")
-    path.chmod(0o644)
-    sink = open_page(token_file=path)
-    sink.start()
-    assert sink.health().level == 1
-    assert sink.health().values["reason_id"] == "token_unreadable"
-    assert "chmod 600" in sink.health().message
-    assert not ask_at(sink, "known")["ok"]
-
-
 def test_the_token_lies_in_the_folder_of_state(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "xdg"))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)

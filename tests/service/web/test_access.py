@@ -3,7 +3,7 @@ import stat
 import pytest
 
 from service.errors import StorageError
-from service.web.access import host_fault, is_token, origin_fault, own_names, token_from_file
+from service.web.access import host_fault, is_token, own_names, token_from_file
 
 NAMES = own_names(("vehicle.local",))
 
@@ -52,10 +52,3 @@ def test_a_folder_that_cannot_be_made_is_reported(tmp_path):
 def test_only_addresses_and_own_names_may_be_opened(host, is_ours):
     fault = host_fault(host, NAMES)
     assert fault == "" if is_ours else "web.hosts" in fault
-
-
-def test_another_page_may_not_speak_to_the_service():
-    assert origin_fault("http://127.0.0.1:8080", "127.0.0.1:8080", "http") == ""
-    assert origin_fault(None, "127.0.0.1:8080", "http") == ""
-    for origin in ("http://evil.example", "http://127.0.0.1:8081", "https://127.0.0.1:8080", "null"):
-        assert "may not speak" in origin_fault(origin, "127.0.0.1:8080", "http")

@@ -74,15 +74,6 @@ def test_a_name_that_is_not_ours_is_refused_everywhere(serve, path):
     talk(serve(), look)
 
 
-def test_a_message_that_cannot_be_read_is_answered_in_words(serve):
-    async def ask(client):
-        async with client.socket() as socket:
-            await socket.send_str("{")
-            assert "JSON" in (await client.next(socket, "refused"))["error"]
-
-    talk(serve(), ask)
-
-
 @pytest.mark.parametrize("text", ["x" * 70_000, None])
 def test_what_is_too_large_or_no_text_ends_the_talk(serve, text):
     async def ask(client):
@@ -105,20 +96,6 @@ def test_who_asks_too_often_is_let_go(serve):
             assert code in (aiohttp.WSCloseCode.POLICY_VIOLATION, aiohttp.WSCloseCode.ABNORMAL_CLOSURE)
 
     talk(serve(), ask)
-
-
-def test_only_so_many_browsers_with_a_token_look_at_once(serve):
-    async def look(client):
-        async with client.socket() as first, client.socket() as second:
-            for socket in (first, second):
-                await client.ask(socket, type="token", token=TOKEN)
-                await client.next(socket, "access")
-            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
-                async with client.socket():
-                    raise AssertionError("opened")
-            assert refused.value.status == 503
-
-    talk(serve(most_browsers=2), look)
 
 
 def test_sockets_without_a_token_do_not_keep_out_one_that_has_it(serve, dispatcher):

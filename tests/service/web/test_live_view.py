@@ -94,13 +94,6 @@ def test_health_says_since_when_it_is_so_whatever_its_words(view):
     assert facts(4, "ok", "") == stamp(4) / 1e9
 
 
-def test_health_says_how_long_a_frame_is_under_way(view):
-    for message in Scene().messages(1.0):
-        view.put(message)
-    (health,) = texts(view.due(), "health")
-    assert health["latency_ms"] == {"front": pytest.approx(5.0), "rear": pytest.approx(5.0)}
-
-
 def test_figures_are_sent_once_a_second_and_in_full_to_a_late_browser(view, clock):
     scene = Scene()
     facts = []
@@ -120,18 +113,6 @@ def test_figures_are_sent_once_a_second_and_in_full_to_a_late_browser(view, cloc
     assert whole["goes_on"] is False
     assert whole["stamp_s"] == [m["stamp_s"][0] for m in facts]
     assert whole["state"] == ["ok", "ok"]
-
-
-def test_figures_of_a_run_that_begins_again_take_the_place_of_those_before(view):
-    scene = Scene()
-    facts = []
-    for seconds in (100.0, 101.0, 102.0, 0.0, 1.0, 2.0):
-        for message in scene.messages(seconds):
-            view.put(message)
-        facts += texts(view.due(), "series")
-    assert [m["goes_on"] for m in facts] == [True, True, False, True]
-    (whole,) = texts(view.snapshot(), "series")
-    assert len(whole["stamp_s"]) == 2
 
 
 def test_a_late_browser_gets_the_path_and_a_map_reset_ends_it(view):
@@ -206,13 +187,6 @@ def test_bytes_that_are_no_pose_are_counted(view):
     view.put(Message("pose", "nav_msgs/msg/Odometry", 1, 1, b"\x00\x01\x00\x00"))
     assert view.due() == []
     assert view.unreadable == 1
-
-
-def test_the_whole_map_and_its_tiles_are_left_to_the_feed(view):
-    for channel in ("map", "map/meta", "map/tile/0/1/1", "tf", "odom", "imu/imu"):
-        view.put(Message(channel, "x", 1, 1, b""))
-    assert view.due() == []
-    assert view.unreadable == 0
 
 
 def test_sensors_with_poses_of_their_own_are_not_the_pose(view):

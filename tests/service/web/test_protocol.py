@@ -14,7 +14,6 @@ from service.web.protocol import (
     CommandRequest,
     RequestError,
     TokenShown,
-    encode_path,
     encode_scan,
     encode_tiles,
     pose_json,
@@ -52,12 +51,6 @@ def test_ranges_come_back_to_half_a_step_and_no_return_as_zero():
     steps = np.frombuffer(payload, "<u2", offset=24 + name_bytes)
     assert steps.tolist() == [200, 0, 1, 65260, 0, 0]
     assert steps[3] * RANGE_STEP_M == pytest.approx(326.3, abs=RANGE_STEP_M / 2)
-
-
-def test_a_path_is_pairs_of_metres():
-    payload = encode_path(np.array([[1.5, -2.0], [0.25, 8.0]], np.float32))
-    assert struct.unpack_from("<BBHI", payload) == (3, 0, 0, 2)
-    assert np.frombuffer(payload, "<f4", offset=8).tolist() == [1.5, -2.0, 0.25, 8.0]
 
 
 def test_a_pose_keeps_every_digit_of_its_stamp():

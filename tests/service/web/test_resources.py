@@ -127,13 +127,6 @@ def test_what_the_service_writes_to_stays(resources, folders, used):
     assert resources.listing()["map"][0]["in_use"]
 
 
-def test_a_session_is_handed_out_as_it_lies(resources, folders):
-    download = resources.download("session", "a.mcap", "mcap")
-    assert (download.path, download.name) == (folders["session"] / "a.mcap", "a.mcap")
-    download.clean_up()
-    assert (folders["session"] / "a.mcap").exists()
-
-
 def test_a_map_is_handed_out_whole_and_its_exports_as_files_or_zip(resources, folders, tmp_path):
     whole = resources.download("map", "office", "zip")
     with zipfile.ZipFile(whole.path) as archive:
@@ -150,13 +143,6 @@ def test_a_map_is_handed_out_whole_and_its_exports_as_files_or_zip(resources, fo
     assert list((tmp_path / "scratch").iterdir()) == []
 
 
-def test_an_export_of_one_file_is_that_file(resources):
-    download = resources.download("map", "office", "svg")
-    assert (download.name, download.path.name) == ("office.svg", "office.svg")
-    assert download.path.stat().st_size > 50
-    download.clean_up()
-
-
 def test_an_export_that_fails_says_why_and_leaves_nothing(resources, tmp_path):
     with pytest.raises(ResourceError, match=r"a\.mcap"):
         resources.download("session", "a.mcap", "tum")
@@ -166,13 +152,6 @@ def test_an_export_that_fails_says_why_and_leaves_nothing(resources, tmp_path):
 def test_a_format_that_there_is_not_is_refused(resources):
     with pytest.raises(ResourceError, match="a map is had as zip, png"):
         resources.download("map", "office", "exe")
-
-
-def test_a_map_that_is_in_use_is_looked_at(resources, folders, used):
-    used.append(folders["map"] / "office")
-    assert resources.look("office")["version"] == 1
-    with pytest.raises(ResourceError, match=r"there is no map '\.\./office'"):
-        resources.look("../office")
 
 
 def test_one_export_at_a_time(resources, monkeypatch):

@@ -21,13 +21,6 @@ def test_each_note_waits_and_the_oldest_goes_first():
     assert send_queue.dropped == 2
 
 
-def test_notes_go_before_pictures():
-    send_queue = SendQueue()
-    send_queue.put("pose", "picture")
-    send_queue.note("hello")
-    assert send_queue.take() == ["hello", "picture"]
-
-
 def test_no_answer_is_left_out_however_much_happens():
     send_queue = SendQueue()
     send_queue.answer("hello")

@@ -11,21 +11,6 @@ def count_of(payload: bytes) -> int:
     return struct.unpack_from("<I", payload, 8)[0]
 
 
-def test_a_browser_gets_what_it_has_not():
-    store = TileStore()
-    store.update([tile(0, 0, 1), tile(1, 0, 2)])
-
-    async def ask():
-        feed = TileFeed(store)
-        whole = await feed.after(0)
-        assert (count_of(whole.payload), whole.version, whole.is_last) == (2, 2, True)
-        assert await feed.after(2) is None
-        store.update([tile(0, 0, 3)])
-        assert count_of((await feed.after(2)).payload) == 1
-
-    asyncio.run(ask())
-
-
 def test_a_large_map_comes_in_parts_between_versions(monkeypatch):
     monkeypatch.setattr(tile_stream, "FIRST_CELLS", EDGE**2)
     monkeypatch.setattr(tile_stream, "MAX_CELLS", 2 * EDGE**2)

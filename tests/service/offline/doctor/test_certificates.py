@@ -125,13 +125,6 @@ def test_the_certificate_of_the_page_is_looked_at_too(tree, site):
     assert faults(tree, config("tls: null", f"enabled: false, {web}")) == []
 
 
-def test_a_page_on_the_network_without_tls_is_noted(tree):
-    (found,) = faults(tree, config("tls: null", "listen: 0.0.0.0:8080"))
-    assert (found.severity, found.who) == ("note", "web")
-    assert "the token can be read in transit" in found.measured
-    assert faults(tree, config("tls: null", "listen: localhost:8080")) == []
-
-
 def test_without_cryptography_it_is_noted_what_to_install(tree, site, monkeypatch):
     monkeypatch.setitem(sys.modules, "service.offline.security.authority", None)
     (found,) = faults(tree, config())

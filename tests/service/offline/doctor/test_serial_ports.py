@@ -95,13 +95,3 @@ def test_modem_manager_is_only_a_danger_where_it_may_take_the_port(tree: FakeTre
     assert "ID_MM_DEVICE_IGNORE" in finding.remedy
     tree.write(sysfs(tree, terminal, "/run/udev/data/c"), "E:ID_MM_DEVICE_IGNORE=1\n")
     assert look_at_port(tree.machine(), "base", PORT).findings == ()
-
-
-@pytest.mark.parametrize(("timer_ms", "notes"), [("16", 1), ("1", 0), ("", 0)])
-def test_a_latency_timer_of_16_ms_is_noted(
-    tree: FakeTree, port: Path, terminal: str, timer_ms: str, notes: int
-):
-    tree.write(sysfs(tree, terminal) + "/device/latency_timer", timer_ms + "\n")
-    findings = look_at_port(tree.machine(), "base", PORT).findings
-    assert len(findings) == notes
-    assert all("up to 16 ms" in finding.measured and "tee /sys" in finding.remedy for finding in findings)

@@ -16,17 +16,24 @@ from service.offline.export.export import export
 from service.offline.score.trajectory import write_tum
 from tests.service.offline.export.conftest import POSES, REFERENCE
 
+POLAR = GeoReference(LocalFrame(89.0, 0.0, 0.0), SE2(), 0.8, 0.01, 41)
+
 
 def earth(pose: SE2) -> tuple[float, float]:
     return REFERENCE.to_geodetic(pose.x_m, pose.y_m)
 
 
-def test_geojson_is_a_line_of_longitude_and_latitude(anchored, tmp_path):
+def test_geojson_and_kml_are_a_line_of_longitude_and_latitude(anchored, tmp_path):
     export(anchored, "geojson", tmp_path / "way.geojson")
     feature, *_ = json.loads((tmp_path / "way.geojson").read_text())["features"]
     assert feature["geometry"]["type"] == "LineString"
-    for (longitude, latitude), pose in zip(feature["geometry"]["coordinates"], POSES, strict=True):
-        assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
+    export(anchored, "kml", tmp_path / "way.kml")
+    root = ElementTree.parse(tmp_path / "way.kml").getroot()
+    text = root.find(".//{http://www.opengis.net/kml/2.2}coordinates").text
+    places = [place.split(",") for place in text.split()]
+    for line in (feature["geometry"]["coordinates"], places):
+        for (longitude, latitude, *_), pose in zip(line, POSES, strict=True):
+            assert (float(latitude), float(longitude)) == pytest.approx(earth(pose), abs=1e-8)
     assert feature["properties"]["first_stamp_s"] == "1700000000.000000001"
     assert feature["properties"]["position_sigma_m"] == 0.8
 
@@ -50,15 +57,6 @@ def test_geojson_is_cut_where_it_crosses_the_meridian_of_180_degrees(anchored, t
     assert north_m == pytest.approx(0.4 * east_m, abs=2e-3)
 
 
-def test_kml_is_the_same_line(anchored, tmp_path):
-    export(anchored, "kml", tmp_path / "way.kml")
-    root = ElementTree.parse(tmp_path / "way.kml").getroot()
-    text = root.find(".//{http://www.opengis.net/kml/2.2}coordinates").text
-    places = [tuple(map(float, place.split(","))) for place in text.split()]
-    for (longitude, latitude, _), pose in zip(places, POSES, strict=True):
-        assert (latitude, longitude) == pytest.approx(earth(pose), abs=1e-8)
-
-
 def test_csv_has_both_frames_and_the_compass(anchored, tmp_path):
     export(anchored, "csv", tmp_path / "way.csv")
     rows = list(csv.DictReader((tmp_path / "way.csv").read_text().splitlines()))
@@ -69,22 +67,17 @@ def test_csv_has_both_frames_and_the_compass(anchored, tmp_path):
     assert float(rows[0]["heading_deg"]) == pytest.approx(60.0)  # 30 degrees north of east
 
 
-@pytest.mark.parametrize("to", ["geojson", "kml"])
-def test_without_a_reference_the_path_on_the_earth_is_refused_in_words(anchored, tmp_path, to):
-    (anchored / "geo.json").unlink()
-    with pytest.raises(InputError, match=rf"no geo.json in it: .* which {to} needs.*summary\.json"):
-        export(anchored, to, tmp_path / "way")
-    assert not (tmp_path / "way").exists()
-
-
-def test_a_damaged_reference_is_refused(anchored, tmp_path):
-    (anchored / "geo.json").write_text("{}")
-    with pytest.raises(InputError, match=r'geo\.json: no geo-reference: expected an object whose "datum"'):
-        export(anchored, "csv", tmp_path / "way.csv")
-
-
-def test_near_a_pole_there_is_no_world_file(anchored, tmp_path):
-    polar = GeoReference(LocalFrame(89.0, 0.0, 0.0), SE2(), 0.8, 0.01, 41)
-    write_geo(anchored / "geo.json", polar)
-    with pytest.raises(InputError, match="UTM ends at 84 degrees"):
-        export(anchored, "png", tmp_path / "map.png")
+@pytest.mark.parametrize(
+    ("geo", "to", "words"),
+    [
+        ("", "geojson", r"no geo.json in it: .* which geojson needs.*summary\.json"),
+        ("", "kml", r"no geo.json in it: .* which kml needs.*summary\.json"),
+        ("{}", "csv", r'geo\.json: no geo-reference: expected an object whose "datum"'),
+        (json.dumps(POLAR.as_dict()), "png", "UTM ends at 84 degrees"),
+    ],
+)
+def test_what_no_place_on_the_earth_can_be_given_is_refused_in_words(anchored, tmp_path, geo, to, words):
+    (anchored / "geo.json").write_text(geo) if geo else (anchored / "geo.json").unlink()
+    with pytest.raises(InputError, match=words):
+        export(anchored, to, tmp_path / f"way.{to}")
+    assert not (tmp_path / f"way.{to}").exists()

@@ -9,19 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
-import numpy as np
 import pytest
 import zstandard
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from service.cli import main
-from service.encoding import encode_pose
 from service.errors import InputError, StorageError
-from service.geometry.se2 import SE2
-from service.offline.past.recorded_moments import RecordedMoments
 from service.offline.replay.replay import group_sessions
-from service.outputs import MapperOutput
 from service.recording.mcap_source import open_session
 from service.recording.opening import open_recording
 from service.recording.unpacking import Unpacked
@@ -145,16 +140,6 @@ def test_replay_and_import_read_a_bag_by_the_command_line(tmp_path: Path):
     assert main(["import", "rosbag", str(packed(db3(tmp_path), ".zstd", ZSTD.compress)), f"{out}.mcap"]) == 0
     assert main(["replay", f"{out}.mcap", "--out", f"{out}2"]) == 0
     assert (out / "trajectory.tum").read_bytes() == (tmp_path / "out2" / "trajectory.tum").read_bytes()
-
-
-@pytest.mark.parametrize("write", [write_ros1, write_ros2], ids=["bag", "ROS 2 folder"])
-def test_view_shows_the_moments_of_a_session_that_was_converted(write: Callable[..., Path], tmp_path: Path):
-    scan = DRIVE[-1]
-    output = MapperOutput(scan.stamp_ns, SE2(1.0, 2.0, 0.5), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", "", 1.0)
-    moments = RecordedMoments([write(tmp_path / "drive.bag", [*DRIVE, encode_pose(output, scan.log_ns + 1)])])
-    moment = moments.at(moments.last_ns)
-    assert moment.poses[-1].pose.x_m == 1.0
-    assert [scan.sensor for scan in moment.scans] == ["front"]
 
 
 def test_files_of_two_containers_are_not_one_recording(tmp_path: Path):

@@ -104,15 +104,6 @@ def test_it_ends_where_the_drive_of_scans_ends(kind: str, tmp_path: Path, expect
     assert heading_deg == pytest.approx(expected[2], abs=0.1)
 
 
-def test_a_cloud_beside_a_laser_is_mapped_only_where_it_is_named(tmp_path: Path):
-    both = [made for m in DRIVE for made in ([m, as_cloud(m)] if m.type == encoding.LASER_SCAN else [m])]
-    path = write_ros2(tmp_path / "drive", both)
-    assert replay([path], ReplayOptions()).summary["scans"] == SCANS
-    by_cloud = replay([path], ReplayOptions(choice=Choice(scan_topics=("/points",))))
-    assert by_cloud.summary["scans"] == SCANS
-    assert any("/points" in note for note in by_cloud.notes[:1])
-
-
 def test_config_names_topics_and_options_are_before_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = write_ros2(tmp_path / "drive", with_scans(as_echoes))
     config = tmp_path / "c.yaml"

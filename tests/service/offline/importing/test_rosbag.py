@@ -79,13 +79,6 @@ def test_a_bag_becomes_a_session_with_its_sensors_and_mountings(kind, tmp_path, 
     assert [frame.rate_radps for frame in frames if isinstance(frame, ImuSample)] == [IMU.rate_radps]
 
 
-def test_an_import_tells_of_covariances_that_are_none(tmp_path):
-    unknown = OdometrySample("base", T0_NS, T0_NS, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (np.nan,) * 9)
-    bag = write_ros1(tmp_path / "drive.bag", [*drive(SCANS)[2::2], encode_frame(unknown)])
-    report = import_rosbag(bag, tmp_path / "out.mcap")
-    assert "/base/odom: the covariance of 1 of 1 message is none" in str(report)
-
-
 def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path):
     bag = write_ros1(tmp_path / "drive.bag", [m for m in DRIVE if m.type != LASER_SCAN])
     holds = r"PointCloud2 that can be mapped; it holds /imu/data \(sensor_msgs/msg/Imu, 1\)"

@@ -18,16 +18,10 @@ CRATE = ChangedPlace("new", 0.15, 0.18, 0.005, 1, 2, ["a", "b"], 3, "c", [[2, 3]
 SITE = ChangedPlaces(4, 0.05, [CRATE], {"a": {"places": 9, "gone": 0, "new": 1}})
 
 
-def test_what_was_written_is_read(tmp_path):
-    write_changed_places(tmp_path, SITE)
-    assert read_changed_places(tmp_path, 4) == SITE
-
-
-def test_an_earlier_version_of_the_map_and_a_map_without_the_file_have_none(tmp_path):
+def test_what_was_written_is_read_for_its_version_and_later_ones(tmp_path):
     assert read_changed_places(tmp_path, 4) is None
     write_changed_places(tmp_path, SITE)
-    assert read_changed_places(tmp_path, 3) is None
-    assert read_changed_places(tmp_path, 5) == SITE
+    assert [read_changed_places(tmp_path, version) for version in (3, 4, 5)] == [None, SITE, SITE]
 
 
 def test_the_newest_change_of_a_cell_is_shown():

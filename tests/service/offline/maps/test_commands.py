@@ -11,12 +11,11 @@ from service.geometry import poses as se2
 from service.mapstore.files import load_map, save_map
 from service.offline.maps import edit as map_edit
 from service.offline.maps.commands import MapCommands
-from service.offline.past.view import View
 from service.web.protocol import encode_tiles
 from tests.in_background import started
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.bent_maps import ROUND, graph_in
-from tests.service.web.conftest import TIMEOUT_S, talk
+from tests.service.web.conftest import TIMEOUT_S
 
 SQUARE = [[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]]
 
@@ -105,6 +104,8 @@ def test_areas_walls_and_time_spans_are_changed_as_by_the_command(folder):
 
 def test_a_map_without_a_graph_can_be_drawn_in_and_nothing_else(picture):
     asking = Asking(picture)
+    assert "it knows map_look, map_keyframe, map_version, map_edit" in asking.ask("reset_map")["error"]
+    assert "Extra inputs" in asking.ask("map_look", more=1)["error"]
     assert asking.ask("map_look")["keyframes"] is None
     assert asking.edit(1, "erase", corners=SQUARE)["cells_changed"] == 4
     assert "what was shown, not what it was made of" in asking.edit(2, "optimize")["error"]
@@ -169,45 +170,3 @@ def test_what_is_no_change_is_refused_in_words(folder, change, words):
     assert words in asking.ask("map_edit", version=1, change=change)["error"]
     assert asking.shown == []
     assert load_map(folder).number == 1
-
-
-def test_other_requests_are_refused_in_words(picture):
-    asking = Asking(picture)
-    assert "it knows map_look, map_keyframe, map_version, map_edit" in asking.ask("reset_map")["error"]
-    assert "Extra inputs" in asking.ask("map_look", more=1)["error"]
-    change = {"what": "optimize"}
-    assert "who" in asking.ask("map_edit", version=1, who="x" * 101, change=change)["error"]
-
-
-def test_the_page_of_a_stored_map_takes_edits_with_the_token(folder):
-    view = View(folder, "127.0.0.1:0")
-    wall = {"what": "wall", "corners": [[30.0, 30.0], [31.0, 30.0]]}
-
-    async def change(client):
-        async with client.socket() as socket:
-            assert (await client.next(socket, "hello"))["verbs"] == [
-                "map_look",
-                "map_keyframe",
-                "map_version",
-                "map_edit",
-            ]
-            await client.next(socket, 1)
-            request = {"version": 1, "who": "ada", "change": wall}
-            await client.ask(socket, type="command", n=1, verb="map_edit", request=request)
-            assert "needs the token" in (await client.next(socket, "answer"))["body"]["error"]
-            await client.ask(socket, type="command", n=2, verb="map_look")
-            assert "needs the token" in (await client.next(socket, "answer"))["body"]["error"]
-            await client.ask(socket, type="token", token=view.token)
-            await client.ask(socket, type="command", n=3, verb="map_edit", request=request)
-            assert (await client.next(socket, "answer"))["body"]["version"] == 2
-            await client.next(socket, 1)  # the tile with the wall
-            while True:
-                (mapping,) = (await client.next(socket, "health"))["statuses"]
-                if mapping["values"]["version"] == "2":
-                    return
-
-    try:
-        talk(view, change)
-    finally:
-        view.close()
-    assert load_map(folder).number == 2

@@ -38,7 +38,4 @@ def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, dri
     whole = se2.compose(np.array([0.3, -0.1, 0.04]), poses[between])
     share = ((stamp_ns[between] - graph.stamp_ns[9]) / (graph.stamp_ns[10] - graph.stamp_ns[9]))[:, None]
     np.testing.assert_allclose(way[between], poses[between] + share * (whole - poses[between]), atol=1e-9)
-
-
-def test_without_a_trajectory_there_is_no_path(graph):
     assert corrected_path(np.empty(0, np.int64), np.empty((0, 3)), graph, graph)[1].shape == (0, 3)

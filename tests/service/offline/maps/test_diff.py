@@ -36,6 +36,8 @@ def test_each_kind_of_change_is_counted():
     assert counts.area_new == tile_cells
     assert counts.area_gone == tile_cells + 1
     assert counts.changed == 2 * tile_cells + 4
+    with pytest.raises(InputError, match=r"8 x 8 cells of 0.25 m and 8 x 8 cells of 0.5 m"):
+        Difference([FREE], [replace(FREE, cell_m=0.25)])
 
 
 def test_a_map_does_not_differ_from_itself(tmp_path):
@@ -44,11 +46,6 @@ def test_a_map_does_not_differ_from_itself(tmp_path):
     figures = {key: value for key, value in facts.items() if isinstance(value, int | float)}
     assert len(figures) > 10
     assert set(figures.values()) == {0}
-
-
-def test_cells_of_different_size_are_not_compared():
-    with pytest.raises(InputError, match=r"8 x 8 cells of 0.25 m and 8 x 8 cells of 0.5 m"):
-        Difference([FREE], [replace(FREE, cell_m=0.25)])
 
 
 def test_poses_loops_and_points_are_compared_by_the_stamps_of_their_key_frames(tmp_path):

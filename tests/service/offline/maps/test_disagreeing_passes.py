@@ -1,7 +1,5 @@
 """Two rounds of one ring that lie beside each other in the map are proposed to be joined."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -25,14 +23,3 @@ def test_the_points_proposed_straighten_the_map_and_then_nothing_is_proposed(ben
     assert bent.error_m(bent.graph) > 0.5
     assert bent.error_m(graph) < 0.10
     assert disagreeing_passes(graph) == []
-
-
-def test_passes_whose_points_are_gone_are_not_proposed(bent: BentMap):
-    graph = bent.graph
-    empty = replace(
-        graph,
-        point_count=np.zeros_like(graph.point_count),
-        xy_base=graph.xy_base[:0],
-        normals=graph.normals[:0],
-    )
-    assert disagreeing_passes(empty) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.errors import InputError, StorageError, UsageError
+from service.errors import StorageError, UsageError
 from service.mapper.components import SavedGraph
 from service.mapper.graph.edit.editing import solved
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
@@ -167,13 +167,3 @@ def test_nothing_is_changed_under_a_session_that_goes_on_in_the_map(picture):
             undo(picture, 1, "ada", 1)
     assert map_log(picture)["current"] == 1
     edit_map(picture, "wall", wall([0, 0, 1, 0]), "ada", 1)
-
-
-@pytest.mark.parametrize("change", [["--optimize"], ["--undo"]])
-def test_what_is_no_map_is_refused_as_by_info_and_left_as_it_is(change, tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "text.mcap").touch()
-    for name in ("empty", "text.mcap", "nowhere"):
-        edit(tmp_path / name, *change, code=InputError.exit_code)
-        assert f"{name}: no stored map" in capsys.readouterr().err
-    assert list((tmp_path / "empty").iterdir()) == []

@@ -3,9 +3,7 @@
 import json
 
 import numpy as np
-import pytest
 
-from service.mapstore.files import load_map
 from service.offline.maps.session_commands import SessionMapCommands
 
 K = 6
@@ -37,18 +35,3 @@ def test_a_key_frame_of_another_look_than_the_newest_is_refused(folder):
     answer = commands.ask("keyframe", folder, seen=first, keyframe=0)
     assert not answer["ok"]
     assert "fetch them again" in answer["error"]
-
-
-@pytest.mark.parametrize(
-    ("verb", "request_", "words"),
-    [
-        ("keyframe", {"seen": "", "keyframe": -1}, "keyframe"),
-        ("keyframe", {"seen": "", "keyframe": 0, "more": 1}, "more"),
-        ("edit", {}, "it knows look, keyframe"),
-    ],
-)
-def test_what_cannot_be_done_is_reported_in_words(folder, verb, request_, words):
-    answer = Asking().ask(verb, folder, **request_)
-    assert not answer["ok"]
-    assert words in answer["error"]
-    assert load_map(folder).number == 1

@@ -41,14 +41,11 @@ def test_every_version_is_verified_and_damage_named(tmp_path):
         map_verify(tmp_path)
 
 
-def test_a_merge_overwrites_nothing(tmp_path):
-    save_map(tmp_path / "a", TILES, 1, graph=graph_of(5))
-    with pytest.raises(InputError, match="is there already"):
-        map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / "a", None)
-
-
-def test_a_picture_cannot_be_merged(tmp_path):
-    save_map(tmp_path / "a", TILES, 1)
-    with pytest.raises(InputError, match="it cannot be merged"):
-        map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / "b", None)
+@pytest.mark.parametrize(
+    ("graph", "out", "words"), [(graph_of(5), "a", "is there already"), (None, "b", "it cannot be merged")]
+)
+def test_a_merge_overwrites_nothing_and_takes_no_picture(tmp_path, graph, out, words):
+    save_map(tmp_path / "a", TILES, 1, graph=graph)
+    with pytest.raises(InputError, match=words):
+        map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / out, None)
     assert not (tmp_path / "b").exists()

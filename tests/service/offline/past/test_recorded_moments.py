@@ -72,21 +72,6 @@ def test_the_map_is_the_newest_that_was_recorded_by_then(moments):
     assert moments.at(stamp(10.0)).map_words == "map recorded at this moment"
 
 
-def test_back_and_forth_it_is_the_same(moments):
-    def facts(seconds):
-        moment = moments.at(stamp(seconds))
-        return (
-            [(p.stamp_ns, p.pose) for p in moment.poses],
-            [(s.sensor, s.stamp_ns, s.range_m.tobytes()) for s in moment.scans],
-            [(t.ix, t.iy, t.cells.tobytes()) for t in moments.tiles_at(stamp(seconds))],
-            (moment.path, moment.events, moment.map_words),
-        )
-
-    forth = [facts(seconds) for seconds in (2.0, 5.5, 11.0, 16.0)]
-    back = [facts(seconds) for seconds in (16.0, 11.0, 5.5, 2.0)]
-    assert forth == back[::-1]
-
-
 def test_health_says_since_when_it_was_so(moments):
     def mapping(seconds):
         rows = moments.at(stamp(seconds)).statuses
@@ -119,12 +104,9 @@ def test_what_stands_and_what_has_changed_is_the_newest_of_the_present_map(momen
     assert [changed(s) for s in (2.9, 3.0, 5.0, RESET_S)] == [[], [[100]], [[0]], []]
 
 
-def test_a_laser_that_fell_silent_is_not_of_the_moment(moments):
+def test_a_laser_that_fell_silent_is_not_of_the_moment_and_the_vehicle_is_where_it_was_last(moments):
     assert [scan.sensor for scan in moments.at(stamp(15.2)).scans] == ["front", "rear"]
     assert [scan.sensor for scan in moments.at(stamp(16.0)).scans] == ["front"]
-
-
-def test_without_newer_poses_the_vehicle_is_where_it_was_last(moments):
     (pose,) = moments.at(moments.last_ns).poses
     assert pose.stamp_ns == stamp(16.9) + 1
 

@@ -3,12 +3,11 @@ import struct
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from service.cli import main
 from service.errors import InputError, StorageError
-from service.offline.past.moments import GO_TO, Moment, MomentCommands, thinned
+from service.offline.past.moments import GO_TO, Moment, MomentCommands
 from service.offline.past.recording_view import RecordingView
 from tests.service.offline.past.past_recordings import write_past
 from tests.service.recording.sessions import drive, write_file
@@ -83,17 +82,6 @@ def test_what_cannot_be_meant_is_refused(verb, request_, words):
     assert not answer.ok
     assert words in json.loads(answer.body)["error"]
     assert shown == line.requested == []
-
-
-def test_a_path_is_thinned_evenly():
-    way = np.column_stack((np.arange(0.0, 10.0, 0.01), np.zeros(1000)))
-    rows = thinned(way, 0.05, 1000)
-    assert np.diff(way[rows, 0]).min() >= 0.05 - 1e-9
-    assert np.diff(way[rows, 0]).max() < 0.0601
-    rows = thinned(way, 0.05, 60)
-    assert 30 < len(rows) <= 60
-    assert rows[0] == 0
-    assert thinned(np.empty((0, 2)), 0.05, 10) == []
 
 
 def test_a_port_that_is_taken_is_reported(shown, files, caplog):

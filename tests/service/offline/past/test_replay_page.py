@@ -77,37 +77,6 @@ def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
     talk(page.server, look)
 
 
-def test_when_it_is_finished_any_moment_can_be_gone_to(
-    record_drive: RecordDrive,
-    show: Callable[..., ReplayPage],
-) -> None:
-    page = show()
-    done = replay([record_drive(scans=60)], ReplayOptions(), watch=page)
-    first_ns = done.outputs[0].stamp_ns
-
-    async def look(client: Any) -> None:
-        async with client.socket() as socket:
-            await client.ask(socket, type="token", token=page.token)
-            last = await client.next(socket, "moment")
-            assert last["duration_s"] == pytest.approx((done.outputs[-1].stamp_ns - first_ns) / 1e9)
-            for k in (30, 5, 59):
-                requested = {"position_s": (done.outputs[k].stamp_ns - first_ns) / 1e9 + 1e-6}
-                await client.ask(socket, type="command", n=k, verb="moment_go_to", request=requested)
-                moment = {"position_s": -1.0}
-                while abs(moment["position_s"] - requested["position_s"]) > 1e-5:
-                    moment = await client.next(socket, "moment")
-                assert moment["map_words"] == "map as it is in the end"
-                newest, truth = moment["poses"][-1], done.poses_map_base[k]
-                assert newest["stamp_ns"] == str(done.outputs[k].stamp_ns)
-                assert (newest["x_m"], newest["y_m"]) == pytest.approx((truth.x_m, truth.y_m), abs=1e-9)
-                assert newest["twist"][0] == pytest.approx(0.5, abs=0.3)
-                stamp_s = 0.0
-                while stamp_s != done.outputs[k].stamp_ns / 1e9:
-                    (stamp_s,) = struct.unpack_from("<d", await client.next(socket, SCAN), 4)
-
-    talk(page.server, look)
-
-
 async def path_of(client: Any, socket: Any) -> Any:
     """The next whole path; pieces that go on from it are passed over."""
     while (message := await client.next(socket, PATH))[1]:

@@ -140,11 +140,8 @@ def test_the_graph_of_a_g2o_file_is_shown_with_its_loops(show, tmp_path):
             assert points == [[0.0, 0.5], [1.0, 0.5], [2.0, 0.5], [3.0, 0.5], [0.0, 0.5], [3.0, 0.5]]
 
     talk(show(tmp_path), look)
+    with pytest.raises(InputError, match="no map in it"):
+        View(tmp_path / "none", ANY_PORT)
     (tmp_path / "graph.g2o").write_text("VERTEX_SE2 0 here 0 0\n")
     with pytest.raises(InputError, match=r"graph\.g2o:1: .*no line of a g2o"):
-        View(tmp_path, ANY_PORT)
-
-
-def test_a_folder_without_a_map_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no map in it"):
         View(tmp_path, ANY_PORT)

@@ -10,7 +10,6 @@ from service.cli import main
 from service.encoding import encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError
 from service.geometry.se2 import SE2
-from service.mapper.profiles import mapping_config, with_profile
 from service.offline.replay.replay import (
     ReplayOptions,
     group_sessions,
@@ -64,14 +63,6 @@ def test_a_second_laser_in_the_topic_of_the_first_is_refused_and_named(
         "/front/scan has messages of several frame_ids: 30 of rear, refused; 40 of front, read as front"
         in caplog.text
     )
-
-
-def test_another_profile_maps_the_same_laser():
-    outline_m = ((0.2, 0.2), (-0.2, 0.2), (0.0, -0.2))
-    mapping = mapping_config({"lasers": ("rear",), "cell_m": 0.1, "outline_m": outline_m})
-    other = with_profile("imle", mapping)
-    assert (other.profile, other.lasers, other.cell_m) == ("imle", ("rear",), 0.1)
-    assert other.outline_m == outline_m
 
 
 def test_a_config_that_does_not_know_the_lasers_maps_the_fullest(record_drive: RecordDrive, tmp_path: Path):

@@ -81,15 +81,6 @@ def test_a_map_that_is_left_out_is_reported_with_the_option(
     assert caplog.text == ""
 
 
-def test_an_older_recording_names_the_map_of_its_config(
-    session: Session, office: Path, caplog: pytest.LogCaptureFixture
-):
-    del session.metadata["map"]
-    set_up(session, ReplayOptions())
-    assert f"--map {office} begins there" in caplog.text
-    assert set_up(session, ReplayOptions(map=office)).is_as_live
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [

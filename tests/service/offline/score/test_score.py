@@ -113,14 +113,6 @@ def test_a_shift_or_an_offset_that_is_no_number_is_wrong_usage(tmp_path, capsys,
     assert f"corridor: {option} " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("value", ["inf", "nan", "1e999999"])
-def test_a_stamp_that_is_no_time_is_a_bad_input_file(tmp_path, capsys, value):
-    estimate = tmp_path / "e.tum"
-    estimate.write_text(f"1.0 0 0 0 0 0 0 1\n{value} 0 0 0 0 0 0 1\n")
-    assert main(["score", str(estimate), str(estimate)]) == InputError.exit_code
-    assert f"e.tum:2: '{value}' is no time in seconds" in capsys.readouterr().err
-
-
 def test_an_offset_scores_the_frame_ahead(tmp_path):
     """The laser sits 0.4 m ahead of the base, which turns on the spot by 90 degrees."""
     estimate = tum(tmp_path / "e.tum", [0, S], [SE2(), SE2(0.0, 0.0, math.pi / 2)])
@@ -181,20 +173,12 @@ def test_poses_without_a_truth_are_left_out_and_counted(tmp_path):
     found = score(estimate, truth)
     assert (found.poses_scored, found.poses_left_out) == (4, 4)
     assert found.ate_m.max < 1e-6
-
-
-def test_a_path_shorter_than_a_step_has_no_rpe(tmp_path):
-    path = tum(tmp_path / "a.tum", [0, S], [SE2(), SE2(0.5)])
-    found = score(path, path)
-    assert (found.rpe_pairs, found.rpe_m, found.rpe_deg) == (0, None, None)
-    assert "(0 pairs)" in str(found)
-
-
-def test_two_recordings_that_never_meet_are_refused(tmp_path):
-    first = tum(tmp_path / "a.tum", [0, S], [SE2(), SE2(1.0)])
-    second = tum(tmp_path / "b.tum", [9 * S, 10 * S], [SE2(), SE2(1.0)])
-    with pytest.raises(InputError, match=r"a truth is known for 0 of 2 poses; it spans 9.000 .. 10.000 s"):
-        score(first, second)
+    later = tum(tmp_path / "l.tum", [9 * S, 10 * S], [SE2(), SE2(0.5)])
+    with pytest.raises(InputError, match=r"a truth is known for 0 of 2 poses; it spans 0.000 .. 5.000 s"):
+        score(later, truth)
+    short = score(later, later)  # than a step
+    assert (short.rpe_pairs, short.rpe_m, short.rpe_deg) == (0, None, None)
+    assert "(0 pairs)" in str(short)
 
 
 @pytest.mark.parametrize(

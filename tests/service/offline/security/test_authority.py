@@ -78,12 +78,6 @@ def test_a_second_call_renews_what_ends_soon_and_keeps_the_rest(tmp_path):
     assert init_site(tmp_path, [], days=500, renew=True).renewed == ("operator", "veh1")
 
 
-def test_a_vehicle_with_other_hosts_gets_another_certificate(tmp_path):
-    init_site(tmp_path, [VEH1], days=700)
-    assert init_site(tmp_path, [VEH1], days=700).kept == ("veh1",)
-    assert init_site(tmp_path, [Holder("veh1", "vehicle", ("10.0.0.8",))], days=700).renewed == ("veh1",)
-
-
 def test_no_certificate_outlives_its_authority(tmp_path):
     nine_years_ago = datetime.now(UTC) - timedelta(days=9 * 365)
     init_site(tmp_path, [], days=30, now=nine_years_ago)

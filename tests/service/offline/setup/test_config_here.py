@@ -74,16 +74,3 @@ def test_the_map_to_load_is_read(tmp_path: Path):
     assert "mapping cannot go on in it" in fault
     save_map(office, tiles, 2, graph=graph_of(4))
     assert faults_here(config_of(FRONT, office), "v.yaml") == []
-
-
-def test_a_damaged_map_to_load_is_reported_in_one_line(tmp_path: Path):
-    office = tmp_path / "office"
-    for version in (1, 2):
-        tiles = [TileUpdate(0, 0, 0, version, 0.05, np.zeros((64, 64), np.int8))]
-        save_map(office, tiles, version, graph=graph_of(4))
-    for manifest in office.glob("*/manifest.json"):
-        manifest.write_text("{")
-    (fault,) = faults_here(config_of(FRONT, office), "v.yaml")
-    unread = f"no stored map that can be read; {office}/v000002/manifest.json: damaged"
-    assert fault.startswith(f"v.yaml:5:21: map.load: {office}: {unread}")
-    assert "\n" not in fault

@@ -17,7 +17,6 @@ from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.components import RenderedMap
 from service.mapper.graph.edit import merging
 from service.mapper.graph.edit.editing import only
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
@@ -31,9 +30,7 @@ from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.maps.log import utc
 from service.offline.maps.work import map_info
 from service.offline.replay.setup import ReplayOptions
-from service.offline.site import growth, kept
 from service.offline.site.build import site_build
-from service.offline.site.changes import seen_by
 from service.offline.site.manifest import SITE_FILE
 from service.offline.site.tasks import Find, FindLoops
 from tests.service.mapper.graph.loops import rings
@@ -203,23 +200,6 @@ def test_a_new_drive_is_added_without_doing_the_others_again(grown, drives):
     assert list(again["left_out"]) == ["elsewhere"]
 
 
-@pytest.mark.parametrize(("same", "rendered"), [(10.0, ["c"]), (0.0, ["a", "b", "c"])])
-def test_what_a_drive_saw_is_rendered_again_only_if_its_key_frames_moved(
-    grown, drives, monkeypatch, same: float, rendered: list[str]
-):
-    names = []
-
-    def counted(graph: SavedGraph, cell_m: float) -> RenderedMap:
-        names.append(list(FRAMES)[graph.stamp_ns[0] // HOUR_NS])
-        return seen_by(graph, cell_m)
-
-    monkeypatch.setattr(growth, "seen_by", counted)
-    monkeypatch.setattr(kept, "SAME_M", same)
-    monkeypatch.setattr(kept, "SAME_RAD", same)
-    build([drives / "c"], grown)
-    assert sorted(set(names)) == rendered
-
-
 def test_what_was_drawn_by_hand_outlives_the_next_build(grown, drives):
     assert main(["map", "edit", str(grown), "--wall", "2", "-0.5", "2", "0.5"]) == 0
     build([drives / "c"], grown)
@@ -367,20 +347,6 @@ def test_a_drive_is_added_in_spite_of_what_changed_where_the_user_says_so(floor,
     assert len(report["warnings"]) == 1
     assert report["warnings"][0].startswith("c: of ")
     assert report["changed_places"] > 10
-
-
-def test_the_larger_group_makes_the_site_where_the_first_drive_is_of_another_floor(floors, tmp_path):
-    report = build([floors / name for name in ("c", "a", "b")], tmp_path / "map", knowing)
-    assert names_in(report) == ["a", "b"]
-    assert report["left_out"]["c"].startswith("a, of the larger group, contradicts it: of ")
-
-
-def test_a_drive_that_was_left_out_and_mapped_again_is_looked_for_again(three, tmp_path):
-    out = Path(shutil.copytree(three[0], tmp_path / "map", symlinks=True))
-    store(tmp_path / "elsewhere", driven("d", 9))
-    report = build([tmp_path / "elsewhere"], out)
-    assert names_in(report) == ["a", "b", "c", "elsewhere"]
-    assert report["left_out"] == {}
 
 
 def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):

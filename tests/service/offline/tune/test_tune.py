@@ -148,12 +148,6 @@ def test_a_search_that_was_stopped_goes_on_as_if_it_had_not_been(drives_given: l
     assert went_on.best == whole.best
 
 
-def test_a_folder_with_another_search_is_refused(drives_given: list[Drive], tmp_path: Path):
-    searched(drives_given, tmp_path, 1)
-    with pytest.raises(UsageError, match="search of other sessions"):
-        searched(drives_given[:2], tmp_path, 1)
-
-
 def test_settings_that_are_refused_are_no_result_and_end_no_search(drives_given: list[Drive], tmp_path: Path):
     calls = iter([False, True, True, True, *[False] * 4, True])
 
@@ -180,35 +174,21 @@ def test_held_out_sessions_that_become_worse_are_reported(drives_given: list[Dri
 
 
 def test_the_command_searches_real_drives_without_a_truth(
-    record_drive: RecordDrive,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+    record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
-    sessions = [str(record_drive(name, scans=12)) for name in "ab"]
-    out = tmp_path / "out"
-    requested = [
-        "tune",
-        *sessions,
-        "--self",
-        "--trials",
-        "1",
-        "--out",
-        str(out),
-        "--parameter",
-        "wall_sigma_m",
-    ]
-    assert main(requested) == 0
+    sessions, out = [str(record_drive(name, scans=12)) for name in "ab"], tmp_path / "out"
+    options = ["--trials", "1", "--out", str(out), "--parameter", "wall_sigma_m"]
+    assert main(["tune", *sessions, "--self", *options]) == 0
     said = capfd.readouterr()
     assert "cost by the results themselves" in said.out
     assert "1 of 1 trials" in said.err
     assert yaml.safe_load(said.out)["mapping"]["profile"] == "corridor"
     assert (out / "tune.html").read_text().startswith("<!DOCTYPE html>")
-    assert {path.name for path in (out / "best").iterdir()} == {
-        path.name for path in (out / "present").iterdir()
-    }
-    assert main([*requested[:1], sessions[0], "--truth", str(tmp_path)]) == InputError.exit_code
+    best, present = ({path.name for path in (out / name).iterdir()} for name in ("best", "present"))
+    assert best == present
+    assert main(["tune", sessions[0], "--truth", str(tmp_path)]) == InputError.exit_code
     assert "the truth of" in capfd.readouterr().err
-    assert main([*requested[:3], "--truth", sessions[0]]) == UsageError.exit_code
+    assert main(["tune", *sessions, "--truth", sessions[0]]) == UsageError.exit_code
 
 
 @pytest.mark.soak
