@@ -13,8 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.errors import DriverError
 from drivers.link import Session
+from service.conversion import CloudConverter, ConversionConfig
 from service.encoding import decode_frame, decode_step
 from service.encoding.outputs import (
     decode_diagnostics,
@@ -36,6 +39,7 @@ from service.recording.mcap_reader import Recording
 from service.recording.mcap_recovery import recover
 from service.web.protocol import RequestError, read_request
 from tests.drivers import irobot_bench, lms100, lux, mtig, utm30lx
+from tests.service.conversion.test_point_cloud import cloud, spinning
 from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import tile
 from tests.service.recording.sessions import drive, write_file
@@ -197,6 +201,10 @@ TARGETS: dict[str, Target] = {
     "mtdata2": wire(lambda: mtig.talk(mtig.mtdata2())),
     "create": wire(irobot_bench.bench),
     "cdr": Target(read_cdr, cdr_messages),
+    "cloud": Target(
+        lambda data: CloudConverter(ConversionConfig(), np.eye(4)).scan(data, "front", 0),
+        lambda: [cloud(spinning(1.0)[0])],
+    ),
     "mcap": of_file("a.mcap", read_mcap, write_recording),
     "recovery": of_file("a.mcap", recover, write_recording),
     "maps": Target(in_folder(read_stored), stored_files),

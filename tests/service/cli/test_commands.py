@@ -5,13 +5,12 @@ import os
 import re
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from service import log_format
-from service.cli import console, main, version
+from service.cli import console, main
 from service.errors import (
     ConfigError,
     CorridorError,
@@ -55,25 +54,6 @@ def test_the_version_is_the_one_that_stands_in_one_place(
     first, *others = capsys.readouterr().out.splitlines()
     assert first == f"corridor {VERSION}"
     assert re.fullmatch(f"kernels [0-9a-f]{{12}}: {words}", others[-1])
-
-
-def test_a_checkout_has_its_commit_in_the_version_and_an_installed_program_has_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(version, "ROOT", tmp_path)
-    assert "git" not in version.version_words()
-    run = partial(subprocess.run, cwd=tmp_path, check=True, capture_output=True)
-    run(["git", "init", "--quiet"])
-    (tmp_path / "file").write_text("1")
-    run(["git", "add", "file"])
-    author = ("-c", "user.name=a", "-c", "user.email=a@localhost")
-    run(["git", *author, "commit", "--quiet", "--message", "one"])
-    commit = run(["git", "rev-parse", "HEAD"]).stdout.decode()[:12]
-    assert f"\ngit {commit}\n" in version.version_words()
-    (tmp_path / "file").write_text("2")
-    assert f"\ngit {commit}-dirty\n" in version.version_words()
-    monkeypatch.setenv("PATH", "")
-    assert "git" not in version.version_words()
 
 
 def test_bash_completes_commands_options_names_and_files(tmp_path: Path):
@@ -267,27 +247,6 @@ def test_each_phase_of_a_work_has_a_line_of_its_own():
     assert pipe.getvalue().splitlines() == [
         *("compiling kernels: 50%", "mapping: 40%", "mapping: 100%", "closing loops ..."),
     ]
-
-
-@pytest.mark.parametrize(
-    ("stream", "expected"),
-    [
-        (
-            Terminal(),
-            "".join(f"{console.CLEAR}closing loops ...{late}" for late in ("", ", 5 s", ", 10 s")) + "\n",
-        ),
-        (io.StringIO(), "closing loops ...\nclosing loops ..., 5 s\nclosing loops ..., 10 s\n"),
-    ],
-)
-def test_a_long_phase_says_since_when_it_lasts(stream: io.StringIO, expected: str):
-    clock_s = [0.0]
-    shown = console.Progress("mapping", stream, lambda: clock_s[0])
-    shown.still_at_work()  # nothing has begun
-    shown(None, "closing loops")
-    for clock_s[0] in (4.0, 5.0, 9.0, 10.0):
-        shown.still_at_work()
-    shown.end()
-    assert stream.getvalue() == expected
 
 
 def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]):

@@ -58,15 +58,6 @@ print(*(job.name for job in jobs_of_process()[0]))
 """)
 
 
-def test_who_imports_numba_otherwise_leaves_no_kernel_behind_that_cannot_be_called():
-    run("""
-import numba
-from service.kernels import maximum_likelihood_pose  # it calls kernels of linear3, which wait by now
-assert linear3.copy_vector is maximum_likelihood_pose.copy_vector
-assert not any(isinstance(kernel, WaitingKernel) for kernel in (linear3.copy_vector, usual_gap.usual_gap))
-""")
-
-
 def test_no_kernel_takes_njit_from_numba_itself():
     """It could not call those that wait."""
     kernels = [path for package in ("service", "simulators") for path in (ROOT / package).rglob("*.py")]

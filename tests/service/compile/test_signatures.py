@@ -1,7 +1,5 @@
 import importlib
 import pkgutil
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -86,18 +84,3 @@ def test_kernels_are_found_from_what_imports_them():
     assert not {job.name for job in live + live_seldom} & LOOP_KERNELS
     assert "search_branch_and_bound" in {job.name for job in live_seldom}
     assert not set(live) & set(live_seldom)
-
-
-NAMES = """
-import sys
-from service.mapper.profiles import mapping_config
-mapping_config({"profile": "imle"})
-from service.compile.signatures import jobs_of_process
-print(*(job.name for jobs in jobs_of_process() for job in jobs))
-"""
-
-
-def test_what_only_another_profile_calls_is_not_compiled():
-    done = subprocess.run([sys.executable, "-c", NAMES], capture_output=True, text=True, check=True)
-    assert "icp_point_to_point" in done.stdout.split()
-    assert "match_scan" not in done.stdout.split()

@@ -47,14 +47,10 @@ def test_of_the_echoes_within_range_one_counts(echo, intensities, expected):
     assert (scan.beam_interval_ns, scan.first_angle_rad) == (1_000_000, -0.5)
 
 
-def test_of_equally_strong_echoes_the_first_counts():
-    scan = scan_of_echoes(payload([[1.0, 2.0, 3.0]] * 3, [[5.0, 9.0, 9.0]] * 3), "front", STAMP_NS)
+def test_of_equally_strong_echoes_the_first_counts_and_without_a_range_max_all_are_left():
+    scan = scan_of_echoes(payload([[1.0, 2.0, 3.0]] * 3, [[5.0, 9.0, 9.0]] * 3, 0.0), "front", STAMP_NS)
     assert scan.range_m.tolist() == [2.0] * 3
     assert scan.intensity.tolist() == [9.0] * 3
-
-
-def test_a_range_max_that_is_not_set_leaves_the_echoes():
-    assert scan_of_echoes(payload([[3.0]] * 3, [], 0.0), "front", STAMP_NS).range_m.tolist() == [3.0] * 3
 
 
 def test_a_scan_without_beams_is_not_used_and_other_bytes_are_refused():

@@ -1,10 +1,7 @@
 """The fleet's page as a browser sees it, over loopback: vehicles and tiles from a router."""
 
-import asyncio
-import json
 from contextlib import closing
 
-import aiohttp
 import pytest
 
 from service.encoding import encode_pose
@@ -15,36 +12,8 @@ from service.mapstore.tiles import TileStore
 from tests.service.fleet.conftest import diagnostics
 from tests.service.mapstore.tile_makers import tile
 from tests.service.test_encoding_outputs import OUTPUT
+from tests.service.web.conftest import talk
 from tests.waiting import wait_until
-
-
-def messages(page: FleetPage, enough) -> list[dict]:
-    """What a browser gets, until that is enough."""
-
-    async def look() -> list[dict]:
-        found: list[dict] = []
-        async with (
-            aiohttp.ClientSession() as session,
-            session.ws_connect(f"{page.address}ws", headers={"Origin": page.address.rstrip("/")}) as socket,
-        ):
-            async with asyncio.timeout(30.0):
-                async for message in socket:
-                    if message.type == aiohttp.WSMsgType.TEXT:
-                        found.append(json.loads(message.data))
-                    if enough(found):
-                        return found
-        raise AssertionError("closed")
-
-    return asyncio.run(look())
-
-
-def last(found: list[dict], kind: str) -> dict | None:
-    return next((one for one in reversed(found) if one["type"] == kind), None)
-
-
-def rows(found: list[dict]) -> dict[str, dict]:
-    health = last(found, "health")
-    return {row["name"]: row for row in health["statuses"]} if health else {}
 
 
 def test_vehicles_are_on_the_map_with_their_state_and_the_map_is_of_their_tiles(
@@ -57,17 +26,25 @@ def test_vehicles_are_on_the_map_with_their_state_and_the_map_is_of_their_tiles(
         sink = start_vehicle(endpoint, name, tiles=stores[name])
         sink.put(encode_pose(OUTPUT, 1))
         sink.put(diagnostics("ok" if number else "lost"))
-        wait_until(
-            lambda key=f"corridor/v1/{name}/health": list(open_client(endpoint).get(key, timeout=20.0))
-        )
+        client = open_client(endpoint)
+        wait_until(lambda key=f"corridor/v1/{name}/health", on=client: list(on.get(key, timeout=20.0)))
+
+    async def look(client):
+        async with client.socket() as socket:
+            places = {}
+            while len(places) < 2:
+                shown = (await client.next(socket, "vehicles"))["vehicles"]
+                places = {one["name"]: one for one in shown}
+            assert places["veh1"]["x_m"] == pytest.approx(OUTPUT.pose_map_base.x_m)
+            assert (places["veh1"]["is_well"], places["veh2"]["is_well"]) == (False, True)
+            rows = {}
+            while "vehicle/veh2" not in rows:
+                rows = {row["name"]: row for row in (await client.next(socket, "health"))["statuses"]}
+            assert rows["mapping"]["message"] == "2 vehicles, 1 of them well"
+            assert (rows["vehicle/veh1"]["level"], rows["vehicle/veh1"]["message"]) == (2, "lost")
+
     with closing(FleetPage(open_client(endpoint), "127.0.0.1:0")) as page:
-        found = messages(page, lambda all_: len((last(all_, "vehicles") or {}).get("vehicles", ())) == 2)
-        places = {one["name"]: one for one in last(found, "vehicles")["vehicles"]}
-        assert places["veh1"]["x_m"] == pytest.approx(OUTPUT.pose_map_base.x_m)
-        assert (places["veh1"]["is_well"], places["veh2"]["is_well"]) == (False, True)
-        statuses = rows(messages(page, lambda all_: "vehicle/veh2" in rows(all_)))
-        assert statuses["mapping"]["message"] == "2 vehicles, 1 of them well"
-        assert (statuses["vehicle/veh1"]["level"], statuses["vehicle/veh1"]["message"]) == (2, "lost")
+        talk(page, look)
         wait_until(lambda: {(t.ix, t.iy) for t in page.store.since(0)} == {(0, 0), (1, 0)})
         changed = tile(1, 0, 2, value=100, edge=64)
         stores["veh2"].update([changed])

@@ -17,7 +17,6 @@ from service.config import load_publishing
 from service.encoding import encode_pose
 from service.errors import StorageError
 from service.fleet import vehicles as vehicles_module
-from service.fleet import watch as watch_module
 from service.fleet.router import zenohd_config
 from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
@@ -95,26 +94,6 @@ def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_veh
     sink.close()
     wait_until(lambda: seen[-1].state == "silent")
     assert [one.state for one in seen if one.sessions] == ["ok", "lost"]
-
-
-def test_a_vehicle_that_comes_while_the_router_is_asked_is_not_forgotten(
-    endpoint, router, start_vehicle, open_client, monkeypatch
-):
-    watch, requested = Watch(open_client(endpoint)), []
-
-    def asked_just_before(session):
-        requested.append(session)
-        if len(requested) > 1:
-            return vehicles_module.present(session)
-        start_vehicle(endpoint)
-        wait_until(lambda: watch.vehicle("veh1").sessions)
-        return {}
-
-    monkeypatch.setattr(watch_module, "present", asked_just_before)
-    threading.Thread(target=watch.run, args=(lambda _: None, 60.0, False), daemon=True).start()
-    wait_until(lambda: len(requested) > 1)
-    watch.close()
-    assert watch.vehicle("veh1").sessions
 
 
 @contextmanager

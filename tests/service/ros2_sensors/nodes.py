@@ -13,23 +13,11 @@ START_NS = 5_000_000_000_000
 SETUP = NodeSetup(PERIOD_NS, BEAM_NS * (BEAMS - 1), clock_drift_ppm=40.0)
 
 
-def scan(at_ns: int, **changes: object) -> LaserScan:
+def scan(at_ns: int) -> LaserScan:
     """Each beam sees the time."""
     range_m = np.full(BEAMS, 1.0 + (at_ns - START_NS) / 1e11, np.float32)
-    fields: dict[str, object] = {
-        "sensor": "laser",
-        "stamp_ns": at_ns,
-        "arrived_ns": at_ns,
-        "beam_interval_ns": BEAM_NS,
-        "scan_period_ns": PERIOD_NS,
-        "first_angle_rad": -2.0,
-        "angle_step_rad": 0.0075,
-        "range_min_m": 0.05,
-        "range_max_m": 20.0,
-        "range_m": range_m,
-        "intensity": NO_INTENSITY,
-    }
-    return LaserScan(**(fields | changes))
+    sweep = BEAM_NS, PERIOD_NS, -2.0, 0.0075, 0.05, 20.0
+    return LaserScan("laser", at_ns, at_ns, *sweep, range_m, NO_INTENSITY)
 
 
 def config(**changes: object) -> Ros2ScanConfig:

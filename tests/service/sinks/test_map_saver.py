@@ -141,25 +141,6 @@ def test_a_name_that_the_disk_refuses_is_reported_and_the_next_save_is_made(
     assert answers.heard[2] == (SavedMap(tmp_path / "map", 2, 2), "")
 
 
-def test_the_map_before_a_reset_is_saved_whole_and_the_next_goes_beside_it(
-    running: Kept, answers: Answers, tmp_path: Path
-):
-    running.tiles.update([tile(1)])
-    running.tiles.start_over()
-    running.saver.ask_to_save(answers)
-    assert answers.came.acquire(timeout=10.0)
-    assert answers.heard == [(None, "")]  # of the present map there is nothing yet
-    assert running.saver.newest == SavedMap(tmp_path / "map", 1, 1)
-    assert (running.saver.folder, running.saver.saved_version) == (tmp_path / "map_2", 0)
-    assert not (tmp_path / "map_2").exists()
-    running.tiles.update([tile(3)])
-    running.saver.ask_to_save(answers)
-    assert answers.came.acquire(timeout=10.0)
-    assert answers.heard[1] == (SavedMap(tmp_path / "map_2", 1, 3), "")
-    assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
-    assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [3]
-
-
 @pytest.mark.parametrize("name", ["", "office"])
 def test_who_asks_for_a_map_that_ends_before_it_is_saved_hears_where_that_one_is(
     tmp_path: Path, answers: Answers, name: str
@@ -191,6 +172,7 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
     assert "cannot save the map" in answers.heard[0][1]
     (tmp_path / "map").unlink()
     kept.tiles.start_over()
+    assert not (tmp_path / "map_2").exists()
     kept.saver.flush()
     assert [t.version for t in load_map(tmp_path / "map").tiles] == [1]
     assert [t.version for t in load_map(tmp_path / "map_2").tiles] == [5]
@@ -243,17 +225,6 @@ def test_the_version_that_a_session_began_in_outlives_its_checkpoints(tmp_path: 
         saver.save()
     saver.flush()
     assert check_versions(folder)[0] == [1, 5, 9, 10, 11]
-
-
-def test_a_run_that_began_in_a_stored_map_and_is_reset_at_once_has_a_folder_of_its_own(tmp_path: Path):
-    tiles, saver = gone_on_in(folder := tmp_path / "office")
-    assert saver.folder == folder
-    saver.begun_new()
-    assert saver.folder.name.startswith("veh1_")
-    tiles.update([tile(2)])
-    saver.flush()
-    assert check_versions(folder)[0] == [1]
-    assert load_map(saver.folder).number == 1
 
 
 def test_a_stored_map_is_not_overtaken_by_a_version_that_no_one_can_go_on_in(

@@ -94,27 +94,6 @@ def test_health_says_since_when_it_is_so_whatever_its_words(view):
     assert facts(4, "ok", "") == stamp(4) / 1e9
 
 
-def test_figures_are_sent_once_a_second_and_in_full_to_a_late_browser(view, clock):
-    scene = Scene()
-    facts = []
-    for k in range(10):
-        for message in scene.messages(0.2 * k):
-            is_pose = message.channel == "pose"
-            view.put(message, clock.ns - (k + 1) * 1_000_000 if is_pose else None)
-        facts += texts(view.due(), "series")
-    assert [(m["goes_on"], len(m["stamp_s"])) for m in facts] == [(True, 1), (True, 1)]
-    second = facts[1]["figures"]
-    assert second["latency_p50_ms"] == [7.5]  # of the scans since the row before
-    assert second["latency_max_ms"] == [9.0]
-    assert second["speed_mps"] == [1.0]
-    assert second["inlier_ratio"] == [0.93]
-    assert second["rate_hz/front"] == [50.0]
-    (whole,) = texts(view.snapshot(), "series")
-    assert whole["goes_on"] is False
-    assert whole["stamp_s"] == [m["stamp_s"][0] for m in facts]
-    assert whole["state"] == ["ok", "ok"]
-
-
 def test_a_late_browser_gets_the_path_and_a_map_reset_ends_it(view):
     scene = Scene()
     for seconds in (0.0, 0.01, 1.0, 2.0):  # the second is nearer than 5 cm

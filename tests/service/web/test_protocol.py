@@ -1,7 +1,6 @@
 import json
 import math
 import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -15,23 +14,10 @@ from service.web.protocol import (
     RequestError,
     TokenShown,
     encode_scan,
-    encode_tiles,
     pose_json,
     read_request,
     to_json,
 )
-from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
-
-
-def test_tiles_come_back_as_they_went():
-    tiles = [tile(-3, 2, 1), tile(7, -1, 2, value=-1)]
-    payload = encode_tiles(tiles)
-    kind, flags, edge, cell_m, count = struct.unpack_from("<BBHfI", payload)
-    body = zlib.decompress(payload[12:])
-    assert (kind, flags, edge, cell_m, count) == (1, 0, EDGE, CELL_M, 2)
-    assert np.frombuffer(body, "<i4", 4).tolist() == [-3, 2, 7, -1]
-    cells = np.frombuffer(body, np.int8, offset=16).reshape(2, EDGE, EDGE)
-    np.testing.assert_array_equal(cells, [t.cells for t in tiles])
 
 
 def scan(ranges: list[float]) -> LaserScan:

@@ -18,7 +18,7 @@ from service.web import browser
 from service.web.live_view import MAX_EVENTS
 from service.web.protocol import PATH, TILES
 from service.web.send_queue import MAX_NOTES
-from tests.browser.scene import Scene, event, stamp
+from tests.browser.scene import Scene, event
 from tests.service.mapstore.tile_makers import tile
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
 from tests.waiting import wait_until
@@ -83,31 +83,6 @@ def test_nothing_else_can_be_fetched(serve, path):
             assert response.headers["Content-Security-Policy"]
 
     talk(serve(), look)
-
-
-def test_a_new_browser_gets_everything_that_is_shown(serve, store):
-    scene = Scene(store=store)
-    scene.map_all()
-    server = serve()
-
-    async def look(client):
-        for message in (*scene.messages(1.0), event('{"event": "start"}', 1.0)):
-            server.put(message)
-        async with client.socket() as socket:
-            hello = await client.next(socket, "hello")
-            assert hello["profiles"] == ["corridor", "contour_lm", "imle"]
-            about = {name: hello[name] for name in ("vehicle", "profile", "verbs")}
-            assert about == {"vehicle": "veh1", "profile": "corridor", "verbs": ["mark", "wait"]}
-            pose = await client.next(socket, "pose")
-            assert pose["stamp_ns"] == str(stamp(1.0))
-            tiles = await client.next(socket, TILES)
-            assert struct.unpack_from("<I", tiles, 8) == (len(scene.tiles()),)
-        async with client.socket() as late:
-            assert len(await client.next(late, PATH)) == 8 + 8
-            assert (await client.next(late, "event"))["text"] == '{"event": "start"}'
-            assert (await client.next(late, "pose"))["stamp_ns"] == str(stamp(1.0))
-
-    talk(server, look)
 
 
 def test_changed_tiles_follow_and_a_reset_empties_map_and_path(serve, store):
