@@ -39,7 +39,7 @@ from service.recording.mcap_reader import Recording
 from service.recording.mcap_recovery import recover
 from service.web.protocol import RequestError, read_request
 from tests.drivers import irobot_bench, lms100, lux, mtig, utm30lx
-from tests.service.conversion.test_point_cloud import cloud, spinning
+from tests.service.conversion.messages import cloud
 from tests.service.mapstore.graphs import graph_of
 from tests.service.mapstore.tile_makers import tile
 from tests.service.recording.sessions import drive, write_file
@@ -203,7 +203,7 @@ TARGETS: dict[str, Target] = {
     "cdr": Target(read_cdr, cdr_messages),
     "cloud": Target(
         lambda data: CloudConverter(ConversionConfig(), np.eye(4)).scan(data, "front", 0),
-        lambda: [cloud(spinning(1.0)[0])],
+        lambda: [cloud(dict.fromkeys("xyz", np.arange(1.0, 50.0)))],
     ),
     "mcap": of_file("a.mcap", read_mcap, write_recording),
     "recovery": of_file("a.mcap", recover, write_recording),

@@ -2,31 +2,17 @@
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.stores import ros2_jazzy as ros
 
-from service import encoding
 from service.conversion import scan_of_echoes
 from service.errors import InputError
+from tests.service.conversion.messages import STAMP_NS, echoes
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STAMP_NS = 1_700_000_000_250_000_000
 BEAMS = [[1.0, 2.0, 3.0], [], [0.01, 5.0], [np.nan, 6.0], [4.0, 30.0], [7.0]]
 STRENGTH = [[10.0, 30.0, 20.0], [], [90.0, 1.0], [90.0, 1.0], [5.0, 90.0], [1.0]]
 
 
 def payload(ranges, intensities, range_max=25.0):
-    def echoes(beams):
-        return [ros.sensor_msgs__msg__LaserEcho(np.array(beam, np.float32)) for beam in beams]
-
-    stamp = ros.builtin_interfaces__msg__Time(STAMP_NS // 10**9, STAMP_NS % 10**9)
-    content = ros.sensor_msgs__msg__MultiEchoLaserScan(
-        ros.std_msgs__msg__Header(stamp, "laser"),
-        *(-0.5, 0.5, 0.2, 0.001, 0.1, 0.05, range_max),
-        echoes(ranges),
-        echoes(intensities),
-    )
-    return bytes(STORE.serialize_cdr(content, encoding.MULTI_ECHO_SCAN))
+    return echoes(ranges, intensities, (-0.5, 0.5, 0.2, 0.001, 0.1, 0.05, range_max))
 
 
 @pytest.mark.parametrize(

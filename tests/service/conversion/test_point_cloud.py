@@ -4,52 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.stores import ros2_jazzy as ros
 
 from service import encoding
 from service.conversion import CloudConverter, ConversionConfig
 from service.errors import InputError
+from tests.service.conversion.messages import STAMP_NS, STORE, cloud
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STAMP_NS = 1_700_000_000_250_000_000
 LOG_NS = STAMP_NS + 120_000_000
-FORMATS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 LEVEL = np.eye(4)
 ANY = ConversionConfig()
-
-
-def cloud(columns, formats=None, height=1, big_endian=False, padding=0, row_padding=0):
-    """The payload of a cloud. columns: name -> values (N,); formats: name -> as in numpy, else f4."""
-    order, formats = ">" if big_endian else "<", formats or {}
-    count = len(next(iter(columns.values())))
-    kinds = {name: np.dtype(order + formats.get(name, "f4")) for name in columns}
-    offsets, at = {}, padding
-    for name, kind in kinds.items():
-        offsets[name], at = at, at + kind.itemsize + padding
-    columns_of = {"names": list(kinds), "formats": list(kinds.values()), "offsets": list(offsets.values())}
-    whole = np.dtype(columns_of | {"itemsize": at})
-    points = np.zeros(count, whole)
-    for name, values in columns.items():
-        points[name] = values
-    width = count // height
-    rows = [points[k * width : (k + 1) * width].tobytes() + b"\xff" * row_padding for k in range(height)]
-    stamp = ros.builtin_interfaces__msg__Time(STAMP_NS // 10**9, STAMP_NS % 10**9)
-    content = ros.sensor_msgs__msg__PointCloud2(
-        ros.std_msgs__msg__Header(stamp, "lidar"),
-        height,
-        width,
-        [
-            ros.sensor_msgs__msg__PointField(name, offsets[name], FORMATS[formats.get(name, "f4")], 1)
-            for name in columns
-        ],
-        big_endian,
-        at,
-        width * at + row_padding,
-        np.frombuffer(b"".join(rows), np.uint8),
-        False,
-    )
-    return bytes(STORE.serialize_cdr(content, encoding.POINT_CLOUD))
 
 
 def ranges(angle_rad):

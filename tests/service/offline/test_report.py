@@ -177,10 +177,3 @@ def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
     written = (tmp_path / "out" / REPORT_FILE).read_bytes()
     write_report(tmp_path / "out", tmp_path / "out" / REPORT_FILE)
     assert (tmp_path / "out" / REPORT_FILE).read_bytes() == written
-
-
-def test_a_drive_of_one_scan_has_a_page(record_drive: RecordDrive, tmp_path: Path):
-    write_replay(replay([record_drive(scans=1)], ReplayOptions()), tmp_path / "out")
-    page = page_of(tmp_path / "out")
-    assert "path: no trajectory.tum with 2 poses or more" in page.text
-    assert page.count("rect", "ok") == 1

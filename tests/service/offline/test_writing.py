@@ -1,4 +1,3 @@
-import os
 from pathlib import Path
 
 import pytest
@@ -16,12 +15,6 @@ def test_a_file_where_a_folder_is_needed_is_named(tmp_path: Path):
         refuse_unwritable_folder(tmp_path / "file" / "x")
     with pytest.raises(StorageError, match="Is a directory"):
         refuse_unwritable_file(tmp_path)
-
-
-def test_a_folder_without_rights_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(StorageError, match=f"no right to write in {tmp_path}"):
-        refuse_unwritable_folder(tmp_path / "x")
 
 
 def test_an_output_that_cannot_be_written_is_refused_before_the_work(

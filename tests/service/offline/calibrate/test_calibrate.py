@@ -11,7 +11,7 @@ import yaml
 
 from service.cli import main
 from service.config import load_config
-from service.errors import InputError, UsageError
+from service.errors import UsageError
 from service.geometry.se2 import SE2
 from service.offline.calibrate import calibrate
 from service.offline.calibrate.tracks import LaserMapping
@@ -184,13 +184,6 @@ def test_wrong_usage_is_refused_and_the_session_stays(session, tmp_path, capsys,
     assert main(["calibrate", str(session), *options]) == UsageError.exit_code
     assert words in capsys.readouterr().err
     assert session.read_bytes() == before
-
-
-def test_a_laser_alone_has_nothing_to_be_compared_with(frames, tmp_path, capsys):
-    path = tmp_path / "alone.mcap"
-    write_session(path, [frame for frame in frames if frame.sensor == "front"], {}, {}, log_times=True)
-    assert main(["calibrate", str(path)]) == InputError.exit_code
-    assert "front is alone; there are no wheels, no gyro and no other laser" in capsys.readouterr().err
 
 
 def test_a_laser_that_cannot_be_calibrated_is_reported_beside_the_others(frames, tmp_path, capsys):

@@ -1,5 +1,4 @@
 import re
-import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -123,10 +122,3 @@ def test_the_certificate_of_the_page_is_looked_at_too(tree, site):
     (found,) = faults(tree, config("tls: null", web))
     assert (found.severity, found.who) == ("fault", "web")
     assert faults(tree, config("tls: null", f"enabled: false, {web}")) == []
-
-
-def test_without_cryptography_it_is_noted_what_to_install(tree, site, monkeypatch):
-    monkeypatch.setitem(sys.modules, "service.offline.security.authority", None)
-    (found,) = faults(tree, config())
-    assert found.severity == "note"
-    assert "cryptography" in found.remedy

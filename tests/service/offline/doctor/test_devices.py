@@ -18,7 +18,6 @@ from service.offline.doctor.devices import (
     PortWire,
     TcpWire,
     examine_sensor,
-    look_at_shared,
     wire_of,
 )
 from service.offline.doctor.findings import Finding
@@ -26,7 +25,7 @@ from service.offline.doctor.machine import Machine
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
 from tests.drivers.lms100 import Room
-from tests.service.offline.doctor.conftest import FakeTree, Line, Parrot
+from tests.service.offline.doctor.conftest import Line, Parrot
 
 QUICK = Patience(measure_s=0.5, start_up_s=0.8, other_settings_s=2.5, listen_s=0.3)
 WAITING = Patience(measure_s=0.6, start_up_s=8.0)
@@ -159,13 +158,3 @@ def test_a_busy_port_is_not_touched(serial_line: SerialLine, hold: Callable[[str
 )
 def test_a_wire_is_known_by_its_settings(device: str, wire: object):
     assert wire_of(create(device)) == wire
-
-
-def test_two_sensors_at_one_device_are_a_fault(tree: FakeTree):
-    tree.write("/dev/ttyUSB0", "")
-    tree.link("/dev/create", "ttyUSB0")
-    imu, base = create("/dev/ttyUSB0"), create("/dev/create")
-    finding = only(look_at_shared(tree.machine(), {"imu": imu, "base": base}))
-    assert (finding.who, finding.expected) == ("base", "a device for each sensor")
-    assert finding.measured == f"its device is {tree.root}/dev/ttyUSB0, as is that of imu"
-    assert look_at_shared(tree.machine(), {"base": base}) == []

@@ -1,4 +1,3 @@
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -6,7 +5,7 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.errors import CorridorError, InputError, StorageError, UsageError
+from service.errors import InputError, StorageError, UsageError
 from service.geometry.se2 import SE2
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
@@ -84,11 +83,3 @@ def test_what_cannot_be_shown_is_refused_in_words(result: Path, tmp_path: Path) 
     with pytest.raises(StorageError, match="cannot write"):
         show_in_rerun(result, result / "map.pgm" / "a.rrd")
     assert main(["view", str(result), "--save", str(tmp_path / "a.rrd")]) == UsageError.exit_code
-
-
-def test_without_the_package_the_error_names_what_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(CorridorError, match="-m pip install 'rerun-sdk<"):
-        show_in_rerun(tmp_path)

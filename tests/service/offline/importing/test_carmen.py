@@ -142,13 +142,6 @@ def test_corrected_poses_can_be_asked_for_and_odometry_left_out(imported):
     assert "left out" in str(report)
 
 
-def test_a_corrected_log_without_odometry_gives_none_and_says_so(imported):
-    text = flaser("1.0", (0, 0, 0)) + flaser("1.1", (1, 0, 0))
-    report, _, _, samples = imported(text, name="hall.corrected.log")
-    assert samples == []
-    assert "odometry: none: the log holds corrected poses only" in str(report)
-
-
 def test_a_laser_that_moves_against_the_robot_gives_a_corrected_log_away(imported):
     robots = [(0.1 * k, 0.0, 0.0) for k in range(20)]
     text = "".join(
@@ -178,15 +171,6 @@ def test_malformed_lines_are_counted_and_skipped(imported):
     assert report.malformed == {"FLASER": 4, "ODOM": 2, "PARAM": 1}
     assert report.ignored == {"SYNC": 1, "SONAR": 1}
     assert "skipped as malformed: 4 FLASER, 2 ODOM, 1 PARAM" in str(report)
-
-
-@pytest.mark.parametrize("value", ["ahead", "nan", "inf"])
-def test_a_mounting_that_is_no_number_is_malformed(imported, value):
-    report, session, _, _ = imported(
-        f"PARAM robot_frontlaser_offset {value} 1 merlin 1\n" + flaser("1.0", (1, 0, 0))
-    )
-    assert report.malformed == {"PARAM": 1}
-    assert session.mountings["front"] == SE2()
 
 
 def test_gzip_is_read_whatever_the_name(tmp_path):

@@ -163,13 +163,6 @@ def test_a_packed_file_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path: Path)
     assert [f"{cut} is cut off;" in session.losses[0], "was not closed" in session.losses[1]] == [True, True]
 
 
-def test_a_packed_mcap_that_is_cut_off_says_to_unpack_and_recover_it(tmp_path: Path):
-    whole = packed(mcap(tmp_path), ".gz", gzip.compress)
-    whole.write_bytes(whole.read_bytes()[:-100])
-    with pytest.raises(InputError, match=r"unpack it, and make it whole with `corridor recover .*mcap`"):
-        open_session([whole])
-
-
 def test_packed_bytes_that_are_damaged_are_refused_in_words(tmp_path: Path):
     for k, suffix in enumerate((".gz", ".xz", ".bz2", ".zstd", ".lz4")):
         pack = {".gz": gzip.compress, ".xz": lzma.compress, ".bz2": bz2.compress, ".lz4": lz4.frame.compress}

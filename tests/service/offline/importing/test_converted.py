@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.stores import ros2_jazzy as ros
 
 from drivers.frames import LaserScan
 from service import encoding
@@ -19,11 +17,11 @@ from service.offline.replay.replay import replay
 from service.offline.replay.setup import ReplayOptions
 from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
+from tests.service.conversion.messages import STORE, cloud, echoes
 from tests.service.recording.bags import write_ros1, write_ros2
 from tests.service.recording.sessions import drive
 from tests.service.recording.test_mcap_source import Foreign, turn
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 SCANS = 25
 DRIVE = drive(SCANS)
 
@@ -33,15 +31,8 @@ def as_echoes(m: Message) -> Message:
     scan = STORE.deserialize_cdr(m.payload, encoding.LASER_SCAN)
     ranges = [[r / 2.0, r] if k % 10 == 0 else [r] for k, r in enumerate(scan.ranges)]
     strength = [[10.0, 50.0][-len(beam) :] for beam in ranges]
-    echoes, intensities = (
-        [ros.sensor_msgs__msg__LaserEcho(np.array(beam, np.float32)) for beam in beams]
-        for beams in (ranges, strength)
-    )
-    fields = {name: getattr(scan, name) for name in scan.__dataclass_fields__ if not name.startswith("__")}
-    content = ros.sensor_msgs__msg__MultiEchoLaserScan(
-        **{**fields, "ranges": echoes, "intensities": intensities}
-    )
-    payload = bytes(STORE.serialize_cdr(content, encoding.MULTI_ECHO_SCAN))
+    sweep = scan.angle_min, scan.angle_max, scan.angle_increment, scan.time_increment, scan.scan_time
+    payload = echoes(ranges, strength, (*sweep, scan.range_min, scan.range_max), m.stamp_ns)
     return Message("echoes", encoding.MULTI_ECHO_SCAN, m.stamp_ns, m.log_ns, payload)
 
 
@@ -50,27 +41,12 @@ def as_cloud(m: Message, heights_m: tuple[float, ...] = (0.0,)) -> Message:
     scan = STORE.deserialize_cdr(m.payload, encoding.LASER_SCAN)
     angle = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
     t = scan.time_increment * np.arange(len(scan.ranges))
-    rows = [
-        np.stack([scan.ranges * np.cos(angle), scan.ranges * np.sin(angle), 0 * angle + z, t], 1)
-        for z in heights_m
-    ]
+    rings = [(scan.ranges, z) for z in heights_m]
     if len(heights_m) > 1:
-        rows.append(np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle), 0 * angle - 0.5, t], 1))
-    points = np.concatenate(rows).astype(np.float32)
-    names = ("x", "y", "z", "time")
-    content = ros.sensor_msgs__msg__PointCloud2(
-        scan.header,
-        1,
-        len(points),
-        [ros.sensor_msgs__msg__PointField(name, 4 * k, 7, 1) for k, name in enumerate(names)],
-        False,
-        16,
-        16 * len(points),
-        np.frombuffer(points.tobytes(), np.uint8),
-        True,
-    )
-    payload = bytes(STORE.serialize_cdr(content, encoding.POINT_CLOUD))
-    return Message("points", encoding.POINT_CLOUD, m.stamp_ns, m.log_ns, payload)
+        rings.append((0.5, -0.5))
+    rows = [(r * np.cos(angle), r * np.sin(angle), np.full_like(angle, z), t) for r, z in rings]
+    columns = dict(zip(("x", "y", "z", "time"), np.concatenate(rows, axis=1), strict=True))
+    return Message("points", encoding.POINT_CLOUD, m.stamp_ns, m.log_ns, cloud(columns, stamp_ns=m.stamp_ns))
 
 
 def with_scans(change) -> list[Message]:

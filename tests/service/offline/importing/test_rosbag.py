@@ -118,14 +118,6 @@ def test_an_output_that_cannot_be_written_shows_before_the_input_is_read(importe
             importer(tmp_path / "in.mcap", out)
 
 
-@pytest.mark.parametrize("path", ["nowhere.bag", "nowhere", "empty"])
-def test_a_missing_bag_is_named(path, tmp_path):
-    (tmp_path / "empty").mkdir()
-    why = "no recording in this folder" if path == "empty" else ""
-    with pytest.raises(InputError, match=f"{path}.*{why}"):
-        import_rosbag(tmp_path / path, tmp_path / "out.mcap")
-
-
 def test_a_scan_of_another_definition_is_passed_over(tmp_path):
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg("float32[] ranges", LASER_SCAN))

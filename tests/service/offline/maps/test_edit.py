@@ -17,7 +17,7 @@ from service.mapstore.in_use import InUse
 from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.maps.log import map_log
 from service.outputs import TileUpdate
-from tests.service.mapper.graph.edit.test_editing import CABINET, ROUND, saved_of
+from tests.service.mapper.graph.edit.test_editing import CABINET, saved_of
 from tests.service.mapstore.tile_makers import tile
 
 SQUARE = [0.5, 0.5, 1.5, 0.5, 1.5, 1.5, 0.5, 1.5]
@@ -106,28 +106,6 @@ def test_a_time_is_seconds_of_the_drive_or_utc(text, begin_ns, expected):
     assert stamp_of(text, begin_ns) == expected
     with pytest.raises(UsageError, match="noon: expected seconds"):
         stamp_of("noon", 0)
-
-
-def test_loops_pairs_and_undo_follow_one_another(ring, graph):
-    edit(ring, "--refuse-loop", 0, 1)
-    assert len(load_map(ring).graph.loop_ends) == len(graph.loop_ends) - 2
-    k = 10
-    x_m, y_m = graph.map[k, :2].tolist()
-    spot = x_m, y_m + 0.2
-    edit(ring, "--add-pair", *spot, *spot, "--keyframes", k, k + ROUND)
-    assert load_map(ring).graph.by_hand.pair_ends.tolist() == [[k, k + ROUND]]
-    edit(ring, "--undo")
-    edit(ring, "--undo")
-    np.testing.assert_array_equal(load_map(ring).graph.loop_ends, graph.loop_ends)
-    np.testing.assert_array_equal(load_map(ring).graph.map, graph.map)
-    edit(ring, "--undo", code=65)
-    edit(ring, "--undo", "--to", 3)
-    assert len(load_map(ring).graph.by_hand.pair_ends) == 1
-    versions = map_log(ring)["versions"]
-    whats = ["saved", "refuse-loop", "add-pair", "undo", "undo", "undo"]
-    assert [version["what"] for version in versions] == whats
-    assert {version["who"] for version in versions[1:]} == {"ada"}
-    assert versions[3]["words"].startswith("took back version 3 (pair 0 about ")
 
 
 def test_the_log_is_a_table_and_json(ring, capsys):

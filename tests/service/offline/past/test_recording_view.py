@@ -1,5 +1,4 @@
 import json
-import struct
 import subprocess
 import sys
 
@@ -11,9 +10,8 @@ from service.offline.past.moments import GO_TO, Moment, MomentCommands
 from service.offline.past.recording_view import RecordingView
 from tests.service.offline.past.past_recordings import write_past
 from tests.service.recording.sessions import drive, write_file
-from tests.service.web.conftest import TIMEOUT_S, talk
+from tests.service.web.conftest import TIMEOUT_S
 
-SCAN, PATH = 2, 3
 ANY_PORT = "127.0.0.1:0"
 
 
@@ -27,28 +25,6 @@ def shown(files):
     view = RecordingView(files, ANY_PORT)
     yield view
     view.close()
-
-
-async def at_second(client, socket, seconds):
-    """The moment that comes when that second is asked for."""
-    await client.ask(socket, type="command", n=1, verb=GO_TO, request={"position_s": seconds})
-    assert (await client.next(socket, "answer"))["body"] == {"ok": True}
-    while True:
-        moment = await client.next(socket, "moment")
-        if abs(moment["position_s"] - seconds) < 1e-6:
-            return moment
-
-
-def test_a_scan_comes_with_its_moment(shown):
-    async def look(client):
-        async with client.socket() as socket:
-            await client.ask(socket, type="token", token=shown.token)
-            moment = await at_second(client, socket, 4.0)
-            stamp_s = 0.0
-            while abs(stamp_s - moment["at_s"]) > 0.2:
-                (stamp_s,) = struct.unpack_from("<d", await client.next(socket, SCAN), 4)
-
-    talk(shown, look)
 
 
 class Line:
@@ -99,18 +75,6 @@ def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
         assert said["address"].startswith("http://127.0.0.1:")
         process.send_signal(2)
         assert process.wait(TIMEOUT_S) == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["view", "a", "b"], "of folders give one"),
-        (["view", "a.mcap", "--rerun"], "opened by rerun itself"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(arguments, words, capsys):
-    assert main(arguments) == 64
-    assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["v.mcap.active", "v.mcap.damaged"])

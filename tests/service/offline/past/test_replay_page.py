@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.cli import main
-from service.errors import UsageError
 from service.offline.past.replay_page import ReplayPage
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.outputs import UNKNOWN
@@ -145,15 +143,3 @@ def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
 
     talk(page.server, steer)
     assert len(working.result(TIMEOUT_S).outputs) == 40
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["a.mcap", "--paused"],
-        ["a.mcap", "--web", "--listen", "here"],
-        ["a.mcap", "b.mcap", "--web", "--jobs", "2"],
-    ],
-)
-def test_what_does_not_go_together_is_refused(arguments: list[str]) -> None:
-    assert main(["replay", *arguments]) == UsageError.exit_code

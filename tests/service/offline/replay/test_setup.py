@@ -56,12 +56,6 @@ def test_a_copy_of_the_map_is_the_same_map(session: Session, office: Path, tmp_p
     assert set_up(session, ReplayOptions(map=tmp_path / "elsewhere")).map_version == 1
 
 
-def test_another_map_begins_in_its_newest_version(session: Session, tmp_path: Path):
-    save_version(tmp_path / "library", 3)
-    setup = set_up(session, ReplayOptions(map=tmp_path / "library"))
-    assert (setup.map_version, setup.is_as_live) == (None, False)
-
-
 def test_a_version_that_is_gone_is_reported(session: Session, office: Path, caplog: pytest.LogCaptureFixture):
     shutil.rmtree(office / "v000001")
     assert set_up(session, ReplayOptions(map=office)).map_version is None

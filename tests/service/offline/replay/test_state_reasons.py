@@ -1,7 +1,7 @@
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.offline.replay.state_reasons import MAX_KINDS, StateReasons, doubts
+from service.offline.replay.state_reasons import StateReasons, doubts
 from service.outputs import MapperOutput, Reason, State
 
 T0_NS = 1_700_000_000_000_000_000
@@ -47,13 +47,6 @@ def test_reasons_that_differ_in_numbers_alone_are_one_kind():
         ],
     }
     assert {kind["id"] for kinds in reasons.values() for kind in kinds} == {"off_map"}
-
-
-def test_only_the_most_frequent_kinds_are_reported():
-    rare = [("degraded", f"reason {letter}") for letter in "abcdefg"]
-    kinds = reasons_of([*rare, ("degraded", "reason g")]).as_dict()["degraded"]
-    assert len(kinds) == MAX_KINDS
-    assert kinds[0] == {"id": "off_map", "reason": "reason g", "scans": 2, "first_s": 0.6}
 
 
 def test_of_each_state_but_ok_the_main_reason_is_reported():

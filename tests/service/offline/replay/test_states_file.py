@@ -62,8 +62,3 @@ def test_a_damaged_file_is_bad_input_with_its_line(tmp_path: Path, text: str, fa
     path.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(InputError, match=fault):
         read_states(path)
-
-
-def test_no_file_is_bad_input(tmp_path: Path):
-    with pytest.raises(InputError, match="No such file"):
-        read_states(tmp_path / "states.csv")

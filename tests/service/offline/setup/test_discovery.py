@@ -70,9 +70,3 @@ def test_another_model_of_the_same_telegram_is_found_with_the_setting_that_reads
     assert found.type == "sick_lms100"
     assert found.settings["model"] == "lms5xx"
     assert found.identity["device"] == "LMS511_FieldEval"
-
-
-def test_scanner_that_is_not_read_is_named_with_what_it_would_need():
-    found = found_at_a(Lms100Setup(ident="MRS1xxxx"))
-    assert found.type == ""
-    assert "MRS1000 (it calls itself MRS1xxxx), which is not read: that would need one of its" in found.words

@@ -60,15 +60,6 @@ def test_a_program_that_no_unit_can_start_is_wrong_usage(tmp_path: Path, program
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_unit_that_was_kept_is_reported_by_what_it_starts(tmp_path: Path):
-    install_unit(tmp_path, program="/opt/my 100%/corridor")
-    again = install_unit(tmp_path, program="/usr/bin/corridor")
-    assert [Path(path).name for path in again.kept] == ["corridor@.service"]
-    assert again.program == "/opt/my 100%/corridor"
-    (tmp_path / "etc/systemd/system/corridor@.service").write_text("# mine\n")
-    assert "the unit starts" not in str(install_unit(tmp_path))
-
-
 def test_a_program_that_the_unit_may_not_see_is_reported(tmp_path: Path):
     assert "may not look" in install_unit(tmp_path, program="/home/me/venv/bin/corridor").warning
 
