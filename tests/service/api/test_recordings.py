@@ -25,11 +25,3 @@ def test_topics_are_chosen_by_name_and_a_wrong_one_is_refused(recording):
         corridor.read(recording, scan_topics=["/rear/scan"])
     with pytest.raises(corridor.UsageError, match="odom_topic"):
         corridor.read(recording, odom_topic="")
-
-
-def test_a_file_that_is_no_recording_is_refused(tmp_path):
-    (tmp_path / "x.mcap").write_bytes(b"nothing")
-    with pytest.raises(corridor.InputError, match=r"x\.mcap"):
-        corridor.read(tmp_path / "x.mcap")
-    with pytest.raises(corridor.InputError, match="no such file"):
-        corridor.read(tmp_path / "y.mcap")

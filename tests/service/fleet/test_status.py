@@ -20,7 +20,6 @@ from service.fleet import vehicles as vehicles_module
 from service.fleet.router import zenohd_config
 from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
-from service.publishing.uplink import PRESENCES
 from tests.service.cli.test_commands import code_of
 from tests.service.fleet.conftest import diagnostics, router_config
 from tests.service.test_encoding_outputs import OUTPUT
@@ -56,17 +55,6 @@ def test_status_lists_each_vehicle_with_what_it_says_of_itself(
     assert len(veh1["sessions"]) == 1
     assert code_of(["fleet", "status", "--site", site_file]) == 0
     assert "veh1: ok | x " in capsys.readouterr().out
-
-
-def test_two_vehicles_by_one_name_make_the_exit_code_1_and_both_are_named(
-    endpoint, router, start_vehicle, open_client, site_file, capsys
-):
-    client = open_client(endpoint)
-    put_health(start_vehicle(endpoint), client)
-    start_vehicle(endpoint, waits=False)
-    wait_until(lambda: len(list(client.liveliness().get(PRESENCES, timeout=20.0))) == 2)
-    code, vehicles = vehicles_at(capsys, site_file)
-    assert (code, len(vehicles["veh1"]["sessions"])) == (1, 2)
 
 
 def test_what_is_no_health_message_is_a_fault_of_its_vehicle(endpoint, router, open_client):

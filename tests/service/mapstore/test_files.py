@@ -103,15 +103,6 @@ def test_a_copy_whose_links_became_files_is_saved_to_like_the_map(tmp_path):
     assert not list(copy.glob(".unfinished-*"))
 
 
-def test_a_foreign_folder_named_current_is_left_alone_and_no_version_is_made(tmp_path):
-    save_map(tmp_path, TILES, 1)
-    (tmp_path / "current").unlink()
-    (tmp_path / "current").mkdir()
-    with pytest.raises(StorageError, match="current is neither a link nor the copy of a version"):
-        save_map(tmp_path, TILES, 2)
-    assert check_versions(tmp_path) == ([1], [])
-
-
 @pytest.mark.parametrize(
     ("text", "why"),
     [

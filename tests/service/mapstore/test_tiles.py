@@ -1,5 +1,4 @@
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,14 +150,3 @@ def test_a_map_keeps_its_place_on_the_earth_when_another_begins():
     (ended,), present = store.take()
     assert ended.geo == GEO
     assert present.geo is None
-
-
-def test_graph_and_place_of_a_map_that_ends_without_a_tile_are_not_those_of_the_next():
-    store = TileStore()
-    store.place(GEO)
-    store.keep_graph(Path("graphs/000001"))
-    assert store.start_over() == []
-    store.update([tile(0, 0, 1)])
-    ended, present = store.take()
-    assert ended == []
-    assert (present.geo, present.graph) == (None, None)

@@ -36,12 +36,6 @@ def test_a_file_that_others_read_or_that_holds_nothing_is_refused(tmp_path, cont
         token_from_file(path)
 
 
-def test_a_folder_that_cannot_be_made_is_reported(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be kept there"):
-        token_from_file(tmp_path / "file" / "web.token")
-
-
 @pytest.mark.parametrize(
     ("host", "is_ours"),
     [

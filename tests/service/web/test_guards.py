@@ -39,16 +39,6 @@ def test_commands_need_the_token(serve, dispatcher):
     talk(serve(), ask)
 
 
-def test_who_guesses_tokens_is_let_go(serve):
-    async def guess(client):
-        async with client.socket() as socket:
-            for number in range(browser.MAX_WRONG_TOKENS):
-                await client.ask(socket, type="token", token=f"guess {number}")
-            assert await client.closed_with(socket) == aiohttp.WSCloseCode.POLICY_VIOLATION
-
-    talk(serve(), guess)
-
-
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
 def test_another_page_cannot_open_the_socket(serve, origin):
     server = serve()

@@ -168,14 +168,6 @@ def test_bytes_that_are_no_pose_are_counted(view):
     assert view.unreadable == 1
 
 
-def test_sensors_with_poses_of_their_own_are_not_the_pose(view):
-    view.put(encode_pose(Scene().output(0.0), 1))
-    view.due()
-    message = encode_pose(Scene().output(5.0), 1)
-    view.put(Message("base/pose", message.type, 1, 1, message.payload))
-    assert texts(view.due(), "pose") == []
-
-
 def test_events_that_come_many_a_second_are_left_out(view):
     view.put(event('{"event": "apply_result"}', 0.0))
     view.put(event('{"event": "scan_passed_over", "sensor": "front"}', 0.0))

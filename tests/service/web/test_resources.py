@@ -101,14 +101,6 @@ def test_deleted_it_is_gone_until_it_is_taken_back(resources, folders):
         resources.undo(number)
 
 
-def test_undo_does_not_overwrite_what_has_the_name_now(resources, folders):
-    number = resources.delete("session", "a.mcap")
-    (folders["session"] / "a.mcap").write_bytes(b"new")
-    with pytest.raises(ResourceError, match="another a"):
-        resources.undo(number)
-    assert (folders["session"] / "a.mcap").read_bytes() == b"new"
-
-
 def test_purge_erases_what_was_deleted(resources, folders):
     number = resources.delete("session", "a.mcap")
     assert (folders["session"] / DELETED / number / "a.mcap").exists()

@@ -13,14 +13,6 @@ def test_of_a_picture_only_the_newest_waits():
     assert send_queue.take() == []
 
 
-def test_each_note_waits_and_the_oldest_goes_first():
-    send_queue = SendQueue()
-    for number in range(MAX_NOTES + 2):
-        send_queue.note(str(number))
-    assert send_queue.take() == [str(number) for number in range(2, MAX_NOTES + 2)]
-    assert send_queue.dropped == 2
-
-
 def test_no_answer_is_left_out_however_much_happens():
     send_queue = SendQueue()
     send_queue.answer("hello")

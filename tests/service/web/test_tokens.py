@@ -11,7 +11,6 @@ from service.web.tokens import (
     Tokens,
     add_grant,
     read_grants,
-    revoke_grant,
 )
 
 
@@ -37,18 +36,6 @@ def test_a_token_has_name_role_and_end_and_is_kept_as_a_digest(tmp_path):
     assert known.grant_of(token) is None
     assert not known.still_holds(grant)
     assert known.still_holds(known.grant_of("own"))
-
-
-def test_a_revoked_or_replaced_token_holds_no_more_at_once(tmp_path):
-    path = tmp_path / "web.tokens.json"
-    known = Tokens("own", path)
-    anna, bert = (known.grant_of(add_grant(path, name, "operator", None)) for name in ("anna", "bert"))
-    revoke_grant(path, "anna")
-    assert (known.still_holds(anna), known.still_holds(bert)) == (False, True)
-    add_grant(path, "bert", "operator", None)
-    assert not known.still_holds(bert)
-    with pytest.raises(InputError, match="no token of anna; there are: bert"):
-        revoke_grant(path, "anna")
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@
 import os
 import select
 import socket
-import subprocess
-import sys
 import termios
 import threading
 import tty
@@ -21,12 +19,6 @@ from tests.in_background import in_background
 from tests.silent_device import SilentDevice
 
 PATIENCE_S = 60.0
-HOLD = """
-import sys, serial
-port = serial.Serial(sys.argv[1], 115200, exclusive=True)
-print("held", flush=True)
-sys.stdin.read()
-"""
 
 
 @pytest.fixture
@@ -145,22 +137,3 @@ class Line:
 def serial_line() -> Iterator[Callable[..., Line]]:
     with ExitStack() as stack:
         yield lambda says=lambda baud: b"": stack.enter_context(Line(says))
-
-
-@pytest.fixture
-def hold() -> Iterator[Callable[[str], int]]:
-    """Opens a port exclusively in another process; gives its number."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(path: str) -> int:
-        process = subprocess.Popen(
-            [sys.executable, "-c", HOLD, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        started.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "held\n"
-        return process.pid
-
-    yield start
-    for process in started:
-        process.communicate(timeout=PATIENCE_S)

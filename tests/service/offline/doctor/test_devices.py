@@ -138,14 +138,6 @@ def test_noise_at_every_rate_is_reported_in_words(serial_line: SerialLine):
     assert "RS-232" in finding.remedy
 
 
-def test_a_busy_port_is_not_touched(serial_line: SerialLine, hold: Callable[[str], int]):
-    line = serial_line()
-    number = hold(line.path)
-    finding = only(examine(create(line.path)))
-    assert f"(process {number})" in finding.measured
-    assert not line.heard
-
-
 @pytest.mark.parametrize(
     ("device", "wire"),
     [

@@ -59,12 +59,6 @@ def test_the_running_service_is_recognised(tree: FakeTree, taken: int):
     assert running.endpoint == f"tcp/127.0.0.1:{taken}"
 
 
-def test_an_address_of_another_machine_is_a_fault(tree: FakeTree):
-    finding, _ = look(tree.machine(), "tcp/192.0.2.1:7447")  # of the documentation's net, RFC 5737
-    assert finding.severity == "fault"
-    assert "this machine has no such address" in finding.measured
-
-
 def test_the_page_of_the_running_service_is_good(tree: FakeTree, taken: int):
     tree.process(41, "corridor", "corridor", "run", "v.yaml")
     _, running = look(tree.machine(), f"tcp/127.0.0.1:{taken}")

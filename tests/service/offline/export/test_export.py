@@ -63,11 +63,6 @@ def test_the_poses_of_a_session_become_a_trajectory(session, tmp_path):
     assert_is_the_trajectory(tmp_path / "drive.tum")
 
 
-def test_a_stored_map_has_no_trajectory(stored, tmp_path):
-    with pytest.raises(InputError, match="a stored map holds no trajectory"):
-        export(stored, "tum", tmp_path / "a.tum")
-
-
 def test_nothing_is_written_into_a_stored_map(stored):
     with pytest.raises(UsageError, match="lies inside the stored map"):
         export(stored, "pgm", stored / "map.pgm")

@@ -50,19 +50,6 @@ def test_geotiff_on_the_earth_by_gdal(anchored, tmp_path):
             assert raster.xy(row, column) == pytest.approx(in_utm(*place), abs=1e-3)
 
 
-def test_geotiff_of_a_map_in_no_known_place_by_gdal(replayed, tmp_path):
-    import rasterio
-
-    export(replayed, "geotiff", tmp_path / "hall.tif")
-    first = (tmp_path / "hall.tif").read_bytes()
-    with rasterio.open(tmp_path / "hall.tif") as raster:
-        assert raster.crs is None or raster.crs.to_epsg() is None
-        assert raster.xy(39, 0) == pytest.approx((X_MIN_M + 0.25, Y_MIN_M + 0.25))
-        np.testing.assert_array_equal(raster.read(1), to_pixels(cells()))
-    export(replayed, "geotiff", tmp_path / "hall.tif")
-    assert (tmp_path / "hall.tif").read_bytes() == first
-
-
 def test_dxf_by_ezdxf(replayed, tmp_path):
     import ezdxf
 

@@ -151,14 +151,6 @@ def test_a_session_that_extends_the_map_moves_the_trajectory_as_often_as_it_save
     np.testing.assert_allclose(trajectory.pose, expected, atol=1e-6)
 
 
-def test_a_replay_into_the_same_folder_begins_without_edits(result, bent):
-    before = files_of(result)
-    join_rounds(result, bent)
-    write_replay(replay_of(bent), result)
-    assert files_of(result) == before
-    assert not (result / "unedited").exists()
-
-
 def test_files_that_cannot_be_rewritten_are_an_error_and_exports_are_right_all_the_same(
     result, tmp_path, monkeypatch
 ):

@@ -78,12 +78,6 @@ def test_a_config_that_does_not_know_the_lasers_maps_the_fullest(record_drive: R
         replay([session], ReplayOptions(config=config))
 
 
-def test_a_laser_that_the_recording_does_not_hold_is_reported(record_drive: RecordDrive):
-    session = record_drive(config=TWO_LASERS + "mapping: {lasers: [rear]}\n")
-    with pytest.raises(InputError, match=r"maps rear, but the scans here are of front; .*--config"):
-        replay([session], ReplayOptions())
-
-
 def test_a_replay_writes_what_other_programs_read_and_counts_what_happened(
     record_drive: RecordDrive, tmp_path: Path
 ):
