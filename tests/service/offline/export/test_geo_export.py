@@ -70,14 +70,16 @@ def test_csv_has_both_frames_and_the_compass(anchored, tmp_path):
 @pytest.mark.parametrize(
     ("geo", "to", "words"),
     [
-        ("", "geojson", r"no geo.json in it: .* which geojson needs.*summary\.json"),
-        ("", "kml", r"no geo.json in it: .* which kml needs.*summary\.json"),
+        (None, "geojson", r"no geo.json in it: .* which geojson needs.*summary\.json"),
+        (None, "kml", r"no geo.json in it: .* which kml needs.*summary\.json"),
         ("{}", "csv", r'geo\.json: no geo-reference: expected an object whose "datum"'),
         (json.dumps(POLAR.as_dict()), "png", "UTM ends at 84 degrees"),
     ],
 )
 def test_what_no_place_on_the_earth_can_be_given_is_refused_in_words(anchored, tmp_path, geo, to, words):
-    (anchored / "geo.json").write_text(geo) if geo else (anchored / "geo.json").unlink()
+    (anchored / "geo.json").unlink()
+    if geo is not None:
+        (anchored / "geo.json").write_text(geo)
     with pytest.raises(InputError, match=words):
         export(anchored, to, tmp_path / f"way.{to}")
     assert not (tmp_path / f"way.{to}").exists()
