@@ -1,13 +1,8 @@
-import threading
-
 import pytest
 
-from service.encoding import ERROR
 from service.publishing.commands import Answer
-from service.sinks.fan_out import Sinks
 from service.sinks.web_sink import open_sink
 from service.web.config import WebConfig
-from service.web.live_view import LiveView
 from tests.browser.scene import Scene, stamp
 from tests.service.sinks.contexts import sink_context
 from tests.service.web.conftest import TIMEOUT_S, Client, talk
@@ -91,26 +86,3 @@ def test_the_token_lies_in_the_folder_of_state(monkeypatch, tmp_path):
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path / 'state'}:{tmp_path / 'other'}")
     open_sink(WebConfig(listen="127.0.0.1:0"), sink_context()).close()
     assert (tmp_path / "state" / "web.token").is_file()
-
-
-def test_a_page_that_can_show_nothing_any_more_ends_and_its_row_says_so(open_page, monkeypatch):
-    died, fails = threading.Event(), threading.Event()
-
-    def report(thread):
-        sinks.thread_died(thread.thread.name, thread.exc_value)
-        died.set()
-
-    def due(self):
-        if fails.is_set():
-            raise ValueError("a pose of no length")
-        return []
-
-    monkeypatch.setattr(threading, "excepthook", report)
-    monkeypatch.setattr(LiveView, "due", due)
-    sink = open_page()
-    sinks = Sinks([sink])
-    fails.set()
-    assert died.wait(TIMEOUT_S)
-    (row,) = sinks.health()
-    assert (row.level, row.message) == (ERROR, "thread web-serve died: ValueError: a pose of no length")
-    assert sink.place() == ""
