@@ -97,13 +97,6 @@ def test_what_is_no_frame_is_refused():
         corridor.Mapper().process(ROOM_SCAN.range_m)
 
 
-def test_a_late_scan_is_dropped_and_counted():
-    mapper = corridor.Mapper(mountings=MOUNTINGS)
-    assert mapper.process(ROOM_SCAN) is not None
-    assert mapper.process(ROOM_SCAN) is None
-    assert mapper.counters["scans_dropped_late"] == 1
-
-
 def test_a_saved_map_is_gone_on_in(stored):
     mapper = corridor.Mapper(mountings=MOUNTINGS, map=stored, localize=True)
     poses = mapped(mapper, driven().frames)

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-from PIL import Image
 
 from service.mapstore.annotated import AXIS_X, AXIS_Y, INK, PALETTE, WAY, annotated, scale_bar_m
-from service.mapstore.picture import GREY_UNKNOWN, WHITE_FREE, picture_of_grid
-from service.mapstore.png import write_png
+from service.mapstore.picture import picture_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
 
 CELL_M, X_MIN_M, Y_MIN_M = 0.05, -20.0, -15.0
@@ -58,17 +56,6 @@ def test_the_path_the_origin_and_the_bar_are_where_they_belong(picture):
     rows, columns = np.nonzero(pixels == INK)
     assert rows.min() > at(shown, 0.0, -3.0)[0]  # below the room
     assert columns.max() - columns.min() == 2.0 / CELL_M  # 2 m
-
-
-def test_it_reads_as_a_picture_in_colour(picture, tmp_path):
-    shown = annotated(picture, [np.array([(-2.0, 2.0), (-2.0, -2.0)])])
-    write_png(tmp_path / "map.png", shown, PALETTE)
-    with Image.open(tmp_path / "map.png") as image:
-        colours = np.asarray(image.convert("RGB"))
-    row, column = at(shown, 3.0, 1.0)
-    assert colours[row, column].tolist() == [WHITE_FREE] * 3
-    assert colours[0, 0].tolist() == [GREY_UNKNOWN] * 3
-    assert (colours == PALETTE[WAY]).all(axis=2).sum() >= 80
 
 
 @pytest.mark.parametrize(

@@ -141,24 +141,6 @@ def test_a_name_that_the_disk_refuses_is_reported_and_the_next_save_is_made(
     assert answers.heard[2] == (SavedMap(tmp_path / "map", 2, 2), "")
 
 
-@pytest.mark.parametrize("name", ["", "office"])
-def test_who_asks_for_a_map_that_ends_before_it_is_saved_hears_where_that_one_is(
-    tmp_path: Path, answers: Answers, name: str
-):
-    kept = Kept(tmp_path / "map")
-    kept.tiles.update([tile(1)])
-    kept.saver.ask_to_save(answers, name)
-    kept.tiles.start_over()
-    kept.tiles.update([tile(5)])
-    kept.saver.flush()
-    assert load_map(tmp_path / "map_2").number == 1
-    assert answers.heard == [
-        (None, f"not saved as office: the map has ended meanwhile; it is stored in {tmp_path}/map")
-        if name
-        else (SavedMap(tmp_path / "map", 1, 1), "")
-    ]
-
-
 def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: Path, answers: Answers):
     (tmp_path / "map").write_text("in the way")
     kept = Kept(tmp_path / "map")

@@ -104,12 +104,3 @@ def test_what_is_no_http_is_let_go_and_fills_no_log(serve, caplog):
                 pass
     assert server.health().values["refused"] == "1"  # the other speaks TLS, say, and is nothing of note
     assert caplog.records == []
-
-
-def test_a_fault_of_ours_is_logged(serve, caplog, monkeypatch):
-    server = serve()
-    monkeypatch.setattr("service.web.server.host_fault", lambda host, names: 1 / 0)
-    with connect(server) as browser:
-        browser.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-        assert browser.recv(12) == b"HTTP/1.1 500"
-    assert "ZeroDivisionError" in caplog.text

@@ -1,7 +1,6 @@
 """The page's server: what it serves, to how many, and how it begins and ends."""
 
 import asyncio
-import json
 import re
 import shutil
 import socket as sockets
@@ -15,10 +14,8 @@ import pytest
 
 from service.encoding import encode_pose
 from service.web import browser
-from service.web.live_view import MAX_EVENTS
 from service.web.protocol import PATH, TILES
-from service.web.send_queue import MAX_NOTES
-from tests.browser.scene import Scene, event
+from tests.browser.scene import Scene
 from tests.service.mapstore.tile_makers import tile
 from tests.service.web.conftest import TIMEOUT_S, TOKEN, repeating, talk
 from tests.waiting import wait_until
@@ -123,23 +120,6 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, disp
             assert sorted(answered) == list(range(browser.MAX_COMMANDS))
 
     talk(server, ask)
-
-
-def test_who_comes_after_many_events_is_greeted_all_the_same(serve):
-    """Without the greeting the page would know no command, and not the vehicle."""
-    server = serve()
-    for number in range(MAX_EVENTS):
-        server.put(event(f"{number}", float(number)))
-
-    async def come(client):
-        async with client.socket() as socket:  # so that all of them are kept by now
-            while (await client.next(socket, "event"))["text"] != f"{MAX_EVENTS - 1}":
-                pass
-        async with client.socket() as socket:
-            assert json.loads((await socket.receive()).data)["type"] == "hello"
-            assert (await client.next(socket, "event"))["text"] == f"{MAX_EVENTS - MAX_NOTES}"
-
-    talk(server, come)
 
 
 def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serve, tmp_path):

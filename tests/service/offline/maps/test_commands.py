@@ -1,6 +1,5 @@
 """What the operator's page asks of a stored map: bounded, one at a time, each change a version on disk."""
 
-import base64
 import json
 import threading
 
@@ -11,7 +10,6 @@ from service.geometry import poses as se2
 from service.mapstore.files import load_map, save_map
 from service.offline.maps import edit as map_edit
 from service.offline.maps.commands import MapCommands
-from service.web.protocol import encode_tiles
 from tests.in_background import started
 from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.bent_maps import ROUND, graph_in
@@ -53,16 +51,6 @@ def test_the_points_of_a_key_frame_lie_in_the_map(folder, bent):
     np.testing.assert_allclose(np.reshape(facts["points"], (-1, 2)), expected, atol=2e-3)
     assert "no key frame 9999" in Asking(folder).ask("map_keyframe", version=1, keyframe=9999)["error"]
     assert "this is of version 7" in Asking(folder).ask("map_keyframe", version=7, keyframe=0)["error"]
-
-
-def test_tiles_of_a_version_are_sent_as_the_page_decodes_them(folder):
-    asking = Asking(folder)
-    before = load_map(folder).tiles
-    assert asking.edit(1, "erase", corners=SQUARE, becomes="free")["ok"]
-    for number, tiles in ((1, before), (2, load_map(folder).tiles)):
-        facts = asking.ask("map_version", version=number)
-        assert base64.b64decode(facts["tiles"]) == encode_tiles(tiles)
-    assert "3" in asking.ask("map_version", version=3)["error"]
 
 
 def test_pairs_of_points_straighten_the_map(folder, bent):

@@ -10,13 +10,11 @@ from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.refused_loops import BY_HAND, WORDS
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
 from service.offline.maps.loops import map_loops
 from tests.service.mapper.graph.loops.rings import key_frames
 from tests.service.mapstore.tile_makers import tile
-from tests.service.offline.maps.test_commands import Asking
 
 TILES = [tile(0, 0, 1)]
 
@@ -73,18 +71,3 @@ def test_the_table_names_each_loop_and_json_is_json(tmp_path, graph, capsys):
     save_map(tmp_path / "picture", TILES, 1)
     assert main(["map", "loops", str(tmp_path / "picture")]) == 65
     assert "it has no loops" in capsys.readouterr().err
-
-
-def test_a_loop_is_refused_and_accepted_again_as_the_page_asks(tmp_path, graph):
-    save_map(tmp_path, TILES, 1, graph=graph)
-    asking = Asking(tmp_path)
-    before = asking.ask("map_look")["loops"]
-    keyframes = before["accepted"][0]["keyframes"]
-    assert asking.edit(1, "refuse-loop", loop=0)["ok"]
-    after = asking.ask("map_look")["loops"]
-    assert len(after["accepted"]) == len(before["accepted"]) - 1
-    (loop,) = [loop for loop in after["refused"] if loop["why"] == WORDS[BY_HAND]]
-    assert loop["keyframes"] == keyframes
-    pairs = [{"points": points, "keyframes": keyframes} for points in loop["pairs"]]
-    assert asking.edit(2, "add-pair", pairs=pairs)["ok"]
-    assert max(pair["apart_mm"] for pair in asking.ask("map_look")["pairs"]) < 50.0

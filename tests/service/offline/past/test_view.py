@@ -10,15 +10,13 @@ from service.geometry.se2 import SE2
 from service.mapstore.files import save_map
 from service.mapstore.picture import picture_of_grid
 from service.mapstore.ros_map import write_ros_map
-from service.offline.maps.change_file import write_changes
 from service.offline.past.view import View
 from service.offline.score.trajectory import write_tum
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid, TileUpdate
 from tests.service.offline.maps.bent_maps import ROUND, save_bent
-from tests.service.offline.maps.test_change_file import CHANGES
 from tests.service.web.conftest import talk
 
-TILES, PATH, GRAPH, CHANGED = 1, 3, 4, 6
+TILES, GRAPH = 1, 4
 ANY_PORT = "127.0.0.1:0"
 
 
@@ -54,19 +52,6 @@ def test_a_stored_map_is_shown_as_it_was_saved_and_takes_no_command(show, tmp_pa
             assert mapping["values"]["state"] == "stored"
 
     talk(show(tmp_path / "office"), look)
-
-
-def test_a_result_shows_what_had_changed_since_its_map_was_stored(show, tmp_path):
-    write_ros_map(tmp_path / "map.pgm", tmp_path / "map.yaml", picture_of_grid(grid(0.0, 0.0)))
-    write_tum(tmp_path / "trajectory.tum", [(k * 10**9 + 1, SE2(float(k), 0.5, 0.0)) for k in range(4)])
-    write_changes(tmp_path / "changes.csv", CHANGES)
-
-    async def look(client):
-        async with client.socket() as socket:
-            facts = await client.next(socket, CHANGED)
-            assert struct.unpack_from("<BBHfiiII", facts)[4:] == (12, -4, 59, 26)
-
-    talk(show(tmp_path), look)
 
 
 def test_a_result_is_looked_at_where_the_vehicle_was_at_any_moment(show, tmp_path):

@@ -342,14 +342,3 @@ def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
     assert (names_in(report), report["added"]) == (["a"], 0)
     assert "stored no map" in report["left_out"]["parked"]
     assert "1 recording passed over, beside 2 results" in report["warnings"][0]
-
-
-def test_warnings_of_the_replays_are_those_of_the_build(tmp_path):
-    def replayed(tasks: Sequence[Any]) -> Ended:
-        for k, task in enumerate(tasks):
-            store(task.folder / "map", driven("a", 0))
-            yield k, Done({"warnings": ["3 scans dropped"]}, {})
-
-    (tmp_path / "drive.mcap").touch()
-    report = build([tmp_path / "drive.mcap"], tmp_path / "map", replayed)
-    assert report["warnings"] == ["drive: 3 scans dropped"]
