@@ -4,8 +4,10 @@ import numpy as np
 
 from service.mapper.saved_graph import SavedGraph
 
+POINTS = 3  # of each key frame
 
-def graph_of(count: int, points_each: int = 3) -> SavedGraph:
+
+def graph_of(count: int) -> SavedGraph:
     """Key frames with seeded random poses and points, and one loop. A longer one begins with the same."""
     return SavedGraph(
         stamp_ns=np.arange(count, dtype=np.int64),
@@ -19,9 +21,9 @@ def graph_of(count: int, points_each: int = 3) -> SavedGraph:
         is_lost=np.zeros(count, np.bool_),
         range_sigma_m=np.full(count, 0.012),
         sensor_xy_m=np.zeros((count, 2)),
-        point_count=np.full(count, points_each),
-        xy_base=np.round(_random(points_each * count, 3, 2), 3).astype(np.float32),
-        normals=np.round(_random(points_each * count, 4, 3), 4).astype(np.float32),
+        point_count=np.full(count, POINTS),
+        xy_base=np.round(_random(POINTS * count, 3, 2), 3).astype(np.float32),
+        normals=np.round(_random(POINTS * count, 4, 3), 4).astype(np.float32),
         loop_ends=np.array([[0, count - 1]]),
         loop_measured=np.full((1, 3), float(count)),
         loop_covariance=np.eye(3)[None],
