@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ from service.geometry.se2 import SE2
 from service.outputs import UNKNOWN, TileUpdate
 from simulators.world import World
 from simulators.worlds import WORLDS
-from simulators.worlds.trials import LEAVING_S, glass_hall
+from simulators.worlds.trials import LEAVING_S
 from tests.accuracy.driving import Errors, Trip, errors_of
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels
@@ -53,7 +52,6 @@ def bad_returns(seeds: Sequence[int]) -> Section:
     office = {
         "clean": clean,
         "range bias of 30 mm": replace(clean, bias_m=0.03),
-        "mixed pixels, all beams that straddle a step": replace(clean, mixed_share=1.0),
         "30 % of the beams lost": replace(clean, dropout_share=0.3),
     }
     rows = []
@@ -62,12 +60,8 @@ def bad_returns(seeds: Sequence[int]) -> Section:
         errors = errors_of(Trip(WORLDS["office"], replace(LMS100_50HZ, model=model)), seeds)
         reference = reference or errors.as_is_mm
         rows += _against(f"office, {what}", errors.as_is_mm, reference)
-    brick = errors_of(Trip(partial(glass_hall, glass=False), LMS100_50HZ), seeds)
-    glass = errors_of(Trip(glass_hall, LMS100_50HZ), seeds)
-    rows += _against("hall, one side of brick", brick.as_is_mm, brick.as_is_mm)
-    rows += _against("the same side of glass", glass.as_is_mm, brick.as_is_mm)
     return Section(
-        "Returns that are wrong, missing or behind glass",
+        "Returns that are wrong or missing",
         "Each fault alone, compared with the same drive without it (no mixed pixels, no lost beams). RMS "
         "error as is; the bound is twice the error without the fault, for each seed.",
         rows,

@@ -6,7 +6,6 @@ from pathlib import Path
 from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods
 from tests.accuracy import (
-    ablations,
     anchored,
     buildings,
     calibration,
@@ -64,7 +63,6 @@ SCENARIOS: dict[str, Scenario] = {
     "localised": cost.localised,
     "start": cost.start,
     "calibration": calibration.calibration,
-    "ablations": ablations.ablations,
 }
 
 
