@@ -157,3 +157,16 @@ def test_only_what_a_beam_passed_fades_and_behind_it_all_stays() -> None:  # A37
     assert cells.rows[0] == 0
     mark_unseen(level, 100, cells)
     assert cells.rows[0] == np.count_nonzero(level.likelihood)
+
+
+def test_a_traditional_contour_is_as_likely_between_its_points() -> None:  # A10
+    sparse = np.array([[0.05, 0.05], [1.05, 0.05]])
+    ours = blurred_cells(sparse, BLUR._replace(along_cells=1.5))
+    traditional = blurred_cells(sparse, BLUR._replace(along_cells=math.inf, is_sub_cell=False))
+    assert ours[0, 5][1] < 0.05
+    assert traditional[0, 5] == (HIT, 1.0)
+
+
+def test_the_squared_blur_is_a_gaussian() -> None:  # A9
+    cells = blurred_cells(np.array([[0.05, 0.05], [0.15, 0.05]]), BLUR._replace(is_squared=True))
+    assert cells[2, 0][1] == pytest.approx(math.exp(-0.5 * (2.0 / 1.5) ** 2), abs=1e-6)

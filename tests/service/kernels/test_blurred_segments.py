@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,3 +52,19 @@ def test_any_cloud_ends_with_segments_that_keep_the_rules(count, seed, grain, le
             assert np.ptp(members[:, 1 - axis]) <= 0.06 + 1e-12
             assert np.ptp(members[:, axis]) > length_m
             assert np.diff(np.sort(members[:, axis])).max(initial=0.0) <= 0.3
+
+
+def test_a_tilted_wall_makes_no_segment_of_the_axes():  # B18
+    """10 deg: a band of 6 cm holds 35 cm of it."""
+    turn = np.radians(10.0)
+    tilted = wall((0, 0), (5, 0), 200) @ np.array(
+        [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    )
+    segment, counts = found(tilted)
+    assert counts == [0, 0]
+    assert (segment == NO_SEGMENT).all()
+
+
+@pytest.mark.parametrize(("least_points", "expected"), [(59, 1), (60, 0)])
+def test_a_band_must_hold_more_than_the_least_points(least_points, expected):
+    assert found(wall((0, 0), (3, 0), 60), least_points=least_points)[1][0] == expected

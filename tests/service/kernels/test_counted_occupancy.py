@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.kernels import counted_occupancy, tiles
-from service.kernels.counted_occupancy import CountWeights
+from service.kernels.counted_occupancy import MAX_COUNT, CountWeights
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE
 from service.mapper.papers.submap_graph.counted_submaps import CountedMap, CountedSubmapsConfig
@@ -62,3 +62,16 @@ def test_a_scan_counts_once_in_a_cell_and_a_hit_wins() -> None:
     counted.insert(ends, SENSOR, np.zeros(3))
     assert counts_at(counted, 2.05, 0.05)[:2] == (1, 0)
     assert counts_at(counted, 1.05, 0.02)[:2] == (0, 1)
+
+
+# D7
+def test_counts_stay_at_their_greatest() -> None:
+    counted = CountedMap(CountedMap.new_pool(64), CONFIG)
+    counted.insert(np.array([[2.05, 0.05]]), SENSOR, np.zeros(3))
+    grid = counted.grid()
+    assert grid.hits.dtype == grid.passes.dtype == np.uint16
+    grid.hits[grid.hits > 0] = MAX_COUNT
+    grid.passes[grid.passes > 0] = MAX_COUNT
+    counted.insert(np.array([[2.05, 0.05]]), SENSOR, np.zeros(3))
+    assert counts_at(counted, 2.05, 0.05)[0] == MAX_COUNT
+    assert counts_at(counted, 1.05, 0.02)[1] == MAX_COUNT

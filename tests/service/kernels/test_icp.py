@@ -1,6 +1,7 @@
 import math
 
 import numpy as np
+import pytest
 from scipy.spatial import cKDTree
 
 from service.kernels import icp
@@ -53,3 +54,12 @@ def test_without_pairs_the_guess_is_handed_back() -> None:
         result = icp_point_to_point(room(50), older, start, 1.0, 20, 1e-6)
         np.testing.assert_array_equal(result.step, start)
         assert result.rms_m == math.inf
+
+
+def test_the_rms_is_that_of_the_noise_between_the_scans() -> None:
+    noise = np.random.default_rng(2)
+    older = room(2000)
+    newer = older + 0.02 * noise.standard_normal(older.shape)
+    result = icp_point_to_point(newer, older, np.zeros(3), 1.0, 1, 1e-6)
+    distance = cKDTree(older).query(newer)[0]
+    assert result.rms_m == pytest.approx(math.sqrt((distance**2).mean()), rel=0.05)

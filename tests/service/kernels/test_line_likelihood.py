@@ -91,3 +91,14 @@ def test_the_climb_by_chance_ends_higher_than_it_began() -> None:
     assert value == mean_value(xy, pose, layer)
     assert np.abs(pose - (2.5, 2.5, 0.0)).max() < 0.1
     assert 300 <= trials <= 900
+
+
+# C9 C11
+def test_the_greater_value_stays_and_nothing_is_ever_forgotten() -> None:
+    layer = empty_layer()
+    draw(layer, [(1.05, 1.05)])
+    before = cells_of(layer).copy()
+    draw(layer, [(1.15, 1.05)])
+    after = cells_of(layer)
+    assert (after >= before).all()
+    assert after[10, 10:14].tolist() == [9, 9, 6, 3]

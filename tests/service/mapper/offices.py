@@ -1,11 +1,15 @@
 """A drive through the office and its map, made once for all tests that begin with one."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 
+from drivers.frames import Frame
 from service.mapper.maps.occupancy import rendered_of
+from service.mapper.pipeline import Mapper
 from service.mapper.profiles import BeginIn, mapping_config
 from service.mapper.saved_graph import SavedGraph, small_arrays
+from service.outputs import MapperOutput
 from simulators.worlds import WORLDS
 from tests.simulated import LMS100_50HZ, Drive, Laser, Wheels, drive, run
 
@@ -31,3 +35,13 @@ def mapped_office() -> tuple[Drive, BeginIn]:
     for array in (*small_arrays(graph).values(), graph.xy_base, graph.normals):
         array.flags.writeable = False
     return made, BeginIn(graph, rendered_of(mapper.changed_tiles()))
+
+
+def outputs_at_once(mapper: Mapper, frames: Iterable[Frame]) -> Iterator[MapperOutput]:
+    """Results of the back end are applied before the next frame."""
+    for frame in frames:
+        output = mapper.process(frame)
+        while mapper.graph.waiting:
+            mapper.apply_result()
+        if output is not None:
+            yield output

@@ -5,7 +5,6 @@ scans left out and with wrong odometry.
 """
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,7 @@ from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
 from tests.recorded_drive import frames_of
-
-WHOLE = 4791  # scans
+from tests.service.mapper.drives import outputs_of
 
 
 def poses_at(outputs: list[MapperOutput], time_s: np.ndarray) -> np.ndarray:
@@ -45,54 +43,35 @@ def relations_within(shared: Path, outputs: list[MapperOutput]) -> np.ndarray:
     return within
 
 
-@dataclass(frozen=True)
-class Expected:
-    """Of so many scans; bounds of what is below, a tenth above what was found."""
-
-    scans: int
-    relations: int
-    mean_m: float
-    mean_deg: float
-    max_m: float
-    degraded: int
-    lost: int = 0
-
-
-@pytest.fixture(
-    scope="module",
-    params=[
-        pytest.param(Expected(1600, 440, 0.043, 0.78, 0.2, 8), id="a third"),  # 0.0384, 0.701, 0.135, 5
-        pytest.param(  # 0.0479, of which the finish takes 0.0045; 0.837, 0.20, 15
-            Expected(WHOLE, 1685, 0.055, 0.92, 0.4, 17, lost=1), id="whole", marks=pytest.mark.soak
-        ),
+@pytest.mark.parametrize(
+    ("scans", "relations", "mean_m", "mean_deg", "max_m", "degraded", "lost"),
+    [
+        pytest.param(1600, 440, 0.043, 0.78, 0.2, 8, 0, id="a third"),  # 0.0384, 0.701, 0.135, 5
+        # 0.0479, of which the finish takes 0.0045; 0.837, 0.20, 15
+        pytest.param(4791, 1685, 0.055, 0.92, 0.4, 17, 1, id="whole", marks=pytest.mark.soak),
     ],
 )
-def expected(request: pytest.FixtureRequest) -> Expected:
-    assert isinstance(request.param, Expected)
-    return request.param
-
-
-@pytest.fixture(scope="module")
-def outputs(shared: Path, expected: Expected) -> list[MapperOutput]:
-    mapper = build_mapper(mapping_config(), {"scan": SE2()})
-    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap", expected.scans)
-    return [output for frame in frames if (output := mapper.process(frame)) is not None]
-
-
 def test_the_front_end_alone_keeps_the_building_together(
-    shared: Path, outputs: list[MapperOutput], expected: Expected
+    shared: Path,
+    scans: int,
+    relations: int,
+    mean_m: float,
+    mean_deg: float,
+    max_m: float,
+    degraded: int,
+    lost: int,
 ) -> None:
+    """Bounds a tenth above what was found."""
+    mapper = build_mapper(mapping_config(), {"scan": SE2()})
+    outputs = outputs_of(mapper, frames_of(shared / "datasets" / "fr079" / "fr079.mcap", scans))
     errors = relation_errors(outputs, relations_within(shared, outputs))
-    assert len(errors) >= expected.relations
-    assert errors[:, 0].mean() < expected.mean_m
-    assert np.degrees(errors[:, 1].mean()) < expected.mean_deg
-    assert errors[:, 0].max() < expected.max_m
-
-
-def test_it_is_lost_for_a_scan_at_most(outputs: list[MapperOutput], expected: Expected) -> None:
-    assert len(outputs) == expected.scans
-    assert sum(o.state == "lost" for o in outputs) <= expected.lost
-    assert sum(o.state == "degraded" for o in outputs) < expected.degraded
+    assert len(errors) >= relations
+    assert errors[:, 0].mean() < mean_m
+    assert np.degrees(errors[:, 1].mean()) < mean_deg
+    assert errors[:, 0].max() < max_m
+    assert len(outputs) == scans
+    assert sum(o.state == "lost" for o in outputs) <= lost
+    assert sum(o.state == "degraded" for o in outputs) < degraded
 
 
 @pytest.mark.soak
@@ -100,8 +79,7 @@ def test_orthogonal_weights_keep_slow_scans_aligned(shared: Path) -> None:
     """Rooms beside a corridor at 4 Hz: with scans entered too seldom, or furniture blurred too wide, it
     slips along the corridor by metres."""
     mapper = build_mapper(mapping_config({"profile": "owolm_eskf"}), {"scan": SE2()})
-    frames = frames_of(shared / "datasets" / "fr079" / "fr079.mcap", 1500)
-    outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
+    outputs = outputs_of(mapper, frames_of(shared / "datasets" / "fr079" / "fr079.mcap", 1500))
     errors = relation_errors(outputs, relations_within(shared, outputs))
     assert sum(o.state == "lost" for o in outputs) == 0
     assert len(errors) > 300

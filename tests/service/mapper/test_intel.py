@@ -10,6 +10,7 @@ from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.profiles import build_mapper, mapping_config
 from tests.recorded_drive import frames_of
+from tests.service.mapper.drives import outputs_of
 
 SCANS = 530
 FROM_S, TO_S = 380.0, 389.0  # after the first scan: 2.2 m along a corridor whose doors are shut
@@ -19,7 +20,7 @@ def test_chance_does_not_shorten_the_motion_along_a_corridor(shared: Path) -> No
     """Odometry is honest to 5 cm a scan there, and the scans hardly fix the position along the walls."""
     frames = frames_of(shared / "datasets" / "intel" / "intel.mcap", SCANS)
     mapper = build_mapper(mapping_config(), {"scan": SE2()})
-    outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
+    outputs = outputs_of(mapper, frames)
     odometry = [frame for frame in frames if isinstance(frame, OdometrySample)]
     matched = _path_length_m(
         [o.stamp_ns for o in outputs], [(o.pose_odom_base.x_m, o.pose_odom_base.y_m) for o in outputs]

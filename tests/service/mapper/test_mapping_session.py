@@ -131,14 +131,6 @@ def test_after_a_reset_the_map_begins_at_the_base_while_odom_goes_on(mapper: Map
     assert (again.pose_odom_base.x_m, again.pose_map_base.x_m) == (3.0, 0.0)
 
 
-def test_a_scan_from_before_the_reset_is_late(mapper: MappingSession, made: list[FakeMapper]):
-    mapper.process(scan(5))
-    mapper.carry_out("reset_map")
-    assert mapper.process(scan(5)) is None
-    assert made[1].processed == []
-    assert mapper.counters["scans_dropped_late"] == 1
-
-
 def drive(
     mapper: MappingSession, steps: range, x_m: Callable[[float], float], wheels: bool = True
 ) -> list[MapperOutput]:
@@ -216,3 +208,11 @@ def test_corrections_after_a_reset_are_in_the_odom_of_all_outputs(
     mapper.carry_out("reset_map")
     (correction,) = mapper.finish().corrections
     assert correction == Correction(7, SE2(2.0, 0.0, 0.0), SE2(1.0, 0.1, 0.0))
+
+
+def test_a_scan_from_before_the_reset_is_late(mapper: MappingSession, made: list[FakeMapper]):
+    mapper.process(scan(5))
+    mapper.carry_out("reset_map")
+    assert mapper.process(scan(5)) is None
+    assert made[1].processed == []
+    assert mapper.counters["scans_dropped_late"] == 1

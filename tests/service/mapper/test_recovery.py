@@ -3,24 +3,17 @@
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from drivers.frames import Frame, LaserScan, OdometrySample
+from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput
-from tests.service.mapper.drives import MOUNTING, ROOM, Drive, drive, eased, round_the_room
+from tests.service.mapper.drives import ROOM, Drive, drive, eased, mapper_of, outputs_of, round_the_room
 
 PROFILES = ("contour_lm", "imle", "owolm_eskf", "submap_graph")
 EVERY = 5  # turns of the laser make a scan: 10 Hz
 BACK_S = 2.0
 NEAR_M, NEAR_RAD = 0.10, 0.03
-
-
-def outputs_of(profile: str, frames: list[Frame]) -> list[MapperOutput]:
-    mapper = build_mapper(mapping_config({"profile": profile}), {"front": MOUNTING})
-    return [output for frame in frames if (output := mapper.process(frame)) is not None]
 
 
 def is_near(output: MapperOutput, truth: dict[int, SE2]) -> bool:
@@ -43,31 +36,6 @@ def check(outputs: list[MapperOutput], truth: dict[int, SE2], lost_ns: int, know
     assert {o.state for o in back} <= {"ok", "degraded"}
     assert all(is_near(o, truth) for o in back)
     assert all(is_near(o, truth) for o in outputs if o.state == "ok")
-
-
-NOISE_NS = 4_000_000_000, 7_000_000_000
-
-
-@pytest.fixture(scope="module")
-def noisy() -> Drive:
-    """Nine seconds round a room, of which the scans of three are noise."""
-    made = drive(ROOM, round_the_room, 9.0, every=EVERY)
-    noise = np.random.default_rng(3)
-    frames = [
-        replace(frame, range_m=noise.uniform(0.3, 15.0, len(frame.range_m)).astype(np.float32))
-        if isinstance(frame, LaserScan) and NOISE_NS[0] <= frame.stamp_ns < NOISE_NS[1]
-        else frame
-        for frame in made.frames
-    ]
-    return replace(made, frames=frames)
-
-
-@pytest.mark.parametrize("profile", PROFILES)
-def test_three_seconds_of_noise_are_lost_and_the_drive_goes_on(profile: str, noisy: Drive) -> None:
-    begin_ns, end_ns = NOISE_NS
-    outputs = outputs_of(profile, noisy.frames)
-    check(outputs, noisy.truth, begin_ns, end_ns)
-    assert {o.state for o in outputs if begin_ns <= o.stamp_ns < end_ns} == {"lost"}
 
 
 def carried_off(time_s: float) -> SE2:
@@ -105,4 +73,4 @@ def carried() -> tuple[Drive, int]:
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_carried_vehicle_is_relocalised(profile: str, carried: tuple[Drive, int]) -> None:
     what, carried_ns = carried
-    check(outputs_of(profile, what.frames), what.truth, carried_ns, carried_ns)
+    check(outputs_of(mapper_of(profile), what.frames), what.truth, carried_ns, carried_ns)

@@ -1,27 +1,26 @@
 """A session that begins in the map of another: found, followed, and nothing of the stored map touched."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.frames import Frame, LaserScan
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.by_hand import DRAWN_WALL, ERASED
-from service.mapper.components import FinishedGraph, GraphRequestError, WallToRender
+from service.mapper.components import GraphRequestError, WallToRender
 from service.mapper.graph.edit.editing import with_area_erased, with_wall
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.relocalise import known_map
+from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from service.mapper.localisation import UNPROVEN
 from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
-from service.mapper.saved_graph import SavedGraph, SavedGraphError, from_arrays, packed_points, small_arrays
+from service.mapper.saved_graph import SavedGraphError, from_arrays, packed_points, small_arrays
 from service.outputs import MapperOutput, TileUpdate
-from tests.service.mapper.offices import COARSE, mapped_office, through
+from tests.service.mapper.offices import COARSE, mapped_office, outputs_at_once, through
+from tests.service.mapstore.graphs import graph_of
 from tests.simulated import FORWARD, Drive
 
 LATER_S, SECONDS = 12.0, 10.0
@@ -44,21 +43,6 @@ def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)
 
 
-def back_end_of(mapper: Mapper) -> LoopBackEnd:
-    back_end = mapper.graph._jobs._worker._back_end
-    assert isinstance(back_end, LoopBackEnd)
-    return back_end
-
-
-def outputs_of(mapper: Mapper, frames: list[Frame]) -> Iterator[MapperOutput]:
-    for frame in frames:
-        output = mapper.process(frame)
-        while mapper.graph.waiting:
-            mapper.apply_result()
-        if output is not None:
-            yield output
-
-
 def new_mapper(begin: BeginIn, mode: str = "localization") -> Mapper:
     return build_mapper(mapping_config({"mode": mode}), {"front": FORWARD}, begin_in=begin)
 
@@ -69,39 +53,16 @@ def off_m(first: Drive, second: Drive, output: MapperOutput) -> float:
     return math.hypot(away.x_m, away.y_m)
 
 
-@dataclass(frozen=True)
-class Began:
-    """A second session in the map of the first, over: its mapper, and what each scan gave."""
-
-    mapper: Mapper
-    shown: list[TileUpdate]  # before the first scan
-    outputs: list[MapperOutput]
-
-
-def begun(begin: BeginIn, second: Drive, mode: str) -> Began:
-    mapper = new_mapper(begin, mode)
-    return Began(mapper, mapper.changed_tiles(), list(outputs_of(mapper, second.frames)))
-
-
 @pytest.fixture(scope="module")
-def before(first) -> dict[str, np.ndarray]:
-    """The stored graph's arrays as they are before any session begins in it."""
-    return {name: array.copy() for name, array in small_arrays(first[1].graph).items()}
-
-
-@pytest.fixture(scope="module")
-def localized(first, second, before) -> Began:
-    return begun(first[1], second, "localization")
-
-
-@pytest.fixture(scope="module")
-def continued(first, second) -> tuple[Began, FinishedGraph]:
-    began = begun(first[1], second, "mapping")
-    return began, began.mapper.finish()
+def localized(first, second) -> tuple[Mapper, list[MapperOutput]]:
+    """A second session in the map of the first, over."""
+    mapper = new_mapper(first[1])
+    assert len(mapper.changed_tiles()) > 0
+    return mapper, list(outputs_at_once(mapper, second.frames))
 
 
 def test_a_vehicle_is_localised_and_tracked(first, second, localized):
-    first_drive, outputs = first[0], localized.outputs
+    first_drive, outputs = first[0], localized[1]
     assert outputs[0].state == "lost"
     placed = [output for output in outputs if output.state != "lost"]
     assert 1e-9 * (placed[0].stamp_ns - outputs[0].stamp_ns) < 1.0
@@ -112,18 +73,16 @@ def test_a_vehicle_is_localised_and_tracked(first, second, localized):
 
 def test_a_known_pose_cannot_be_set(localized):
     with pytest.raises(GraphRequestError, match="the map confirms it"):
-        localized.mapper.graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
+        localized[0].graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0})
 
 
-def test_localisation_does_not_change_the_stored_map(first, before, localized):
-    _, begin = first
-    saved = localized.mapper.finish().update.saved
-    assert localized.mapper.changed_tiles() == []
-    assert len(localized.shown) > 0
-    for name, array in small_arrays(begin.graph).items():
-        np.testing.assert_array_equal(array, before[name], err_msg=name)
+def test_localisation_does_not_change_the_stored_map(first, localized):
+    """Nor the arrays of its graph, which cannot be written to."""
+    stored, mapper = first[1].graph, localized[0]
+    saved = mapper.finish().update.saved
+    assert mapper.changed_tiles() == []
     assert saved is not None
-    np.testing.assert_array_equal(saved.map[: len(begin.graph)], begin.graph.map)
+    np.testing.assert_array_equal(saved.map[: len(stored)], stored.map)
 
 
 def test_manual_edits_withstand_the_beams_of_a_later_session(first, second):
@@ -136,7 +95,7 @@ def test_manual_edits_withstand_the_beams_of_a_later_session(first, second):
     assert gone > 0
     shown = replace(begin.shown, wall_cells=cells_of_wall(WallToRender(line), 0.05))
     mapper = new_mapper(BeginIn(graph, shown), "mapping")
-    outputs = list(outputs_of(mapper, second.frames))
+    outputs = list(outputs_at_once(mapper, second.frames))
     assert outputs[-1].state == "ok"
     assert off_m(first_drive, second, outputs[-1]) < 0.05
     assert shown_at(mapper.tiles(), at) == 97
@@ -154,7 +113,7 @@ def test_erased_points_do_not_localise(first, second):
     assert gone == len(begin.graph.xy_base)
     mapper = new_mapper(BeginIn(graph.checked(), begin.shown))
     few = [frame for frame in second.frames if frame.stamp_ns < 3_000_000_000]
-    assert {output.state for output in outputs_of(mapper, few)} == {"lost"}
+    assert {output.state for output in outputs_at_once(mapper, few)} == {"lost"}
     assert mapper.finish().update.saved is not None
 
 
@@ -164,35 +123,12 @@ def shown_at(tiles: list[TileUpdate], pose: SE2) -> int:
     return int(tile.cells[row % 64, column % 64])
 
 
-def test_a_third_session_begins_in_the_map_of_the_second(first, second, continued):
-    first_drive, begin = first
-    saved = continued[1].update.saved
-    assert saved is not None
-    again = BeginIn(saved, begin.shown)
-    outputs = list(outputs_of(new_mapper(again), second.frames))
-    assert outputs[-1].state == "ok"
-    assert off_m(first_drive, second, outputs[-1]) < 0.05
-
-
 def test_scans_outside_the_stored_map_stay_lost(first):
     _, begin = first
     elsewhere = through("library", 1.0, 1, laser=COARSE)
-    outputs = list(outputs_of(new_mapper(begin), elsewhere.frames))
+    outputs = list(outputs_at_once(new_mapper(begin), elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}
     assert "stored map" in outputs[-1].reason
-
-
-@pytest.mark.usefixtures("few_candidates")
-def test_at_standstill_outside_the_map_memory_is_bounded(first):
-    _, begin = first
-    elsewhere = through("library", 30.0, 1, stand_s=50.0, laser=COARSE)
-    mapper = new_mapper(begin)
-    assert {output.state for output in outputs_of(mapper, elsewhere.frames)} == {"lost"}
-    keyframes = back_end_of(mapper).keyframes
-    has_points = keyframes.has_points[keyframes.stored :]
-    assert 6 < len(has_points) < 12  # two a second at first, one each 8 s in the end
-    assert has_points.sum() == 1 + 3  # the first, and the newest ones
-    assert np.diff(keyframes.stamps_ns[-2:]) == pytest.approx(8e9, abs=0.1e9)
 
 
 def test_the_operator_can_set_the_pose(first, second):
@@ -202,7 +138,7 @@ def test_the_operator_can_set_the_pose(first, second):
     true = first_drive.world_first.inverse() @ second.world_first
     mapper.graph.request("set_pose", {"x_m": true.x_m + 0.5, "y_m": true.y_m, "theta_rad": true.theta_rad})
     few = [frame for frame in frames if frame.stamp_ns < 200_000_000]
-    last = list(outputs_of(mapper, few))[-1]
+    last = list(outputs_at_once(mapper, few))[-1]
     assert last.state == "degraded"
     assert off_m(first_drive, second, last) < 0.05
 
@@ -213,7 +149,7 @@ def test_a_set_pose_that_does_not_fit_is_given_up_and_reported(first):
     elsewhere = through("library", 3.5, 1, laser=COARSE)
     mapper = new_mapper(first[1])
     mapper.graph.request("set_pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
-    outputs = list(outputs_of(mapper, elsewhere.frames))
+    outputs = list(outputs_at_once(mapper, elsewhere.frames))
     assert {output.state for output in outputs} == {"lost"}  # also in all searches after that
     reasons = [output.reason for output in outputs]
     assert not reasons[0].startswith("the pose set")
@@ -231,32 +167,10 @@ def test_a_place_other_than_the_set_pose_is_reported(first, second):
     true = first_drive.world_first.inverse() @ second.world_first
     away = (true.x_m - 8.0, true.y_m + 3.0, 2.0)
     mapper.graph.request("set_pose", dict(zip(("x_m", "y_m", "theta_rad"), away, strict=True)))
-    last = list(outputs_of(mapper, second.frames))[-1]
+    last = list(outputs_at_once(mapper, second.frames))[-1]
     assert off_m(first_drive, second, last) < 0.05
     assert last.reason == ""
     assert mapper.counters["set_pose_given_up"] == 1
-
-
-def test_an_invalid_pose_is_refused_by_its_key(first):
-    with pytest.raises(GraphRequestError, match="theta_rad"):
-        new_mapper(first[1]).graph.request("set_pose", {"x_m": 0.0, "y_m": 0.0, "theta_rad": math.inf})
-
-
-def test_an_unknown_request_is_refused_with_the_supported_ones(first):
-    with pytest.raises(GraphRequestError, match="supports optimize, undo, checkpoint, set_pose"):
-        new_mapper(first[1]).graph.request("add_landmark", {})
-
-
-def test_localisation_keeps_a_bounded_part_of_the_path(first, second, monkeypatch):
-    monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", 16)
-    first_drive, begin = first
-    mapper = new_mapper(begin)
-    outputs = list(outputs_of(mapper, second.frames))
-    saved = mapper.finish().update.saved
-    assert saved is not None
-    assert len(saved) <= len(begin.graph) + 16
-    assert outputs[-1].state == "ok"
-    assert off_m(first_drive, second, outputs[-1]) < 0.05
 
 
 def test_a_profile_without_stored_maps_is_refused(first):
@@ -276,51 +190,26 @@ def test_a_graph_comes_back_from_its_arrays_to_a_millimetre(first):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("fields", "words"),
     [
-        ("path_length_m", "way_m has the shape"),
-        ("loop_ends", "key frames that are not among"),
-        ("map", "is not finite"),
+        ({"path_length_m": np.zeros(3)}, "way_m has the shape"),
+        ({"loop_ends": np.array([(0, 4)])}, "key frames that are not among"),
+        ({"map": np.full((4, 3), np.nan)}, "is not finite"),
     ],
 )
-def test_arrays_that_are_no_graph_are_refused_by_name(first, name, words):
-    graph: SavedGraph = first[1].graph
-    wrong = {
-        "path_length_m": graph.path_length_m[:-1],
-        "loop_ends": np.full((1, 2), len(graph)),
-        "map": np.full_like(graph.map, np.nan),
-    }
-    loops = 1 if name == "loop_ends" else len(graph.loop_ends)
-    changed = replace(
-        graph,
-        loop_measured=np.zeros((loops, 3)),
-        loop_covariance=np.tile(np.eye(3), (loops, 1, 1)),
-        loop_score=np.ones(loops),
-        loop_points=np.ones(loops, np.int64),
-        loop_against=np.zeros(loops),
-        **{name: wrong[name]},
-    )
+def test_arrays_that_are_no_graph_are_refused_by_name(fields, words):
     with pytest.raises(SavedGraphError, match=words):
-        changed.checked()
+        replace(graph_of(4), **fields).checked()
 
 
-def test_frames_without_scans_change_nothing(first, second):
-    mapper = new_mapper(first[1])
-    assert list(outputs_of(mapper, [f for f in second.frames if not isinstance(f, LaserScan)])) == []
-    saved = mapper.finish().update.saved
-    assert saved is not None
-    assert len(saved) == len(first[1].graph)
-
-
-def test_a_contradicted_place_is_revoked_and_found_again(first, second):
+def test_a_contradicted_place_is_revoked_and_found_again(first, second, monkeypatch):
     """The first place is off by 3 m, as if another place had looked the same: nothing may be `ok` there."""
     first_drive, begin = first
     mapper = new_mapper(begin)
-    detached = back_end_of(mapper).detached_search
-    best_of, wrongly = detached.best_of, []
+    best_of, wrongly = DetachedSearch.best_of, []
 
-    def find_wrongly(found, prior):
-        best = best_of(found, prior)
+    def find_wrongly(search, found, prior=None):
+        best = best_of(search, found, prior)
         if best is None or wrongly:
             return best
         at, loop = best
@@ -328,8 +217,8 @@ def test_a_contradicted_place_is_revoked_and_found_again(first, second):
         shift = np.array([3.0, 0.0, 0.0])
         return se2.compose(at, shift), replace(loop, measured=se2.compose(loop.measured, shift))
 
-    detached.best_of = find_wrongly
-    outputs = list(outputs_of(mapper, second.frames))
+    monkeypatch.setattr(DetachedSearch, "best_of", find_wrongly)
+    outputs = list(outputs_at_once(mapper, second.frames))
     states = [output.state for output in outputs]
     off = [off_m(first_drive, second, output) for output in outputs]
     placed = next(k for k, state in enumerate(states) if state != "lost")
@@ -339,23 +228,3 @@ def test_a_contradicted_place_is_revoked_and_found_again(first, second):
     assert "lost" in states[placed:]  # it was revoked
     assert states[-1] != "lost"
     assert off[-1] < 0.05
-
-
-def test_a_vehicle_started_on_unmapped_ground_is_localised_later(first, second):
-    """The first scans are of another building; later scans match none of them, and begin a segment."""
-    first_drive, begin = first
-    elsewhere = through("library", 1.2, 1, laser=COARSE)
-    later_ns = 1_700_000_000
-    frames = [frame for frame in elsewhere.frames if isinstance(frame, LaserScan)]
-    frames += [
-        replace(frame, stamp_ns=frame.stamp_ns + later_ns, arrived_ns=frame.arrived_ns + later_ns)
-        for frame in second.frames
-    ]
-    outputs = list(outputs_of(new_mapper(begin), frames))
-    last = outputs[-1]
-    true = first_drive.world_first.inverse() @ second.world_first @ second.truth[last.stamp_ns - later_ns]
-    away = true.inverse() @ last.pose_map_base
-    # `ok` as soon as it is confirmed; far from the last loop the pose may be uncertain again
-    assert "ok" in {output.state for output in outputs}
-    assert last.state != "lost"
-    assert math.hypot(away.x_m, away.y_m) < 0.05

@@ -1,16 +1,13 @@
 """All devices are silent for 5 s while the vehicle is driven on, or lifted and carried."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from service.mapper.background import BackEnd, DiscardingWorker, InlineWorker
 from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from simulators.worlds import WORLDS
 from tests.carried import carried_back, carried_on, silent
-from tests.service.mapper.offices import LASER, through
+from tests.service.mapper.offices import LASER, outputs_at_once, through
 from tests.simulated import FORWARD, Drive, Wheels, drives
 from tests.soaked import in_soak
 
@@ -18,41 +15,12 @@ PAUSE_NS = 5_000_000_000
 S = 1_000_000_000
 
 
-class DeadWorker(InlineWorker):
-    """Stops working when a test ends it."""
-
-    is_dead = False
-
-    def submit(self, batch: Any) -> Any:
-        return DiscardingWorker(self._back_end).submit(batch) if self.is_dead else super().submit(batch)
-
-
 def states_after(
-    made: Drive,
-    at_ns: int,
-    config: MappingConfig | None = None,
-    dies_at_ns: int | None = None,
+    made: Drive, at_ns: int, config: MappingConfig | None = None
 ) -> tuple[list[str], np.ndarray, np.ndarray, list[str]]:
-    """State, m off, s since the pause and reason of each pose after it; results come at once.
-
-    dies_at_ns   from when on the graph's worker gives no results
-    """
-    workers: list[DeadWorker] = []
-
-    def new_worker(back_end: BackEnd) -> DeadWorker:
-        workers.append(DeadWorker(back_end))
-        return workers[-1]
-
-    mapper = build_mapper(config or mapping_config(), {"front": FORWARD}, new_worker=new_worker)
-    outputs = []
-    for frame in made.frames:
-        if dies_at_ns is not None and frame.arrived_ns >= dies_at_ns:
-            workers[0].is_dead = True
-        output = mapper.process(frame)
-        while mapper.graph.waiting:
-            mapper.apply_result()
-        if output is not None and output.stamp_ns > at_ns:
-            outputs.append(output)
+    """State, m off, s since the pause and reason of each pose after it."""
+    mapper = build_mapper(config or mapping_config(), {"front": FORWARD})
+    outputs = [output for output in outputs_at_once(mapper, made.frames) if output.stamp_ns > at_ns]
     away = [made.truth[output.stamp_ns].inverse() @ output.pose_map_base for output in outputs]
     return (
         [output.state for output in outputs],
@@ -107,10 +75,3 @@ def test_without_a_searching_graph_the_map_is_matched_at_once(driven_on: Drive):
     assert "lost" not in states
     assert since_s[0] < 0.2
     assert off_m.max() < 0.05
-
-
-def test_a_worker_that_dies_during_a_search_does_not_leave_the_vehicle_lost(driven_on: Drive):
-    states, off_m, _, _ = states_after(driven_on, 22 * S, dies_at_ns=24 * S)
-    assert states[:1] == ["lost"]  # the first scan goes out, and no answer comes
-    assert "lost" not in states[3:]
-    assert off_m[3:].max() < 0.05

@@ -7,7 +7,7 @@ import pytest
 
 from service.geometry import poses as se2
 from service.offline.maps.corrected_path import corrected_path
-from tests.service.mapper.graph.edit.test_editing import saved_of
+from tests.service.mapper.graph.loops.rings import saved_of
 
 TENTH_NS = 10**8
 

@@ -17,7 +17,7 @@ from service.mapstore.in_use import InUse
 from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.maps.log import map_log
 from service.outputs import TileUpdate
-from tests.service.mapper.graph.edit.test_editing import CABINET, saved_of
+from tests.service.mapper.graph.loops.rings import CABINET, saved_of
 from tests.service.mapstore.tile_makers import tile
 
 SQUARE = [0.5, 0.5, 1.5, 0.5, 1.5, 1.5, 0.5, 1.5]

@@ -8,21 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.geometry import poses as se2
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import EDIT_MAP
 from service.mapper.graph.edit.editing import without_loops
-from service.mapper.graph.loops import live_edits
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
-from tests.service.mapper.graph.edit.test_editing import RENDERER, ROUND, seam_m
-from tests.service.mapper.graph.loops.rings import key_frames
+from tests.service.mapper.graph.loops.rings import RENDERER, ROUND, key_frames, seam_m
 
 FRAMES, TRUTH = key_frames(1.4)
 SPOTS = (8, 30, 52)  # key frames of the first round
-CUT = {"what": "cut", "from_s": 4.0, "to_s": 4.5}
 
 
 def fed(config: LoopsConfig) -> bytes:
@@ -145,33 +141,6 @@ def test_a_loop_is_refused_and_undo_restores_it(closed_ring: bytes):
     assert worst["stamps_ns"] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
 
 
-def test_no_search_accepts_a_loop_consistent_with_one_the_operator_refused(closed_ring: bytes):
-    back_end = pickle.loads(closed_ring)
-    for loop in shown(back_end, "accepted"):
-        assert not edited(back_end, what="refuse-loop", stamps_ns=loop["stamps_ns"])[1].error
-    finished = back_end.work(Batch([], is_last=True)).saved
-    assert isinstance(finished, SavedGraph)
-    assert len(finished.loop_ends) == 0
-
-
-def test_refused_loops_that_are_accepted_close_the_ring(open_ring: bytes):
-    back_end = pickle.loads(open_ring)
-    assert seam_m(saved(back_end), TRUTH).min() > 0.5
-    refused = shown(back_end, "refused")
-    assert [loop["on_map"] for loop in refused] == sorted((loop["on_map"] for loop in refused), reverse=True)
-    apart = {
-        loop["keyframes"][1]: loop["stamps_ns"] for loop in refused if loop["why"].startswith("no other")
-    }
-    for number, to in enumerate(sorted(apart)[::3][:4]):
-        _, answer = edited(back_end, what="accept-loop", stamps_ns=apart[to])
-        assert f"as pairs {2 * number}, {2 * number + 1}" in answer.reply["done"]
-    assert seam_m(saved(back_end), TRUTH).max() < 0.15
-    assert apart[to] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
-    assert "no refused loop joins" in edited(back_end, what="accept-loop", stamps_ns=apart[to])[1].error
-    accepted = ("0", "100000000")
-    assert "no refused loop joins" in edited(back_end, what="accept-loop", stamps_ns=accepted)[1].error
-
-
 def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: bytes):
     graph = saved(pickle.loads(closed_ring))
     graph = without_loops(graph, range(2, len(graph.loop_ends)))
@@ -184,28 +153,8 @@ def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: bytes):
     assert [loop["stamps_ns"] for loop in shown(back_end, "accepted")] == [second["stamps_ns"]]
 
 
-def test_loops_of_a_map_that_stays_as_it_is_are_not_undone(closed_ring: bytes):
-    back_end = pickle.loads(closed_ring)
-    before = saved(back_end)
-    assert len(before.loop_ends)
-    back_end.work(Batch([], "set_mode", is_localizing=True))
-    back_end.work(Batch([], "undo"))
-    np.testing.assert_array_equal(saved(back_end).loop_ends, before.loop_ends)
-
-
-def test_without_a_bridge_the_cut_steps_are_unmeasured(open_ring: bytes):
-    """Pairs ask for more than odometry errs by: it must give somewhere."""
-
-    def given_m(is_bridged: bool) -> float:
-        back_end = pickle.loads(open_ring)
-        edited(back_end, **CUT, bridge=is_bridged)
-        edited(back_end, what="add-pair", pairs=pairs_of_both_rounds(saved(back_end), off_m=0.5))
-        graph = saved(back_end)
-        over_cut = slice(39, 46), slice(40, 47)
-        driven, lies = (se2.between(*(of[part] for part in over_cut)) for of in (graph.odom, graph.map))
-        return float(np.abs(lies - driven)[:, :2].sum())
-
-    assert given_m(is_bridged=False) > 5.0 * given_m(is_bridged=True)
+def pair_of(*stamps_ns: str) -> dict[str, Any]:
+    return {"stamps_ns": stamps_ns, "points_base": ((0.0, 0.0), (0.0, 0.0))}
 
 
 @pytest.mark.parametrize(
@@ -214,20 +163,8 @@ def test_without_a_bridge_the_cut_steps_are_unmeasured(open_ring: bytes):
         ({"what": "remove-pair", "pair": 0}, "there is no pair 0"),
         ({"what": "cut", "from_s": 1e6, "to_s": 1e7}, "no key frame lies in that time"),
         ({"what": "cut", "from_s": 0.0, "to_s": 1e7}, "that is all of the map"),
-        (
-            {
-                "what": "add-pair",
-                "pairs": [{"stamps_ns": ("0", "7"), "points_base": ((0.0, 0.0), (0.0, 0.0))}],
-            },
-            "the key frame of 7 ns is not in the map",
-        ),
-        (
-            {
-                "what": "add-pair",
-                "pairs": [{"stamps_ns": ("0", "0"), "points_base": ((0.0, 0.0), (0.0, 0.0))}],
-            },
-            "of one key frame",
-        ),
+        ({"what": "add-pair", "pairs": [pair_of("0", "7")]}, "the key frame of 7 ns is not in the map"),
+        ({"what": "add-pair", "pairs": [pair_of("0", "0")]}, "of one key frame"),
     ],
 )
 def test_an_impossible_change_is_refused_and_changes_nothing(
@@ -241,31 +178,3 @@ def test_an_impossible_change_is_refused_and_changes_nothing(
     after = saved(back_end)
     np.testing.assert_array_equal(after.map, before.map)
     np.testing.assert_array_equal(after.point_count, before.point_count)
-
-
-def test_detached_key_frames_carry_no_edit_and_are_neither_cut_nor_stored(open_ring: bytes):
-    """Some in the middle are of a detached segment: these are not stored."""
-    back_end = pickle.loads(open_ring)
-    for segment, after_ns in ((1, 10**12), (0, 2 * 10**12)):
-        frames = [replace(f, segment=segment, stamp_ns=f.stamp_ns + after_ns) for f in FRAMES[40:43]]
-        back_end.work(Batch(frames))
-    corners = back_end.keyframes.map[[len(FRAMES) + 1, -1], :2]
-    edited(back_end, what="wall", corners=[*map(tuple, corners.tolist())])
-    assert len(FRAMES) + 1 not in back_end.keyframes.by_hand.corner_keyframe
-    graph = saved(back_end)
-    assert len(graph) == len(FRAMES) + 3
-    assert graph.by_hand.corner_keyframe[1] == len(graph) - 1
-    np.testing.assert_allclose(graph.by_hand.drawings(graph.map)[0].corners_map, corners, atol=1e-9)
-    assert (
-        edited(back_end, what="cut", from_s=900.0, to_s=1100.0)[1].error == "no key frame lies in that time"
-    )
-    switched = back_end.work(Batch([], "set_mode", is_localizing=True)).edited
-    assert switched is not None
-    assert "is not joined" in switched.error
-
-
-def test_a_bounded_number_of_changes_can_be_undone(open_ring: bytes, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(live_edits, "MAX_UNDONE", 2)
-    back_end = pickle.loads(open_ring)
-    walls = [edited(back_end, what="wall", corners=[(0.0, 0.0), (1.0, 0.0)])[1] for _ in range(3)]
-    assert [answer.reply["undoable"] for answer in walls] == [1, 2, 2]

@@ -1,48 +1,41 @@
 """Loops in a ring of corridors: found, accepted by consensus or odometry, disabled when wrong."""
 
-import math
 import pickle
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
-from service.mapper.graph.loops import loop_search, old_passes, solution_due
+from service.mapper.graph.loops import old_passes
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.loops.loop_search import LoopSearch
 from service.mapper.graph.model.graph_picture import PICTURE_GAP_M
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.relocalise import known_map
-from service.mapper.known_pose import carried
-from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.refused_loops import CONTRADICTED
-from tests.service.mapper.graph.loops.rings import LENGTH_M, STEP_M, WIDTH_M, key_frames
+from tests.service.mapper.graph.loops.rings import LENGTH_M, RENDERER, ROUND, STEP_M, key_frames
 
 BATCH = 7
+Ring = tuple[list[KeyFrame], list[SE2]]  # and the truth
+Fed = tuple[bytes, list[Result]]
 
 
 @pytest.fixture(scope="module")
-def ring() -> tuple[list[KeyFrame], list[SE2]]:
+def ring() -> Ring:
     return key_frames(1.4)
 
 
 def fed(
     frames: list[KeyFrame], config: LoopsConfig | None = None, renders: bool = True
 ) -> tuple[LoopBackEnd, list[Result]]:
-    renderer = OccupancyTiles(OccupancyConfig(), 0.05).renderer if renders else None
-    back_end = LoopBackEnd(config or LoopsConfig(), renderer)
+    back_end = LoopBackEnd(config or LoopsConfig(), RENDERER if renders else None)
     return back_end, [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
 
 
 @pytest.fixture(scope="module")
-def ring_fed(ring: tuple[list[KeyFrame], list[SE2]]) -> tuple[bytes, list[Result]]:
+def ring_fed(ring: Ring) -> Fed:
     """A back end with all of the ring, pickled for each test to load a copy; and its results."""
     back_end, results = fed(ring[0])
     return pickle.dumps(back_end), results
@@ -56,18 +49,15 @@ def errors_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
 def seam_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
     """Offset of the second round from the first."""
     off = []
-    round_frames = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
-    for k in range(20, len(truth) - round_frames - 5, 5):
-        a, b = k, k + round_frames
+    for a in range(20, len(truth) - ROUND - 5, 5):
+        b = a + ROUND
         here = corrections[a].pose_map_base.inverse() @ corrections[b].pose_map_base
         away = (truth[a].inverse() @ truth[b]).inverse() @ here
         off.append(np.hypot(away.x_m, away.y_m))
     return np.array(off)
 
 
-def test_a_ring_is_closed_and_the_path_corrected(
-    ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
-):
+def test_a_ring_is_closed_and_the_path_corrected(ring: Ring, ring_fed: Fed):
     frames, truth = ring
     back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
     drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in frames]
@@ -84,89 +74,12 @@ def test_a_ring_is_closed_and_the_path_corrected(
     assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
 
 
-def test_after_a_long_drive_the_finish_searches_where_no_loop_is(
-    ring_fed: tuple[bytes, list[Result]], monkeypatch: pytest.MonkeyPatch
-):
-    """Else it takes longer the longer the drive was, and a service that ends does not wait for it."""
-    searched: list[int] = []
-    find = LoopSearch.find
-
-    def count(self: LoopSearch, last: int, window: Any, *rest: Any) -> list[Loop]:
-        if window is not None:  # by the final search
-            searched.append(last)
-        return find(self, last, window, *rest)
-
-    monkeypatch.setattr(LoopSearch, "find", count)
-    pickle.loads(ring_fed[0]).work(Batch([], is_last=True))
-    every = searched.copy()
-    searched.clear()
-    monkeypatch.setattr(loop_search, "MAX_STRETCHES", len(every) - 1)
-    back_end: LoopBackEnd = pickle.loads(ring_fed[0])
-    tied = {loop.to for loop in back_end.loops.accepted}
-    back_end.work(Batch([], is_last=True))
-    assert 0 < len(searched) < len(every)
-    assert not tied & {last - round(2.5 / STEP_M) for last in searched}  # the middles of the queries
-
-
-def test_a_closed_ring_is_known_better_than_the_path_that_led_to_it(ring: tuple[list[KeyFrame], list[SE2]]):
-    """Also with step covariances of the motion model."""
-    variance = np.array([1e-4, 1e-4, 4e-5])
-    by_motion, frames = np.zeros((3, 3)), []
-    for before, frame in pairwise([ring[0][0], *ring[0]]):
-        step = before.pose_odom_base.inverse() @ frame.pose_odom_base
-        by_motion = carried(by_motion, np.array([step.x_m, step.y_m, step.theta_rad])) + np.diag(variance)
-        frames.append(replace(frame, motion_covariance=by_motion))
-    _, results = fed(frames, renders=False)
-    known = [result.known for result in results if result.known is not None]
-    assert len(known) > 2
-    for one in known:
-        assert one.covariance.shape == (3, 3)
-        assert np.linalg.eigvalsh(one.covariance)[0] > 0.0
-        assert np.trace(one.covariance[:2, :2]) < 0.5 * np.trace(one.motion_covariance[:2, :2])
-
-
-def test_loops_that_agree_with_the_map_are_accepted_without_rendering(
-    monkeypatch: pytest.MonkeyPatch,
-):
-    """Else the live error grows lap by lap: no loop is off by what is worth a solution."""
-    frames, _ = key_frames(1.4, turn_error_radpm=1e-6)
-    assert not any(result.newest for result in fed(frames)[1])
-    monkeypatch.setattr(solution_due, "SOLVE_EVERY_M", 20.0)
-    results = fed(frames)[1]
-    solved = [result for result in results if result.newest]
-    assert solved
-    assert all(result.known is None and result.rendered_map is None for result in solved)
-
-
-def test_the_picture_is_periodic_and_shows_accepted_and_refused_loops(
-    ring_fed: tuple[bytes, list[Result]],
-):
-    back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
-    pictures = [result.picture for result in results if result.picture is not None]
-    stamps = np.array([picture.stamp_ns for picture in pictures])
-    assert (np.diff(stamps) >= 2_000_000_000).all()
-    false = Loop(10, 80, np.zeros(3), np.eye(3), 0.9)
-    back_end.loops.refusals.add([false], CONTRADICTED)
-    last = back_end.work(Batch([], is_last=True)).picture
-    assert last is not None
-    keyframes = back_end.keyframes
-    (path,) = last.paths
-    np.testing.assert_array_equal(path, keyframes.map[:, :2].astype(np.float32))
-    assert len(last.accepted) == len(back_end.loops.accepted) > 3
-    loop = back_end.loops.accepted[0]
-    np.testing.assert_array_equal(last.accepted[0], keyframes.map[[loop.of, loop.to], :2].astype(np.float32))
-    refused = keyframes.map[[false.of, false.to], :2].astype(np.float32).tolist()
-    assert refused in last.refused.tolist()
-    believed = [ends.tolist() for ends in last.accepted]
-    assert not any(ends.tolist() in believed for ends in last.refused)
-
-
 def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: pytest.MonkeyPatch):
     """The first pass and the newest ones stay, and the path of all scans is as good as that."""
     monkeypatch.setattr(old_passes, "MIN_REMOVED_AT_ONCE", 40)
     frames, truth = key_frames(3.8)
     back_end, results = fed(frames, LoopsConfig(keep_passes=1), renders=False)
-    keyframes, a_round = back_end.keyframes, round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)
+    keyframes, a_round = back_end.keyframes, ROUND
     assert keyframes.count < 3.0 * a_round
     assert keyframes.has_points.sum() < 2.7 * a_round
     stamps_ns = [frame.stamp_ns for frame in frames]
@@ -180,7 +93,7 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert longest_m < PICTURE_GAP_M
 
 
-def test_localisation_drops_nothing_of_the_stored_map(ring_fed: tuple[bytes, list[Result]]):
+def test_localisation_drops_nothing_of_the_stored_map(ring_fed: Fed):
     """However often a spot is passed: passes of the session go, and then nothing would be known there."""
     stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
     assert stored is not None
@@ -193,35 +106,7 @@ def test_localisation_drops_nothing_of_the_stored_map(ring_fed: tuple[bytes, lis
     assert keyframes.has_points[: len(stored)].all()
 
 
-def test_a_lost_vehicle_in_a_stored_map_keeps_its_newest_key_frames(
-    ring: tuple[list[KeyFrame], list[SE2]],
-    ring_fed: tuple[bytes, list[Result]],
-    monkeypatch: pytest.MonkeyPatch,
-):
-    """Of scans that match nowhere; of the path before it keeps the poses."""
-    monkeypatch.setattr(known_map, "MAX_CANDIDATES", 4)  # limits the search time
-    most = 2 * BATCH
-    monkeypatch.setattr("service.mapper.graph.loops.loop_back_end.MAX_SESSION", most)
-    stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
-    assert stored is not None
-    back_end = LoopBackEnd(LoopsConfig(), None, stored, is_localizing=True)
-    noise = np.random.default_rng(1)
-    lost = [
-        replace(frame, segment=0, xy_base=noise.uniform(-4.0, 4.0, (60, 2)).astype(np.float32))
-        for frame in ring[0][: 4 * BATCH]
-    ]
-    results = [back_end.work(Batch(lost[k : k + BATCH])) for k in range(0, len(lost), BATCH)]
-    assert {result.joined for result in results} == {None}
-    has_points = back_end.keyframes.has_points[len(stored) :]
-    assert len(has_points) == len(lost)
-    assert not has_points[:-most].any()
-    assert has_points[-most:].sum() > most // 2  # besides those of one spot
-    assert back_end.keyframes.has_points[: len(stored)].all()
-
-
-def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
-    ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
-):
+def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(ring: Ring, ring_fed: Fed):
     frames = ring[0]
     back_end = pickle.loads(pickle.dumps(LoopBackEnd(LoopsConfig(), None)))
     for k in range(0, len(frames), BATCH):
@@ -232,7 +117,7 @@ def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(
     assert again.g2o == first.g2o
 
 
-def test_a_single_loop_is_not_accepted(ring: tuple[list[KeyFrame], list[SE2]]):
+def test_a_single_loop_is_not_accepted(ring: Ring):
     back_end, results = fed(ring[0], LoopsConfig(consensus_span_m=1000.0))
     assert {result.loops for result in results} == {0}
     assert back_end.work(Batch([], is_last=True)).loops == 0
@@ -253,9 +138,7 @@ def test_a_lap_that_ends_where_it_began_is_closed_where_the_path_is_known(is_kno
     assert bool(end_m < 0.03) is is_known, end_m
 
 
-def test_a_contradicted_false_loop_is_disabled(
-    ring: tuple[list[KeyFrame], list[SE2]], ring_fed: tuple[bytes, list[Result]]
-):
+def test_a_contradicted_false_loop_is_disabled(ring: Ring, ring_fed: Fed):
     truth, back_end = ring[1], pickle.loads(ring_fed[0])
     false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
     back_end.loops.accepted.append(false)
@@ -265,7 +148,7 @@ def test_a_contradicted_false_loop_is_disabled(
     assert seam_m(list(finished.all), truth).max() < 0.02
 
 
-def test_undo_restores_the_path_before_the_newest_loops(ring_fed: tuple[bytes, list[Result]]):
+def test_undo_restores_the_path_before_the_newest_loops(ring_fed: Fed):
     back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
     before = results[-1].loops
     undone = [back_end.work(Batch([], "undo")) for _ in range(before)]
@@ -276,9 +159,7 @@ def test_undo_restores_the_path_before_the_newest_loops(ring_fed: tuple[bytes, l
 
 
 @pytest.mark.parametrize("says_so", [True, False])
-def test_after_a_poor_match_the_search_window_is_larger(
-    ring: tuple[list[KeyFrame], list[SE2]], says_so: bool
-):
+def test_after_a_poor_match_the_search_window_is_larger(ring: Ring, says_so: bool):
     """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
     frames, truth = ring
     kink = len(frames) // 2
@@ -311,9 +192,7 @@ def segment_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFram
     return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
 
 
-def test_a_segment_found_twice_four_metres_apart_is_joined(
-    ring: tuple[list[KeyFrame], list[SE2]],
-):
+def test_a_segment_found_twice_four_metres_apart_is_joined(ring: Ring):
     known = ring[0][:SIDE]
     again = segment_after(known, known[5:-5])
     back_end = LoopBackEnd(LoopsConfig(), None)
@@ -335,27 +214,7 @@ def test_a_segment_found_twice_four_metres_apart_is_joined(
         assert abs(away.theta_rad) < 0.01
 
 
-def test_the_unconfirmed_place_is_reported_until_the_segment_is_joined(
-    ring: tuple[list[KeyFrame], list[SE2]],
-):
-    known = ring[0][:SIDE]
-    back_end = LoopBackEnd(LoopsConfig(), None)
-    assert back_end.work(Batch(known)).place.unconfirmed_place is None
-    again = segment_after(known, known[5:-5])
-    results = [back_end.work(Batch(again[k : k + 4])) for k in range(0, len(again), 4)]
-    is_reported = [result.place.unconfirmed_place is not None for result in results]
-    first, joined = is_reported.index(True), [result.joined for result in results].index(1)
-    assert is_reported == [first <= k < joined for k in range(len(results))]
-    for once in (result.place.unconfirmed_place for result in results[first:joined]):
-        assert once is not None
-        assert once.segment == 1
-        off = once.pose_map_odom @ ELSEWHERE
-        assert np.hypot(off.x_m, off.y_m) < 0.1
-        assert abs(off.theta_rad) < 0.02
-        assert 0.05 < math.sqrt(once.known.covariance[0, 0]) < 0.2
-
-
-def test_a_segment_seen_from_one_place_only_is_not_joined(ring: tuple[list[KeyFrame], list[SE2]]):
+def test_a_segment_seen_from_one_place_only_is_not_joined(ring: Ring):
     """From one viewpoint a room looks like any other of its kind."""
     known = ring[0][:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)

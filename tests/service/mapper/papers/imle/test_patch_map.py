@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.estimator.motion import Motion
@@ -91,3 +92,45 @@ def test_a_line_that_cuts_off_the_corner_of_a_patch_is_drawn_there_too() -> None
         for xy_m in ([29.255, 29.245], [27.755, 30.745], [30.745, 27.755]):
             there = mean_value(np.array([xy_m]), np.zeros(3), layer)
             assert there >= patches.levels[1]  # hit, or beside the line by a cell
+
+
+# C1 C9
+@pytest.mark.parametrize(("score", "meaning"), [("product", np.log), ("mean", lambda value: value)])
+def test_the_bytes_of_a_cell_stand_for_the_likelihoods_of_the_paper(score, meaning) -> None:
+    patches = PatchMap(PatchMapConfig(score=score), MemoryPatches)
+    layer = patches.fine
+    values = layer.offset + layer.scale * np.array([*patches.levels, layer.empty])
+    np.testing.assert_allclose(values, meaning(np.array([0.9, 0.6, 0.3, 0.1])), atol=2e-3)
+
+
+# C14 C15
+def test_a_patch_of_ten_metres_takes_a_megabyte_and_its_coarse_layer_forty_kilobytes() -> None:
+    config = PatchMapConfig()
+    patches = PatchMap(config, MemoryPatches)
+    assert config.patch_m == pytest.approx(10.0)
+    assert patches.fine.cells[0].nbytes == 1_000_000
+    assert patches.coarse.cells[0].nbytes == 40_000
+    assert (patches.fine.cell_m, patches.coarse.cell_m) == (0.01, 0.05)
+    assert 80 / config.patch_m * patches.fine.cells.shape[1] == pytest.approx(8000)
+
+
+# C31
+def test_what_lies_ahead_is_fetched_before_it_is_needed() -> None:
+    patches = PatchMap(CONFIG, MemoryPatches)
+    for x_m in np.arange(2.0, 60.0):
+        insert(patches, float(x_m))
+    for x_m in np.arange(60.0, 20.0, -0.25):
+        before = set(patches.resident)
+        patches.prepare(circle().xy_base + np.array([x_m, 0.0]), 3 * CONFIG.coarse_cell_m)
+        assert set(patches.resident) == before
+        insert(patches, float(x_m))
+
+
+# C13
+def test_the_patch_used_longest_ago_goes_first() -> None:
+    store = CountingStore()
+    patches = PatchMap(CONFIG, lambda: store)
+    for x_m in np.arange(2.0, 60.0, 2.0):
+        insert(patches, float(x_m))
+    assert len(store.saved) > 5
+    assert store.saved == sorted(store.saved, key=lambda key: key[1])  # the drive goes along x

@@ -104,3 +104,13 @@ def test_wheels_beside_an_imu_hold_the_speed_where_scans_say_nothing():
         reached.append(abs(predicted.pose_odom_base.x_m))
     assert reached[0] < 0.1
     assert reached[1] > 0.3
+
+
+def test_an_imu_mounted_sideways_is_turned_into_the_base():  # B9
+    model = InertialMotion(InertialMotionConfig(imu_yaw_rad=math.pi / 2))  # its x looks left
+    driven(model, 0, 500, 0.0)
+    for stamp_ms in range(500, 701, 5):
+        model.add(imu(stamp_ms, force=(0.0, -1.0, 9.81)))  # ahead is to its right
+    predicted = model.predict(700 * MS)
+    assert predicted.twist_base[0] == pytest.approx(0.2, abs=0.03)
+    assert abs(predicted.twist_base[1]) < 0.03

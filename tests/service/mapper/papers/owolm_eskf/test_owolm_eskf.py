@@ -1,6 +1,7 @@
 """The profile `owolm_eskf` as a whole, on small drives whose truth is known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,3 +78,26 @@ def test_along_a_bare_corridor_wheels_and_imu_say_how_far_it_was_and_the_state_s
     assert np.abs(away[:, 1]).max() < 0.03
     assert outputs[-1].state == "degraded"
     assert "does not fix the position along the direction" in outputs[-1].reason
+
+
+def test_levels_differ_by_the_ratio_and_all_take_every_scan(room_drive):  # B16 B17
+    for ratio in (2, 4, 5):
+        mapper = mapper_of("owolm_eskf", settings={"local_map": {"ratio": ratio}})
+        outputs_of(mapper, room_drive.frames[:10])
+        layers = mapper.components.local_map.search_layers()
+        assert [round(layer.cell_m / 0.025) for layer in layers] == [1, ratio, ratio**2]
+        assert all(layer.cells.max() > 0 for layer in layers)
+
+
+def test_the_pyramid_finds_a_start_that_is_far_off(room_drive):  # B16
+    scans = scans_of(room_drive.frames)
+    wide = {"least_window_m": 0.6, "least_window_rad": 0.3}
+    mapper = mapper_of("owolm_eskf", settings={"matcher": wide})
+    outputs_of(mapper, scans[:2])
+    components = mapper.components
+    predicted = components.motion_model.predict(scans[2].stamp_ns)
+    off = replace(predicted, pose_odom_base=predicted.pose_odom_base @ SE2(0.45, -0.4, 0.2))
+    match = components.matcher.match(components.deskew(scans[2], predicted), off, components.local_map)
+    away = room_drive.truth[scans[2].stamp_ns].inverse() @ match.motion.pose_odom_base
+    assert math.hypot(away.x_m, away.y_m) < 0.03
+    assert abs(away.theta_rad) < 0.01

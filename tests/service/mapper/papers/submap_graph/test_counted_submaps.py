@@ -55,3 +55,13 @@ def test_a_particle_that_takes_over_has_the_map_and_the_path_of_the_other() -> N
     assert not set(slots[0].tolist()) & set(slots[1].tolist())
     heir.map.insert(WALL, np.zeros(2), np.array([1.0, 0.0, 0.0]))
     assert (grids[0].hits[slots[0]] != grids[1].hits[slots[1]]).any()  # from now on their own ways
+
+
+# D8
+def test_memory_stays_that_of_one_sub_map() -> None:
+    submaps = CountedSubmaps(CONFIG)
+    used = []
+    for k in range(200):
+        drive(submaps, 0.5 * k, k)
+        used.append(submaps.tile_count)
+    assert max(used[100:]) <= max(used[:20])

@@ -22,6 +22,7 @@ from service.mapper.papers.submap_graph.graph.landmark_back_end import (
     LandmarkGraphConfig,
 )
 from service.mapper.papers.submap_graph.graph.landmark_graph import LandmarkGraph
+from service.mapper.papers.submap_graph.graph.submap_match import extract_walls, find
 from service.mapper.papers.submap_graph.key_scan import KeyScan
 from tests.service.mapper.drives import ROOM, cast
 from tests.service.mapper.maps.points import points_of
@@ -183,3 +184,22 @@ def test_a_request_that_cannot_be_granted_is_answered_in_words(trip, name, paylo
     with pytest.raises(GraphRequestError, match=words):
         graph.request(name, payload)
     assert not graph.waiting
+
+
+# D9, D10, D11
+def test_a_sub_map_is_found_in_another_with_landmarks_in_corners(trip) -> None:
+    first, second = (extract_walls(trip[0][k], CONFIG.match) for k in (0, 2))
+    found = find(second, first, np.array([0.4, -0.3, 0.02]), (0.8, 0.1), CONFIG.match)
+    assert found is not None
+    np.testing.assert_allclose(
+        se2.compose(found.pose, np.array([0.12, -0.10, np.radians(2)])), 0.0, atol=0.015
+    )
+    assert 2 <= len(found.landmarks) <= CONFIG.match.landmarks
+    apart = found.landmarks[1:] - found.landmarks[0]
+    assert (np.hypot(*apart.T) >= CONFIG.match.landmark_spacing_m).all()
+    spread = np.linalg.svd(found.landmarks - found.landmarks.mean(axis=0), compute_uv=False)
+    assert spread[1] > 0.3  # not on one line
+    for xy in found.landmarks:
+        k = int(np.argmin(np.hypot(*(second.xy - xy).T)))
+        assert second.probability[k] > 0.95
+        assert second.cornerness[k] > np.median(second.cornerness)
