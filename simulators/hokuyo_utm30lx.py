@@ -102,10 +102,6 @@ class FakeUtm30lx:
         self._adjusting = self._asleep = False
         self._stop()
 
-    def restart_clock(self, now_ns: int) -> None:
-        """Its milliseconds begin at 0, as after RS by another client; all else goes on."""
-        self._set_clock(now_ns, 0)
-
     def restart(self, now_ns: int) -> None:
         self._decoder = CommandDecoder()
         self._speaks_high, self._baud, self._reboot_requested_ns = False, 19_200, None

@@ -124,7 +124,7 @@ def _run(options: argparse.Namespace) -> int:
         while signal.sigtimedwait(stopping, LOOK_S) is None:
             truth.write_until(time.monotonic_ns())
             if time.monotonic() >= tell_at_s:
-                _tell_losses(vehicle, facts)
+                tell_losses(vehicle, facts)
                 tell_at_s = time.monotonic() + TELL_S
             if vehicle.failed:
                 return FAILED
@@ -132,7 +132,7 @@ def _run(options: argparse.Namespace) -> int:
                 log.info("parent process %d has gone; ending", parent)
                 break
         truth.write_until(time.monotonic_ns())
-        _tell_losses(vehicle, facts)
+        tell_losses(vehicle, facts)
         if options.print_endpoints:
             losses = {name: sum(counts.values()) for name, counts in vehicle.losses().items()}
             print(json.dumps({"left_out": {name: n for name, n in losses.items() if n}}), flush=True)
@@ -141,7 +141,7 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _tell_losses(vehicle: FakeVehicle, facts: Counter[tuple[str, str]]) -> None:
+def tell_losses(vehicle: FakeVehicle, facts: Counter[tuple[str, str]]) -> None:
     """Warn of what was lost on this side since the last report: a measurement of a driver would blame it."""
     for name, losses in vehicle.losses().items():
         for what, count in losses.items():

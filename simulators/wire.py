@@ -5,7 +5,6 @@
         ...             # a driver connects, talks, goes, comes again
         wire.cut()      # clients are reset and the port refuses, as when the device loses power
         wire.restore()  # the same port again
-        wire.freeze()   # the link stands but nothing passes, as when a cable is pulled; restore() undoes it
 
 The wire knows no protocol. It hands bytes and the host's monotonic time to the device and writes what the
 device returns, each return value with one write. A reader that is too slow loses complete messages, counted.
@@ -114,10 +113,6 @@ class _Wire(ABC):
         self._thread = None
         os.close(self._wake_read)
         os.close(self._wake_write)
-
-    def freeze(self) -> None:
-        """Let nothing pass in either direction; links stay open. The device does not notice."""
-        self._stop()
 
     def restore(self) -> Self:
         """Open and serve, after a cut in the same place. Raises OSError where it is taken."""

@@ -134,7 +134,6 @@ class FakeMtiG:
     _place_utc_ns: int = 0
     _place_index: int = 0
     _lose: int = 0
-    _spoil: int = 0
     clipped: int = 0  # bits 8 to 16 of the status word, from now on
 
     def __post_init__(self) -> None:
@@ -166,10 +165,6 @@ class FakeMtiG:
     def lose_messages(self, count: int) -> None:
         """The next data messages never come; their counter runs on."""
         self._lose += count
-
-    def spoil_messages(self, count: int) -> None:
-        """A bit of each of the next data messages is turned over."""
-        self._spoil += count
 
     def jump_clock(self, seconds: float) -> None:
         """SampleTimeFine, or the sample counter, goes on from elsewhere."""
@@ -366,10 +361,6 @@ class FakeMtiG:
             if self.counters["messages_overflowed"] % 100 == 1:
                 self._put(encode(Mid.ERROR, bytes((TIMER_OVERFLOW,))), ready_ns)
             return
-        if self._spoil:
-            self._spoil -= 1
-            middle = len(message) // 2
-            message = message[:middle] + bytes((message[middle] ^ 0x10,)) + message[middle + 1 :]
         self._put(message, ready_ns)
 
     def _obey(self, message: Message, now_ns: int) -> None:

@@ -18,7 +18,6 @@ from simulators.disturbances import (
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.truth import LMS100, LaserTruth, Ride, WheelModel, WheelTruth
 from simulators.world import Plan, World, make_world
-from tests.simulated import begun_at
 
 PERFECT = replace(LMS100, sigma_m=0.0, quantum_m=1e-6, mixed_share=0.0, dropout_share=0.0, tenth_range_m=1e3)
 FROM_S, TO_S = 4.0, 9.0
@@ -70,17 +69,6 @@ def test_train_goes_along_or_passes(world: World) -> None:
     assert range_m(passing, FROM_S + 0.1, 90.0) > 9.0
 
 
-def test_train_moves_from_beam_to_beam(world: World) -> None:
-    """A beam 100 ms later meets the end of the train where it is then."""
-    standing = replace(world, drive=plan_drive(SE2(), [Pause(20.0)]))
-    passing = with_train(standing, 0.0, 10.0, left_m=1.0, length_m=4.0, speed_mps=2.0)
-    source = LaserTruth(Ride(passing, 0, 0.0), "front", SE2(), PERFECT, 1)
-    end_s = 5.0 - 1.0 + 0.05  # its front comes by the beam to the left at 4 s: two metres before its middle
-    beams = source.sweep(round((end_s - 0.1) * 1e9), 100_000_000, math.pi / 2, 0.0, 2).range_m
-    assert beams[0] > 9.0
-    assert beams[1] == pytest.approx(1.0, abs=0.01)
-
-
 def test_floor_stays_ahead_of_the_laser_that_sees_it_and_hides_what_is_behind(world: World) -> None:
     floored = with_floor_seen(world, "front", SE2(), 2.6, FROM_S, TO_S)
     for time_s in (FROM_S + 0.1, MIDDLE_S, TO_S - 0.5):
@@ -111,12 +99,3 @@ def test_wheels_slip_for_their_time(world: World) -> None:
     assert way(frozen, 3.0) == pytest.approx(true_m[1])
     assert way(frozen, 6.0) == pytest.approx(true_m[3] - path_length_m)
     assert way(spinning, 6.0) == pytest.approx(true_m[3] + 0.5 * path_length_m)
-
-
-def test_a_turn_before_the_drive_delays_what_moves(world: World) -> None:
-    both = with_train(with_companions(world, [(1.0, 1.0)], FROM_S, TO_S), FROM_S, TO_S, left_m=2.0)
-    turned = begun_at(both, 1.0)
-    later_s = turned.drive.duration_s - world.drive.duration_s
-    assert turned.people[0].place(MIDDLE_S + later_s) == pytest.approx(both.people[0].place(MIDDLE_S))
-    np.testing.assert_allclose(turned.movers[0].ends(MIDDLE_S + later_s), both.movers[0].ends(MIDDLE_S))
-    assert turned.people[0].from_s == turned.movers[0].from_s == FROM_S + later_s

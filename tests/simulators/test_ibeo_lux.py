@@ -4,23 +4,17 @@ Order and form of the dialogues: SICKAG/libsick_ldmrs (example), MRPT CIbeoLuxET
 """
 
 import math
-import socket
 import struct
-import time
 
 import numpy as np
 import pytest
 
 from drivers.ibeo_lux.messages import (
     Command,
-    DeviceStatus,
-    ErrorRegisters,
-    Parameter,
     PointFlag,
     ScanFlag,
     read_reply,
     read_scan,
-    write_ntp_part,
     write_parameter,
 )
 from drivers.ibeo_lux.protocol import DataType, Decoder, Message, encode, ntp_difference_ns
@@ -28,7 +22,6 @@ from service.geometry.se2 import SE2
 from simulators.ibeo_lux import LEAVES_AFTER_SWEEP_NS, FakeIbeoLux, LuxSetup
 from simulators.trajectory import Follow, plan_drive
 from simulators.truth import IBEO_LUX, LaserTruth, Ride
-from simulators.vehicle import FakeVehicle, parse_device
 from simulators.world import Plan, make_world
 from tests.drivers.lux import Room
 
@@ -119,14 +112,6 @@ def test_points_lie_as_in_a_recorded_scan():
     np.testing.assert_allclose(scan.points["range_cm"], 2000 / cos, atol=0.5)
 
 
-def test_label_bits_are_chance_where_the_labelling_did_not_run():
-    flags = Client().scans(0.2)[0].points["flags"]
-    assert 0.8 < np.mean(flags & PointFlag.GROUND != 0) < 0.92
-    assert (flags & 0x40).all()
-    labelled = Client(LuxSetup(labels=ScanFlag.GROUND_LABELLED)).scans(0.2)[0]
-    assert not (labelled.points["flags"] & PointFlag.GROUND).any()
-
-
 def test_low_layers_meet_the_ground_where_the_height_is_given():
     client = Client(LuxSetup(height_m=0.3, labels=ScanFlag.GROUND_LABELLED))
     points = client.scans(0.2)[0].points
@@ -136,23 +121,6 @@ def test_low_layers_meet_the_ground_where_the_height_is_given():
     others = points[points["layer_echo"] > 0]
     assert (others["range_cm"] > 1990).all()
     assert not (others["flags"] & PointFlag.GROUND).any()
-
-
-def test_drops_give_a_first_echo_before_that_of_the_wall():
-    points = Client(LuxSetup(rain_share=0.3, labels=ScanFlag.RAIN_LABELLED)).scans(0.2)[0].points
-    drops = points[points["flags"] & PointFlag.RAIN != 0]
-    assert 0.2 < len(drops) / np.count_nonzero(points["range_cm"] > 600) < 0.4
-    assert (drops["layer_echo"] >> 4 == 0).all()
-    assert (drops["range_cm"] <= 500).all()
-    second = points[points["layer_echo"] >> 4 == 1]
-    assert len(second) == len(drops)
-    assert (second["range_cm"] > 1990).all()
-
-
-def test_odd_angles_silence_it():
-    client = Client()
-    assert client.ask(Command.SET_PARAMETER, write_parameter(0x1100, 1599)).refused is False
-    assert client.scans(1.0) == []
 
 
 @pytest.mark.parametrize(
@@ -174,24 +142,6 @@ def test_what_it_cannot_have_is_refused(index, value):
     assert (reply.command, reply.refused, reply.body) == (0x0010, True, b"")
 
 
-def test_resolution_changes_while_it_stands_still_and_says_why_it_does_not():
-    client = Client()
-
-    def error():
-        return client.ask(Command.GET_PARAMETER, struct.pack("<H", Parameter.FLEXRES_ERROR)).body[2]
-
-    assert client.ask(Command.SET_PARAMETER, write_parameter(0x1104, 0)).refused
-    assert error() == 0x70
-    client.ask(Command.STOP)
-    client.ask(Command.SET_PARAMETER, write_parameter(0x1102, 6400))
-    assert client.ask(Command.SET_PARAMETER, write_parameter(0x1104, 2)).refused
-    assert error() == 0x6E
-    assert not client.ask(Command.SET_PARAMETER, write_parameter(0x1104, 0)).refused
-    client.ask(Command.START)
-    angles = sorted(set(client.scans(1.0)[0].points["angle_ticks"].tolist()))
-    assert min(np.diff(angles)) == 4
-
-
 def test_unknown_short_and_internal_commands_do_no_harm():
     client = Client()
     assert client.say(0x0002)[24:] == bytes.fromhex("0280")
@@ -200,102 +150,6 @@ def test_unknown_short_and_internal_commands_do_no_harm():
     assert client.device.receive_data(b"GET / HTTP/1.1\r\n\r\n", client.now_ns) == b""
     assert client.device.receive_data(encode(Message(DataType.SCAN, b"")), client.now_ns) == b""
     assert client.scans(0.5)
-
-
-def test_clock_counts_from_power_up_drifts_and_is_set_in_two_steps():
-    client = Client(LuxSetup(clock_drift_ppm=100.0))
-    client.listen(100.0)
-    assert client.device.ntp(client.now_ns) / 2**32 == pytest.approx(100.01, abs=1e-6)
-    fraction = client.device.ntp(client.now_ns) & 0xFFFF_FFFF
-    client.ask(Command.SET_NTP_SECONDS, write_ntp_part(4_000_000_000))
-    assert client.device.ntp(client.now_ns) == 4_000_000_000 << 32 | fraction
-    client.ask(Command.SET_NTP_FRACTION, write_ntp_part(1 << 31))
-    assert client.device.ntp(client.now_ns) == 4_000_000_000 << 32 | 1 << 31
-
-
-def test_power_cut_and_jumps_show_in_its_clock():
-    client = Client(LuxSetup(boot_ns=SECOND_NS))
-    client.now_ns += 100 * SECOND_NS
-    client.device.jump_clock(30.5)
-    assert client.device.ntp(client.now_ns) == round(130.5 * 2**32)
-    client.device.jump_clock(-1.0)
-    assert client.device.ntp(client.now_ns) == round(129.5 * 2**32)
-    client.ask(Command.SET_PARAMETER, write_parameter(0x1102, 12_800))
-    client.device.restart(client.now_ns)
-    assert client.say(Command.GET_STATUS) == b""
-    client.now_ns += 2 * SECOND_NS
-    assert client.device.ntp(client.now_ns) == 2 << 32
-    assert client.device.parameter(0x1102) == 3200
-
-
-def test_saved_parameters_survive_a_reset_and_others_do_not():
-    client = Client(LuxSetup(boot_ns=SECOND_NS))
-    client.now_ns += 2 * SECOND_NS
-    client.ask(Command.SET_PARAMETER, write_parameter(0x1102, 6400))
-    client.ask(Command.SAVE_CONFIG)
-    client.ask(Command.SET_PARAMETER, write_parameter(0x1102, 12_800))
-    assert client.say(Command.RESET) == b""
-    assert client.say(Command.GET_STATUS) == b""  # deaf while it boots
-    client.now_ns += 2 * SECOND_NS
-    assert client.device.parameter(0x1102) == 6400
-    assert client.device.ntp(client.now_ns) >> 32 == 2
-    client.ask(Command.RESET_PARAMETERS)
-    assert client.device.parameter(0x1102) == 3200
-
-
-def test_objects_vehicle_states_and_errors_come_unless_switched_off():
-    client = Client(LuxSetup(sends_vehicle_state=True))
-    client.device.report(ErrorRegisters(warnings_1=0x0008), client.now_ns)
-    kinds = [message.data_type for _, message in client.listen(1.0)]
-    assert set(kinds) == {DataType.ERRORS, DataType.SCAN, DataType.OBJECTS, DataType.VEHICLE_STATE}
-    client.ask(Command.SET_PARAMETER, write_parameter(Parameter.DATA_OUTPUT, 0xFFFF))
-    client.device.report(ErrorRegisters(warnings_1=0x0008), client.now_ns)
-    assert {message.data_type for _, message in client.listen(1.0)} == {DataType.VEHICLE_STATE}
-
-
-def test_failed_motor_ends_the_scans_and_is_reported():
-    client = Client(LuxSetup(parameters={0x1012: 0xFFEE}))
-    client.listen(1.0)
-    client.device.motor_failed = True
-    heard = [message for _, message in client.listen(3.5)]
-    assert {message.data_type for message in heard} == {DataType.ERRORS}
-    assert len(heard) == 4
-    assert ErrorRegisters.read(heard[0].payload).error_words == ["motor 1 fault"]
-    status = DeviceStatus.read(client.ask(Command.GET_STATUS).body)
-    assert status.status == 0x0300
-    assert status.temperature_c == pytest.approx(31.0, abs=0.2)
-
-
-def test_client_that_comes_late_gets_scans_from_then_on_and_one_that_stalls_loses_some():
-    client = Client()
-    client.device.disconnected(client.now_ns)
-    assert client.device.next_due_ns(client.now_ns) is None
-    client.now_ns += 10 * SECOND_NS
-    client.device.connected(client.now_ns)
-    assert client.scans(1.0)[0].number == pytest.approx(125, abs=1)
-    client.now_ns += 4 * SECOND_NS
-    numbers = [scan.number for scan in client.scans(1.0)]
-    assert numbers == list(range(numbers[0], numbers[0] + 13))
-    assert client.device.counters["turns_skipped"] == pytest.approx(4 * 12.5, abs=1)
-
-
-def test_vehicle_has_one_on_a_port_where_its_layers_see_the_walls():
-    plan = Plan()
-    plan.line((-5, -5), (5, -5), (5, 5), (-5, 5), (-5, -5))
-    world = make_world("room", plan, [], plan_drive(SE2(), [Follow([(3, 0)])]))
-    specs = [parse_device("lux=ibeo_lux:sigma_m=0.0,x_m=1.0,height_m=0.05")]
-    with FakeVehicle(specs, Ride(world, time.monotonic_ns(), stand_s=60.0), seed=1) as vehicle:
-        [endpoint] = vehicle.endpoints()
-        host, port = endpoint["endpoint"].removeprefix("tcp://").split(":")
-        decoder, messages = Decoder(), []
-        with socket.create_connection((host, int(port)), timeout=10.0) as link:
-            while not any(message.data_type == DataType.SCAN for message in messages):
-                messages += decoder.receive_data(link.recv(65_536))
-    points = read_scan(next(m for m in messages if m.data_type == DataType.SCAN).payload).points
-    ahead = points[np.abs(points["angle_ticks"]) < 320]
-    upper, lowest = ahead[ahead["layer_echo"] > 1], ahead[ahead["layer_echo"] == 0]
-    np.testing.assert_allclose(upper["range_cm"] * np.cos(upper["angle_ticks"] * math.pi / 5760), 400, atol=3)
-    assert lowest["range_cm"].max() == 239  # ground, before the wall
 
 
 def test_each_layer_has_noise_of_its_own():

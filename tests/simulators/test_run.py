@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from simulators.device import TURNS_SKIPPED
-from simulators.run import _tell_losses, main
+from simulators.run import main, tell_losses
 from simulators.truth import Ride
 from simulators.vehicle import FakeVehicle, parse_devices
 from simulators.wire import DROPPED
@@ -173,14 +173,14 @@ def test_losses_of_this_side_are_reported_once_each(caplog: pytest.LogCaptureFix
     vehicle = FakeVehicle(parse_devices([]), Ride(build_world("ring"), 0, 0.0), seed=1)
     facts: Counter[tuple[str, str]] = Counter()
     with caplog.at_level("WARNING"):
-        _tell_losses(vehicle, facts)
+        tell_losses(vehicle, facts)
         assert caplog.messages == []
         vehicle.devices["base"].counters[TURNS_SKIPPED] += 7  # type: ignore[union-attr]
         vehicle.wires["front"].counters[DROPPED] += 2
-        _tell_losses(vehicle, facts)
+        tell_losses(vehicle, facts)
         vehicle.devices["base"].counters[TURNS_SKIPPED] += 3  # type: ignore[union-attr]
-        _tell_losses(vehicle, facts)
-        _tell_losses(vehicle, facts)
+        tell_losses(vehicle, facts)
+        tell_losses(vehicle, facts)
     assert [message.partition(";")[0] for message in caplog.messages] == [
         "front: 2 more messages_dropped_slow_reader",
         "base: 7 more turns_skipped",

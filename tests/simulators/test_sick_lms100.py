@@ -5,14 +5,12 @@ each client parses is stated here from its source (LMS1xx.cpp, CLMS100eth.cpp, s
 """
 
 import ast
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.sick_lms100.protocol import Decoder, Dialect, Telegram, encode, reader, writer
+from drivers.sick_lms100.protocol import Decoder, Dialect, Telegram, encode, reader
 from drivers.sick_lms100.telegrams import (
-    ScanDataConfig,
     read_scan,
 )
 from simulators.device import Sweep
@@ -164,17 +162,6 @@ def test_other_dialect_is_met_with_silence(dialect):
     assert bench.device.counters["requests_in_other_dialect"] == 1
 
 
-def test_dialect_changes_with_the_next_connection_and_is_acknowledged_in_the_old_one():
-    bench = Bench()
-    bench.say(LOGIN)
-    assert bench.say(b"\x02sWN EIHstCola 1\x03") == b"\x02sWA EIHstCola\x03"
-    assert bench.say(b"\x02sRN SCdevicestate\x03") == b"\x02sRA SCdevicestate 1\x03"
-    bench.device.disconnected(bench.now_ns)
-    bench.device.connected(bench.now_ns)
-    assert bench.say(b"\x02sRN SCdevicestate\x03") == b""
-    assert bench.say(encode(Telegram(BINARY, "sRN", "SCdevicestate"))).endswith(b"\x01\x1e")
-
-
 @pytest.mark.parametrize(
     ("request_text", "code"),
     [
@@ -208,106 +195,6 @@ def test_login_is_checked_and_ends_with_run_and_with_the_connection():
     assert bench.say(write) == b"\x02sFA A\x03"
 
 
-def test_new_scan_config_costs_time_without_scans():
-    bench = streaming(Lms100Setup(reconfigure_delay_ns=2_000 * MS))
-    bench.say(LOGIN)
-    assert len(bench.let(1000)) > 40
-    bench.say(b"\x02sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000\x03")
-    assert bench.say(b"\x02sRN STlms\x03").startswith(b"\x02sRA STlms 4")
-    assert bench.let(1900) == []
-    scans = bench.scans(1000)
-    assert 20 <= len(scans) <= 25
-    assert {len(scan.channels_16bit[0].values) for _, scan in scans} == {1081}
-    assert scans[-1][1].shots_100hz == 360
-
-
-def test_boot_is_silence_and_then_state_one_is_over():
-    bench = Bench(Lms100Setup(boot_ns=10_000 * MS))
-    assert bench.device.state(bench.now_ns) == 1
-    assert bench.say(b"\x02sRN STlms\x03") == b""
-    bench.let(10_100)
-    assert bench.say(b"\x02sRN STlms\x03").startswith(b"\x02sRA STlms 7 0 8 00:00:0")
-
-
-def test_motor_takes_its_time_from_standstill():
-    bench = Bench(Lms100Setup(measuring=False, start_delay_ns=5_000 * MS))
-    bench.say(LOGIN)
-    states = [bench.device.state(bench.now_ns)]
-    bench.say(b"\x02sMN LMCstartmeas\x03")
-    states.append(bench.device.state(bench.now_ns))
-    bench.let(5000)
-    states.append(bench.device.state(bench.now_ns))
-    bench.say(b"\x02sMN LMCstandby\x03")
-    states.append(bench.device.state(bench.now_ns))
-    assert states == [3, 4, 7, 6]
-
-
-def test_reboot_forgets_the_client_and_comes_back():
-    bench = Bench(Lms100Setup(boot_ns=3_000 * MS))
-    bench.let(4000)
-    bench.say(b"\x02sEN LMDscandata 1\x03")
-    assert len(bench.let(1000)) > 40
-    bench.say(LOGIN)
-    assert bench.say(b"\x02sMN mSCreboot\x03") == b"\x02sAN mSCreboot 1\x03"
-    assert bench.let(2900) == []
-    assert bench.say(b"\x02sRN STlms\x03") == b""
-    bench.let(200)
-    assert bench.say(b"\x02sRN STlms\x03") != b""
-
-
-def test_power_cut_costs_settings_client_counters_and_clock():
-    bench = Bench(Lms100Setup(start_delay_ns=500 * MS, boot_ns=1_000 * MS))
-    bench.let(1_500)
-    bench.say(LOGIN)
-    bench.say(b"\x02sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000\x03")
-    bench.let(60_000)
-    restarted_ns = bench.now_ns
-    bench.device.restart(restarted_ns)
-    assert bench.say(b"\x02sRN STlms\x03") == b""
-    assert bench.let(2000) == []
-    assert b"sRA LMPscancfg 1388 1 1388" in bench.say(b"\x02sRN LMPscancfg\x03")
-    assert b"sFA" in bench.say(b"\x02sMN LMCstopmeas\x03")
-    bench.say(b"\x02sEN LMDscandata 1\x03")
-    left_ns, scan = bench.scans(100)[0]
-    assert scan.sent_us == pytest.approx((left_ns - restarted_ns) / 1000, abs=100)
-    assert scan.telegram_counter == scan.scan_counter - 4 < 30  # it turns for half a second
-
-
-@pytest.mark.parametrize("seconds", [30.0, -1.5])
-def test_clock_that_jumps_shows_in_stamps_and_calendar(seconds):
-    bench = streaming()
-    bench.device.scan_data = replace(bench.device.scan_data, time=True)
-    (at_ns, before), *_ = bench.scans(6000)[-1:]
-    bench.device.jump_clock(seconds)
-    (later_ns, after), *_ = bench.scans(100)[-1:]
-    passed_us = (later_ns - at_ns) / 1000 + seconds * 1e6
-    assert after.sent_us - before.sent_us == pytest.approx(passed_us, abs=150)
-    reported_s = [t.time.minute * 60 + t.time.second + t.time.microsecond / 1e6 for t in (before, after)]
-    assert reported_s[1] - reported_s[0] == pytest.approx(passed_us / 1e6, abs=0.025)
-
-
-def test_spoilt_checksum_is_noticed_in_binary_and_there_is_none_in_text():
-    [(_, message)] = streaming(Lms100Setup(dialect=BINARY)).let(30)
-    decoder = Decoder()
-    assert decoder.receive_data(FakeLms100(Corridor()).spoil_checksum(message)) == []
-    assert decoder.bad_checksums == 1
-    [(_, message)] = streaming().let(30)
-    assert FakeLms100(Corridor()).spoil_checksum(message) == message
-
-
-def test_client_that_died_leaves_a_deaf_device_for_a_while():
-    bench = streaming(Lms100Setup(refusal_ns=30_000 * MS))
-    bench.device.disconnected(bench.now_ns)
-    bench.device.connected(bench.now_ns)
-    assert bench.say(b"\x02sRN STlms\x03") == b""
-    bench.let(30_000)
-    assert bench.say(b"\x02sRN STlms\x03") != b""
-    assert bench.say(b"\x02sEN LMDscandata 0\x03") == b"\x02sEA LMDscandata 0\x03"
-    bench.device.disconnected(bench.now_ns)
-    bench.device.connected(bench.now_ns)
-    assert bench.say(b"\x02sRN STlms\x03") != b""
-
-
 def test_scan_leaves_after_its_last_ray_and_its_stamps_are_a_real_ones():
     bench = streaming(Lms100Setup(clock_drift_ppm=100.0))
     scans = bench.scans(20_000)
@@ -326,38 +213,6 @@ def test_scan_leaves_after_its_last_ray_and_its_stamps_are_a_real_ones():
     assert np.mean(step_ms / truth_ms) == pytest.approx(1 + 100e-6, abs=5e-6)
 
 
-def test_a_long_stall_costs_whole_scans_and_the_numbers_tell():
-    bench = streaming()
-    before = bench.scans(100)[-1][1]
-    bench.now_ns += 2_000 * MS
-    after = [scan for _, scan in bench.scans(10)]
-    skipped = bench.device.counters["turns_skipped"]
-    assert skipped == pytest.approx(2 * 49.8, abs=2)
-    assert after[0].scan_counter == before.scan_counter + skipped + 1
-    assert after[0].telegram_counter == before.telegram_counter + 1
-
-
-def test_stopped_and_started_again_scan_numbers_start_over_and_telegrams_go_on():
-    bench = streaming()
-    bench.say(LOGIN)
-    before = bench.scans(1000)[-1][1]
-    bench.say(b"\x02sMN LMCstopmeas\x03")
-    assert bench.let(1000) == []
-    bench.say(b"\x02sMN LMCstartmeas\x03")
-    after = bench.scans(1000)[0][1]
-    assert after.scan_counter == 4
-    assert after.telegram_counter == before.telegram_counter + 1
-
-
-@pytest.mark.parametrize(("bits", "most"), [(8, 254), (16, 65_534)])
-def test_remission_and_second_echo_are_sent_where_asked_for(bits, most):
-    layout = ScanDataConfig(3, True, bits == 16)
-    [(_, scan), *_] = streaming(Lms100Setup(scan_data=layout)).scans(100)
-    assert scan.channel("RSSI1").values[[0, -1]].tolist() == [1, most]
-    assert not scan.channel("DIST2").values.any()
-    assert len(scan.channels_8bit) == (2 if bits == 8 else 0)
-
-
 def test_ranges_become_digits_and_what_cannot_be_measured_becomes_zero():
     source = Corridor(np.array([np.nan, 0.005, 0.016, 3.0, 19.9994, 20.5], np.float32))
     [(_, scan), *_] = streaming(source=source).scans(100)
@@ -365,41 +220,3 @@ def test_ranges_become_digits_and_what_cannot_be_measured_becomes_zero():
     setup = Lms100Setup(scale=2.0, reach_m=80.0)
     [(_, scan), *_] = streaming(setup, Corridor(np.array([70.0], np.float32))).scans(100)
     assert (scan.channel("DIST1").values.tolist(), scan.channel("DIST1").scale) == ([35_000], 2.0)
-
-
-def test_contamination_and_failure_show_in_every_place():
-    bench = streaming()
-    bench.scans(1000)
-    bench.device.contamination = 2
-    bench.device.failed = True
-    assert bench.scans(100)[0][1].status == (1, 5)
-    assert bench.say(b"\x02sRN LCMstate\x03") == b"\x02sRA LCMstate 2\x03"
-    assert bench.say(b"\x02sRN SCdevicestate\x03") == b"\x02sRA SCdevicestate 2\x03"
-
-
-def test_repeated_telegrams_are_identical():
-    messages = [m for _, m in streaming(Lms100Setup(repeat_every=5)).let(1000)]
-    repeated = [k for k in range(1, len(messages)) if messages[k] == messages[k - 1]]
-    assert len(repeated) == len(messages) // 6
-
-
-def test_garbage_is_answered_with_nothing():
-    bench = Bench()
-    for _ in range(100):
-        assert bench.say(b"\x00\xff\x02garbage" * 100) == b""
-    assert bench.device.counters["garbage"] > 0
-    assert bench.say(b"\x02sRN SCdevicestate\x03") != b""
-
-
-def test_name_comment_position_and_encoder_are_sent_where_asked_for():
-    layout = replace(
-        ScanDataConfig(1, False, False), name=True, comment=True, position=True, encoder=1, time=False
-    )
-    w = writer(ASCII)
-    layout.write(w)
-    bench = streaming()
-    bench.say(LOGIN)
-    assert bench.say(b"\x02sWN LMDscandatacfg " + w.body + b"\x03") == b"\x02sWA LMDscandatacfg\x03"
-    [(_, scan), *_] = bench.scans(100)
-    assert (scan.name, scan.comment, scan.encoders, scan.time) == ("not defined", "", ((0, 0),), None)
-    assert scan.position == (0.0,) * 7

@@ -11,6 +11,7 @@ from typing import TypeVar
 import pytest
 
 from simulators.wire import BACKLOG_BYTES, serve_pty, serve_tcp
+from tests.waiting import wait_until
 
 Result = TypeVar("Result")
 
@@ -213,22 +214,6 @@ def retry(attempt: Callable[[], Result], error: type[OSError]) -> Result:
             assert time.monotonic() < deadline_s
 
 
-def test_frozen_wire_is_silent_and_wakes_with_the_same_client():
-    ticker = Ticker()
-    wire = serve_tcp(ticker)
-    with wire as address, connect(address) as client:
-        ticker.wait_for_events(1)
-        wire.freeze()
-        client.sendall(b"abc")
-        client.setblocking(False)
-        while select.select([client], [], [], 0.05)[0]:  # what was under way
-            assert b"ABC" not in client.recv(4096)
-        wire.restore()
-        client.settimeout(PATIENCE_S)
-        read_until(lambda: client.recv(4096), lambda data: b"ABC" in data)
-    assert ticker.events == ["connected", "disconnected"]
-
-
 def test_slow_reader_loses_whole_messages_and_never_stops_the_device():
     message = b"<" + bytes(64 * 1024 - 2) + b">"
     ticker = Ticker(message, period_ns=200_000)
@@ -289,31 +274,9 @@ def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_bef
         os.close(fd)
 
 
-def test_unplugged_terminal_fails_its_reader_and_comes_back_under_its_link(tmp_path: Path):
-    ticker = Ticker()
-    wire = serve_pty(ticker, tmp_path / "create")
-    with wire as path:
-        fd = open_terminal(path)
-        ticker.wait_for_events(1)
-        wire.cut()
-        assert not os.path.lexists(path)
-        poll = select.poll()
-        poll.register(fd, select.POLLIN)
-        assert poll.poll(PATIENCE_S * 1000)[0][1] & select.POLLHUP
-        os.close(fd)
-        wire.restore()
-        fd = open_terminal(path)
-        assert read_until(lambda: read_terminal(fd), lambda data: b"." in data).startswith(b"hello ")
-        os.close(fd)
-
-
 def test_terminal_no_one_reads_keeps_the_device_running():
     ticker = Ticker(b"x" * 1000, period_ns=100_000)
-    wire = serve_pty(ticker)
-    with wire as path:
+    with serve_pty(ticker) as path:
         fd = open_terminal(path)
-        ticker.wait_for_events(1)
-        for _ in range(20):
-            wire.freeze()  # waits until the wire's thread has ended, which a blocked write would prevent
-            wire.restore()
+        wait_until(lambda: len(ticker.lateness_ns) > 200)  # the terminal holds four
         os.close(fd)
