@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from drivers.errors import DeviceError
 from drivers.hokuyo_utm30lx.advice import ADVICE
 from drivers.hokuyo_utm30lx.models import MODELS, NOT_READ, mismatch, model_of
 from drivers.hokuyo_utm30lx.protocol import ReplyDecoder, encode_info, read_info
 from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
-from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
+from simulators.hokuyo_setup import Utm30lxSetup
 from tests.drivers.utm30lx import config, talk
 
 PAGE = Path(__file__).parents[2] / "docs/devices/hokuyo_utm30lx.md"
@@ -77,11 +76,6 @@ def test_driver_streams_from_the_fake_of_each_model(
     assert ADVICE.rate_hz(config(**changes)) == rate_hz
 
 
-def test_intensity_of_a_ust_is_read():
-    t = talk(ust(), **UST, intensity=True).run(3.0)
-    assert len(t.frames[-1].intensity) == 1081
-
-
 def test_urg_that_locks_up_at_intensities_is_never_asked_for_them():
     t = talk(urg(), **URG).run(3.0)
     assert b"ME" not in t.sent
@@ -144,26 +138,6 @@ def test_name_of_an_oem_is_taken():
     t = talk(Utm30lxSetup(product="something of an OEM")).run(3.0)
     assert t.session.status == "streaming"
     assert ADVICE.settings_of({"product": "something of an OEM"}) == {}
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"model": "utm_x002"}, "utm_30lx"),
-        ({"model": "ust", "device": "/dev/ttyACM0"}, "model ust has no device; give host"),
-        ({"model": "urg_04lx_ug01", "host": "h"}, "model urg_04lx_ug01 has no host; give device"),
-        ({**URG, "intensity": True}, "sends no intensity"),
-        ({**UST, "echo": "last"}, "model ust has no echo last; write echo: first"),
-    ],
-)
-def test_what_the_model_cannot_do_is_refused(changes, words):
-    with pytest.raises(ValidationError, match=words):
-        config(**changes)
-
-
-def test_fake_has_the_wires_that_each_model_has():
-    wires = {"device": "usb", "host": "ethernet"}
-    assert set(REPLIES) == {(key, wires[wire]) for key, model in MODELS.items() for wire in model.wires}
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -1,23 +1,20 @@
 """Scanners that share the LMS1xx's telegram: real telegrams, the driver against a fake of each, refusals."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from drivers.errors import DeviceError
 from drivers.sick_lms100.advice import ADVICE
 from drivers.sick_lms100.driver import Lms100Session
-from drivers.sick_lms100.models import MODELS, NOT_READ, mismatch, model_of
-from drivers.sick_lms100.protocol import Decoder, Dialect, encode, reader
-from drivers.sick_lms100.telegrams import ScanConfig, read_scan, write_scan
-from simulators.sick_lms100 import FakeLms100
+from drivers.sick_lms100.models import MODELS, mismatch, model_of
+from drivers.sick_lms100.protocol import Decoder, Dialect, encode
+from drivers.sick_lms100.telegrams import read_scan, write_scan
 from simulators.sick_setup import Lms100Setup
-from tests.drivers.lms100 import Room, config, talk, telegram
-from tests.drivers.virtual_time import SECOND_NS, Talk
+from tests.drivers.lms100 import config, talk, telegram
+from tests.drivers.virtual_time import SECOND_NS
 
 TELEGRAMS = Path(__file__).parent / "telegrams"
 PAGE = Path(__file__).parents[2] / "docs/devices/sick_lms100.md"
@@ -80,14 +77,6 @@ def test_lms5xx_stamps_its_scan_before_the_sweep():
     assert frame.stamp_ns == 1_000 * SECOND_NS - 40_853_000
 
 
-def test_lms5xx_that_stamps_after_its_sweep_is_put_a_sweep_before_the_sending():
-    [read] = Decoder().receive_data(recorded("lms511"))
-    scan = read_scan(read)
-    message = encode(write_scan(replace(scan, sent_us=scan.start_us + 3_100), read.dialect))
-    [frame] = Lms100Session(config(model="lms5xx")).receive_data(message, 1_000 * SECOND_NS)
-    assert frame.stamp_ns == pytest.approx(1_000 * SECOND_NS - 40_000_000 * 190 / 360, abs=1_000)
-
-
 @pytest.mark.parametrize("configured", MODELS)
 def test_scale_of_the_telegram_counts_whatever_model_is_configured(configured):
     """An OEM's name is no model's; 2 mm per digit is what SOPAS ET sets in an LMS5xx for 80 m."""
@@ -116,38 +105,9 @@ def test_driver_streams_from_the_fake_of_each_model(model, dialect):
     assert late_ns < 700_000  # what is not known of the time from the last beam to the sending
 
 
-def test_cut_field_of_view_begins_at_the_exact_angle():
-    """Of steps of 0.3333 deg, as they are sent, the 600th ends 0.02 deg short of 200 deg."""
-    room = Room()
-    device = FakeLms100(room, Lms100Setup(model="tim7xx", kept=frozenset({"LMPoutputRange"})))
-    t = Talk(Lms100Session(config(model="tim7xx", first_angle_deg=65.0)), device).connect().run(2.0)
-    assert math.degrees(t.frames[-1].first_angle_rad) == pytest.approx(65.0, abs=1e-9)
-
-
 def written(t):
     """Names of what the session wrote, in order."""
     return [r.name for r in Decoder().receive_data(bytes(t.sent)) if r.kind in ("sWN", "sMN")]
-
-
-def test_lms5xx_is_left_once_between_field_of_view_and_scan_rate():
-    t = talk(
-        Lms100Setup(model="lms5xx"),
-        model="lms5xx",
-        scan_rate_hz=100,
-        angle_step_deg=0.6667,
-        first_angle_deg=-90.0,
-        last_angle_deg=90.0,
-    )
-    t.run(5.0)
-    assert t.session.status == "streaming"
-    assert written(t) == [
-        *("SetAccessMode", "LMPoutputRange", "Run", "SetAccessMode", "mLMPsetscancfg"),
-        *("LMCstartmeas", "Run"),
-    ]
-    [setting] = [r for r in Decoder().receive_data(bytes(t.sent)) if r.name == "mLMPsetscancfg"]
-    assert ScanConfig.read(reader(setting)) == ScanConfig(10_000, 6667, -50_000, 1_850_000)
-    assert t.frames[-1].scan_period_ns == 10_000_000
-    assert math.degrees(t.frames[-1].angle_step_rad) == pytest.approx(2 / 3)
 
 
 @pytest.mark.parametrize(("stored", "echo", "wanted"), [(1, "first", 0), (0, "last", 2), (2, "first", 0)])
@@ -157,46 +117,6 @@ def test_lms5xx_chooses_its_echo_by_the_filter(stored, echo, wanted):
     assert "FREchoFilter" in written(t)
     assert "LMDscandatacfg" not in written(t)
     assert t.device.echo_filter == wanted
-
-
-@pytest.mark.parametrize(
-    ("how", "words"),
-    [("refused", "FREchoFilter refused"), ("kept", "after FREchoFilter 2 was accepted it has 0")],
-)
-def test_echo_filter_that_cannot_be_changed_is_named(how, words):
-    setup = Lms100Setup(model="lms5xx", **{how: frozenset({"FREchoFilter"})})
-    t = talk(setup, model="lms5xx", echo="last").run(5.0)
-    assert f"configured echo last not taken: {words}" in t.session.status
-    assert t.frames
-
-
-@pytest.mark.parametrize(
-    ("model", "step_deg", "written_e4deg"), [("lms1xx", 0.25, 5000), ("lms5xx", 1.0, 10_000)]
-)
-def test_field_of_view_is_written_with_the_step_that_the_model_takes(model, step_deg, written_e4deg):
-    changes = {"scan_rate_hz": 25, "angle_step_deg": step_deg, "first_angle_deg": -90.0}
-    t = talk(Lms100Setup(model), model=model, **changes).run(3.0)
-    assert t.device.range.step_e4deg == written_e4deg
-
-
-@pytest.mark.parametrize("model", ["tim5xx", "tim7xx"])
-def test_scan_rate_and_step_of_a_tim_are_not_written(model):
-    coarse = ScanConfig(1500, 10_000, -450_000, 2_250_000)
-    t = talk(Lms100Setup(model=model, scan=coarse, measuring=False), model=model).run(2.0)
-    assert t.frames
-    assert written(t) == ["SetAccessMode", "LMCstartmeas", "Run"]
-
-
-def test_tim551_that_measures_more_coarsely_than_configured_is_used_and_named():
-    session = Lms100Session(config(model="tim5xx"))
-    for copy in range(20):
-        raw = recorded("tim551")
-        for field in (0xE789, 0x3D611E4A, 0x3D612D1F):  # scan counter, zero index and sending in us
-            later = field + copy * (1 if field == 0xE789 else 66_667)
-            raw = raw.replace(b" %X " % field, b" %X " % later)
-        session.receive_data(raw, 1_000 * SECOND_NS + copy * 66_667_000)
-    assert "scans at 15 Hz and 1 deg" in session.status
-    assert "configured 15 Hz and 0.3333 deg" in session.status
 
 
 @pytest.mark.parametrize("ident", ["LMS111", "LMS10x_FieldEval", "LMS511_FieldEval", "TiM571", "TiM781S"])
@@ -243,13 +163,6 @@ def test_scanner_with_another_telegram_is_refused_by_name_and_left_alone(ident, 
     assert t.device.counters["starts"] == 0
 
 
-def test_every_refusal_says_what_would_be_needed():
-    for ident, (family, need) in NOT_READ.items():
-        words = mismatch(ident + "00", "lms1xx")
-        assert family in words
-        assert words.endswith(f"that would need {need}")
-
-
 @pytest.mark.parametrize("model", OTHERS)
 def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(model):
     with pytest.raises(DeviceError, match=f"expected LMS1xx; write model: {model}; is host"):
@@ -261,37 +174,6 @@ def test_scan_with_more_beams_than_the_model_has_is_malformed():
     session = Lms100Session(config(model="tim5xx"))
     session.receive_data(encode(write_scan(telegram(values=(1500,) * 1101), Dialect.ASCII)), SECOND_NS)
     assert session.counters["scans_malformed"] == 1
-
-
-@pytest.mark.parametrize(
-    ("model", "rate_hz", "step_deg"),
-    [
-        *(("lms5xx", 25, step) for step in (0.1667, 0.25, 0.3333, 0.5, 0.6667, 0.75, 1.0)),
-        *(("lms5xx", 35, 0.25), ("lms5xx", 50, 0.3333), ("lms5xx", 75, 0.5), ("lms5xx", 100, 0.6667)),
-        *(("tim5xx", 15, 0.3333), ("tim5xx", 15, 1.0), ("tim7xx", 15, 0.3333)),
-    ],
-)
-def test_what_the_model_can_do_is_accepted(model, rate_hz, step_deg):
-    assert config(model=model, scan_rate_hz=rate_hz, angle_step_deg=step_deg).angle_step_deg == step_deg
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"model": "mrs1000"}, "lms1xx"),
-        ({"model": ["lms5xx"]}, "lms1xx"),
-        ({"model": "lms5xx", "scan_rate_hz": 15}, "must be 25 or 35 or 50 or 75 or 100, not 15"),
-        ({"model": "lms5xx", "angle_step_deg": 0.25}, "needs scan_rate_hz 35 or less, not 50"),
-        ({"model": "lms5xx", "first_angle_deg": -100.0}, "must lie within -95 to 95"),
-        ({"model": "lms5xx", "last_angle_deg": 100.0}, "must lie within -95 to 95"),
-        ({"model": "tim5xx", "scan_rate_hz": 50}, "must be 15, not 50"),
-        ({"model": "tim7xx", "angle_step_deg": 1.0}, "must be 0.3333, not 1"),
-        ({"model": "tim7xx", "echo": "last"}, "model tim7xx has no echo last; write echo: first"),
-    ],
-)
-def test_what_the_model_cannot_do_is_refused(changes, words):
-    with pytest.raises(ValidationError, match=words):
-        config(**changes)
 
 
 @pytest.mark.parametrize("name", MODELS)

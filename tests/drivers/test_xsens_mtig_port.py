@@ -4,7 +4,6 @@ import pytest
 
 from drivers.errors import TransportError
 from drivers.transport import SerialTransport
-from drivers.xsens_mtig.advice import doubt, other_settings, recognise
 from drivers.xsens_mtig.driver import XsensMtigSession
 from drivers.xsens_mtig.port import DWELL_S, LIKELY_BAUDS, ProbingPort, open_port
 from drivers.xsens_mtig.protocol import Mid, encode
@@ -109,15 +108,3 @@ def test_ports_are_opened_as_the_config_says(monkeypatch: pytest.MonkeyPatch):
     assert opened[0][0] == 0x2639
     assert 0x0017 in opened[0][1]
     assert opened[0][2] == "0380"
-
-
-def test_the_doctor_is_reported_who_speaks_and_what_to_try():
-    assert recognise(encode(Mid.MTDATA2)) == "an Xsens unit that sends MTData2 (an MTi-G-700 or later)"
-    assert recognise(b"garbage" + encode(Mid.MTDATA)) == "an Xsens unit that sends MTData (an MTi-G)"
-    assert recognise(encode(Mid.WAKE_UP)) == "an Xsens unit"
-    assert recognise(b"\x02sRA STlms 7\x03") == ""
-    assert [other.words for other in other_settings(config(baud=115_200))] == ["baud: auto"]
-    assert other_settings(config()) == []
-    assert doubt(config(), {"product": "MTi-G-710-2A5G4"}) == ""
-    assert "MTi-30-2A8G4, which has no GNSS receiver" in doubt(config(), {"product": "MTi-30-2A8G4"})
-    assert doubt(config(gnss=False), {"product": "MTi-30-2A8G4"}) == ""

@@ -1,5 +1,4 @@
 import pytest
-from pydantic import ValidationError
 
 from drivers.errors import DeviceError
 from drivers.xsens_mtig.mtdata import Layout, Mode
@@ -7,31 +6,6 @@ from drivers.xsens_mtig.mtdata2 import EVERY_MESSAGE, Kind
 from drivers.xsens_mtig.reals import Precision
 from drivers.xsens_mtig.wanted import PERIOD_HZ, PERIODS, line_bits_per_s, wanted_items, wanted_layout
 from tests.drivers.mtig import config
-
-
-@pytest.mark.parametrize(
-    ("changes", "diagnostic"),
-    [
-        ({"baud": 100_000}, "baud 100000 is none of the device's rates"),
-        ({"baud": 115_200, "store_baud": 460_800}, "unheard at baud 115200; write baud: auto"),
-        ({"device": "usb", "baud": 115_200}, "device usb has no baud rate"),
-        ({"device": "usb:0380", "store_baud": 115_200}, "has no baud rate"),
-        ({"forward_axis": "x", "up_axis": "-x"}, "same axis"),
-        ({"lever_arm_m": [350.0, 0.0, 0.0]}, "lever_arm_m .* in metres"),
-        ({"rate_hz": 150}, "rate_hz"),
-        ({"number_format": "double"}, "number_format"),
-        ({"buad": 115_200}, "buad"),
-    ],
-)
-def test_what_cannot_be_is_refused_at_the_start(changes: dict[str, object], diagnostic: str):
-    with pytest.raises(ValidationError, match=diagnostic):
-        config(**changes)
-
-
-def test_usb_is_named_with_or_without_a_serial_number():
-    assert (config(device="usb").over_usb, config(device="usb").usb_serial) == (True, None)
-    assert config(device="usb:03800123").usb_serial == "03800123"
-    assert not config(device="/dev/ttyUSB0").over_usb
 
 
 def ids(items: list[tuple[int, int]]) -> list[int]:
