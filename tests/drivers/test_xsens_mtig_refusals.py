@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import DeviceError
-from drivers.xsens_mtig.mtdata2 import Kind
 from drivers.xsens_mtig.protocol import Mid
 from simulators.inertial import Place
 from tests.drivers.mtig import PLACE, Swing, legacy, mtdata2, samples, talk
@@ -31,12 +30,6 @@ def test_unit_that_refuses_every_output_is_known_by_its_product_code():
         talk(device).run(3.0)
 
 
-def test_unit_without_orientation_gives_the_rest():
-    t = talk(mtdata2(baud=460_800, unsendable=frozenset({Kind.QUATERNION}))).run(3.0)
-    assert len(samples(t.frames)) > 400
-    assert f"; configured orientation not taken: {REFUSED}; " in t.session.status
-
-
 def test_output_that_it_refuses_is_used_as_it_is_set_where_it_holds_samples():
     device = mtdata2(fixed=frozenset({Mid.OUTPUT_CONFIGURATION}))
     device.settings.output = [(0x1060, 0xFFFF), (0x4020, 100), (0x8020, 100), (0xE010, 0xFFFF)]
@@ -46,37 +39,6 @@ def test_output_that_it_refuses_is_used_as_it_is_set_where_it_holds_samples():
     assert "; rate of turn at 100 Hz, configured 200 Hz; " in t.session.status
     with pytest.raises(DeviceError, match=r"needed are 8020.*configured output not taken: error 0x21"):
         talk(mtdata2(fixed=frozenset({Mid.OUTPUT_CONFIGURATION})), gnss=False).run(3.0)
-
-
-@pytest.mark.parametrize("make", [mtdata2, legacy])
-@pytest.mark.parametrize(
-    ("mid", "changes", "words"),
-    [
-        (Mid.LEVER_ARM, {"lever_arm_m": (0.25, 0.0, 0.5)}, "lever_arm_m"),
-        (Mid.SCENARIO, {"filter_profile": "automotive"}, "filter_profile"),
-        (Mid.BAUDRATE, {"store_baud": 460_800}, "store_baud 460800"),
-    ],
-)
-def test_setting_that_samples_do_not_need_is_done_without(make, mid, changes, words):
-    t = talk(make(fixed=frozenset({mid})), **changes).run(3.0)
-    assert len(samples(t.frames)) > 400
-    assert f"; configured {words} not taken: {REFUSED}" in t.session.status
-
-
-@pytest.mark.parametrize(
-    ("mid", "words"),
-    [
-        (Mid.PERIOD, f"samples at 100 Hz, configured 200 Hz; configured rate 200 Hz not taken: {REFUSED}"),
-        (
-            Mid.OUTPUT_MODE,
-            "configured output mode (write gnss: false for a unit without a receiver) not taken",
-        ),
-    ],
-)
-def test_legacy_unit_that_refuses_its_output_is_used_as_it_is_set(mid, words):
-    t = talk(legacy(fixed=frozenset({mid}))).run(3.0)
-    assert len(samples(t.frames)) > 200
-    assert words in t.session.status
 
 
 def test_rate_that_it_rounds_is_the_one_that_was_asked_for():
@@ -117,20 +79,6 @@ def test_unit_whose_only_time_is_utc_is_stamped_by_arrival_before_its_first_fix(
     assert len(samples(t.frames)) == t.session.counters["samples_received"] > 580
     assert "stamped by arrival" not in t.session.status
     assert min(np.diff([s.stamp_ns for s in samples(t.frames)])) > 0
-
-
-def test_samples_that_come_in_one_read_are_stamped_a_period_apart():
-    device = sent_utc_alone(mtdata2, "absent", None)
-    t = talk(device, configure=False, device="usb", gnss=False).run(2.0)
-    held, before = bytearray(), len(t.frames)
-    for _ in range(5):
-        t.now_ns = max(t.now_ns, t.device.next_due_ns(t.now_ns))
-        held += t.device.due(t.now_ns)
-    t.frames += t.session.receive_data(bytes(held), t.now_ns)
-    came = samples(t.frames[before:])
-    assert len(came) >= 3
-    assert np.diff([s.stamp_ns for s in came]) == pytest.approx(10_000_000, abs=100)
-    assert came[-1].stamp_ns <= came[-1].arrived_ns
 
 
 def test_unit_that_sends_no_time_at_all_is_stamped_by_arrival():
