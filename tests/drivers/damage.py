@@ -26,12 +26,3 @@ def mutate(wire: bytes, chance: random.Random) -> bytes:
 def buffered(decoder: Any) -> int:
     """Bytes that a decoder keeps until the rest of a message comes."""
     return len(decoder._buffer)
-
-
-def waiting(session: Any) -> int:
-    """Bytes that a session keeps until the rest of a message comes."""
-    decoder = session._decoder
-    for name in ("buffered_bytes", "waiting_bytes"):
-        if hasattr(decoder, name):
-            return int(getattr(decoder, name))
-    return buffered(decoder)

@@ -145,13 +145,6 @@ def test_a_sender_that_falls_behind_and_stays_behind_keeps_its_stamps(gained_per
     assert np.abs(error_ms[stream.sent_s > 62.0]).max() < 25.0
 
 
-def test_quantised_arrivals_do_not_quantise_stamps():
-    stream = Stream(3)
-    stream.arrived_s = np.ceil(stream.arrived_s / 0.016) * 0.016  # a serial adapter's latency timer
-    error_ms, _ = stream.through(microseconds())
-    assert error_ms[stream.sent_s > 62.0].std() <= 0.5  # of the arrivals themselves: 4.7 ms
-
-
 def test_clock_that_runs_away_is_followed_and_counted():
     stream = Stream(4, drift_ppm=-2_000.0)  # 2 ms a second slow: no crystal
     clock = microseconds()

@@ -40,13 +40,6 @@ def test_the_time_out_counts_from_the_tick_that_sent_not_from_the_answer_before(
     assert sent == ["me", None]
 
 
-def test_an_unanswered_request_is_reported_as_none_and_the_next_goes_out_in_the_same_tick():
-    runner, sent = runner_of(Ask("who", 0.5), Ask("where"))
-    runner.tick(0)
-    assert runner.tick(S // 2) == Ask("where")
-    assert sent == [None]
-
-
 def test_a_pause_sends_nothing_until_it_is_over():
     runner, sent = runner_of(Pause(2.0), Ask("who"))
     assert runner.tick(0) is None

@@ -4,9 +4,6 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.geometry import Geometry
-from drivers.hokuyo_utm30lx.protocol import encode_info
-from simulators.hokuyo_utm30lx import FakeUtm30lx
-from tests.drivers import utm30lx
 
 REAL = {
     "MODL": "UTM-30LX(Hokuyo Automatic Co.,Ltd.)",
@@ -41,13 +38,3 @@ def test_a_line_that_is_missing_is_refused_by_its_name():
 def test_limits_that_contradict_each_other_are_refused(turned: dict[str, str]):
     with pytest.raises(ProtocolError, match="describes no laser"):
         Geometry.of(REAL | turned)
-
-
-@pytest.mark.parametrize("value", ["1" + "0" * 15, "9" * 400])
-def test_a_device_with_a_senseless_speed_ends_the_connection_in_plain_words(
-    value: str, monkeypatch: pytest.MonkeyPatch
-):
-    said = list((REAL | {"SCAN": value}).items())
-    monkeypatch.setattr(FakeUtm30lx, "_parameters", lambda *_: encode_info("PP", said))
-    with pytest.raises(ProtocolError, match=r"PP: SCAN is \d{16,20}, expected 60 to 12000"):
-        utm30lx.talk().run(10.0)

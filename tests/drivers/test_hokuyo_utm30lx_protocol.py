@@ -1,11 +1,8 @@
 """SCIP framing: whole, cut anywhere, behind garbage, too long; numbers, sums and info lines."""
 
-import contextlib
 import json
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.protocol import (
@@ -24,12 +21,6 @@ from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
 from tests.drivers.damage import buffered
 from tests.drivers.utm30lx import random_scan
 
-# A UTM-30LX, firmware P.1.05; gbiggs/hokuyoaist, commit 51d99db, examples.
-REAL_PP = bytes.fromhex(
-    "50500a3030500a4d4f444c3a55544d2d33304c5828486f6b75796f204175746f6d6174696320436f2e2c4c74642e293b550a"
-    "444d494e3a32333b370a444d41583a36303030303b4a0a415245533a313434303b5e0a414d494e3a303b3f0a414d41583a31"
-    "3038303b5a0a414652543a3534303b300a5343414e3a323430303b550a0a"
-)
 REAL_TM1 = b"TM1\n00P\n<SfkP\n\n"
 SCAN = write_scan(random_scan(0))
 REPLIES = [
@@ -60,13 +51,6 @@ def test_reply_is_found_behind_garbage_and_behind_the_stump_of_a_scan(wire, repl
     decoder = ReplyDecoder()
     assert decoder.receive_data(before + wire)[-1] == reply
     assert decoder.skipped_bytes == len(before.lstrip(b"\n"))
-
-
-def test_two_scans_whose_border_was_lost_cost_the_first_alone():
-    decoder = ReplyDecoder()
-    replies = decoder.receive_data(SCAN[:-2] + SCAN)
-    assert [read_scan(reply).stamp_ms for reply in replies] == [random_scan(0).stamp_ms]
-    assert decoder.unreadable_blocks == 1
 
 
 def test_endless_noise_is_bounded_and_what_follows_is_read():
@@ -162,34 +146,3 @@ def recorded(shared, name):
         message = json.loads(line)
         if message["dir"] == "dev":
             yield bytes.fromhex(message["hex"])
-
-
-GOOD = [wire for wire, _ in REPLIES] + [REAL_PP, write_scan(random_scan(1))]
-
-
-@given(
-    wires=st.lists(st.sampled_from(GOOD), min_size=1, max_size=4),
-    flips=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=6),
-    cut=st.integers(0, 10**6),
-    dropped=st.integers(0, 40),
-    chunk=st.integers(1, 4000),
-)
-def test_mutated_replies_raise_nothing_but_protocol_errors_and_the_next_good_one_is_read(
-    wires, flips, cut, dropped, chunk
-):
-    stream = bytearray(b"".join(wires))
-    for place, byte in flips:
-        stream[place % len(stream)] = byte
-    cut %= len(stream)
-    del stream[cut : cut + dropped]
-    stream += b"\n\n" + SCAN
-    decoder = ReplyDecoder()
-    replies = []
-    for start in range(0, len(stream), chunk):
-        replies += decoder.receive_data(bytes(stream[start : start + chunk]))
-    for reply in replies:
-        for read in (read_info, read_time, read_scan):
-            with contextlib.suppress(ProtocolError):
-                read(reply)
-    assert read_scan(replies[-1]).stamp_ms == random_scan(0).stamp_ms
-    assert buffered(decoder) == 0

@@ -22,23 +22,6 @@ def reply(wire):
     return only
 
 
-def slow_values(body, chars):
-    """Data lines to numbers, one by one: [[echo, ...] of each beam]; the reference."""
-    text = b"".join(line[:-1] for line in body.split(b"\n")[1:-1]).decode()
-    beams = []
-    while text:
-        further, text = text.startswith("&"), text.removeprefix("&")
-        value, text = text[:chars], text[chars:]
-        number = 0
-        for char in value:
-            number = number * 64 + ord(char) - 0x30
-        if further:
-            beams[-1].append(number)
-        else:
-            beams.append([number])
-    return beams
-
-
 @pytest.mark.parametrize("command", KINDS)
 @pytest.mark.parametrize(("first", "last", "cluster"), [(0, 1080, 1), (5, 6, 0), (100, 203, 7)])
 @pytest.mark.parametrize("seed", range(3))
@@ -57,13 +40,6 @@ def test_scan_survives_the_wire(command, first, last, cluster, seed):
     assert write_scan(back) == wire
 
 
-@pytest.mark.parametrize("command", ["MD", "MS", "ND"])
-def test_values_agree_with_a_slow_reference(command):
-    scan = random_scan(11, ScanRequest(command, 0, 300))
-    beams = slow_values(reply(write_scan(scan)).body, scan.request.value_chars)
-    assert [[v for v in column if v != NO_ECHO] for column in scan.distance_mm.T.tolist()] == beams
-
-
 def test_requests_read_as_they_are_written():
     assert read_request("MD0000108001000") == ScanRequest("MD", 0, 1080, 1, 0, 0)
     assert read_request("NE0010020002399;abc") == ScanRequest("NE", 10, 200, 2, 3, 99)
@@ -74,9 +50,6 @@ def test_requests_read_as_they_are_written():
     for text in ("", "VV", "MD00001080010", "MD000010800100x", "MD0100000001000", "GD00001080010 0"):
         with pytest.raises(ProtocolError):
             read_request(text)
-
-
-GOOD = write_scan(random_scan(3, ScanRequest("NE", 0, 200)))
 
 
 def data_line(text):
@@ -120,14 +93,3 @@ def test_ampersands_in_wrong_places_are_refused(text):
 def test_further_echoes_stand_below_the_beam_they_belong_to():
     scan = read_scan(Reply("ND0000000201000", "99", STAMP + data_line(b"001002&003&004005&006")))
     assert scan.distance_mm.tolist() == [[1, 2, 5], [NO_ECHO, 3, 6], [NO_ECHO, 4, NO_ECHO]]
-
-
-def test_every_single_flipped_bit_of_a_data_line_is_noticed():
-    good = reply(write_scan(random_scan(5, ScanRequest("MD", 0, 60))))
-    start = good.body.index(b"\n") + 1
-    for place in range(start, len(good.body)):
-        for bit in range(8):
-            body = bytearray(good.body)
-            body[place] ^= 1 << bit
-            with pytest.raises(ProtocolError):
-                read_scan(Reply(good.echo, good.status, bytes(body)))

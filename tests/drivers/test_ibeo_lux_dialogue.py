@@ -5,7 +5,7 @@ import pytest
 from drivers.errors import DeviceError, TransportError
 from drivers.ibeo_lux.driver import IbeoLuxSession
 from drivers.ibeo_lux.messages import Command, Parameter, read_command
-from drivers.ibeo_lux.protocol import DataType, Decoder, Message, encode, ntp_difference_ns, ntp_from_unix_ns
+from drivers.ibeo_lux.protocol import Decoder, ntp_difference_ns, ntp_from_unix_ns
 from simulators.ibeo_lux import LuxSetup
 from tests.drivers.lux import UNIX_NS, config, reconnect, talk
 from tests.drivers.virtual_time import SECOND_NS
@@ -117,20 +117,6 @@ def test_clock_whose_second_turns_between_the_two_commands_is_set_again():
     )
 
 
-def test_clock_that_cannot_be_set_is_no_fault():
-    refused = frozenset({Command.SET_NTP, Command.SET_NTP_SECONDS})
-    t = talk(LuxSetup(refused=refused)).run(2.0)
-    assert t.session.counters["clock_not_set"] == 1
-    assert t.frames
-
-
-def test_old_firmware_that_does_not_know_a_parameter_is_taken():
-    unsupported = frozenset({Parameter.UPSIDE_DOWN, Parameter.BEAM_TILT, Parameter.OPERATING_MINUTES})
-    t = talk(LuxSetup(unsupported=unsupported), upside_down=False).run(2.0)
-    assert t.session.counters["parameters_not_supported"] == 3
-    assert t.frames
-
-
 @pytest.mark.parametrize(
     ("setup", "wanted", "words"),
     [
@@ -184,21 +170,6 @@ def test_device_that_says_it_runs_but_sends_nothing_is_started():
     assert t.device.counters["starts"] == 1
 
 
-def test_device_that_boots_is_waited_for():
-    t = talk(LuxSetup(boot_ns=9 * SECOND_NS)).run(8.0)
-    assert t.session.status == "waiting for the first answer: booting?"
-    t.run(6.0)
-    assert t.session.counters["requests_unanswered"] == 18
-    assert len(t.frames) > 100
-
-
-def test_device_that_never_answers_is_given_up():
-    t = talk()
-    t.device.silent = True
-    with pytest.raises(TransportError, match="no answer to 40 times Get status and no scan"):
-        t.run(60.0)
-
-
 def test_device_that_sends_but_does_not_answer_is_taken_as_it_is():
     t = talk(LuxSetup(parameters={0x1102: 6400}), scan_rate_hz=50)
     receive = t.device.receive_data
@@ -234,13 +205,3 @@ def test_motor_that_does_not_start_is_a_device_error_in_words():
     t.device.motor_failed = True
     with pytest.raises(DeviceError, match=r"no scan 30 s after Start: motor off.*it reports: motor 1 fault"):
         t.run(60.0)
-
-
-def test_late_reply_about_another_parameter_is_not_taken():
-    t = talk(LuxSetup(parameters=AS_WANTED))
-    t.session.tick(t.now_ns)
-    t.exchange()
-    reply = encode(Message(DataType.REPLY, bytes.fromhex("1100") + bytes.fromhex("0033") + bytes(4)))
-    asked_before = t.session.counters["replies_not_asked_for"]
-    t.session.receive_data(reply, t.now_ns)
-    assert t.session.counters["replies_not_asked_for"] == asked_before + 1

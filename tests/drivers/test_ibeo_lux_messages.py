@@ -12,15 +12,9 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.ibeo_lux.messages import (
-    POINT,
     DeviceStatus,
     ErrorRegisters,
-    read_command,
-    read_parameter,
-    read_reply,
     read_scan,
-    signed_16,
-    write_parameter,
     write_scan,
 )
 from drivers.ibeo_lux.protocol import ntp_difference_ns
@@ -78,32 +72,6 @@ def test_scan_cut_anywhere_gives_the_points_that_came(length):
             read_scan(REAL_SCAN[:length])
     else:
         assert len(read_scan(REAL_SCAN[:length]).points) == (length - 44) // 10
-
-
-def test_scan_without_points_is_a_scan():
-    assert (
-        len(
-            read_scan(
-                write_scan(replace(read_scan(REAL_SCAN), points=np.zeros(0, POINT), announced_points=-1))
-            ).points
-        )
-        == 0
-    )
-
-
-def test_parameters_are_unsigned_on_the_wire_and_signed_in_sixteen_bits():
-    assert write_parameter(0x1101, -1920) == bytes.fromhex("011180f80000")
-    assert read_parameter(bytes.fromhex("011180f80000")) == (0x1101, 0xF880)
-    assert [signed_16(value) for value in (0xF880, 1600, 0xFFFF_F880)] == [-1920, 1600, -1920]
-
-
-@pytest.mark.parametrize(
-    ("read", "shortest"), [(read_command, 4), (read_reply, 2), (read_parameter, 6), (DeviceStatus.read, 30)]
-)
-def test_too_short_is_a_protocol_error(read, shortest):
-    read(bytes(shortest))
-    with pytest.raises(ProtocolError, match=f"of {shortest - 1} bytes?,"):
-        read(bytes(shortest - 1))
 
 
 def test_status_says_versions_serial_and_temperature():

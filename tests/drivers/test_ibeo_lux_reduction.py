@@ -54,40 +54,11 @@ def test_tilted_mirror_bends_front_scans_down_and_rear_scans_up():
     assert turned[0] == pytest.approx(100 * math.cos(math.radians(0.4)), rel=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("choice", "expected_cm"), [("horizon", 600 * COS_INNER), ("nearest", 500), ("median", 600 * COS_INNER)]
-)
-def test_one_of_the_layers_in_a_beam_is_chosen(choice, expected_cm):
-    rows = [(0, 0, 0, 0, 500, 1), (1, 0, 0, 0, 600, 1), (2, 0, 0, 1, 700, 1), (3, 0, 0, -1, 800, 1)]
-    beams, _ = reduce(*rows, layer_choice=choice)
-    assert list(beams) == [0]
-    assert beams[0] == pytest.approx(expected_cm / 100, rel=3e-4)
-
-
-def test_horizon_takes_the_outer_layers_where_the_inner_see_nothing_nearest_first():
-    beams, _ = reduce((0, 0, 0, 0, 900, 1), (3, 0, 0, 0, 800, 1))
-    assert beams[0] == pytest.approx(8.0, rel=1e-3)
-
-
 def test_pitch_changes_which_layer_is_nearest_to_the_horizon():
     rows = [(0, 0, 0, 0, 500, 1), (1, 0, 0, 0, 600, 1), (2, 0, 0, 0, 700, 1), (3, 0, 0, 0, 800, 1)]
     for pitch_deg, metres in ((1.2, 8.0), (-1.2, 5.0), (0.4, 7.0)):
         beams, _ = reduce(*rows, pitch_deg=pitch_deg)
         assert beams[0] == pytest.approx(metres, rel=1e-6)
-
-
-@pytest.mark.parametrize(("echo", "range_m"), [("first", 2.0), ("last", 9.0), ("strongest", 5.0)])
-def test_one_of_the_echoes_of_a_shot_is_chosen(echo, range_m):
-    rows = [(1, 0, 0, 0, 200, 50), (1, 1, 0, 0, 500, 200), (1, 2, 0, 0, 900, 100)]
-    beams, _ = reduce(*rows, echo=echo)
-    assert beams[0] == pytest.approx(range_m, rel=1e-4)
-
-
-def test_last_echo_is_the_last_that_counts():
-    rows = [(1, 0, 0, 0, 200, 50), (1, 1, 0, 0, 500, 200), (1, 2, DIRT, 0, 900, 100)]
-    beams, counters = reduce(*rows, flags=ScanFlag.DIRT_LABELLED)
-    assert beams[0] == pytest.approx(5.0, rel=1e-4)
-    assert counters["points_dirt"] == 1
 
 
 @pytest.mark.parametrize(

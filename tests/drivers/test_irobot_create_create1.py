@@ -97,13 +97,6 @@ def test_create_1_that_falls_asleep_is_not_taken_for_a_wrong_baud_rate():
         table.run(12.0)
 
 
-def test_create_1_that_sleeps_is_reported_in_plain_words():
-    table = bench(STANDING, CREATE1)
-    table.robot.asleep = True
-    with pytest.raises(TransportError, match=r"no answer to Start \(128\) in 8 s"):
-        table.run(9.0)
-
-
 def test_create_1_after_a_battery_change_is_started_again():
     wheels = Curve(0.2, 0.0, 0.258)
     table = bench(wheels, CREATE1)

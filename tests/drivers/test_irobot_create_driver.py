@@ -1,24 +1,13 @@
 import itertools
-import queue
-from contextlib import ExitStack
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from drivers.errors import TransportError
-from drivers.frames import Frame, OdometrySample
-from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.irobot_create.create1 import QUERY_IDS
 from drivers.irobot_create.driver import STREAM_IDS, IrobotCreateSession, session_maker
-from drivers.irobot_create.port import open_port, wake_line_low
-from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, data_bytes, encode_frame
-from drivers.link import LinkHealth, run_link
+from drivers.irobot_create.port import wake_line_low
+from drivers.irobot_create.protocol import CommandDecoder, Mode, Opcode, PacketId, encode_frame
 from simulators.irobot_create import BANNER, FakeCreate
-from simulators.wire import serve_pty
 from tests.drivers.irobot_bench import (
     CONFIG,
     CREATE1,
@@ -31,9 +20,6 @@ from tests.drivers.irobot_bench import (
     errors_m_rad,
     largest_step_m,
 )
-from tests.drivers.virtual_time import Talk
-from tests.in_background import in_background
-from tests.soaked import examples
 
 HARMLESS = {
     Opcode.START,
@@ -78,45 +64,6 @@ def test_twist_is_smooth_though_reads_are_bunched():
     assert max(abs(s.twist_mps_radps[2]) for s in samples) < 0.04
     steps_ns = np.diff([s.stamp_ns for s in samples])
     assert np.abs(steps_ns - 15 * MS).max() < 0.3 * MS
-
-
-class Remembering(Curve):
-    """Tells when each frame was measured."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.requested_ns: list[int] = []
-
-    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        self.requested_ns.append(now_ns)
-        return super().wheel_travel_m(now_ns)
-
-
-@pytest.mark.parametrize("drift_ppm", [100.0, -100.0])
-def test_stamps_scatter_little_under_jitter_bursts_and_drift_and_a_restart_is_over_in_three_seconds(
-    drift_ppm: float,
-):
-    rng, wheels = np.random.default_rng(8), Remembering()
-
-    def delay_ns() -> int:
-        burst_ms = rng.uniform(0.0, 50.0) if rng.random() < 0.05 else 0.0
-        return round((0.1 + rng.uniform(0.0, 3.0) + burst_ms) * MS)
-
-    t = Talk(session_maker(CONFIG)(), FakeCreate(wheels, clock_drift_ppm=drift_ppm), 0, delay_ns)
-    t.connect().run(25.0)
-    before, restarted_ns = len(t.frames), t.now_ns
-    t.device.restart(t.now_ns)
-    t.run(16.0)
-    truth_ns = np.array(wheels.requested_ns)
-    stamps_ns = np.array([sample.stamp_ns for sample in t.frames])
-    late_ms = (stamps_ns - truth_ns[np.abs(stamps_ns[:, None] - truth_ns).argmin(axis=1)]) / MS
-    old = (stamps_ns > 10 * S) & (stamps_ns < restarted_ns)
-    assert np.count_nonzero(old) > 14 * 66
-    assert np.std(late_ms[old]) <= 0.2
-    again = stamps_ns[before:] - restarted_ns
-    assert again[0] < 3 * S
-    assert np.abs(late_ms[before:][again > 3 * S]).max() < 2.0
-    assert np.std(late_ms[before:][again > 12 * S]) <= 0.2
 
 
 def test_bytes_behind_a_frame_in_its_read_do_not_make_it_late():
@@ -272,19 +219,6 @@ def test_robot_that_was_stopped_by_someone_else_is_started_again():
     assert table.robot.mode is Mode.PASSIVE
 
 
-def test_robot_stuck_in_half_a_command_is_freed():
-    table = bench()
-    table.robot.receive_data(bytes([128, 145, 0]), 0)  # drive direct wants three more bytes
-    assert table.run(3.0)
-
-
-def test_sleeping_robot_is_reported_in_plain_words():
-    table = bench()
-    table.robot.asleep = True
-    with pytest.raises(TransportError, match=r"no answer to Start \(128\) in 8 s.*Clean button.*BRC"):
-        table.run(9.0)
-
-
 def test_robot_that_falls_asleep_is_reported_in_plain_words():
     table = bench(sleep_after_ns=2 * S)
     with pytest.raises(TransportError, match=r"silent for 8 s after \d+ frames; fell asleep"):
@@ -386,53 +320,9 @@ def test_pose_survives_a_reconnect():
         assert all(b.stamp_ns > a.stamp_ns for a, b in itertools.pairwise([before, *samples]))
 
 
-@settings(max_examples=examples(20))
-@given(st.lists(st.binary(max_size=120), max_size=20), st.sampled_from([CONFIG, CREATE1]))
-def test_any_bytes_are_survived_and_the_next_good_ones_used(chunks: list[bytes], config: IrobotCreateConfig):
-    table = bench(STANDING, config)
-    table.run(0.5)
-    for chunk in chunks:
-        table.now_ns += 5 * MS
-        table.session.tick(table.now_ns)
-        table.session.receive_data(chunk, table.now_ns)
-    assert len(table.run(2.5)) >= 5
-
-
 @pytest.mark.parametrize(
     ("second", "low"),
     [(0.0, False), (0.3, True), (0.9, False), (30.0, False), (60.5, True), (61.5, False), (120.1, True)],
 )
 def test_wake_line_is_pulsed_once_and_then_every_minute(second: float, low: bool):
     assert wake_line_low(second) is low
-
-
-@pytest.fixture
-def read_from() -> Any:
-    """Runs run_link on a config in a thread; returns (queue of frames, health). Always stopped."""
-
-    def start(config: IrobotCreateConfig) -> tuple["queue.Queue[Frame]", LinkHealth]:
-        frames: queue.Queue[Frame] = queue.Queue()
-        health = LinkHealth(config.name)
-        work = partial(run_link, health, lambda: open_port(config), session_maker(config), frames.put)
-        stopped.enter_context(in_background(work))
-        return frames, health
-
-    with ExitStack() as stopped:
-        yield start
-
-
-@pytest.mark.parametrize("model", ["create2", "create1"])
-def test_driver_reads_the_simulator_over_a_terminal(read_from: Any, model: Any):
-    robot = FakeCreate(Curve(0.3, 0.2), model, wakes_on_connect=True)
-    robot.receive_data(bytes([128, 133]), 0)
-    assert robot.asleep
-    with serve_pty(robot) as path:
-        frames, health = read_from(IrobotCreateConfig(name="base", device=str(path), model=model))
-        samples = [frames.get(timeout=30.0) for _ in range(20)]
-    assert all(isinstance(sample, OdometrySample) for sample in samples)
-    assert samples[-1].x_m > 0.0
-    assert health.state in ("streaming", "down", "connecting")
-    assert "battery 84 %" in health.status
-    # A machine that is starved for 0.1 s lets an answer come too late; nothing else is skipped.
-    late = health.counters.get("answers_missed", 0)
-    assert health.counters["bytes_skipped"] <= late * data_bytes(QUERY_IDS)

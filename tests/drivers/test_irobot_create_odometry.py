@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.irobot_create.odometry import DeadReckoning, TwistWindow, counts_between, inside_truncated
+from drivers.irobot_create.odometry import DeadReckoning, counts_between
 
 BASE_M = 0.235
 
@@ -31,30 +31,6 @@ def test_a_day_of_driving_wraps_the_counters_1500_times_and_back():
 @given(st.integers(0, 65_535), st.integers(-32_768, 32_767))
 def test_any_step_within_half_a_turn_of_the_counter_is_found(old: int, step: int):
     assert counts_between(old, (old + step) % 65_536) == step
-
-
-@pytest.mark.parametrize(
-    ("whole", "predicted", "expected"),
-    [
-        (0, 0.4, 0.4),
-        (0, -0.4, -0.4),
-        (0, 7.0, 1.0),
-        (0, -7.0, -1.0),
-        (3, 3.7, 3.7),
-        (3, 2.0, 3.0),
-        (3, 9.0, 4.0),
-        (-3, -3.7, -3.7),
-        (-3, 0.0, -3.0),
-        (-3, -9.0, -4.0),
-    ],
-)
-def test_prediction_fills_in_the_fraction_that_was_cut(whole: int, predicted: float, expected: float):
-    assert inside_truncated(whole, predicted) == expected
-
-
-@given(st.floats(-1000, 1000))
-def test_a_right_prediction_is_never_changed(value: float):
-    assert inside_truncated(int(value), value) == value
 
 
 def by_small_steps(left_m: float, right_m: float, theta_rad: float) -> tuple[float, float, float]:
@@ -100,19 +76,6 @@ def test_covariance_agrees_with_ten_thousand_noisy_drives():
     np.testing.assert_allclose(claimed / scale, sampled / scale, atol=0.05)
 
 
-def test_covariance_grows_in_any_cutting_of_the_path():
-    whole, cut = reckoning(), reckoning()
-    whole.roll(1.0, 1.0)
-    traces = []
-    for _ in range(100):
-        cut.roll(0.01, 0.01)
-        traces.append(sum(cut.covariance[::4]))
-    assert all(np.diff(traces) > 0.0)
-    assert cut.covariance[8] == pytest.approx(whole.covariance[8])
-    # a single long step puts its error at the middle of the way, a fine one all along it: 1/4 against 1/3
-    assert cut.covariance[4] == pytest.approx(whole.covariance[4] * 4 / 3, rel=0.01)
-
-
 def test_lost_time_widens_without_moving():
     way = reckoning()
     way.roll(0.1, 0.2)
@@ -121,14 +84,3 @@ def test_lost_time_widens_without_moving():
     assert (way.x_m, way.y_m, way.theta_rad) == pose
     assert way.covariance[0] - before[0] == pytest.approx(0.05**2 / 3)
     assert way.covariance[8] - before[8] == pytest.approx(2 * 0.05**2 / 3 / BASE_M**2)
-
-
-def test_twist_is_the_mean_over_the_window():
-    window = TwistWindow(samples=4)
-    assert window.add(0, 9.0, 9.0) == (0.0, 0.0, 0.0)
-    for i in range(1, 10):
-        twist = window.add(15_000_000 * i, 0.0075 if i % 2 else 0.0045, 0.003)
-    mean = (2 * 0.0075 + 0.0045) / 0.045
-    assert twist == pytest.approx((mean, 0.0, 0.2))
-    window.clear()
-    assert window.add(10**9, 1.0, 1.0) == (0.0, 0.0, 0.0)

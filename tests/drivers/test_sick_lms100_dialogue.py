@@ -58,12 +58,6 @@ def test_field_of_view_echo_and_intensity_are_set():
     assert frame.first_angle_rad == pytest.approx(math.radians(-90.0))
 
 
-def test_device_at_rest_is_started_and_waited_for():
-    t = talk(Lms100Setup(measuring=False, start_delay_ns=20 * SECOND_NS)).run(30.0)
-    assert writes(t) == ["SetAccessMode", "LMCstartmeas", "Run"]
-    assert t.session.status == "streaming"
-
-
 def test_booting_device_is_asked_until_it_answers():
     t = talk(Lms100Setup(boot_ns=15 * SECOND_NS, first_writes_refused=2), intensity_bits=8).run(14.0)
     assert "booting" in t.session.status
@@ -74,37 +68,11 @@ def test_booting_device_is_asked_until_it_answers():
     assert writes(t).count("SetAccessMode") == 3  # a login during boot may be forgotten
 
 
-def test_device_that_never_answers_is_given_up_for_a_new_connection():
-    with pytest.raises(TransportError, match="CoLa-A or CoLa-B after 20 requests"):
-        talk(Lms100Setup(boot_ns=60 * SECOND_NS)).run(30.0)
-
-
 def test_forced_dialect_is_the_only_one_spoken():
     t = talk(Lms100Setup(dialect=BINARY), dialect="cola_a")
     with pytest.raises(TransportError, match="no answer in CoLa-A after"):
         t.run(30.0)
     assert {r.dialect for r in Decoder().receive_data(bytes(t.sent))} == {ASCII}
-
-
-def test_wrong_password_is_reported_so():
-    with pytest.raises(DeviceError, match=r"login .* refused .*00000000.*password_hash"):
-        talk(Lms100Setup(measuring=False), password_hash="00000000").run(5.0)
-
-
-def test_silent_stream_is_a_transport_error_but_a_late_scan_is_not():
-    t = talk().run(2.0)
-    t.device.next_due_ns = lambda now_ns: None
-    t.run(1.9)
-    with pytest.raises(TransportError, match=r"no scan for 2 s"):
-        t.run(0.5)
-
-
-def test_time_in_which_the_host_did_not_look_is_no_silence():
-    t = talk().run(2.0)
-    t.now_ns += 60 * SECOND_NS
-    t.session.tick(t.now_ns)
-    t.run(1.0)
-    assert t.session.status == "streaming"
 
 
 def test_shutdown_request_ends_the_subscription():

@@ -15,7 +15,6 @@ import pytest
 from drivers import transport
 from drivers.errors import TransportError
 from drivers.transport import SerialTransport, TcpTransport
-from tests.drivers.scripted import ScriptedTransport
 
 
 @pytest.fixture
@@ -233,13 +232,3 @@ def test_serial_takes_a_socket_url(listener):
             assert port.read(5.0) == b"fro"
             port.write(b"to")
             assert peer.recv(10) == b"to"
-
-
-def test_script_is_read_chunk_by_chunk_and_then_ends():
-    with ScriptedTransport([b"a", b""]) as script:
-        assert (script.read(0.0), script.read(0.0)) == (b"a", b"")
-        script.write(b"x")
-        with pytest.raises(TransportError, match="script ended"):
-            script.read(0.0)
-    assert script.closed
-    assert script.written == b"x"

@@ -1,6 +1,7 @@
 """Every driver through every fault: it counts, it comes back, and what it says then is right again."""
 
 import itertools
+import re
 import threading
 import time
 from collections import Counter
@@ -16,10 +17,12 @@ from drivers.irobot_create.driver import session_maker as create_sessions
 from drivers.link import LinkHealth, Session, run_link
 from drivers.sick_lms100.driver import Lms100Session
 from drivers.transport import SerialTransport, TcpTransport, Transport
+from drivers.xsens_mtig.driver import XsensMtigSession
+from simulators.device import FakeDevice
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100
 from simulators.wire import serve_pty, serve_tcp
-from tests.drivers import irobot_bench, lms100
+from tests.drivers import irobot_bench, lms100, mtig
 from tests.drivers.faulty_devices import BENCHES, ZERO_NS, faulty, linked
 from tests.drivers.virtual_link import VirtualLink
 from tests.drivers.virtual_time import SECOND_NS
@@ -114,6 +117,8 @@ def check_counted(name: str, fault: str, watched: Watched) -> None:
         assert watched.link.device.counters[f"messages_hit_by_{kind}"] > 0
         if not (kind == "duplicate" and name.startswith("create")):  # its frames carry no number
             assert LOSSES[kind] & watched.counted.keys(), watched.counted
+    if kind == "clock_jump":
+        assert watched.counted["clock_resets"] == 1
 
 
 @pytest.mark.parametrize(("name", "fault"), cases(STAYS))
@@ -137,7 +142,8 @@ def test_it_comes_back_with_a_new_connection(name: str, fault: str):
     watched = watch(name, fault)
     check_recovered(name, watched)
     assert watched.link.connects >= 2
-    assert watched.link.errors
+    words = "no .* for 2 s|silent for 8 s|no valid answer for 8 s" if "silence" in fault else "unplugged"
+    assert re.search(words, str(watched.link.errors[0][1]))
 
 
 @pytest.mark.parametrize(
@@ -242,20 +248,26 @@ def test_lms100_comes_back_over_tcp(link: Callable[..., Linked], fault: str, err
 
 
 @pytest.mark.parametrize(
-    ("fault", "connects"),
+    ("name", "fault", "connects"),
     [
-        ("kind: cut, at_s: 1, for_s: 0.3", 2),
-        ("kind: restart, at_s: 1, for_s: 0.3", 2),
-        ("kind: restart, at_s: 1, for_s: 0.3, link_drops: false", 1),
-        ("kind: silence, at_s: 1, for_s: 0.5", 1),
+        ("create", "kind: cut, at_s: 1, for_s: 0.3", 2),
+        ("create", "kind: restart, at_s: 1, for_s: 0.3", 2),
+        ("create", "kind: restart, at_s: 1, for_s: 0.3, link_drops: false", 1),
+        ("create", "kind: silence, at_s: 1, for_s: 0.5", 1),
+        ("mtig", "kind: cut, at_s: 1, for_s: 0.3", 2),
     ],
 )
-def test_create_comes_back_over_a_terminal(
-    link: Callable[..., Linked], tmp_path: Any, fault: str, connects: int
+def test_device_comes_back_over_a_terminal(
+    link: Callable[..., Linked], tmp_path: Any, name: str, fault: str, connects: int
 ):
-    device = faulty(FakeCreate(irobot_bench.STANDING), fault, zero_ns=time.monotonic_ns())
-    with serve_pty(device, tmp_path / "create") as path:
-        linked = link(lambda: SerialTransport(path, 115_200), create_sessions(irobot_bench.CONFIG))
+    makers: dict[str, tuple[FakeDevice, Callable[[], Session]]] = {
+        "create": (FakeCreate(irobot_bench.STANDING), create_sessions(irobot_bench.CONFIG)),
+        "mtig": (mtig.mtdata2(), lambda: XsensMtigSession(mtig.config())),
+    }
+    fake, new_session = makers[name]
+    device = faulty(fake, fault, zero_ns=time.monotonic_ns())
+    with serve_pty(device, tmp_path / "device") as path:
+        linked = link(lambda: SerialTransport(path, 115_200), new_session)
         linked.wait(connects=1)
         linked.wait(connects, more=150)  # 2 s, beyond what the fault takes
         linked.close()

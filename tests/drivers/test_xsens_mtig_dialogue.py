@@ -11,7 +11,6 @@ from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from simulators.xsens_mtig_settings import FACTORY_OUTPUT, Refusal
 from tests.drivers.mtig import MS, ZERO_NS, Swing, fixes, legacy, mtdata2, samples, talk
 from tests.drivers.virtual_time import SECOND_NS
-from tests.silent_device import SilentDevice
 
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
 
@@ -33,15 +32,6 @@ def test_samples_come_at_200_hz_a_third_of_a_second_after_the_first_byte(make):
     assert len(samples(t.frames)) == pytest.approx(2055, abs=15)
     assert len(fixes(t.frames)) == pytest.approx(40, abs=3)
     assert t.session.status.startswith("streaming; filter valid, GNSS")
-
-
-@BOTH
-def test_a_streaming_device_sends_data_before_it_acknowledges(make):
-    t = talk(make())
-    t.now_ns += 12 * MS  # a message is under way
-    t.run(1.0)
-    assert t.session.counters["messages_before_start"] >= 1
-    assert t.session.counters["bytes_skipped"] == 0
 
 
 def test_who_it_is_is_read():
@@ -71,15 +61,6 @@ def test_settings_are_written_once_read_back_and_left_alone_ever_after(make):
     assert samples(second.frames)
     assert second.session.counters["settings_written"] == 0
     assert sent_with_data(second.sent) == []
-
-
-def test_only_what_differs_is_written_to_a_legacy_unit():
-    device = legacy(baud=460_800)
-    device.settings.write(Mid.PERIOD, struct.pack(">H", 576))
-    device.settings.write(Mid.OUTPUT_MODE, struct.pack(">H", 0x1806))
-    t = talk(device).run(1.0)
-    assert sent_with_data(t.sent) == [Mid.OUTPUT_SETTINGS]
-    assert samples(t.frames)
 
 
 def test_rate_of_a_legacy_unit_falls_before_its_messages_grow():
@@ -166,13 +147,6 @@ def test_a_unit_that_does_not_say_who_it_is_streams_all_the_same(personality: Li
     assert t.session.counters["requests_unanswered" if how == "unanswered" else "requests_unsupported"] >= 4
 
 
-def test_a_refused_question_is_named_without_content():
-    device = Reticent(Swing())
-    device.refused = (Mid.OUTPUT_CONFIGURATION,)
-    with pytest.raises(DeviceError, match=r"^refused OUTPUT_CONFIGURATION: error 0x28: device error$"):
-        talk(device).run(6.0)
-
-
 def test_a_unit_that_does_not_tell_its_output_is_given_up():
     device = Reticent(Swing())
     device.unanswered = (Mid.OUTPUT_CONFIGURATION,)
@@ -194,19 +168,6 @@ def test_device_that_hears_nothing_at_all_is_given_up_in_words():
     with pytest.raises(TransportError, match="neither GoToConfig nor 2 resets"):
         t.run(60.0)
     assert t.now_ns < ZERO_NS + 30 * SECOND_NS
-
-
-@pytest.mark.parametrize(
-    ("changes", "diagnostic"),
-    [
-        ({}, "no answer in 15 s at any baud rate; is it powered"),
-        ({"baud": 115_200}, "at 115200 baud.*baud: auto looks for another rate"),
-        ({"device": "usb"}, "over USB; unplug it"),
-    ],
-)
-def test_silence_is_given_up_in_words(changes: dict[str, object], diagnostic: str):
-    with pytest.raises(TransportError, match=diagnostic):
-        talk(SilentDevice(), **changes).run(20.0)
 
 
 def test_new_baud_rate_is_stored_and_the_unit_reset():
@@ -240,32 +201,6 @@ def test_lever_arm_and_filter_profile_are_written_where_they_differ(make):
     assert samples(t.frames)
 
 
-def test_line_that_cannot_carry_it_is_refused_in_numbers():
-    with pytest.raises(DeviceError, match="the line at 115200 baud takes"):
-        talk(mtdata2(), orientation=True).run(2.0)
-
-
-class Stubborn(FakeMtiG):
-    """Gives half the rate, and no status."""
-
-    def _act(self, message: Message, now_ns: int) -> bytes | None:
-        if message.mid == Mid.OUTPUT_CONFIGURATION and message.data:
-            super()._act(message, now_ns)
-            self.settings.output = [
-                (i, 100 if rate == 200 else rate) for i, rate in self.settings.output if i != 0xE010
-            ]
-            return b"".join(struct.pack(">HH", *item) for item in self.settings.output)
-        return super()._act(message, now_ns)
-
-
-def test_what_the_device_makes_of_our_requests_is_reported():
-    t = talk(Stubborn(Swing())).run(2.0)
-    assert t.session.status.startswith(
-        "streaming; configured status not sent; acceleration at 100 Hz, configured 200 Hz; "
-        "rate of turn at 100 Hz, configured 200 Hz"
-    )
-
-
 def test_a_preamble_in_garbage_does_not_hold_up_the_answers():
     """It promises 192 bytes; a device in config state sends 5 at a time, five times a second."""
     device = mtdata2()
@@ -276,12 +211,3 @@ def test_a_preamble_in_garbage_does_not_hold_up_the_answers():
     t.session.receive_data(b"\xfa\xff\x36\xc0", t.now_ns)
     t.run(1.5)
     assert len(samples(t.frames)) > 50
-
-
-def test_device_that_boots_while_it_is_looked_for_streams_soon():
-    device = FakeMtiG(Swing(), MtigSetup())
-    t = talk(device)
-    device.restart(t.now_ns)
-    t.run(1.5)
-    assert len(samples(t.frames)) > 50
-    assert t.session.counters["device_restarts"] == 0

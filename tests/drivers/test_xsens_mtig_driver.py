@@ -1,41 +1,27 @@
 """Data into frames: axes, units, gaps of each stream, words for what the device says."""
 
-import itertools
 import math
-import queue
-from functools import partial
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError, TransportError
-from drivers.frames import ImuSample
-from drivers.link import LinkHealth, run_link
-from drivers.registry import SENSOR_KINDS
-from drivers.xsens_mtig.driver import MALFORMED_LIMIT, XsensMtigSession
+from drivers.xsens_mtig.driver import MALFORMED_LIMIT
 from drivers.xsens_mtig.mtdata2 import Kind, join, write_item
 from drivers.xsens_mtig.protocol import MessageDecoder, Mid, encode
-from simulators.device import TURNS_SKIPPED
-from simulators.wire import serve_pty
-from simulators.xsens_mtig import FakeMtiG, MtigSetup
-from tests.drivers.damage import mutate, waiting
+from simulators.xsens_mtig import MtigSetup
 from tests.drivers.mtig import (
     GOOD_PVT,
     PLACE,
     YAW_RAD,
     Swing,
-    config,
     fixes,
     legacy,
     mtdata2,
     samples,
     talk,
 )
-from tests.drivers.virtual_time import SECOND_NS, Talk
-from tests.in_background import in_background
-from tests.soaked import examples
+from tests.drivers.virtual_time import Talk
 
 FORMATS = ("float32", "fp12.20", "fp16.32", "float64")
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
@@ -154,75 +140,12 @@ def test_gaps_are_counted_for_each_stream_on_its_own():
     assert t.session.counters["samples_missed"] + t.session.counters["fixes_missed"] == 107
 
 
-def test_legacy_gaps_are_counted():
-    device = legacy()
-    t = talk(device).run(2.0)
-    assert t.session.counters["samples_missed"] == 0
-    device.lose_messages(7)
-    t.run(1.0)
-    assert t.session.counters["samples_missed"] == 7
-
-
-@BOTH
-def test_damaged_messages_are_counted_and_cost_themselves_alone(make):
-    device = make()
-    t = talk(device).run(2.0)
-    device.spoil_messages(5)
-    t.run(1.0)
-    assert t.session.counters["checksum_errors"] >= 5
-    assert 5 <= t.session.counters["samples_missed"] + t.session.counters["fixes_missed"] <= 6
-    assert len(samples(t.frames)) > 2.5 * 200
-
-
-@pytest.mark.parametrize("modulus", [864_000_000, 1 << 32])
-def test_wrap_of_the_sample_time_passes_unnoticed(modulus):
-    t = talk(mtdata2(start_ticks=modulus - 40_000, fine_modulus=modulus, start_count=65_000)).run(10.0)
-    assert (t.session.counters["samples_missed"], t.session.counters["messages_missed"]) == (0, 0)
-    assert t.session.counters["clock_resets"] == 0
-    steps = [b.stamp_ns - a.stamp_ns for a, b in itertools.pairwise(samples(t.frames)[400:])]
-    assert max(abs(step - 5_000_000) for step in steps) < 20_000
-
-
-def test_wrap_of_the_legacy_counter_passes_unnoticed():
-    t = talk(legacy(start_count=65_000)).run(10.0)
-    assert t.session.counters["samples_missed"] == 0
-    assert t.session.counters["clock_resets"] == 0
-    steps = [b.stamp_ns - a.stamp_ns for a, b in itertools.pairwise(samples(t.frames)[400:])]
-    assert max(abs(step - 5_000_000) for step in steps) < 20_000
-
-
 @pytest.mark.parametrize("counts_skipped", [False, True])
 def test_legacy_unit_that_skips_samples_is_stamped_right_however_it_counts(counts_skipped):
     t = talk(legacy(counts_skipped=counts_skipped, baud=460_800), rate_hz=50, latency_ms=1.0).run(6.0)
     for sample in samples(t.frames)[100:]:
         assert sample.stamp_ns * 1e-9 - 1000.0 == pytest.approx(sample.rate_radps[2], abs=0.5e-3)
     assert t.session.counters["samples_missed"] == 0
-
-
-def test_clock_that_jumps_is_learnt_again():
-    for make in (mtdata2, legacy):
-        device = make()
-        t = talk(device, latency_ms=1.0).run(3.0)
-        for seconds in (400.0, -300.0):
-            device.jump_clock(seconds)
-            t.run(3.5)
-            assert samples(t.frames)[-1].stamp_ns * 1e-9 - 1000.0 == pytest.approx(
-                samples(t.frames)[-1].rate_radps[2], abs=1e-3
-            )
-        assert t.session.counters["clock_resets"] == 2
-
-
-def test_utc_alone_is_time_enough():
-    device = mtdata2(baud=None)
-    device.settings.output = [(0x1010, 0xFFFF), (0x4020, 200), (0x8020, 200)]
-    t = talk(device, configure=False, device="usb", latency_ms=1.0).run(4.0)
-    sample = samples(t.frames)[-1]
-    assert sample.stamp_ns * 1e-9 - 1000.0 == pytest.approx(sample.rate_radps[2], abs=0.3e-3)
-    device = legacy(baud=None)
-    device.settings.write(Mid.OUTPUT_SETTINGS, b"\0\0\0\x02")
-    t = talk(device, configure=False, device="usb", latency_ms=1.0).run(4.0)
-    sample = samples(t.frames)[-1]
-    assert sample.stamp_ns * 1e-9 - 1000.0 == pytest.approx(sample.rate_radps[2], abs=0.3e-3)
 
 
 def test_errors_warnings_and_clipping_are_reported_and_forgotten():
@@ -257,35 +180,12 @@ def test_status_bits_are_reported_in_words(status, words):
     assert words in t.session.status
 
 
-def test_silence_of_a_stream_is_reported():
-    device = mtdata2()
-    t = talk(device).run(2.0)
-    device.lose_messages(10_000)
-    with pytest.raises(TransportError, match="no sample for 2 s; did it lose power"):
-        t.run(4.0)
-
-
 def test_fixes_alone_are_no_stream():
     device = mtdata2()
     t = talk(device).run(2.0)
     device.settings.output = [(0x1020, 0xFFFF), (0x1060, 0xFFFF), (0x7010, 4), (0x8020, 1)]
     with pytest.raises(TransportError, match="no sample for 2 s"):
         t.run(5.0)
-
-
-def test_device_that_came_back_is_configured_and_stamped_again():
-    for make in (mtdata2, legacy):
-        device = make()
-        t = talk(device, latency_ms=1.0).run(3.0)
-        device.restart(t.now_ns)
-        before = len(t.frames)
-        t.run(3.0)
-        after = samples(t.frames[before:])
-        assert len(after) > 350
-        assert t.session.counters["device_restarts"] == 1
-        assert after[-1].stamp_ns * 1e-9 - 1000.0 == pytest.approx(after[-1].rate_radps[2], abs=1e-3)
-        stamps = [sample.stamp_ns for sample in samples(t.frames)]
-        assert stamps == sorted(stamps)
 
 
 def deliver(t: Talk, status: int | None = None, pvt=None, mid: int = Mid.MTDATA2, data: bytes | None = None):
@@ -304,15 +204,6 @@ def place_of(t: Talk, pvt):
     t.now_ns += 250_000_000
     [fix] = fixes(deliver(t, pvt=pvt))
     return fix
-
-
-def test_samples_that_are_no_numbers_are_dropped_and_counted():
-    t = talk(mtdata2()).run(1.0)
-    ticks = (t.now_ns + 5_000_000 - t.session.clock_offset_ns) // 100_000
-    items = [(0x1060, ticks), (0x4020, (0.0, math.nan, 9.81)), (0x8020, (0.0, 0.0, 0.0))]
-    frames = deliver(t, data=join((i, write_item(i, v)) for i, v in items))
-    assert frames == []
-    assert t.session.counters["samples_not_finite"] == 1
 
 
 def test_the_other_protocol_and_malformed_messages_are_counted_and_end_the_link_when_they_stay():
@@ -355,51 +246,3 @@ def test_recordings_of_an_mti_g_710_become_samples_and_fixes(shared: Path, name)
     assert imu[-1].force_mps2[2] == pytest.approx(9.7, abs=0.3)  # it lay with -y up
     assert fixes(frames)[-1].latitude_deg == pytest.approx(57.67944, abs=1e-5)
     assert fixes(frames)[-1].altitude_m == pytest.approx(81.6, abs=0.4)
-
-
-REAL = b"".join(
-    encode(Mid.MTDATA2, join((i, write_item(i, v)) for i, v in items))
-    for items in (
-        [(0x1020, 1), (0x1060, 40_000), (0x4020, (0.0, 0.0, 9.8)), (0x8020, (0.0, 0.0, 0.1)), (0xE010, 3)],
-        [(0x2010, (1.0, 0.0, 0.0, 0.0)), (0x1060, 40_050), (0x8022, (0.0,) * 3), (0x4021, (0.0,) * 3)],
-    )
-)
-
-
-@settings(max_examples=examples(8))
-@given(st.randoms(use_true_random=False), st.integers(1, 40), st.sampled_from([mtdata2, legacy]))
-def test_damaged_messages_are_survived_in_every_state_and_the_next_good_ones_used(chance, count, make):
-    device = make()
-    t = talk(device).run(chance.choice([0.0, 0.05, 0.1, 1.0]))
-    for _ in range(count):
-        t.now_ns += 5_000_000
-        try:
-            t.session.tick(t.now_ns)
-            t.session.receive_data(mutate(REAL, chance), t.now_ns)
-        except ProtocolError:
-            t.session = XsensMtigSession(config())
-        assert waiting(t.session) <= 2_055
-    before = len(t.frames)
-    t.run(5.0)
-    assert len(samples(t.frames[before:])) > 200
-
-
-@pytest.mark.parametrize("personality", ["mtdata2", "legacy"])
-def test_driver_reads_the_simulator_over_a_terminal(personality):
-    kind = SENSOR_KINDS["xsens_mtig"]
-    frames = queue.Queue()
-    device = FakeMtiG(Swing(), MtigSetup(personality=personality))
-    with serve_pty(device) as path:
-        settings = kind.config(name="imu", device=str(path))
-        health = LinkHealth("imu")
-        ends = partial(kind.open_transport, settings), kind.session_maker(settings)
-        with in_background(partial(run_link, health, *ends, frames.put)):
-            taken = [frames.get(timeout=30.0) for _ in range(300)]
-    assert sum(isinstance(frame, ImuSample) for frame in taken) > 290
-    assert len(fixes(taken)) >= 2
-    assert health.identity["product"].startswith("MTi-G")
-    assert health.frames >= len(samples(taken))
-    assert health.counters["fixes_received"] >= 2
-    assert health.frames <= health.counters["samples_received"]  # fixes are not counted: 200 Hz is 200 Hz
-    assert health.counters["samples_missed"] <= device.counters[TURNS_SKIPPED]
-    assert abs(taken[-1].arrived_ns - taken[-1].stamp_ns) < 10 * SECOND_NS

@@ -59,24 +59,6 @@ def test_configuration_of_a_real_mti_g_announces_the_layouts_length(shared: Path
     assert Layout(mode, settings).data_bytes == length
 
 
-@pytest.mark.parametrize(
-    ("mode", "settings", "length"),
-    [
-        (0x0006, 0x0000_0001, 54),
-        (0x0836, 0x8000_0C05, 36 + 12 + 12 + 12 + 1 + 2),  # paparazzi: Euler, NED
-        (0x1837, 0x0000_0001, 44 + 4 + 36 + 16 + 12 + 12 + 1 + 2),  # mtdevice.py tcopvsg
-        (0x4000, 0x0000_0001, 22),
-        (0x5000, 0x0000_0000, 64),
-        (0x000E, 0x0000_0000, 36 + 16 + 4),
-        (0x000E, 0x0000_0C00, 36 + 16),
-        (0x0002, 0x0000_0071, 2),
-        (0x0002, 0x0000_0203, 54 + 2 + 12),
-    ],
-)
-def test_length_follows_from_mode_and_settings(mode: int, settings: int, length: int):
-    assert Layout(mode, settings).data_bytes == length
-
-
 settings_words = st.builds(
     lambda time, orientation, switches, precision, analog, ned: (
         time | orientation << 2 | switches << 4 | precision << 8 | analog << 10 | ned << 31

@@ -106,14 +106,6 @@ def test_fixed_16_32_has_its_fraction_first():
     assert write_reals((1.25,), Precision.FP1220) == bytes.fromhex("00140000")
 
 
-@pytest.mark.parametrize("precision", list(Precision))
-def test_numbers_survive_every_format(precision: Precision):
-    values = (0.0, 1.0, -1.0, 9.8125, -273.15625, 32_767.5 if precision != Precision.FP1220 else 2_047.5)
-    data = write_reals(values, precision)
-    assert len(data) == len(values) * BYTES[precision]
-    assert read_reals(data, precision, len(values)) == values
-
-
 @given(st.sampled_from([Precision.FP1220, Precision.FP1632]), st.binary(min_size=12, max_size=12))
 def test_every_bit_pattern_of_the_fixed_formats_comes_back(precision: Precision, data: bytes):
     count = 12 // BYTES[precision]
@@ -128,34 +120,6 @@ def test_numbers_that_do_not_fit_are_refused():
     ):
         with pytest.raises(ValueError, match="do not fit"):
             write_reals((value,), precision)
-
-
-def values_for(identifier: int) -> st.SearchStrategy[object]:
-    kind = Kind(identifier & 0xFFF0)
-    count = {Kind.QUATERNION: 4, Kind.ACCELERATION: 3, Kind.RATE: 3, Kind.LAT_LON: 2}.get(kind)
-    if count is not None:
-        number = st.integers(-(2**20), 2**20).map(lambda n: n / 1024)
-        return st.tuples(*[number] * count)
-    return st.integers(0, 0xFFFF)
-
-
-identifiers = st.sampled_from(
-    [
-        kind | frame | precision
-        for kind in (0x2010, 0x4020, 0x8020, 0x5040)
-        for frame in (0, 4)
-        for precision in range(4)
-    ]
-    + [Kind.PACKET_COUNTER, Kind.SAMPLE_TIME_FINE, Kind.STATUS_WORD, Kind.PRESSURE]
-)
-item_lists = st.lists(identifiers, max_size=8).flatmap(
-    lambda ids: st.tuples(*[values_for(i).map(lambda v, i=i: Item(int(i), v)) for i in ids])
-)
-
-
-@given(item_lists)
-def test_items_in_any_order_and_format_come_back(items: tuple[Item, ...]):
-    assert tuple(decode_items(encode_items(items))) == items
 
 
 @pytest.mark.parametrize(

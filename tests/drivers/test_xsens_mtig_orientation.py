@@ -1,7 +1,6 @@
 """Axes and frames, against scipy and against what one knows of directions."""
 
 import itertools
-import math
 
 import numpy as np
 import pytest
@@ -70,23 +69,6 @@ def test_orientation_in_every_local_frame_and_form_becomes_that_of_enu(local):
         )
         for orientation in said:
             assert same(to_enu(local, orientation, (1.0, 0.0, 0.0, 0.0)), enu_from_sensor)
-
-
-def heading_deg(local, yaw_deg, roll_deg=0.0):
-    """Of the x axis, counter-clockwise from east, for a level unit that says this yaw."""
-    rotation = scipy_of(to_enu(local, (roll_deg, 0.0, yaw_deg), (1.0, 0.0, 0.0, 0.0)))
-    x = rotation.apply([1.0, 0.0, 0.0])
-    assert rotation.apply([0.0, 0.0, 1.0])[2] == pytest.approx(1.0)  # its z looks up
-    return math.degrees(math.atan2(x[1], x[0]))
-
-
-def test_headings_are_what_a_compass_would_say():
-    assert heading_deg(LocalFrame.ENU, 90.0) == pytest.approx(90.0)  # looks north
-    assert heading_deg(LocalFrame.NWU, 0.0) == pytest.approx(90.0)
-    assert heading_deg(LocalFrame.NWU, 90.0) == pytest.approx(180.0)  # west
-    # a unit whose z axis looks up says roll 180 where the frame's z axis looks down
-    assert heading_deg(LocalFrame.NED, 0.0, 180.0) == pytest.approx(90.0)
-    assert heading_deg(LocalFrame.NED, 90.0, 180.0) == pytest.approx(0.0)  # east
 
 
 @pytest.mark.parametrize(

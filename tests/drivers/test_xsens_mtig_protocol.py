@@ -91,14 +91,6 @@ def test_a_message_with_a_bad_checksum_costs_itself_alone():
     assert decoder.skipped_bytes == len(bad)
 
 
-def test_a_preamble_in_garbage_does_not_swallow_what_follows_a_silence():
-    decoder = MessageDecoder()
-    assert decoder.receive_data(b"\xfa\xff\x36\xc0" + encode(Mid.GO_TO_CONFIG + 1)) == []
-    assert decoder.waiting_bytes == 9
-    assert decoder.give_up_waiting() == [Message(Mid.GO_TO_CONFIG + 1)]
-    assert decoder.give_up_waiting() == []
-
-
 @pytest.mark.parametrize("head", ["FAFF36FF0000", "FAFF36FFFFFF", "FAFF3DFF0200", "FA00", "FAFA"])
 def test_lengths_and_ids_that_cannot_be_are_no_message(head: str):
     decoder = MessageDecoder()

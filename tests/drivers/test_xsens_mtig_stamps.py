@@ -1,7 +1,5 @@
 """How true the stamps are: a fake device's clock drifts, its messages jitter and bunch, and it restarts."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -9,94 +7,14 @@ from drivers.frames import ImuSample
 from drivers.xsens_mtig.sample_clock import CounterClock, FineClock
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from tests.drivers.mtig import MS, ZERO_NS, Swing, legacy, mtdata2, samples, talk
-from tests.drivers.virtual_time import SECOND_NS, Talk
-from tests.soaked import in_soak
+from tests.drivers.virtual_time import SECOND_NS
 
 LATENCY_MS = 1.0  # of the fake device
-SHORTEST_DELAY_MS = 0.1
-
-
-def jittery(seed: int) -> Callable[[Talk], Callable[[], int]]:
-    """Up to 3 ms, and for one message in twenty up to 50 ms more; none overtakes another."""
-    rng = np.random.default_rng(seed)
-
-    def of(t: Talk) -> Callable[[], int]:
-        last_ns = 0
-
-        def delay_ns() -> int:
-            nonlocal last_ns
-            burst_ms = rng.uniform(0.0, 50.0) if rng.random() < 0.05 else 0.0
-            arrives_ns = t.now_ns + round((SHORTEST_DELAY_MS + rng.uniform(0.0, 3.0) + burst_ms) * MS)
-            last_ns = max(last_ns, arrives_ns)
-            return last_ns - t.now_ns
-
-        return delay_ns
-
-    return of
 
 
 def errors_ms(taken: list[ImuSample]) -> np.ndarray:
     """Stamp less true moment, which the rate about z tells to 0.1 us."""
     return np.array([(s.stamp_ns - ZERO_NS) * 1e-6 - s.rate_radps[2] * 1e3 for s in taken])
-
-
-def talked(setup: MtigSetup, seed: int) -> tuple[Talk, FakeMtiG]:
-    device = FakeMtiG(Swing(), setup)
-    over_usb = {"device": "usb"} if setup.baud is None else {}
-    form = "float32" if setup.baud == 115_200 else "fp16.32"
-    t = talk(device, number_format=form, **over_usb)
-    t.delay_ns = jittery(seed)(t)
-    return t, device
-
-
-LINES = [
-    ("mtdata2", 115_200),
-    ("mtdata2", 460_800),
-    ("mtdata2", None),
-    ("legacy", 115_200),
-    ("legacy", 460_800),
-]
-
-
-CASES = [(drift_ppm, *line) for drift_ppm in (100.0, -100.0) for line in LINES]
-
-
-@pytest.mark.parametrize(
-    ("drift_ppm", "personality", "baud"),
-    [case if k in (0, 8) else in_soak(*case) for k, case in enumerate(CASES)],
-)
-def test_stamps_scatter_less_than_a_fifth_of_a_millisecond_and_a_restart_is_over_in_three_seconds(
-    drift_ppm, personality, baud
-):
-    setup = MtigSetup(personality, baud, drift_ppm, start_ticks=863_900_000, start_count=62_000)
-    t, device = talked(setup, seed=1)
-    t.run(18.0)
-    error_ms = errors_ms([s for s in samples(t.frames) if s.stamp_ns > ZERO_NS + 10 * SECOND_NS])
-    bias_ms = LATENCY_MS + SHORTEST_DELAY_MS
-    assert len(error_ms) == pytest.approx(8 * 200, abs=20)
-    assert np.std(error_ms) < 0.03  # asked for: 0.2
-    assert np.mean(error_ms) == pytest.approx(bias_ms, abs=0.05)
-    assert t.session.counters["samples_missed"] == 0
-
-    before, restarted_ns = len(t.frames), t.now_ns
-    device.restart(t.now_ns)
-    t.run(14.0)
-    after = samples(t.frames[before:])
-    recovered = [s for s in after if s.stamp_ns > restarted_ns + 3 * SECOND_NS]
-    assert after[0].arrived_ns < restarted_ns + 1.5 * SECOND_NS
-    assert np.abs(errors_ms(recovered) - bias_ms).max() < 0.5
-    settled = errors_ms([s for s in after if s.stamp_ns > restarted_ns + 10 * SECOND_NS])
-    assert np.std(settled) < 0.03
-    assert np.mean(settled) == pytest.approx(bias_ms, abs=0.05)
-
-
-def test_latency_takes_the_bias_off():
-    device = FakeMtiG(Swing(), MtigSetup())
-    t = talk(device, latency_ms=1.1)
-    t.delay_ns = jittery(2)(t)
-    t.run(15.0)
-    late = [s for s in samples(t.frames) if s.stamp_ns > ZERO_NS + 10 * SECOND_NS]
-    assert np.mean(errors_ms(late)) == pytest.approx(0.0, abs=0.1)
 
 
 def test_an_adapter_that_hands_over_every_16_ms_costs_two_milliseconds_not_sixteen():

@@ -1,7 +1,4 @@
-"""What the tests of the UTM-30LX share: a room to look at, a device in it, a wire that is late."""
-
-import heapq
-import itertools
+"""What the tests of the UTM-30LX share: a room to look at, a device in it."""
 
 import numpy as np
 
@@ -11,7 +8,7 @@ from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest
 from simulators.device import Sweep
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
-from tests.drivers.virtual_time import SECOND_NS, TICK_NS, Talk
+from tests.drivers.virtual_time import Talk
 
 
 class Room:
@@ -56,70 +53,3 @@ def random_scan(seed, request=None):
     intensity[distance_mm == NO_ECHO] = NO_ECHO
     stamp_ms = int(rng.integers(0, 1 << 24))
     return Scan(request, stamp_ms, distance_mm, intensity if request.with_intensity else distance_mm[:0])
-
-
-class LateTalk:
-    """Session and device with a wire between that delivers in order but late, as threads and buses do.
-
-    delay_ns(sent_ns) is what a message of the device takes; the session is ticked after every read and 20 ms
-    after it looked last, as drivers.link does.
-    """
-
-    TO_DEVICE_NS = 60_000
-    WAKE_UP_NS = 40_000
-
-    def __init__(self, session, device, delay_ns, now_ns=1_000 * SECOND_NS):
-        self.session, self.device, self.now_ns = session, device, now_ns
-        self.frames = []
-        self._delay_ns = delay_ns
-        self._events = []  # time, number, what, data
-        self._number = itertools.count()
-        self._last_arrival_ns = 0
-        self._looks_at_ns = None
-        self._send(device.connected(now_ns), now_ns)
-        self._plan_look(now_ns)
-
-    def run(self, seconds):
-        end_ns = self.now_ns + round(seconds * SECOND_NS)
-        while True:
-            due_ns = self.device.next_due_ns(self.now_ns)
-            if due_ns is not None and max(due_ns, self.now_ns) <= self._events[0][0]:
-                self.now_ns = max(due_ns, self.now_ns)
-                if self.now_ns >= end_ns:
-                    return self
-                self._send(self.device.due(self.now_ns), self.now_ns)
-                continue
-            if self._events[0][0] >= end_ns:
-                self.now_ns = end_ns
-                return self
-            self.now_ns, _, what, data = heapq.heappop(self._events)
-            what(data)
-
-    def _put(self, at_ns, what, data=b""):
-        heapq.heappush(self._events, (at_ns, next(self._number), what, data))
-
-    def _send(self, data, sent_ns):
-        if data:
-            self._last_arrival_ns = max(self._last_arrival_ns, sent_ns + self._delay_ns(sent_ns))
-            self._put(self._last_arrival_ns, self._arrive, data)
-
-    def _arrive(self, data):
-        self.frames += self.session.receive_data(data, self.now_ns)
-        self._plan_look(self.now_ns + self.WAKE_UP_NS)
-
-    def _plan_look(self, at_ns):
-        self._looks_at_ns = at_ns
-        self._put(at_ns, self._look)
-
-    def _look(self, _):
-        if self.now_ns != self._looks_at_ns:
-            return  # there was a read in between
-        self.session.tick(self.now_ns)
-        said = bytes(self.session.outbox)
-        self.session.outbox.clear()
-        if said:
-            self._put(self.now_ns + self.TO_DEVICE_NS, self._hear, said)
-        self._plan_look(self.now_ns + TICK_NS)
-
-    def _hear(self, data):
-        self._send(self.device.receive_data(data, self.now_ns), self.now_ns)

@@ -1,5 +1,7 @@
 """A session and a fake device talking in virtual time: no wire, no thread, no waiting."""
 
+import heapq
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -59,3 +61,86 @@ class Talk:
             if self.session.status not in self.statuses[-1:]:
                 self.statuses.append(self.session.status)
             self.exchange()
+
+
+class LateTalk:
+    """Session and device with a wire between that delivers in order but late, as threads and buses do.
+
+    delay_ns(sent_ns) is what a message of the device takes; the session is ticked after every read and 20 ms
+    after it looked last, as drivers.link does.
+    """
+
+    TO_DEVICE_NS = 60_000
+    WAKE_UP_NS = 40_000
+
+    def __init__(
+        self,
+        session: Session,
+        device: FakeDevice,
+        delay_ns: Callable[[int], int],
+        now_ns: int = 1_000 * SECOND_NS,
+    ) -> None:
+        self.session, self.device, self.now_ns = session, device, now_ns
+        self.frames: list[Frame] = []
+        self._delay_ns = delay_ns
+        self._events: list[tuple[int, int, Callable[[bytes], None], bytes]] = []  # time, number, what, data
+        self._number = itertools.count()
+        self._last_arrival_ns = self._looks_at_ns = 0
+        self._connect()
+
+    def reconnect(self, session: Session) -> "LateTalk":
+        """A new session with the same device; what was under way is lost."""
+        self.device.disconnected(self.now_ns)
+        self._events.clear()
+        self.session = session
+        self._connect()
+        return self
+
+    def run(self, seconds: float) -> "LateTalk":
+        end_ns = self.now_ns + round(seconds * SECOND_NS)
+        while True:
+            due_ns = self.device.next_due_ns(self.now_ns)
+            if due_ns is not None and max(due_ns, self.now_ns) <= self._events[0][0]:
+                self.now_ns = max(due_ns, self.now_ns)
+                if self.now_ns >= end_ns:
+                    return self
+                self._send(self.device.due(self.now_ns), self.now_ns)
+                continue
+            if self._events[0][0] >= end_ns:
+                self.now_ns = end_ns
+                return self
+            self.now_ns, _, what, data = heapq.heappop(self._events)
+            what(data)
+
+    def _connect(self) -> None:
+        self._send(self.device.connected(self.now_ns), self.now_ns)
+        self._plan_look(self.now_ns)
+
+    def _put(self, at_ns: int, what: Callable[[bytes], None], data: bytes = b"") -> None:
+        heapq.heappush(self._events, (at_ns, next(self._number), what, data))
+
+    def _send(self, data: bytes, sent_ns: int) -> None:
+        if data:
+            self._last_arrival_ns = max(self._last_arrival_ns, sent_ns + self._delay_ns(sent_ns))
+            self._put(self._last_arrival_ns, self._arrive, data)
+
+    def _arrive(self, data: bytes) -> None:
+        self.frames += self.session.receive_data(data, self.now_ns)
+        self._plan_look(self.now_ns + self.WAKE_UP_NS)
+
+    def _plan_look(self, at_ns: int) -> None:
+        self._looks_at_ns = at_ns
+        self._put(at_ns, self._look)
+
+    def _look(self, _: bytes) -> None:
+        if self.now_ns != self._looks_at_ns:
+            return  # there was a read in between
+        self.session.tick(self.now_ns)
+        said = bytes(self.session.outbox)
+        self.session.outbox.clear()
+        if said:
+            self._put(self.now_ns + self.TO_DEVICE_NS, self._hear, said)
+        self._plan_look(self.now_ns + TICK_NS)
+
+    def _hear(self, data: bytes) -> None:
+        self._send(self.device.receive_data(data, self.now_ns), self.now_ns)
