@@ -4,8 +4,6 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -59,35 +57,6 @@ def test_the_page_is_at_the_usual_port_or_at_a_free_one_and_off_where_it_is_not_
     web = demo_config(ENDPOINTS, options(tmp_path), 7447, page).sinks["web"]
     assert (web.enabled, web.listen, web.token_file) == (True, page.listen, page.token_file)
     assert not demo_config(ENDPOINTS, options(tmp_path), 7447).sinks["web"].enabled
-
-
-def test_the_address_of_the_page_is_reported_once_and_not_before_it_is_served(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    said: list[str] = []
-    addresses = iter(["", "", "http://127.0.0.1:8080/", "http://127.0.0.1:8080/"])
-
-    class RunEndedError(Exception):
-        pass
-
-    def run(
-        config: object, seconds: object, folder: object, on_ready: object, fault: object, look: Any
-    ) -> None:
-        for number, address in enumerate(addresses):
-            look(SimpleNamespace(places={"web": address} if address else {}))
-            assert len(said) == (number >= 2)
-        raise RunEndedError
-
-    monkeypatch.setattr(demo, "run", run)
-    monkeypatch.setattr(demo, "warm_up", lambda progress: None)
-    monkeypatch.setattr(
-        demo, "simulators", lambda options, truth: contextlib.nullcontext(Simulators(None, []))
-    )
-    monkeypatch.setattr(demo, "demo_config", lambda *_: None)
-    with pytest.raises(RunEndedError):
-        demo.demo(options(tmp_path), say=said.append)
-    token = (tmp_path / "web.token").read_text().strip()
-    assert said == [f"The map, live: http://127.0.0.1:8080/#token={token}\n"]
 
 
 def test_a_taken_port_is_reported_where_it_was_asked_for(caplog: pytest.LogCaptureFixture):
@@ -186,14 +155,6 @@ def test_in_a_stored_map_the_error_is_void(tmp_path: Path):
     assert "no processor to send 3 of front; latency and error are void; a stored" in str(
         _void({"front": 3}, mapped.began)
     )
-
-
-def test_without_poses_there_is_no_error_to_tell(tmp_path: Path):
-    summary = record(tmp_path, [])
-    assert pose_error(last_map(summary), tmp_path / "truth.txt") == {
-        "position_rmse_m": None,
-        "heading_rmse_deg": None,
-    }
 
 
 def test_simulators_that_do_not_come_up_are_reported(tmp_path: Path):

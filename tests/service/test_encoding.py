@@ -162,15 +162,6 @@ def test_odometry_keeps_its_heading_to_a_picoradian(sample):
     )
 
 
-def test_no_heading_creeps_when_it_is_encoded_again_and_again():
-    headings_rad = np.random.default_rng(1).uniform(-math.pi, math.pi, 3000).tolist()
-    for heading_rad in [*headings_rad, math.pi, -math.pi]:
-        sample = OdometrySample("base", 1, 2, 0.0, 0.0, heading_rad, (0.0, 0.0, 0.0), (0.0,) * 9)
-        once = through_the_wire(sample)
-        assert once is not None
-        assert through_the_wire(once) == once
-
-
 def test_a_scan_keeps_all_that_a_mapper_needs():
     original = scan([1.5, np.nan, 24.0], intensity=np.array([10, 20, 30], dtype=np.float32))
     message = encode_frame(original, utc_offset_ns=T0_NS)
@@ -220,13 +211,6 @@ def test_why_a_beam_has_no_distance_goes_over_the_wire_as_a_nan_that_others_read
     assert np.isnan(decoded.range_m).tolist() == [False, True, True, True, True]
     foreign = np.array([0x7FC00000, 0xFFC00000, 0x7FFFFFFF, 0x7F800001], np.uint32).view(np.float32)
     assert causes_of(foreign).tolist() == [0, 0, 0, 0]
-
-
-def test_a_log_time_given_is_the_arrival_time_of_the_decoded_frame():
-    message = encode_frame(scan([1.0]), log_ns=77)
-    decoded = decode_frame(message.type, message.payload, "front", message.log_ns)
-    assert decoded is not None
-    assert decoded.arrived_ns == message.log_ns == 77
 
 
 @pytest.mark.parametrize(
@@ -403,11 +387,6 @@ def test_a_fix_without_an_altitude_is_content():
     assert through_the_wire(endless) is None
 
 
-def test_odometry_that_is_not_finite_is_none():
-    sample = OdometrySample("base", 1, 2, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)
-    assert through_the_wire(sample) is None
-
-
 def test_odometry_of_a_tilted_foreign_base_gives_its_yaw():
     """Roll 20 deg about x after a yaw of 40 deg about z: q = q_yaw * q_roll."""
     yaw, roll = math.radians(40.0), math.radians(20.0)
@@ -449,8 +428,9 @@ def test_what_a_sensor_upside_down_says_is_turned_back():
         ImuSample("imu", 1, 2, (0.0, 0.0, 1e300), (0.0, 0.0, 9.81)),
         ImuSample("imu", 1, 2, (0.0, 0.0, 0.1), (-1e30, 0.0, 9.81)),
         OdometrySample("base", 1, 2, -1e300, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9),
+        OdometrySample("base", 1, 2, math.nan, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9),
     ],
-    ids=["rate", "force", "position"],
+    ids=["rate", "force", "position", "no number"],
 )
 def test_values_that_no_sensor_measures_are_damage(damaged):
     message = encode_frame(damaged)

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.frames import OdometrySample
 from service import encoding
-from service.encoding import LogClock, Status, encode_frame, wire
+from service.encoding import LogClock, Status, encode_frame
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import ApplyResult, SessionRequest
@@ -191,24 +191,6 @@ def test_other_events_are_no_requests(text):
 def test_an_event_that_is_no_json_is_bad_input(text):
     with pytest.raises(InputError, match="an event that is no JSON"):
         encoding.decode_step(encoding.encode_event(text, 1, 1).payload, 1)
-
-
-def test_type_hashes_are_those_of_ros_2_jazzy():
-    """std_msgs/String as printed in the design document of rmw_zenoh."""
-    assert encoding.type_hash(encoding.STRING) == (
-        "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-    )
-    assert "float32[] ranges" in encoding.schema_text(encoding.LASER_SCAN)
-    assert "MSG: std_msgs/Header" in encoding.schema_text(encoding.LASER_SCAN)
-
-
-def test_warm_up_reads_every_type_that_the_service_writes(monkeypatch):
-    types = {value for value in vars(wire).values() if isinstance(value, str) and "/msg/" in value}
-    read = []
-    monkeypatch.setattr(encoding, "read", lambda type_name, payload: read.append(type_name))
-    encoding.warm_up()
-    of_others = {wire.INITIAL_POSE, wire.MULTI_ECHO_SCAN, wire.POINT_CLOUD}  # in recordings of others only
-    assert sorted(read) == sorted(types - of_others)
 
 
 def test_log_times_rise_strictly_and_follow_the_clock():

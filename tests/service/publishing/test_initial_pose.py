@@ -3,7 +3,6 @@
 import json
 import logging
 import math
-import threading
 
 import numpy as np
 import pytest
@@ -97,27 +96,6 @@ def test_a_refusal_of_the_command_is_reported_in_its_words(
     assert requested.entered.acquire(timeout=20.0)
     publisher.close()
     assert publisher.pose_refused == "initialpose: no"
-
-
-def test_a_pose_that_is_not_answered_when_the_session_closes_is_in_the_log(
-    publisher: ZenohPublisher,
-    client: zenoh.Session,
-    requested: Asked,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-):
-    monkeypatch.setattr(initial_pose, "CLOSE_TIMEOUT_S", 0.05)
-    publisher.answer_commands(requested)
-    requested.go.clear()
-    client.put(KEY, payload_of(SE2()))
-    assert requested.entered.acquire(timeout=20.0)
-    answering = [thread for thread in threading.enumerate() if thread.name == "zenoh-initialpose"]
-    publisher.close()
-    facts = [record.getMessage() for record in caplog.records]
-    requested.go.set()
-    for thread in answering:
-        thread.join(20.0)
-    assert facts == ["initialpose: what came last is not answered after 0 s"]
 
 
 def test_a_pose_for_all_vehicles_is_refused(served: ZenohPublisher, client: zenoh.Session, requested: Asked):

@@ -82,18 +82,6 @@ def test_fresh_things_go_first_and_bulk_last(publisher, client, store):
         assert quality(channel) == (zenoh.Priority.DATA_LOW, False, drop)
 
 
-def test_a_burst_of_what_belongs_together_arrives_whole(publisher, client):
-    inbox = Inbox()
-    subscribe(client, publisher, "**", inbox)
-    channels = [
-        f"{sensor}/{kind}" for sensor in ("front", "rear", "base") for kind in ("scan", "odom", "imu")
-    ]
-    for burst in range(1, 201):
-        for channel in (*channels, "pose", "odom", "tf"):
-            publisher.put(message(channel, burst, payload=bytes(4000)))
-        inbox.wait_for(12 * burst)
-
-
 def test_latency_is_reported_for_what_has_an_origin(open_publisher):
     facts, done = [], threading.Event()
 
@@ -132,21 +120,6 @@ def test_a_late_joiner_gets_the_last_pose_and_state(publisher, client):
     assert [s.payload.to_bytes() for s in get(client, "health")] == [b"health"]
 
 
-def test_a_late_joiner_with_history_gets_the_state_without_asking(publisher, client):
-    publisher.put(message("tf_static", 1, payload=b"tf"))
-    wait_until(lambda: publisher.counts()["sent"]["tf_static"] == 1)
-    inbox = Inbox()
-    zenoh.ext.declare_advanced_subscriber(
-        client,
-        f"{ROOT}/tf_static",
-        inbox,
-        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
-    )
-    (sample,) = inbox.wait_for(1)
-    assert sample.payload.to_bytes() == b"tf"
-    assert attachment_of(sample).sequence == 1
-
-
 def test_what_is_not_there_yet_is_answered_by_nothing_at_once(publisher, client):
     began_s = time.monotonic()
     assert [get(client, key) for key in ("pose", "map", "map/meta", "map/tile/**")] == [[], [], [], []]
@@ -180,12 +153,6 @@ def test_tiles_are_answered_since_a_version_and_by_key(publisher, client, store)
     assert versions("map/tile/**?since=9") == []
     assert versions("map/tile/0/2/*") == [3, 6, 9]
     assert versions("map/tile/0/1/1?since=4") == [5]
-
-
-@pytest.mark.parametrize("since", ["-1", "x", "1.5", ""])
-def test_a_since_that_is_no_version_is_refused_in_words(publisher, client, since):
-    (reply,) = client.get(f"{ROOT}/map/tile/**?since={since}", timeout=TIMEOUT_S)
-    assert "expected a version" in reply.err.payload.to_string()
 
 
 def test_the_whole_map_is_made_only_for_who_listens_and_only_when_it_changed(
@@ -230,21 +197,6 @@ def test_the_whole_map_is_made_only_for_who_listens_and_only_when_it_changed(
     publisher.close()  # looks at all that waits
     assert grids == made + 1
     assert publisher.counts()["sent"]["map"] == 2
-
-
-def test_the_whole_map_comes_at_most_once_a_period(open_publisher, open_client, store):
-    publisher = open_publisher(picture_period_s=0.3)
-    client = open_client(publisher.endpoints[0])
-    inbox = Inbox()
-    subscribe(client, publisher, "map", inbox)
-    pause, began_s = threading.Event(), time.monotonic()
-    for version in range(1, 60):
-        store.update([tile(0, 0, version)])
-        publisher.map_changed([tile(0, 0, version)], 1, 2)
-        pause.wait(0.01)
-    wait_until(lambda: inbox.samples and attachment_of(inbox.samples[-1]).sequence == 59)
-    assert len(inbox.samples) >= 2
-    assert time.monotonic() - began_s >= 0.3 * (len(inbox.samples) - 1)
 
 
 def test_map_meta_lists_every_tile_with_its_version(publisher, client, store):

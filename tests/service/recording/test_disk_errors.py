@@ -51,10 +51,10 @@ class FailingStream(io.FileIO):
 
     def __init__(self, path: Path, room: int) -> None:
         super().__init__(path, "xb")
-        self._room = room
+        self.room = room
 
     def write(self, data) -> int:
-        if self.tell() + len(data) > self._room:
+        if self.tell() + len(data) > self.room:
             raise OSError(errno.ENOSPC, "No space left on device")
         return super().write(data)
 
@@ -101,7 +101,7 @@ def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp
     session.put(scan_message(1))
     session.put(scan_message(2))
     wait_until(lambda: session.health.messages == 3)
-    streams[0]._room = 0
+    streams[0].room = 0
     clock.now_s += 1.0
     wait_until(lambda: session.health.state == "disk error")
     wait_until(lambda: session.health.messages == 1)

@@ -9,11 +9,10 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan, OdometrySample
 from service import encoding
-from service.encoding import Message, decode_frame, encode_frame, encode_pose
+from service.encoding import Message, decode_frame, encode_frame
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionRequest
-from service.outputs import NO_REASON, MapperOutput
 from service.recording.mcap_source import open_session
 from tests.service.recording.sessions import MOUNTINGS, T0_NS, drive, scan_message, write_file
 
@@ -72,13 +71,6 @@ def test_requests_come_at_their_place_among_the_frames(tmp_path):
     ]
     assert session.counters == {"/front/scan": 4, "/events unusable": 1}
     assert len(list(session.frames())) == 4
-
-
-def test_outputs_in_our_session_are_not_taken_for_odometry(tmp_path):
-    output = MapperOutput(T0_NS, SE2(), SE2(), (0.0, 0.0, 0.0), np.eye(3), "ok", NO_REASON, 1.0)
-    outputs = [encode_pose(output, T0_NS + 9), encoding.encode_odom(output, T0_NS + 9)]
-    write_file(tmp_path / "s.mcap", [*drive(5), *outputs])
-    assert "/odom" not in open_session([tmp_path / "s.mcap"]).sensors
 
 
 class Foreign:

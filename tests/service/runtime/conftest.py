@@ -1,8 +1,10 @@
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 from service.runtime import early_mapper, mapper_link
+from tests.service.runtime.machine import Machine
 from tests.service.runtime.mappers import HOW
 from tests.service.runtime.mappers.forked import Nursery
 
@@ -32,3 +34,16 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
         monkeypatch.setenv(HOW, how)
 
     return set_up
+
+
+@pytest.fixture
+def free_bytes() -> list[int]:
+    return [1 << 40]
+
+
+@pytest.fixture
+def machine(tmp_path: Path, free_bytes: list[int]) -> Iterator[Machine]:
+    made = Machine(tmp_path, free_bytes)
+    made.start()
+    yield made
+    made.stop()

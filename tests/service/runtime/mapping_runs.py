@@ -22,6 +22,7 @@ from service.runtime.intake import Intake
 from service.runtime.mapper_messages import (
     Answer,
 )
+from service.runtime.mapping import PrepareMap, no_stored_maps
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.runtime.inline_link import InlineLink
 
@@ -100,7 +101,7 @@ def sample(stamp_ns: int, arrived_ns: int) -> OdometrySample:
 class Run:
     """An intake, a mapping loop and what comes of it."""
 
-    def __init__(self, mapper: FakeMapper) -> None:
+    def __init__(self, mapper: FakeMapper, prepare_map: PrepareMap = no_stored_maps) -> None:
         self.put_out: list[tuple[Message, int | None]] = []  # what the sinks were handed
         self.handed_over: list[tuple[int, int]] = []
         self.tiles = TileStore()
@@ -115,7 +116,7 @@ class Run:
             lambda: self.link.now_ns,
         )
         session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], apply_after_ns=None)
-        self.link = InlineLink(session, self.outputs)
+        self.link = InlineLink(session, self.outputs, prepare_map=prepare_map)
         self.intake = Intake(self.link, HostTime(OFFSET_NS), self._put)  # type: ignore[arg-type]
 
     def put(self, *frames: Frame, waits_ns: int = 0) -> "Run":

@@ -2,158 +2,24 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from service.encoding import STRING, LogClock, Message, decode_event, encode_event
+from service.encoding import STRING, Message, encode_event
 from service.encoding.steps import decode_step
-from service.errors import InputError, StorageError
-from service.mapper.mapping_session import GraphRequest, LoadMap, MappingSession
-from service.mapper.profiles import mapping_config
-from service.mapstore.config import MapConfig
+from service.errors import StorageError
+from service.mapper.mapping_session import GraphRequest, LoadMap
 from service.mapstore.files import load_map, save_map
-from service.mapstore.graph_files import GraphFolder
 from service.mapstore.in_use import InUse
-from service.mapstore.tiles import TileStore
-from service.publishing.commands import Answer as CommandAnswer
-from service.publishing.commands import CommandDispatcher, CommandError
-from service.recording.config import RecordingConfig
 from service.recording.mcap_reader import Recording
-from service.recording.mcap_recorder import McapRecorder
-from service.runtime.commands import Commands
-from service.runtime.host_time import HostTime
-from service.runtime.intake import Intake
-from service.runtime.mapping_outputs import MappingOutputs
-from service.runtime.profile_switch import PresentMapping, ProfileSwitch
-from service.sinks.map_saver import MAX_ASKED, MapSaver
-from service.sinks.mcap_sink import McapSink
+from service.sinks.map_saver import MAX_ASKED
 from tests.in_background import started
 from tests.service.mapstore.graphs import graph_of
-from tests.service.runtime.inline_link import InlineLink
-from tests.service.runtime.mapping_runs import OFFSET_NS, FakeMapper, scan
-from tests.service.sinks.contexts import sink_context
+from tests.service.runtime.machine import Machine, channels, events
 from tests.service.sinks.test_map_saver import tile
 from tests.waiting import wait_until
-
-
-class Machine:
-    """All that commands act on."""
-
-    def __init__(self, folder: Path, free_bytes: list[int], is_deaf: bool = False) -> None:
-        self.tiles = TileStore()
-        self.command: Callable[[], CommandAnswer] = lambda: CommandAnswer(True, b"{}")  # of the map saver
-        host_time, log_clock = HostTime(OFFSET_NS), LogClock()
-        context = sink_context(
-            map_folder=folder / "map",
-            tiles=self.tiles,
-            emit=self._put,
-            command=lambda verb, payload: self.command(),
-            unix_ns=lambda: host_time.unix_ns(time.monotonic_ns()),
-            is_paused=lambda: self.intake.paused,
-            present_profile=lambda: self.present.profile,
-        )
-        self.recorder = McapSink(RecordingConfig(directory=folder / "in"), context)
-        self.recorder._recorder = McapRecorder(
-            folder / "in", "veh1", keep_free_bytes=1000, free_bytes_of=lambda _: free_bytes[0]
-        )
-        self.saver = MapSaver(MapConfig(directory=folder, checkpoint_s=3600.0), context)
-        self.outputs = MappingOutputs(
-            ["front"],
-            self.tiles,
-            self._put,
-            lambda tiles, stamp_ns: None,
-            lambda: log_clock.next_ns(host_time.unix_ns(time.monotonic_ns())),
-        )
-        self.prepared: list[tuple[str, int]] = []  # stored maps that mappers began in
-        self.mapper_fault = ""  # why the mapper cannot read a stored map
-        session = MappingSession(FakeMapper, ["front"], None)
-        self.profiles: list[Mapping[str, Any]] = []  # sections that mappers began again with
-        self.compiled: list[Mapping[str, Any]] = []
-        self.compiler_fault = ""
-        self.present = PresentMapping(mapping_config())
-        self.link = InlineLink(session, self.outputs, is_deaf, self._prepare, self.profiles.append)
-        self._folder = folder
-        self.intake = Intake(self.link, host_time, self._put)  # type: ignore[arg-type]
-        parts = self.intake, self.outputs, self._put
-        switch = ProfileSwitch(self.present, *parts, self.saver, self._compile)
-        self.commands = Commands(*parts, self.recorder, self.saver, self._find, switch)
-        self.dispatcher = CommandDispatcher(self.commands.verbs(), answer_timeout_s=20.0)
-        self._scans = 0
-
-    def checkpoints_in(self, folder: Path) -> None:
-        """Have each checkpoint write a graph of five key frames there."""
-        keep = GraphFolder(folder)
-
-        def checkpoint() -> CommandAnswer:
-            self.tiles.keep_graph(Path(keep(graph_of(5)).folder))
-            return CommandAnswer(True, b"{}")
-
-        self.command = checkpoint
-        self.saver.mapped_by("corridor", stores_graph=True)
-
-    def start(self) -> None:
-        self.recorder.start()
-        self.saver.start()
-
-    def scan(self, count: int = 1) -> None:
-        for _ in range(count):
-            self._scans += 1
-            now_ns = self.link.now_ns = time.monotonic_ns()
-            self.intake.put(scan(now_ns, now_ns, [1.0, 2.0, float(self._scans)]))
-
-    def ask(self, verb: str, **request: object) -> dict[str, Any]:
-        facts: dict[str, Any] = json.loads(self.dispatcher.answer(verb, json.dumps(request).encode()).body)
-        return facts
-
-    def stop(self) -> list[Path]:
-        self.intake.close()
-        self.saver.flush()
-        self.recorder.close()
-        return self.recorder.written()
-
-    def _prepare(self, folder: str, version: int) -> None:
-        if self.mapper_fault:
-            raise InputError(self.mapper_fault)
-        self.prepared.append((folder, version))
-
-    def _compile(self, section: Mapping[str, Any]) -> None:
-        if self.compiler_fault:
-            raise CommandError(self.compiler_fault)
-        self.compiled.append(section)
-
-    def _find(self, name: str, version: int | None) -> tuple[Path, int]:
-        try:
-            return self._folder / name, load_map(self._folder / name, version).number
-        except InputError as error:
-            raise CommandError(str(error)) from error
-
-    def _put(self, message: Message, arrived_ns: int | None = None) -> None:
-        self.recorder.put(message, arrived_ns)
-
-
-@pytest.fixture
-def free_bytes() -> list[int]:
-    return [1 << 40]
-
-
-@pytest.fixture
-def machine(tmp_path: Path, free_bytes: list[int]) -> Iterator[Machine]:
-    made = Machine(tmp_path, free_bytes)
-    made.start()
-    yield made
-    made.stop()
-
-
-def events(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(decode_event(m.payload)) for m in Recording([path]).messages(["/events"])]
-
-
-def channels(path: Path) -> list[str]:
-    """In the order of log times, without what a pose brings with it."""
-    return [m.channel for m in Recording([path]).messages() if m.channel not in ("odom", "tf", "map")]
 
 
 def test_the_known_verbs(machine: Machine):
@@ -371,15 +237,26 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
     assert machine.link.loop.mapper.counters["map_resets"] == 2
 
 
-@pytest.mark.parametrize("verb", ["reset_map", "load_map"])
-def test_a_map_that_ends_is_saved_with_its_graph_as_it_is_then(machine: Machine, tmp_path: Path, verb: str):
-    """However short it lasted: without one no one could go on in it."""
+@pytest.mark.parametrize(
+    ("verb", "request_of"),
+    [("reset_map", {}), ("load_map", {"map": "office"}), ("switch_profile", {"profile": "contour_lm"})],
+)
+def test_a_map_between_two_resets_that_no_tile_was_handed_over_of_is_saved_with_its_graph(
+    machine: Machine,
+    tmp_path: Path,
+    verb: str,
+    request_of: dict[str, str],
+):
+    """Tiles are handed over some times a second: a map that ends before has a graph all the same."""
     save_map(tmp_path / "office", [tile(1)], 1, graph=graph_of(4))
     machine.checkpoints_in(tmp_path / "graphs")
-    machine.scan(3)
-    facts = machine.ask(verb, **({"map": "office"} if verb == "load_map" else {}))
-    assert facts["folder_before"] == str(tmp_path / "map")
-    graph = load_map(tmp_path / "map").graph
+    now_ns = time.monotonic_ns()
+    machine.scan(3, at_ns=now_ns)
+    assert machine.ask("reset_map")["ok"]
+    machine.scan(2, at_ns=now_ns)
+    assert machine.tiles.finest_count == 0
+    assert machine.ask(verb, **request_of)["folder_before"] == str(tmp_path / "map_2")
+    graph = load_map(tmp_path / "map_2").graph
     assert graph is not None
     assert len(graph) == 5
 

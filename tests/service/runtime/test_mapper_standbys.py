@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from service.encoding import ODOMETRY
+from service.encoding import IMU, LASER_SCAN, ODOMETRY
 from service.geometry.se2 import SE2
 from service.runtime import mapper_link
 from service.runtime.channel import Channel, ChannelClosedError
@@ -38,9 +38,9 @@ class Acted:
     opened: ClassVar[list[Channel]] = []  # closed with the link
 
     def __init__(self, path: Path) -> None:
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        connection.connect(str(path / "mapper.sock"))
-        self.channel = Channel(connection)
+        self.connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.connection.connect(str(path / "mapper.sock"))
+        self.channel = Channel(self.connection)
         self.opened.append(self.channel)
         self.heard: list[Any] = []
 
@@ -145,26 +145,36 @@ def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
     assert link.standby_pid == 0
 
 
-def test_the_connection_to_a_mapper_that_takes_nothing_any_more_is_closed(
-    link: MapperLink, monkeypatch: pytest.MonkeyPatch
-):
-    first_mapper(link)
+def test_the_connection_to_a_mapper_that_takes_nothing_any_more_is_closed(link: MapperLink):
+    first = first_mapper(link)
     second = standby(link, SECOND, 0, of_pid=FIRST)
     until_standby(link, SECOND)
-    ours = link._active
-    assert ours is not None
-
-    def gone(message: object) -> None:
-        raise ChannelClosedError("Broken pipe")
-
-    monkeypatch.setattr(ours, "send", gone)
+    first.connection.shutdown(socket.SHUT_RD)
     submit(link, 1)
     second.until(2)
     assert second.numbers() == [1]
-    assert ours.fileno() == -1
+    with pytest.raises(ChannelClosedError):
+        first.say(Ready(has_standby=True))
 
 
-def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_away(link: MapperLink):
+def test_samples_go_with_the_next_scan_and_soon_without_one(link: MapperLink):
+    mapper = first_mapper(link)
+    later_ns = time.monotonic_ns() + 3600 * 10**9  # none has waited, however slow this machine is
+
+    def submit_one(number: int, type_name: str, arrived_ms: int) -> list[int]:
+        """Numbers of the items that go out by that."""
+        arrived_ns = later_ns + arrived_ms * 1_000_000
+        link.submit(FrameItem(number, number, arrived_ns, "any", type_name, b""))
+        return [item.number for item in mapper.channel.receive()]
+
+    sent = [submit_one(1, ODOMETRY, 0), submit_one(2, IMU, 5), submit_one(3, LASER_SCAN, 10)]
+    assert sent == [[], [], [1, 2, 3]]
+    assert [submit_one(4, IMU, 20), submit_one(5, IMU, 45), submit_one(6, IMU, 46)] == [[], [], [4, 5, 6]]
+
+
+def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_away(
+    link: MapperLink, monkeypatch: pytest.MonkeyPatch
+):
     """A profile without stand-bys has mapped for a while: its items are not kept."""
     mapper = first_mapper(link)
     submit(link, 2)
@@ -175,14 +185,18 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     assert is_sent_away(before)  # it knows nothing of the other profile
     submit(link, 3)
     mapper.until(6)
-    assert not link._kept
+    monkeypatch.setattr(mapper_link, "MAX_KEPT", 3)
+    submit(link, 5)  # more than may be kept
+    mapper.until(11)
+    monkeypatch.undo()
     mapper.say(CanCopy(True))
-    wait_until(lambda: link._keeps_items, words="the items are not kept")
-    late = standby(link, LATE, 4, of_pid=FIRST)
+    turns = link.turns
+    wait_until(lambda: link.turns > turns + 1, words="the link stands still")
+    late = standby(link, LATE, 9, of_pid=FIRST)
     assert is_sent_away(late)
     submit(link, 2)
-    third = standby(link, THIRD, 5, of_pid=FIRST)
+    third = standby(link, THIRD, 10, of_pid=FIRST)
     until_standby(link, THIRD)
     mapper.channel.close()
     third.until(3)
-    assert third.numbers() == [6, 7]
+    assert third.numbers() == [11, 12]

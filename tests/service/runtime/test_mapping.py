@@ -279,7 +279,7 @@ def test_after_close_nothing_is_taken():
     run.intake.close()
     run.put(scan(10, 10, [1.0]))
     assert not run.recorded
-    assert run.intake.mark({"event": "mark"}, run._put) == "the service is stopping"
+    assert run.intake.mark({"event": "mark"}, lambda event: None) == "the service is stopping"
 
 
 def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_says_where():
@@ -318,7 +318,7 @@ class EditedMapper(FakeMapper):
 
 def answers_to_an_edit(graph: GraphWithEdits, then: Callable[[Run], Any]) -> list[Answer]:
     """None before what comes next, and these after it."""
-    run, answers = Run(EditedMapper(graph)), []
+    run, answers = Run(EditedMapper(graph), prepare_map=lambda folder, version: None), []
     run.put(scan(10, 20, [1.0]))
     run.intake.mark(
         {"event": "edit_map"},
@@ -341,7 +341,6 @@ def test_a_change_by_hand_fails_with_the_graph_or_the_map(monkeypatch: pytest.Mo
     assert answer.error == "the change is not made: killed"
 
     def load(run: Run) -> None:
-        run.link.loop._prepare_map = lambda folder, version: None
         run.intake.request_map("office", 1, 40, lambda answer: None)
 
     for start_over in (load, lambda run: run.request("reset_map")):

@@ -1,4 +1,4 @@
-"""What switch_profile does to real parts: see test_commands.Machine."""
+"""What switch_profile does to real parts: see machine.Machine."""
 
 import os
 import subprocess
@@ -16,18 +16,13 @@ from service.mapper.profiles import mapping_config
 from service.mapstore.files import load_map
 from service.publishing.commands import CommandError
 from service.runtime import profile_switch
-from service.runtime.profile_switch import NICENESS, PresentMapping, compile_kernels, stand_back
+from service.runtime.profile_switch import PresentMapping, compile_kernels
 from tests.in_background import started
-from tests.service.runtime.test_commands import (  # noqa: F401 - fixtures
-    Machine,
-    events,
-    free_bytes,
-    machine,
-)
+from tests.service.runtime.machine import Machine, events
 
 
 def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(
-    machine: Machine,  # noqa: F811
+    machine: Machine,
     tmp_path: Path,
 ):
     machine.scan(3)
@@ -55,7 +50,7 @@ def test_an_event_of_a_switch_is_a_step_of_a_replay():
     assert decode_step(encode_event('{"event": "switch_profile"}', 5, 5).payload, 5) is None
 
 
-def test_settings_of_the_config_come_back_with_its_profile(machine: Machine):  # noqa: F811
+def test_settings_of_the_config_come_back_with_its_profile(machine: Machine):
     configured = machine.present.configured = mapping_config(
         {"cell_m": 0.1, "lasers": ["front"], "settings": {"motion_model": {}}}
     )
@@ -67,7 +62,7 @@ def test_settings_of_the_config_come_back_with_its_profile(machine: Machine):  #
     assert machine.present.config is configured
 
 
-def test_what_cannot_be_switched_to_is_refused_in_words(machine: Machine, tmp_path: Path):  # noqa: F811
+def test_what_cannot_be_switched_to_is_refused_in_words(machine: Machine, tmp_path: Path):
     machine.scan()
     assert machine.ask("switch_profile", profile="imlee")["error"] == (
         'imlee is no profile; did you mean "imle"?'
@@ -94,14 +89,14 @@ def test_a_session_that_is_localised_keeps_its_profile():
         present.with_profile("imle")
 
 
-def test_a_switch_in_progress_is_waited_for(machine: Machine, monkeypatch: pytest.MonkeyPatch):  # noqa: F811
+def test_a_switch_in_progress_is_waited_for(machine: Machine):
     began, go_on = threading.Event(), threading.Event()
 
-    def compile_slowly(section: object) -> None:
+    def compile_slowly() -> None:
         began.set()
         assert go_on.wait(20.0)
 
-    monkeypatch.setattr(machine.commands._switch, "_prepare", compile_slowly)
+    machine.compiler = compile_slowly
     machine.scan()
     asking = started(lambda: machine.ask("switch_profile", profile="imle"))
     assert began.wait(20.0)
@@ -113,7 +108,7 @@ def test_a_switch_in_progress_is_waited_for(machine: Machine, monkeypatch: pytes
     assert machine.ask("switch_profile", profile="contour_lm")["ok"]
 
 
-def test_a_recording_begun_after_a_switch_says_so_first(machine: Machine):  # noqa: F811
+def test_a_recording_begun_after_a_switch_says_so_first(machine: Machine):
     machine.scan()
     machine.ask("stop_recording")
     machine.ask("switch_profile", profile="imle")
@@ -124,28 +119,6 @@ def test_a_recording_begun_after_a_switch_says_so_first(machine: Machine):  # no
         ("start_recording", None),
         ("switch_profile", "imle"),
     ]
-
-
-def test_who_compiles_beside_the_mapping_takes_one_core_and_needs_no_helpers(
-    monkeypatch: pytest.MonkeyPatch,
-):
-    cores: set[int] = set()
-    monkeypatch.setattr(os, "nice", lambda more: NICENESS - more)
-    monkeypatch.setattr(os, "sched_setaffinity", lambda process, taken: cores.update(taken))
-    stand_back()
-    assert len(cores) == 1
-    assert cores <= os.sched_getaffinity(0)
-
-
-@pytest.mark.parametrize(("is_all_compiled", "compiled"), [(True, []), (False, [{"profile": "imle"}])])
-def test_what_is_compiled_already_is_not_compiled_again(
-    monkeypatch: pytest.MonkeyPatch, is_all_compiled: bool, compiled: list[object]
-):
-    requested: list[object] = []
-    monkeypatch.setattr(profile_switch, "is_warm", lambda: is_all_compiled)
-    monkeypatch.setattr(profile_switch, "compile_kernels", requested.append)
-    profile_switch.make_kernels_ready({"profile": "imle"})
-    assert requested == compiled
 
 
 @pytest.mark.soak

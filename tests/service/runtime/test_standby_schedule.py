@@ -1,11 +1,5 @@
 """When a stand-by is forked: in the pauses of the lasers, as the process tells it of their scans."""
 
-from collections import deque
-from types import SimpleNamespace
-
-from service.encoding import LASER_SCAN
-from service.runtime.mapper_messages import FrameItem
-from service.runtime.mapper_process import MapperProcess
 from service.runtime.standby_schedule import INTERVAL_NS, OVERDUE_NS, ScanForecast, StandbySchedule
 
 MS = 1_000_000
@@ -50,17 +44,6 @@ def test_where_the_newest_is_gone_the_next_is_due_at_once() -> None:
     assert made.is_due(1500 * MS, is_waiting=False)
 
 
-def test_the_process_tells_of_scans_alone_and_of_each_when_it_is_taken() -> None:
-    process, facts, taken = object.__new__(MapperProcess), [], []
-    process._loop = SimpleNamespace(take=taken.append)
-    process._schedule = SimpleNamespace(arrived=lambda *scan: facts.append(scan))
-    scan, odometry = (FrameItem(k, 0, 7 + k, "front", t, b"") for k, t in enumerate((LASER_SCAN, "odom")))
-    process._items = deque([odometry, scan, odometry])
-    process._take_up_to_scan()
-    assert facts == [("front", 7)]
-    assert taken == [odometry, scan]
-
-
 def forecast(**arrivals_ms: list[float]) -> ScanForecast:
     made = ScanForecast()
     for sensor, times in arrivals_ms.items():
@@ -76,14 +59,6 @@ def test_the_pause_lasts_until_the_first_laser_is_due() -> None:
     assert two.pause_ns(81 * MS) == 0
     three = forecast(front=[0, 20, 40], rear=[0, 25, 50])
     assert three.pause_ns(51 * MS) == 9 * MS  # the front one at 60 ms, the rear one at 75 ms
-
-
-def test_one_late_arrival_does_not_move_the_forecast() -> None:
-    assert forecast(front=[0, 20, 40, 75, 80, 100, 120]).pause_ns(121 * MS) == 19 * MS
-
-
-def test_a_scan_that_is_overdue_may_come_at_any_moment() -> None:
-    assert forecast(front=[0, 20, 40]).pause_ns(70 * MS) == 0
 
 
 def test_nothing_is_expected_of_a_laser_that_is_silent_or_unknown() -> None:
