@@ -28,7 +28,7 @@ class Advice:
     at_host         settings with which `corridor init` looks for this sensor at a host; None: it does not
     at_port         the same of a serial port
     rate_hz         frames a second that the config requests, None where unknown
-    recognise       which device sends these bytes, in words; "" where it is not this type of sensor. Raises
+    recognise       which device sends these bytes, as text; "" where it is not this type of sensor. Raises
                     nothing for any bytes up to 16 KiB
     bauds           baud rates that this sensor may be set to; empty where a rate means nothing
     other_settings  tried in turn where nothing answers; each takes a start-up dialogue of the driver

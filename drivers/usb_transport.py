@@ -1,4 +1,4 @@
-"""Bytes over a USB device's bulk endpoints, through libusb. The only module of drivers that speaks USB."""
+"""Bytes over a USB device's bulk endpoints, through libusb. The only module of drivers that uses USB."""
 
 import errno
 from collections.abc import Collection, Iterator

@@ -78,7 +78,7 @@ class UtmDialogue:
         self.identity: dict[str, str] = {}
         self.phase = "connecting"
         self.fault = ""  # fault that the device reports, "" for none
-        self.refusals: list[str] = []  # settings that it did not take, in words
+        self.refusals: list[str] = []  # refused settings, as text
         self.geometry: Geometry | None = None
         self.request: ScanRequest | None = None  # of the stream that was requested
         self.time_samples: list[TimeSample] = []

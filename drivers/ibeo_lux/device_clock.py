@@ -1,6 +1,6 @@
 """The LUX's 64-bit clock to host time.
 
-It counts from 0 at power-up until someone sets it, then from 1900; in both cases it is one clock against the
+It counts from 0 at power-up until it is set, then from 1900; in both cases it is one clock against the
 host's, so it is mapped by arrivals and never by its value. Setting it is a jump, and so is a restart. A jump
 shows in the scan numbers, which go on: between two scans lies the difference of their numbers times the
 period.

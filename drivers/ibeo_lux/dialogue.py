@@ -90,7 +90,7 @@ class IbeoLuxDialogue:
         self.scans_seen = 0  # kept by the session
         self.foreign = ""  # what other device seems to be there; kept by the session
         self.other_scans = ""  # rate and angles of the scans where they are not as configured; by the session
-        self.refusals: list[str] = []  # settings that it did not take, in words
+        self.refusals: list[str] = []  # refused settings, as text
         self.device_status: DeviceStatus | None = None  # the newest
         self.beam_tilt_rad = 0.0
         self.upside_down = False
@@ -329,7 +329,7 @@ class IbeoLuxDialogue:
             silent = silent + 1 if status is None else 0
 
     def _state_words(self) -> str:
-        """The newest status and what the device reported, for people."""
+        """The newest status and what the device reported, to be shown."""
         parts = [] if self.device_status is None else status_faults(self.device_status.status)
         if faults := self.explain_faults():
             parts.append(f"it reports: {faults}")

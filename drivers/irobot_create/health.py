@@ -1,4 +1,4 @@
-"""State of the robot by its sensor packets, in words and counts."""
+"""State of the robot by its sensor packets, as text and counts."""
 
 from collections import Counter
 from collections.abc import Mapping

@@ -63,7 +63,7 @@ class Ask:
 
 
 Dialogue = Generator[Ask | Pause, Telegram | None, T]
-Change = tuple[str, Callable[[], Dialogue[None]]]  # what it sets, in words, and how
+Change = tuple[str, Callable[[], Dialogue[None]]]  # what it sets, as text, and how
 
 
 class Lms100Dialogue:
@@ -79,7 +79,7 @@ class Lms100Dialogue:
         self.subscribed = False
         self.scans_seen = 0  # kept by the session
         self.scan_interval = 1  # every n-th scan is sent
-        self.refusals: list[str] = []  # settings that it did not take, in words
+        self.refusals: list[str] = []  # refused settings, as text
         self.fault = ""  # faults that the device reports, "" for none
 
     def run(self) -> Dialogue[None]:

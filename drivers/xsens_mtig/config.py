@@ -31,7 +31,7 @@ class XsensMtigConfig(Section):
     name: str = Field(min_length=1)
     device: DeviceFile = Field(min_length=1)  # a path, a pyserial URL, "usb", or "usb:<serial number>"
     baud: int | Literal["auto"] = AUTO
-    store_baud: int | None = None  # put this rate into the device where it speaks at another
+    store_baud: int | None = None  # put this rate into the device where it has another rate
     configure: bool = True  # false: take what it sends; only time and rate of turn must be among it
     rate_hz: Literal[10, 20, 25, 40, 50, 80, 100, 200, 400] = 200
     orientation: bool | Literal["auto"] = AUTO  # auto: where the line carries it

@@ -89,8 +89,8 @@ class MtigDialogue:
         self.counters: Counter[str] = Counter()
         self.identity: dict[str, str] = {}
         self.phase = "waiting for an answer"
-        self.fault = ""  # what was requested and is not available, "" where all is well
-        self.refusals: list[str] = []  # settings that it did not take, in words
+        self.fault = ""  # what was requested and is not available, "" where nothing is missing
+        self.refusals: list[str] = []  # refused settings, as text
         self.output: OutputItems = []  # of a device that sends MTData2
         self.heard = False  # any complete message; kept by the session
         self.awaits_wake_up = False  # after our own reset
@@ -205,7 +205,7 @@ class MtigDialogue:
         stored = self._write(Mid.BAUDRATE, bytes((CODE_OF_BAUD[wanted],)))
         if not (yield from self._unless_refused(f"store_baud {wanted}", stored)):
             return
-        yield Ask(Mid.RESET, b"", ANSWER_S)  # from here on it speaks at the new rate
+        yield Ask(Mid.RESET, b"", ANSWER_S)  # from here on it has the new rate
         raise TransportError(f"it goes from {reported} to {wanted} baud as store_baud asks for")
 
     def _set_up_mtdata2(self, current: OutputItems) -> Dialogue[None]:

@@ -18,7 +18,7 @@ UTC_BYTES = 12
 
 
 class Mode(IntEnum):
-    """OutputMode, message D0: single bits. As plain numbers, they are looked at in each message."""
+    """OutputMode, message D0: single bits. Plain numbers, because they are read in each message."""
 
     TEMPERATURE = 0x0001
     CALIBRATED = 0x0002

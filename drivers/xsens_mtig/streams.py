@@ -458,7 +458,7 @@ class LegacyStream(_Stream):
     def _receiver(self, gps: RawGps, has_fix: bool | None, stamp_ns: int, arrived_ns: int) -> list[Frame]:
         """The receiver's own solution, repeated in every message until there is a new one.
 
-        has_fix   None: the unit sends no status, which alone tells it
+        has_fix   None: the unit sends no status, which alone shows it
         """
         if gps.itow_ms == self._last_itow_ms:
             return []

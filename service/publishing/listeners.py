@@ -1,4 +1,4 @@
-"""Knows whether someone subscribes to a key, so that what is expensive is made only then."""
+"""Whether a key has subscribers: expensive messages are made only then."""
 
 from collections.abc import Callable
 from typing import Any

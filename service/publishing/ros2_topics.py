@@ -63,7 +63,7 @@ class Ros2Topics:
         self._senders.stream.put(Sending(message, None))
 
     def map_changed(self, stamp_ns: int, log_ns: int) -> None:
-        """Send the complete map soon, if someone subscribes; Unix time of the newest scan in it."""
+        """Send the complete map soon, if there is a subscriber; Unix time of the newest scan in it."""
         self._map.changed(stamp_ns, log_ns)
         self._senders.bulk.ask_for(MAP)
 

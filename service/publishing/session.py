@@ -134,7 +134,7 @@ def _explain(error: str, config: PublishingConfig) -> str:
 
 
 def _owner_of_port(port: int) -> str:
-    """ " by python3 (process 123)" where the kernel tells us, else ""."""
+    """ " by python3 (process 123)" where the kernel reports it, else ""."""
     sockets = set()
     for table in ("tcp", "tcp6"):
         path = Path("/proc/net") / table

@@ -58,7 +58,7 @@ class Readable(Protocol):
 
     paths     as they were named, oldest first
     library   who wrote it
-    losses    what could not be read of its files, for people
+    losses    what could not be read of its files, to be shown
     """
 
     paths: list[Path]

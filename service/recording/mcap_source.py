@@ -58,7 +58,7 @@ class Session:
     events         topics whose events may be requests to the mapping session: ours has one, others have none
     converters     sensors whose messages are no LaserScan -> what makes scans of them
     warnings       what was chosen, or not found, and may not be what is meant; for people
-    notes          what was chosen and what was passed over, one line each, for people
+    notes          what was chosen and what was passed over, one line each, to be shown
     counters       filled while reading: frames by topic, messages without usable content, those refused
                    because of a frame_id that is not expected, by topic the text of odometry_fault, scans
                    all around that claim to be of one moment, and those with a span_fault
@@ -121,7 +121,7 @@ class Session:
     @property
     def losses(self) -> list[str]:
         """Unreadable parts of the files, and unusable messages: one line a
-        file or topic, for people.
+        file or topic, to be shown.
         """
         lines = list(self.recording.losses)
         for topic in self.devices:

@@ -81,7 +81,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _listed(metadata: Path) -> list[Path]:
-    """The files of a ROS 2 bag; none where its metadata is not there or does not tell."""
+    """The files of a ROS 2 bag; none without usable metadata."""
     try:
         about = yaml.safe_load(read_text(metadata, limit=MAX_YAML_BYTES))
         names = about["rosbag2_bagfile_information"]["relative_file_paths"]

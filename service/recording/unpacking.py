@@ -55,9 +55,9 @@ class Unpacked:
     path       itself, or a copy in a temporary folder, which goes with this object
     is_packed  whether it is compressed as one file
     kind       MCAP, ROS1, SQLITE; "" for none of them
-    beginning  its first bytes, for people
+    beginning  its first bytes, to be shown
     size       of the file as it was named, bytes
-    losses     what could not be unpacked, for people
+    losses     what could not be unpacked, to be shown
 
     Raises InputError where the file cannot be read or unpacked, StorageError where there is no place for it.
     """

@@ -65,7 +65,7 @@ class Vehicle:
         self._warnings: list[str] = []
         self._tree = StaticTree(recording)
         self._sources: dict[str, list[Source]] = {}
-        self._edges: Edges | None = None  # of /tf, once they were looked at
+        self._edges: Edges | None = None  # of /tf, once they were read
 
     def all_of(self, ours: Sequence[Topic]) -> list[Source]:
         """All devices of our own session."""

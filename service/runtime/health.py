@@ -39,7 +39,7 @@ class SensorHealth:
         self._link = link
         self._frames = RateMeter()
         self._bytes = RateMeter()
-        self._first: tuple[int, int] | None = None  # frames and time of the newest, when first looked at
+        self._first: tuple[int, int] | None = None  # frames and time of the newest, at the first status
 
     @property
     def rate_hz(self) -> float:

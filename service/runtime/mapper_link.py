@@ -1,4 +1,4 @@
-"""Ingest's side of the mapper's process: starts it, hands it items, hears it, replaces it by a stand-by.
+"""Ingest's side of the mapper's process: starts it, exchanges messages, replaces it by a stand-by.
 
     readers --submit--> socket --> mapper's process --> socket --> thread here --> recorder, publisher, tiles
 
@@ -115,9 +115,9 @@ class MapperLink:
         self._finished = threading.Event()
         self._ready = threading.Event()
         self._closed = threading.Event()
-        self._over = threading.Event()  # no one listens any more
+        self._over = threading.Event()  # nothing receives any more
         self.kernels_share = 0.0
-        self.kernels = ""  # how far the compiling of kernels is, in words; "" before the first
+        self.kernels = ""  # how far the compiling of kernels is, as text; "" before the first
         self.restarts = 0
         self.turns = 0  # rises as long as `run` turns, with or without items
 
@@ -138,7 +138,7 @@ class MapperLink:
 
     @property
     def silent_s(self) -> float:
-        """For how long the mapper has sent nothing; it tells its status several times a second."""
+        """For how long the mapper has sent nothing; it sends its status several times a second."""
         return self._silence.seconds
 
     @property
@@ -166,7 +166,7 @@ class MapperLink:
         return self._number + 1
 
     def submit(self, item: Item, answered: Callable[[Answer], None] | None = None) -> None:
-        """Hand over the next item, never waiting; `answered` hears, in the thread of `run`, what came of it.
+        """Hand over the next item, never waiting; `answered` hears, in the thread of `run`, its outcome.
 
         Raises OverflowError where so many items wait that the mapper must be stuck.
         """

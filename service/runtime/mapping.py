@@ -80,7 +80,7 @@ class MapperError(Exception):
 
 
 class MappingLoop:
-    """Owns the mapper and takes items in the order of their numbers; what comes of them goes to `send`.
+    """Owns the mapper and takes items in the order of their numbers; their results go to `send`.
 
     It maps what the recording holds, so a replay of the file gives the same poses. Two things are decided by
     the clock: when a result of the graph's back end is applied, and which scans are too old to be mapped.

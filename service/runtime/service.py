@@ -53,7 +53,7 @@ from service.version import VERSION
 log = logging.getLogger(__name__)
 
 HEALTH_INTERVAL_NS = 1_000_000_000
-WARM_UP_ASK_S = 5.0  # how often systemd hears that kernels are still being compiled
+WARM_UP_ASK_S = 5.0  # how often systemd is notified that kernels are still being compiled
 WARM_UP_MORE_S = 60.0  # and how long it may take from then on
 WARM_UP_TELL_S = 2.0  # how often the log reports that it goes on
 GRAPH_FINISH_S = 20.0  # for the last loops, at the end of a run
@@ -277,7 +277,7 @@ class Service:
             self._workers.fail(name, error)
 
     def _start_mapper(self, cancelled: Callable[[], bool]) -> bool:
-        """Start the mapper's process, which compiles or loads the kernels; systemd hears that it goes on."""
+        """Start the mapper's process, which compiles or loads the kernels; notify systemd of the progress."""
         self._notifier.status("compiling kernels")
         self._notifier.need_more_time(WARM_UP_MORE_S)
         began_s = requested_s = reported_s = time.monotonic()

@@ -246,7 +246,7 @@ class LiveView:
     def _show_path(self, came: _Streams) -> list[Shown]:
         shown = []
         if came.path is not None:
-            self._kept.pop("path", None)  # that someone else had made ready
+            self._kept.pop("path", None)  # that was made elsewhere
             self._path.clear()
             for x_m, y_m in came.path.tolist():
                 self._path.add(x_m, y_m)
@@ -323,7 +323,7 @@ class LiveView:
         if not goes_on:
             self._rows.clear()  # a replay that has begun again
         self._rows.append(row)
-        self._kept.pop("series", None)  # that someone else had made ready
+        self._kept.pop("series", None)  # that was made elsewhere
         return [Shown("", series_json([row], goes_on))]
 
     def _keep(self, key: str, payload: Payload) -> Shown:

@@ -244,7 +244,7 @@ def encode_standing(grid: Grid | None) -> bytes:
 
 
 def encode_changes(grid: Grid | None) -> bytes:
-    """See service.mapper.map_changes; None: no one watches what changes."""
+    """See service.mapper.map_changes; None: changes are not watched."""
     return _encode_picture(CHANGED, grid)
 
 

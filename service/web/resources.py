@@ -141,7 +141,7 @@ class Resources:
         return self._map_process.ask("look", self._own("map", name, is_changed=False), {})
 
     def keyframe(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
-        """The points of a key frame of the map that was looked at. Raises ResourceError."""
+        """The points of a key frame of the viewed map. Raises ResourceError."""
         return self._map_process.ask("keyframe", self._own("map", name, is_changed=False), request)
 
     def close(self) -> None:

@@ -48,7 +48,7 @@ from service.web.tokens import Attempts, Tokens
 log = logging.getLogger(__name__)
 
 SHOW_PERIOD_S = 0.05
-IDLE_PERIOD_S = 0.25  # no one looks: only the path is kept
+IDLE_PERIOD_S = 0.25  # no browser is connected: only the path is kept
 RETRY_S = 5.0
 SERVED_WITHIN_S = 5.0
 HEARTBEAT_S = 20.0

@@ -110,7 +110,7 @@ def calibrate(
 ) -> Calibration:
     """Calibrate by one recorded drive.
 
-    config_path   the config to be mended; None: the one in the recording, if there is one
+    config_path   the config to be corrected; None: the one in the recording, if there is one
     reference     the laser the others are compared with; None: the one with most scans
     choice        topics and frames; what it leaves open is as in the config, else found
 

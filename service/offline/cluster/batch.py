@@ -16,7 +16,7 @@ from service.offline.replay.run import MAPPING
 log = logging.getLogger(__name__)
 
 TABLE_FILE = "sessions.parquet"
-Progress = Callable[[float, str, str], None]  # share of the sessions; the phase; in words
+Progress = Callable[[float, str, str], None]  # share of the sessions; the phase; as text
 # Column -> type of Arrow, and where summary.json has it
 COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {
     "corridor": ("string", ("corridor",)),

@@ -1,6 +1,6 @@
 """Where tasks run: one after the other here, in processes of this machine, or on a Dask cluster.
 
-Each yields (index of the task, what came of it) as tasks end. A process that dies costs its own task alone,
+Each yields (index of the task, its outcome) as tasks end. A process that dies costs its own task alone,
 which is tried MAX_TRIES times in all, then reported with the last lines of its log.
 """
 

@@ -23,7 +23,7 @@ def examine(
 ) -> tuple[Report, int]:
     """The report, and the exit code: 0 no fault, 1 a fault, 78 the config is invalid.
 
-    Without a config the machine alone is looked at. The devices are looked at side by side, each for some
+    Without a config only the machine is examined. The devices are examined in parallel, each for some
     seconds; what is written to them is what the live driver writes at its start.
     """
     machine = machine or Machine()

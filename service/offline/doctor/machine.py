@@ -59,7 +59,7 @@ def _user_name() -> str:
 
 @dataclass(frozen=True)
 class Machine:
-    """`root` stands for / in every path looked at: /proc, /sys, /dev, /etc and the config's folders."""
+    """`root` stands for / in every path read: /proc, /sys, /dev, /etc and the config's folders."""
 
     root: Path = Path("/")
     environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))

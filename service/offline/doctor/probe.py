@@ -19,7 +19,7 @@ from drivers.transport import Transport
 READ_TIMEOUT_S = 0.02  # as drivers.link has it
 KEPT_BYTES = 16_384
 STALL_PERIODS = 10  # longer than the pauses of a wire that bunches frames
-TALK_S = 0.3  # how long the answer is read that shows that someone understands us
+TALK_S = 0.3  # how long the answer is read that shows that the device understands
 
 
 @dataclass(slots=True)

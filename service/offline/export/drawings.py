@@ -1,4 +1,4 @@
-"""A map as a drawing: SVG for people and office programs, DXF for CAD."""
+"""A map as a drawing: SVG for print and office programs, DXF for CAD."""
 
 import logging
 import math
@@ -23,7 +23,7 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
     """Walls, the path driven, the map's origin, a scale bar and a north arrow, at 1 : 100, y upwards.
 
     poses      pose_map_base, may be empty
-    reference  None: no one knows where north is, and the arrow shows the map's y axis instead
+    reference  None: north is unknown, and the arrow shows the map's y axis instead
 
     Raises OSError.
     """

@@ -72,7 +72,7 @@ def edit_map(
     """Make one change to the current version; a summary for JSON.
 
     what    name of the change;  now_ns  Unix time
-    seen    number of the version that the person looked at; None: whichever is current
+    seen    number of the version that the person saw; None: whichever is current
 
     Raises InputError where the map cannot be read or the change cannot be made, OvertakenError where `seen`
     is not current any more, StorageError where the folder cannot be written or a session goes on in the map;

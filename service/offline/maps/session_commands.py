@@ -29,7 +29,7 @@ _LOOK, _KEYFRAME = TypeAdapter[Any](Look), TypeAdapter[Any](KeyframeOfSession)
 
 
 class SessionMapCommands:
-    """One request after the other. Keeps what was looked at last."""
+    """One request after the other. Keeps the map viewed last."""
 
     def __init__(self) -> None:
         self._seen: StoredMap | None = None

@@ -70,7 +70,7 @@ class Moment:
 
 
 class Moments(Protocol):
-    """A past that can be looked at, moment by moment."""
+    """A past that can be shown, moment by moment."""
 
     @property
     def first_ns(self) -> int: ...

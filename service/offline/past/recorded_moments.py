@@ -227,7 +227,7 @@ class RecordedMoments:
         return NO_GRAPH if log_ns is None else self._graph_of(log_ns)
 
     def _changes(self, at_ns: int, since_ns: int) -> Grid | None:
-        """None in a recording that tells of none at all; else the page would offer to show them."""
+        """None in a recording without any; else the page would offer to show them."""
         if not self._changes_log_ns:
             return None
         return self._grid(CHANGES, self._changes_log_ns, at_ns, since_ns) or NOTHING_CHANGED

@@ -165,7 +165,7 @@ class ReplayPage:
         assert self._session is not None
         stamp_ns, log_ns = np.array(self._stamps, np.int64).T
         poses = np.array([(p.x_m, p.y_m, p.theta_rad) for p in poses_map_base])
-        is_remade = FROM_RAW in self._session.metadata  # then its file is gone by and by
+        is_remade = FROM_RAW in self._session.metadata  # then its file is gone later
         moments: DrivenMoments | ReplayedMoments = (
             DrivenMoments(stamp_ns, poses)
             if is_remade

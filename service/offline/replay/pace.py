@@ -16,7 +16,7 @@ class Watch(Protocol):
     """Observer of replays, one after another, in the thread that maps."""
 
     def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
-        """A recording begins; where its lasers sit."""
+        """A recording begins; with the mountings of its lasers."""
         ...
 
     def wait_for(self, log_ns: int) -> None:

@@ -49,9 +49,9 @@ from service.version import VERSION
 
 log = logging.getLogger(__name__)
 
-Progress = Callable[[float | None, str], None]  # share of a phase, None where no one knows it; the phase
+Progress = Callable[[float | None, str], None]  # share of a phase, None where it is unknown; the phase
 MAPPING, CLOSING = "mapping", "closing loops"  # phases
-TOO_OLD = "too old to be mapped when live"  # scans with good times, in words for Timing.count_unmapped
+TOO_OLD = "too old to be mapped when live"  # scans with good times, as text for Timing.count_unmapped
 
 
 class ReplayRun:

@@ -202,7 +202,7 @@ def _time_note(content: Content) -> Markup | None:
 
 
 def _reasons(content: Content) -> Markup | None:
-    """Counted by id where states.csv has them; else as the summary tells the most frequent ones."""
+    """Counted by id where states.csv has them; else the most frequent ones of the summary."""
     words = {
         (state, reason.id): reason
         for state, reasons in content.summary.state_reasons.items()

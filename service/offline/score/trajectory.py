@@ -19,7 +19,7 @@ from service.readable import read_text
 
 NS_PER_S = 1_000_000_000
 LARGEST = 1e9  # m; beyond it no double holds a micrometre
-MIN_NORM, MAX_NORM = 0.99, 1.01  # of a quaternion that someone rounded
+MIN_NORM, MAX_NORM = 0.99, 1.01  # of a rounded quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
 """Which of our devices is at a host or a port: queried as by the live driver, until it is identified.
 
-Nothing is sent to a host or a port that no one named, but for the serial ports of this machine. On a serial
+Nothing is sent to a host or a port that was not named, but for the serial ports of this machine. On a serial
 port it first listens, then queries in an order that cannot start a robot: bytes of another protocol are
 commands to it only after the command to begin, which only its own driver sends.
 """

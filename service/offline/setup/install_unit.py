@@ -37,7 +37,7 @@ NEXT_STEPS = (
 class Installed:
     """Result of `install_unit`. kept: existing files with other content."""
 
-    program: str  # that the unit starts, as systemd reads it; "" where a unit that was kept does not tell
+    program: str  # that the unit starts, as systemd reads it; "" where that is not known
     written: list[str]
     unchanged: list[str]
     kept: list[str]
@@ -110,7 +110,7 @@ def _startable(program: str) -> str:
 
 
 def _started_by(unit: Path) -> str:
-    """The program of a unit that stands there; "" where it does not tell."""
+    """The program of an existing unit; "" where it has none."""
     found = EXEC_START.search(unit.read_text(encoding="utf-8"))
     return "" if found is None else found[1].strip('"').replace("%%", "%")
 

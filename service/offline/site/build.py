@@ -43,7 +43,7 @@ def site_build(
     progress: Progress,
     joined: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Add sessions to the site map in `out`, or begin one; what came of it, for JSON.
+    """Add sessions to the site map in `out`, or begin one; its outcome, for JSON.
 
     joined   names of sessions that are added also where the others contradict them
 
@@ -127,7 +127,7 @@ def _take_kept(site: Site, out: Path) -> dict[str, Trajectory]:
 def _replayed(
     given: Sequence[Given], options: ReplayOptions, engine: Engine, progress: Progress
 ) -> dict[str, Outcome]:
-    """Replay what is not mapped, as tasks; what came of each, by name."""
+    """Replay what is not mapped, as tasks; the outcome of each, by name."""
     todo = [one for one in given if one.recording]
     tasks = new_tasks([one.recording for one in todo], options, [one.result for one in todo])
     done = run_batch(tasks, engine, progress) if tasks else []

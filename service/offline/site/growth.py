@@ -43,13 +43,13 @@ from service.offline.site.kept import Seen
 from service.offline.site.sessions import Session
 from service.offline.site.tasks import Find, FindLoops, keep_graph
 
-VIEWS = 6  # of the site so many key frames a spot and direction are looked at
+VIEWS = 6  # of the site so many key frames a spot and direction are used
 KEPT_OF_SPOT = 1
 MAX_PARTNERS, TIMES_COVERED = 4, 1  # sessions that one is tied to, at most; of each of its places
 # By fixes alone a session is known well enough to look for loops: FINISH_WINDOW of the back end at 3 sigma.
 MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
 Pair = tuple[int, int]  # numbers of sessions: members, and behind them those that are new
-Progress = Callable[[float, str, str], None]  # share; the phase; in words
+Progress = Callable[[float, str, str], None]  # share; the phase; as text
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def grow(
     """Add the sessions that fit, in rounds, for one may fit to another one only; `left_out` names the others.
 
     folder   for what tasks read; it is there, and on a cluster on a shared disk
-    known    members that sessions were looked for in before, by name: the first so many
+    known    members that sessions were searched in before, by name: the first so many
     joined   names of those that are of this place, whatever the others give
     """
     waiting, looked = list(sessions), dict(known or {})
@@ -180,7 +180,7 @@ def grow(
 
 @dataclass(slots=True, eq=False)
 class _Round:
-    """One round: what waits is looked for in the members that are new, and tied to all."""
+    """One round: open sessions are searched in the new members, and tied to all."""
 
     site: Site
     waiting: Sequence[Session]
@@ -343,7 +343,7 @@ class _Round:
         return found
 
     def _run(self, tasks: Sequence[AnyTask], phase: str) -> list[dict[str, Any]]:
-        """Their outcomes in their order, whatever the order in which they end. Raises CorridorError."""
+        """Outcomes in the order of the tasks. Raises CorridorError."""
         outcomes: dict[int, dict[str, Any]] = {}
         for k, done in self.engine(tasks):
             if isinstance(done.outcome, CorridorError):
@@ -354,7 +354,7 @@ class _Round:
 
 
 def seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
-    """(N,) key frames from `begin` on that tell what there is: of each spot and direction the newest ones, so
+    """(N,) key frames from `begin` on that show what there is: of each spot and direction the newest ones, so
     that a site of bounded size is looked through in bounded time.
     """
     seen = np.zeros(len(graph), np.bool_)
@@ -370,7 +370,7 @@ def seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
 
 
 def _pairs(paths: Sequence[Floats], first_new: int) -> list[Pair]:
-    """Sessions (of, to) between which loops are looked for: each new one with some before it, with which it
+    """Sessions (of, to) between which loops are searched: each new one with some before it, with which it
     has most places in common, one of them of the site as it was.
 
     paths   (N, 2) m in the map, of each session

@@ -26,7 +26,7 @@ FORMAT = 1
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """digest   of the session's stored map; "" where it could not be mapped
-    known    members of the site that it was looked for in
+    known    members of the site that it was searched in
     """
 
     digest: str

@@ -18,7 +18,7 @@ ENOUGH = 4  # places of a session that agree on where it lies
 
 @dataclass(frozen=True, slots=True)
 class _OfSession:
-    """sites, session   folders that keep_graph wrote: parts of the site, and what is looked for in them"""
+    """sites, session   folders that keep_graph wrote: parts of the site, and what is searched in them"""
 
     name: str
     sites: tuple[Path, ...]

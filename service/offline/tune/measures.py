@@ -31,7 +31,7 @@ LOST_WEIGHT = 10.0  # a drive that is lost throughout counts as so many times wo
 @dataclass(frozen=True, slots=True)
 class Measured:
     """cost     what is minimised: m against a truth; by itself without unit
-    parts    of it, for people, with the unit in the name
+    parts    of it, to be shown, with the unit in the name
     """
 
     cost: float

@@ -25,9 +25,9 @@ from service.offline.tune.measures import Measured, measure
 from service.offline.tune.space import Parameter, section_of
 
 STUDY_FILE = "study.db"
-PRUNE_AFTER = 5  # trials that always come to their end: the first ones tell what is usual
+PRUNE_AFTER = 5  # trials that always come to their end: the first ones show what is usual
 ABOUT, COST_MS, REFUSED = "about", "scan_cpu_ms", "refused"  # attributes of a study, of a trial
-Progress = Callable[[float, str, str], None]  # share of the trials; the phase; in words
+Progress = Callable[[float, str, str], None]  # share of the trials; the phase; as text
 
 
 @dataclass(frozen=True, slots=True)
