@@ -60,11 +60,11 @@ class OldPasses:
         return len(self._gone_ns)
 
     def forget(self, loops: Sequence[Loop]) -> None:
-        """Drop the points of old passes of places with enough newer passes.
+        """Thin out the passes of places: the first one and the newest ones keep their points.
 
-        Only of passes that loops tie to the newer ones: a drifted pass may show another part of the map. The
-        first pass stays, since otherwise each generation of passes would hand its error to the next. Passes
-        between the first and the newest ones are removed.
+        The passes between are removed as well where a loop joins one before them to the newest. Without such
+        a loop they stay in the graph, since they alone join the newest pass to the first. The first one
+        stays, since otherwise each generation of passes would hand its error to the next.
         """
         config, keyframes = self._config, self._keyframes
         if not loops:
@@ -83,20 +83,18 @@ class OldPasses:
                 (np.hypot(away[:, 0], away[:, 1]) <= SAME_SPOT_M)
                 & (np.abs(away[:, 2]) <= SAME_VIEW_RAD)
                 & (path_length_m[:k] < path_length_m[k] - config.apart_m)
-                & keyframes.has_points[:k]
             )
             passes = np.split(near, np.flatnonzero(np.diff(path_length_m[near]) > config.apart_m) + 1)
-            is_tied = False
-            for oldest in passes[: max(len(passes) + 1 - config.keep_passes, 0)]:
-                if is_tied:
-                    self._to_remove.update(oldest.tolist())
+            is_joined = False
+            for number, one in enumerate(passes[: max(len(passes) + 1 - config.keep_passes, 0)]):
+                if is_joined:
+                    self._to_remove.update(one.tolist())
                 else:
-                    apart_m = np.abs(of_m[first:last, None] - path_length_m[oldest])
-                    is_tied = bool((apart_m <= config.place_m).any())
-                    if is_tied:
-                        continue
-                for old in oldest.tolist():
-                    keyframes.forget(old)
+                    apart_m = np.abs(of_m[first:last, None] - path_length_m[one])
+                    is_joined = bool((apart_m <= config.place_m).any())
+                if number > 0:
+                    for old in one[keyframes.has_points[one]].tolist():
+                        keyframes.forget(old)
         self._checked_count = max(until, self._checked_count)
 
     def renumbering(self, needed: Sequence[npt.ArrayLike]) -> Renumbering | None:
