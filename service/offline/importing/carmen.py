@@ -69,6 +69,7 @@ class ImportReport:
     malformed: Counter[str] = field(default_factory=Counter)  # by line type; skipped
     ignored: Counter[str] = field(default_factory=Counter)  # line types without data for a mapper
     out_of_order: int = 0  # lines whose stamp lay before that of the line above; put in order
+    most_back_s: float = 0.0  # ... by so much
     mountings: dict[str, SE2] = field(default_factory=dict)
     duration_s: float = 0.0
 
@@ -80,17 +81,16 @@ class ImportReport:
             f"{self.path}: {scans}, {counted(self.odometry, 'odometry sample')} over {self.duration_s:.1f} s"
         ]
         if self.corrected:
-            lines.append(
-                f"{self.source.name} is a corrected log ({self.corrected}): "
-                "the poses of its scans are a result, not odometry"
-            )
+            name = f"{self.source.name} is a corrected log ({self.corrected})"
+            lines.append(f"{name}: the poses of its scans are a result, not odometry")
         lines.append(f"odometry: {self.odometry_source}")
         if self.malformed:
             lines.append(f"skipped as malformed: {_listed(self.malformed)}")
         if self.ignored:
             lines.append(f"not used: {_listed(self.ignored)}")
         if self.out_of_order:
-            lines.append(f"put in the order of their stamps: {counted(self.out_of_order, 'line')}")
+            back = f"{counted(self.out_of_order, 'line')}, by up to {self.most_back_s:.2f} s"
+            lines.append(f"put in the order of their stamps: {back}")
         return "\n".join(lines)
 
 
@@ -121,7 +121,6 @@ class _Log:
     odometry: list[_Odometry] = field(default_factory=list)
     params: dict[str, str] = field(default_factory=dict)
     kinds: Counter[str] = field(default_factory=Counter)
-    out_of_order: int = 0
     scan_above: _Scan | None = None  # the scan on the line before
 
 
@@ -144,7 +143,7 @@ def import_carmen(log_path: Path, out_path: Path, odometry: OdometryChoice = "au
         report.mountings[sensor] = _mounting(log, sensor, bool(report.corrected))
     frames: list[Frame] = [*samples, *(scan.frame for scan in log.scans)]
     frames.sort(key=lambda frame: frame.stamp_ns)  # at equal stamps odometry comes first
-    report.odometry, report.out_of_order = len(samples), log.out_of_order
+    report.odometry = len(samples)
     report.duration_s = (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9
     about = {
         "source": report.source.name,
@@ -173,7 +172,8 @@ def _read(path: Path, report: ImportReport) -> _Log:
                     report.malformed[fields[0][:20]] += 1
                     continue
                 if stamp_ns:
-                    log.out_of_order += stamp_ns < last_ns
+                    report.out_of_order += stamp_ns < last_ns
+                    report.most_back_s = max(report.most_back_s, (last_ns - stamp_ns) / 1e9)
                     last_ns = stamp_ns
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"cannot read {path}: {words_of(error)}") from error

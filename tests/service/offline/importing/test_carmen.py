@@ -153,6 +153,13 @@ def test_a_laser_that_moves_against_the_robot_gives_a_corrected_log_away(importe
     assert session.mountings["front"] == SE2()
 
 
+def test_lines_out_of_order_are_reported_with_their_lateness(imported):
+    times_s = ("1000.0", "1000.1", "900.0", "900.1")
+    report, _, scans, _ = imported("".join(flaser(time_s, (0.0, 0.0, 0.0)) for time_s in times_s))
+    assert [scan.stamp_ns // 10**8 for scan in scans] == [9000, 9001, 10000, 10001]
+    assert "put in the order of their stamps: 1 line, by up to 100.10 s" in str(report)
+
+
 def test_malformed_lines_are_counted_and_skipped(imported):
     good = flaser("1.0", (0, 0, 0))
     report, _, scans, samples = imported(
