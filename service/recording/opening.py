@@ -65,7 +65,9 @@ def open_recording(paths: Sequence[Path]) -> Readable:
             f"{' and '.join(map(str, paths))}: files of {' and '.join(sorted(kinds))} are not one recording; "
             "give them apart"
         )
-    return Recording(files) if kinds == {MCAP} else Bag(files)
+    recording = Recording(files) if kinds == {MCAP} else Bag(files)
+    recording.losses += [loss for path in paths for loss in _unlisted(path)]
+    return recording
 
 
 def _files(path: Path) -> list[Path]:
@@ -78,6 +80,17 @@ def _files(path: Path) -> list[Path]:
     if missing := [file.name for file in listed if not file.is_file()]:
         raise InputError(f"{path}: {' and '.join(missing)} of its {METADATA} is not there")
     return listed
+
+
+def _unlisted(path: Path) -> list[str]:
+    """Recordings that lie in the folder of a ROS 2 bag and are not read; a listed one may lie there packed
+    and unpacked.
+    """
+    listed = [file.name for file in _listed(path / METADATA)] if path.is_dir() else []
+    read = {file.name for file in _files(path)} | {Path(name).stem for name in listed}
+    left = [found.name for found in sorted(path.iterdir()) if is_recording(found)] if listed else []
+    left = [name for name in left if name not in read and Path(name).stem not in read]
+    return [f"{path}: {METADATA} does not list {' and '.join(left)}; not read"] if left else []
 
 
 def _listed(metadata: Path) -> list[Path]:

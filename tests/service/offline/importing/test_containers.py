@@ -154,6 +154,17 @@ def test_a_file_that_a_ros_2_folder_lacks_is_named(tmp_path: Path):
         open_session([folder])
 
 
+def test_a_file_that_the_metadata_of_a_ros_2_folder_does_not_list_is_reported(tmp_path: Path):
+    folder = write_ros2(tmp_path / "drive", DRIVE)
+    file = only_file(folder)
+    (folder / f"{file.name}.zst").write_bytes(ZSTD.compress(file.read_bytes()))
+    assert open_session([folder]).recording.losses == []
+    shutil.copy(file, folder / f"other{file.suffix}")
+    session = open_session([folder])
+    assert session.losses == [f"{folder}: metadata.yaml does not list other{file.suffix}; not read"]
+    assert session.scan_counts == {"front": SCANS}
+
+
 def test_a_packed_file_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path: Path):
     whole = CONTAINERS["bag.gz"](tmp_path)
     cut = tmp_path / "cut.bag.gz"
