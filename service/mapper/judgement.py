@@ -147,6 +147,14 @@ def too_few(points: Points) -> Reason:
     """Reason if a scan has too few returns to be matched, else NO_REASON."""
     if len(points.xy_base) >= MIN_RETURNS:
         return NO_REASON
+    ranges = points.scan.range_m[np.isfinite(points.scan.range_m)]
+    if len(ranges) >= MIN_RETURNS:
+        return Reason(
+            "few_returns",
+            f"{points.scan.sensor}: {len(points.xy_base)} of {len(ranges)} returns lie within the ranges "
+            f"that are mapped (at least {MIN_RETURNS}), half of them beyond {np.median(ranges):.4g} m; "
+            "are ranges in m?",
+        )
     return Reason(
         "few_returns",
         f"{points.scan.sensor}: {len(points.xy_base)} of {len(points.scan.range_m)} beams returned "

@@ -211,7 +211,8 @@ class ReplayRun:
             raise InputError(
                 f"{self._recording.paths[0]}: nothing to map: {counted(self._returns, 'beam')} came back in "
                 f"{counted(len(self._outputs), 'scan')} of {' and '.join(self._setup.lasers)}; of every "
-                "other beam the range is NaN, inf, 0 or outside of range_min and range_max"
+                "other beam the range is NaN, inf, 0 or outside of range_min and range_max; of the last "
+                f"scan {self._outputs[-1].reason}"
             )
         for topic, devices in self._session.shared_topics.items():
             log.warning("%s has messages of several frame_ids: %s", topic, _in_words(devices))

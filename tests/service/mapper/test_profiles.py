@@ -204,6 +204,20 @@ def test_blank_scans_among_good_ones_are_degraded_and_change_the_path_by_millime
     assert "The pose follows the prediction for 0.02 s, uncertain by 0.0" in reason
 
 
+def test_ranges_in_millimetres_are_named_as_the_cause_of_few_returns() -> None:
+    whole = drive(ROOM, round_the_room, 0.2)
+    frames = [
+        replace(frame, range_m=frame.range_m * np.float32(1000.0), range_max_m=30_000.0)
+        if isinstance(frame, LaserScan)
+        else frame
+        for frame in whole.frames
+    ]
+    reason = outputs_of(mapper_of(), frames)[0].reason
+    assert reason.id == "few_returns"
+    assert re.match(r"front: 0 of \d+ returns lie within the ranges that are mapped", reason)
+    assert re.search(r"half of them beyond \d{4} m; are ranges in m", reason)
+
+
 def test_a_laser_that_stays_blank_is_lost_once_too_long_without_returns() -> None:
     whole = drive(ROOM, round_the_room, 4.0)
     stamps = sorted(whole.truth)
