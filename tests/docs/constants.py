@@ -9,17 +9,12 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "constants.md"
 FOLDERS = ("timing", "estimator", "mapper", "kernels")  # of service: what a scan passes
-SHOWN = (  # of these on the page: limits that decide what a user sees; the others stand in the code only
-    *("mapper/judgement", "mapper/localisation", "mapper/checks/", "mapper/matchers/", "mapper/map_changes"),
-    *("mapper/graph/loops/", "mapper/graph/relocalise/", "mapper/graph/gnss/"),
-    *("mapper/edit_requests", "mapper/mapping_session"),
-)
 INTRODUCTION = """\
 # Constants of the mapper
 
-Limits of the default profile that no setting changes, by which it decides on states, sensors, loops,
-relocalisation, fixes, changes and edits. Settings are in [configuration](configuration.md), constants of
-equations in [the estimator](estimator.md). `.venv/bin/python -m tests.docs.constants` writes this page.
+Numbers of the default profile that no setting changes: limits, noise, sizes. Settings are in
+[configuration](configuration.md), constants of equations (`service/kernels/`) in [the estimator](estimator.md).
+`.venv/bin/python -m tests.docs.constants` writes this page.
 
 | file | constant | value | meaning |
 |---|---|---|---|
@@ -47,7 +42,7 @@ def page() -> str:
     return INTRODUCTION + "".join(
         f"| {file} | {names} | {values} | {meaning} |\n"
         for file, constants in constants_by_file().items()
-        if file.startswith(SHOWN)
+        if not file.startswith("kernels/")
         for names, values, meaning in _rows(constants)
     )
 
