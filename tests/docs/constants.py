@@ -13,7 +13,8 @@ INTRODUCTION = """\
 # Constants of the mapper
 
 Numbers of the default profile that no setting changes: limits, noise, sizes. Settings are in
-[configuration](configuration.md), constants of equations (`service/kernels/`) in [the estimator](estimator.md).
+[configuration](configuration.md), constants of equations (`service/kernels/`) in
+[the estimator](estimator.md).
 `.venv/bin/python -m tests.docs.constants` writes this page.
 
 | file | constant | value | meaning |
