@@ -130,6 +130,15 @@ def test_a_wall_that_the_beams_pass_along_stays() -> None:
     assert place.point_counts(xy) == counts
 
 
+def test_the_far_side_of_a_thin_wall_is_not_looked_through() -> None:
+    place = CandidateSubmap()
+    xy, _ = wall(2.0, 0.2)
+    facing_away = np.tile([1.0, 0.0, 1.0], (len(xy), 1))
+    place.see(xy, facing_away)
+    place.see(*wall(3.0))
+    assert place.point_counts(xy) == len(xy)
+
+
 def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
     place = CandidateSubmap()
     near, far = wall(2.0, 0.2), wall(3.0)

@@ -52,10 +52,10 @@ def facts(room: Room) -> list[tuple[float, float]]:
     return sorted((round(float(x), 2), round(float(y), 2)) for x, y in room.changes().xy_map)
 
 
-@pytest.mark.parametrize(("scans", "expected"), [(4, []), (5, BOX)])
-def test_five_scans_must_contradict_the_map(scans: int, expected: list) -> None:
+@pytest.mark.parametrize(("poses", "scans", "expected"), [(3, 4, []), (3, 5, BOX), (2, 6, []), (1, 6, [])])
+def test_five_scans_from_three_poses_must_contradict_the_map(poses: int, scans: int, expected: list) -> None:
     room = Room()
-    room.see_from(BOX, 3, scans, over_ms=1500.0)
+    room.see_from(BOX, poses, scans, over_ms=1500.0)
     assert facts(room) == expected
 
 

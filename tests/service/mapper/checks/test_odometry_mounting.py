@@ -49,17 +49,19 @@ def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
 
 
 @pytest.mark.parametrize(
-    ("offset", "said"),
+    ("offset", "sample_each", "said"),
     [
-        (SE2(0.0, 0.0, math.radians(-3.0)), r"drives 3\.0 deg to the left"),
-        (SE2(0.0, 0.0, math.radians(4.0)), r"drives 4\.0 deg to the right"),
-        (SE2(-0.3, 0.0, 0.0), r"around a point \+0\.30 m ahead and \+0\.00 m left"),
-        (SE2(0.0, 0.25, 0.0), r"around a point \+0\.00 m ahead and -0\.25 m left"),
+        (SE2(0.0, 0.0, math.radians(-3.0)), 1, r"drives 3\.0 deg to the left"),
+        (SE2(0.0, 0.0, math.radians(4.0)), 1, r"drives 4\.0 deg to the right"),
+        # between the samples odometry goes on
+        (SE2(0.0, 0.0, math.radians(3.0)), 10, r"drives 3\.0 deg to the right of its heading \(sigma 0\.3\)"),
+        (SE2(-0.3, 0.0, 0.0), 1, r"around a point \+0\.30 m ahead and \+0\.00 m left"),
+        (SE2(0.0, 0.25, 0.0), 1, r"around a point \+0\.00 m ahead and -0\.25 m left"),
     ],
 )
-def test_a_wrong_mounting_is_reported_with_its_figures(offset: SE2, said: str):
+def test_a_wrong_mounting_is_reported_with_its_figures(offset: SE2, sample_each: int, said: str):
     check = OdometryMounting()
-    drive(offset, 60.0, check)
+    drive(offset, 60.0, check, sample_each=sample_each)
     assert re.search(said, check.fault), check.fault
     assert "corridor calibrate" in check.fault
 

@@ -117,6 +117,13 @@ def test_after_lost_scans_two_have_to_agree_where_the_prediction_says_little(
     assert matching.match(at(square(), 1.2), here, room, facts).state == state
 
 
+def test_a_search_in_vain_makes_the_next_twice_as_wide(room: Ground) -> None:
+    matching, away, facts = JudgedMatching(JudgementConfig()), predicted(SE2(3.0, 1.5, 1.0)), Reported()
+    for k in range(26):
+        matching.match(at(square(), 1.0 + 0.1 * k), away, room, facts)
+    assert facts.asked == [(2.0, 1.6), (4.0, math.pi), (8.0, math.pi), (8.0, math.pi)]
+
+
 def lost_over(metres: float, room: Ground, scans: list[Points]) -> list[Match]:
     """A vehicle whose wheels say that it drove on, out of the room; it sees `scans`, again and again."""
     matching = JudgedMatching(JudgementConfig())

@@ -100,6 +100,17 @@ def test_walls_in_what_was_free_are_another_place() -> None:
     assert result.motion.pose_odom_base == SE2(0.02, 0.0, 0.0)
 
 
+def test_what_the_scan_says_alone_does_not_depend_on_the_prediction() -> None:
+    chain = mapped(square())
+    loose, tight = (
+        new_matcher().match(square(), predicted(SE2(), sigma), chain).measured for sigma in (0.3, 0.001)
+    )
+    assert loose is not None
+    assert tight is not None
+    np.testing.assert_allclose(loose.information, tight.information, rtol=0.01, atol=5e3)
+    assert tight.covariance[0, 0] < 0.5 * loose.covariance[0, 0]
+
+
 def test_a_prediction_that_is_many_sigmas_off_is_believed_less() -> None:
     chain = mapped(square())
     near, far = (
@@ -147,6 +158,13 @@ def test_back_on_the_map_the_gap_of_the_detached_segment_is_reported() -> None:
     assert chain.detached is None
 
 
+def test_too_far_for_the_motion_since_it_was_lost_a_fit_is_not_believed() -> None:
+    chain, matcher = mapped(square()), new_matcher()
+    lost_at(chain, matcher, square(8.0), predicted(SE2(0.6, 0.0, 0.0), sigma=0.02))
+    result = lost_at(chain, matcher, square(), predicted(SE2(0.6, 0.0, 0.0), sigma=0.02))
+    assert result.state == "lost"
+
+
 def test_the_points_come_back_deskewed_with_the_matched_twist() -> None:
     """Seen while driving at 1 m/s, predicted as standing: the match must notice and straighten the walls."""
     still = square()
@@ -179,6 +197,16 @@ def test_walls_that_look_alike_draw_no_scan_into_the_map(seed: int) -> None:
     near = new_matcher().match(corridor_of(-4.0, 1.5, 260, 0.012, rng), predicted(SE2(), sigma=0.1), chain)
     assert near.state != "lost"
     assert abs(near.motion.pose_odom_base.x_m) < 0.05
+
+
+def test_a_compared_scan_of_new_ground_is_not_drawn_onto_walls_that_look_alike() -> None:
+    """The map knows one end of a corridor, the scan the other: moved along it, all of it lies on the map."""
+    known, seen = (
+        points_of(np.vstack([np.column_stack((x_m, np.full(150, y_m))) for y_m in (1.0, -1.0)]))
+        for x_m in (np.linspace(-4.0, 0.2, 150), np.linspace(0.2, 2.0, 150))
+    )
+    result = new_matcher().compare(seen, predicted(SE2(), sigma=0.1), mapped(known))
+    assert abs(result.motion.pose_odom_base.x_m) < 0.05
 
 
 def nook() -> Points:
