@@ -110,11 +110,13 @@ class OldPasses:
             return None
         is_kept = np.ones(keyframes.count, np.bool_)
         is_kept[list(self._to_remove)] = False
-        self._to_remove.clear()
         borders = np.flatnonzero(np.diff(keyframes.segment))
         is_kept[: max(keyframes.stored, 1)] = True
         for stays in (borders, borders + 1, *needed):
             is_kept[np.asarray(stays, np.int64)] = True
+        if np.count_nonzero(~is_kept) < MIN_REMOVED_AT_ONCE:
+            return None
+        self._to_remove.clear()
         new = Renumbering(is_kept)
         self._remember(is_kept)
         self._reference = new.number[self._reference]

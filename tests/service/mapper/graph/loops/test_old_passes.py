@@ -34,6 +34,7 @@ def test_the_first_and_the_newest_passes_stay_and_those_between_once_a_loop_join
     passes = OldPasses(LoopsConfig(keep_passes=6), keyframes)
     passes.forget(loops)
     assert set((np.flatnonzero(~keyframes.has_points) // LONG).tolist()) == set(without_points)
+    assert passes.renumbering([np.arange(PASSES * LONG)]) is None  # all are needed
     new = passes.renumbering([[LONG + 5]])  # holds a fix
     assert (new is not None) == bool(removed)
     if new is not None:
