@@ -294,6 +294,13 @@ def test_a_result_of_the_graph_is_applied_between_two_frames_and_the_recording_s
     assert mapper.finished
 
 
+def test_the_recording_says_where_the_work_of_the_graph_was_lost():
+    run = Run(FakeMapper(graph=GraphAtWork(lost="the process died"))).put(*FRAMES)
+    run.link.finish()
+    (event,) = [m for m in run.recorded if m.channel == "events"]
+    assert json.loads(decode_event(event.payload)) == {"event": "graph_lost", "reason": "the process died"}
+
+
 class GraphWithEdits(GraphAtWork):
     """Makes every change when it is asked for its result; or ends."""
 
