@@ -57,11 +57,13 @@ def test_tcp_read_returns_nothing_when_nothing_came(tcp):
     assert tcp[0].read(0.001) == b""
 
 
-def test_tcp_does_not_wait_for_more_and_notices_dead_peers(tcp):
-    own = tcp[0]._socket
-    assert own.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-    assert own.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
-    assert own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3_000
+def test_tcp_does_not_wait_for_more_and_notices_dead_peers(listener, monkeypatch):
+    connect, made = socket.create_connection, []
+    monkeypatch.setattr(socket, "create_connection", lambda *a, **k: made.append(connect(*a, **k)) or made[0])
+    with TcpTransport(*listener.getsockname()):
+        assert made[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert made[0].getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+        assert made[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3_000
 
 
 def test_tcp_peer_that_closes_is_a_transport_error(tcp):
