@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceError
 from drivers.hokuyo_utm30lx.advice import ADVICE
-from drivers.hokuyo_utm30lx.models import MODELS, NOT_READ, mismatch, model_of
+from drivers.hokuyo_utm30lx.models import MODELS, model_of
 from drivers.hokuyo_utm30lx.protocol import ReplyDecoder, encode_info, read_info
 from drivers.hokuyo_utm30lx.scans import read_scan, write_scan
 from simulators.hokuyo_setup import Utm30lxSetup
 from tests.drivers.utm30lx import config, talk
 
-PAGE = Path(__file__).parents[2] / "docs/devices/hokuyo_utm30lx.md"
 UST = {"model": "ust", "host": "192.168.0.10"}
 URG = {"model": "urg_04lx_ug01"}
 RECORDED = (Path(__file__).parent / "telegrams/urg_04lx_ug01.scip").read_bytes()
@@ -81,67 +79,3 @@ def test_urg_that_locks_up_at_intensities_is_never_asked_for_them():
     assert b"ME" not in t.sent
     assert t.device.receive_data(b"ME0044072501000\n", t.now_ns) == b""
     assert t.device.receive_data(b"VV\n", t.now_ns) == b""  # until its power is cut
-
-
-@pytest.mark.parametrize(
-    ("product", "model"),
-    [
-        ("SOKUIKI Sensor TOP-URG UTM-30LX", "utm_30lx"),
-        ("UTM-30LX-EW", "utm_30lx"),
-        ("UST-10LX", "ust"),
-        ("UST-20LX", "ust"),
-        ("SOKUIKI Sensor URG-04LX-UG01(Simple-URG)", "urg_04lx_ug01"),
-    ],
-)
-def test_models_are_known_by_their_product_name(product, model):
-    assert model_of(product) == model
-    assert mismatch(product, model) == ""
-    assert ADVICE.settings_of({"product": product}) == {"model": model}
-    for other in MODELS.keys() - {model}:
-        assert mismatch(product, other) == (
-            f"this is a {product}, expected a {MODELS[other].name}; write model: {model}"
-        )
-
-
-@pytest.mark.parametrize(
-    ("setup", "changes", "model"),
-    [
-        (ust(), {"host": "192.168.0.10"}, "ust"),
-        (urg(), {}, "urg_04lx_ug01"),
-        (Utm30lxSetup(), URG, "utm_30lx"),
-    ],
-)
-def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(setup, changes, model):
-    with pytest.raises(DeviceError, match=rf"write model: {model}; is \S+ the right laser\?"):
-        talk(setup, **changes).run(5.0)
-
-
-@pytest.mark.parametrize(
-    "product",
-    [
-        *("SOKUIKI Sensor TOP-URG UTM-X002S", "SOKUIKI Sensor URG-04LX", "UXM-30LX-EW", "UAM-05LP"),
-        *("UBG-04LX-F01", "UHG-08LX", "UGM-50LXP", "YVT-35LX"),
-    ],
-)
-def test_laser_that_is_not_read_is_refused_with_what_it_would_need(product):
-    assert model_of(product) is None
-    t = talk(Utm30lxSetup(product=product))
-    with pytest.raises(DeviceError, match="which is not read: that would need ") as refused:
-        t.run(5.0)
-    assert f"this is a {product}" in str(refused.value)
-    assert any(need in str(refused.value) for need in NOT_READ.values())
-    assert b"MD" not in t.sent
-    assert b"BM" not in t.sent
-
-
-def test_name_of_an_oem_is_taken():
-    t = talk(Utm30lxSetup(product="something of an OEM")).run(3.0)
-    assert t.session.status == "streaming"
-    assert ADVICE.settings_of({"product": "something of an OEM"}) == {}
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_page_states_rate_and_ranges_of_each_model(name):
-    [row] = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `{name}` |")]
-    model = MODELS[name]
-    assert f"| {model.rate_hz:g} | {model.range_min_m:g}, {model.range_max_m:g} |" in row

@@ -10,9 +10,7 @@ from drivers.hokuyo_utm30lx.protocol import (
     Reply,
     ReplyDecoder,
     checksum,
-    decode_number,
     encode_info,
-    encode_number,
     encode_reply,
     read_info,
     read_time,
@@ -66,29 +64,6 @@ def test_block_with_a_wrong_status_sum_is_counted_and_dropped():
     decoder = ReplyDecoder()
     assert decoder.receive_data(b"QT\n00Q\n\n") == []
     assert (decoder.unreadable_blocks, decoder.skipped_bytes) == (1, 7)
-
-
-@pytest.mark.parametrize(
-    ("value", "chars", "text"),
-    [
-        (1234, 2, b"CB"),
-        (5432, 3, b"1Dh"),
-        (16_000_000, 4, b"m2@0"),
-        (4_821_609, 4, b"BI9Y"),
-        (3_292_603, 4, b"<Sfk"),
-        (353, 3, b"05Q"),
-    ],
-)
-def test_numbers_are_six_bits_a_character(value, chars, text):
-    assert encode_number(value, chars) == text
-    assert decode_number(text) == value
-
-
-def test_numbers_that_do_not_fit_and_characters_outside_the_code_are_refused():
-    with pytest.raises(ValueError, match="does not fit"):
-        encode_number(4096, 2)
-    with pytest.raises(ProtocolError, match="six-bit"):
-        decode_number(b"0p")
 
 
 def test_all_habits_of_summing_an_info_line_are_accepted_and_no_other():

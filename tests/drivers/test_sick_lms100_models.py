@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceError
-from drivers.sick_lms100.advice import ADVICE
 from drivers.sick_lms100.driver import Lms100Session
-from drivers.sick_lms100.models import MODELS, mismatch, model_of
+from drivers.sick_lms100.models import MODELS, mismatch
 from drivers.sick_lms100.protocol import Decoder, Dialect, encode
 from drivers.sick_lms100.telegrams import read_scan, write_scan
 from simulators.sick_setup import Lms100Setup
@@ -17,7 +15,6 @@ from tests.drivers.lms100 import config, talk, telegram
 from tests.drivers.virtual_time import SECOND_NS
 
 TELEGRAMS = Path(__file__).parent / "telegrams"
-PAGE = Path(__file__).parents[2] / "docs/devices/sick_lms100.md"
 OTHERS = ("lms5xx", "tim5xx", "tim7xx")
 
 
@@ -119,26 +116,6 @@ def test_lms5xx_chooses_its_echo_by_the_filter(stored, echo, wanted):
     assert t.device.echo_filter == wanted
 
 
-@pytest.mark.parametrize("ident", ["LMS111", "LMS10x_FieldEval", "LMS511_FieldEval", "TiM571", "TiM781S"])
-def test_families_are_known_by_the_device_s_own_name(ident):
-    own = model_of(ident)
-    assert mismatch(ident, own) == ""
-    assert ADVICE.settings_of({"device": ident}) == {"model": own}
-    assert ADVICE.doubt(config(model=own), {"device": ident}) == ""
-    for other in MODELS.keys() - {own}:
-        assert f"expected {MODELS[other].name}" in ADVICE.doubt(config(model=other), {"device": ident})
-        assert mismatch(ident, other) == (
-            f"this is of the family {MODELS[own].name} (it calls itself {ident}), expected "
-            f"{MODELS[other].name}; write model: {own}"
-        )
-
-
-@pytest.mark.parametrize("model", list(MODELS))
-def test_name_of_an_oem_is_taken(model):
-    assert mismatch("something of an OEM", model) == ""
-    assert ADVICE.settings_of({"device": "something of an OEM"}) == {}
-
-
 MRS1104_IDENT = bytes.fromhex(  # SICKAG/sick_scan_xd, 20210722_143600_ros2_mrs1104_sick_scan_xd.pcapng.json
     "0202020200000024735241204465766963654964656e742000084d525331787878780008312e302e302e30520a"
 )
@@ -150,33 +127,8 @@ def test_recorded_name_of_an_mrs1104_is_refused():
     assert "MRS1000" in mismatch("MRS1xxxx", "lms1xx")
 
 
-@pytest.mark.parametrize(
-    ("ident", "family"),
-    [("MRS1xxxx", "MRS1000"), ("LMS1xxxx", "LMS1000"), ("LMS4111R", "LMS4000"), ("TiM240", "TiM2xx")],
-)
-@pytest.mark.parametrize("model", list(MODELS))
-def test_scanner_with_another_telegram_is_refused_by_name_and_left_alone(ident, family, model):
-    t = talk(Lms100Setup(model=model, ident=ident, measuring=False), model=model)
-    with pytest.raises(DeviceError, match=rf"family {family} \(it calls itself {ident}\), which is not read"):
-        t.run(5.0)
-    assert written(t) == []
-    assert t.device.counters["starts"] == 0
-
-
-@pytest.mark.parametrize("model", OTHERS)
-def test_model_that_is_not_configured_is_refused_with_the_setting_to_write(model):
-    with pytest.raises(DeviceError, match=f"expected LMS1xx; write model: {model}; is host"):
-        talk(Lms100Setup(model=model)).run(5.0)
-
-
 def test_scan_with_more_beams_than_the_model_has_is_malformed():
     """As of an MRS1104 that does not answer DeviceIdent: 1101 beams."""
     session = Lms100Session(config(model="tim5xx"))
     session.receive_data(encode(write_scan(telegram(values=(1500,) * 1101), Dialect.ASCII)), SECOND_NS)
     assert session.counters["scans_malformed"] == 1
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_page_states_the_ranges_of_each_model(name):
-    [row] = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `{name}` |")]
-    assert f"| {MODELS[name].range_max_m:g} |" in row

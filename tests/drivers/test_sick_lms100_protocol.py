@@ -19,7 +19,6 @@ from drivers.sick_lms100.protocol import (
     Dialect,
     Telegram,
     encode,
-    reader,
     refusal_text,
     writer,
 )
@@ -30,7 +29,6 @@ from drivers.sick_lms100.telegrams import (
     Event,
     OutputRange,
     ScanConfig,
-    ScanDataConfig,
     ScanTelegram,
     read_scan,
     write_scan,
@@ -169,22 +167,6 @@ def test_numbers_are_hexadecimal_or_decimal_with_a_sign():
 )
 def test_refusals_are_put_into_words(telegram, words):
     assert refusal_text(telegram).startswith(words)
-
-
-@pytest.mark.parametrize("dialect", [ASCII, BINARY])
-@pytest.mark.parametrize(
-    "layout",
-    [
-        ScanConfig(2500, 2500),
-        OutputRange(0, 1_800_000),
-        ScanDataConfig(3, True, True, interval=2),
-        ScanDataConfig(1, False, False, False, 1, True, True, True),
-    ],
-)
-def test_configuration_reads_back_what_was_written(dialect, layout):
-    w = writer(dialect)
-    layout.write(w)
-    assert type(layout).read(reader(Telegram(dialect, "sRA", "x", w.body))) == layout
 
 
 @pytest.mark.parametrize(

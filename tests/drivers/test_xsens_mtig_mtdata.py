@@ -4,8 +4,6 @@ import struct
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError
 from drivers.xsens_mtig.mtdata import (
@@ -59,52 +57,6 @@ def test_configuration_of_a_real_mti_g_announces_the_layouts_length(shared: Path
     assert Layout(mode, settings).data_bytes == length
 
 
-settings_words = st.builds(
-    lambda time, orientation, switches, precision, analog, ned: (
-        time | orientation << 2 | switches << 4 | precision << 8 | analog << 10 | ned << 31
-    ),
-    st.integers(0, 3),
-    st.integers(0, 2),
-    st.integers(0, 7),
-    st.integers(0, 3),
-    st.integers(0, 3),
-    st.integers(0, 1),
-)
-layouts = st.builds(Layout, st.integers(0, 0xFFFF).map(lambda bits: bits & KNOWN_MODE), settings_words)
-
-
-def filled(layout: Layout) -> LegacyData:
-    """A sample with a number of its own in each place."""
-    numbers = iter(range(1, 100))
-    reals = {
-        name: next(numbers) + 0.5 if count == 1 else tuple(next(numbers) - 0.25 for _ in range(count))
-        for name, count in layout.reals()
-    }
-    return LegacyData(
-        raw_inertial=tuple(range(10)) if layout.mode & Mode.RAW_INERTIAL else None,
-        raw_gps=RawGps(1, 2, 3, 4, 5, 6, -7, -8, -9, 10, 11, 12, 13) if layout.mode & Mode.RAW_GPS else None,
-        analog=tuple(range(layout.analog_inputs)) or None,
-        status=7 if layout.mode & Mode.STATUS else None,
-        sample_counter=65_535 if layout.settings & Settings.SAMPLE_COUNTER else None,
-        utc=Utc(1, 2019, 2, 3, 4, 5, 6, 1) if layout.settings & Settings.UTC else None,
-        **reals,
-    )
-
-
-@given(layouts)
-def test_every_layout_comes_back_in_every_format(layout: Layout):
-    codec = LegacyCodec(layout)
-    sample = filled(layout)
-    data = codec.encode(sample)
-    assert len(data) == layout.data_bytes
-    assert codec.decode(data) == sample
-    assert codec.encode(codec.decode(data)) == data
-    for wrong in (data + b"\0", data[:-1]):
-        if len(wrong) != len(data):
-            with pytest.raises(ProtocolError, match=f"makes {len(data)}"):
-                codec.decode(wrong)
-
-
 def test_parts_stand_where_the_manual_puts_them():
     sample = LegacyData(
         raw_inertial=(1,) * 10,
@@ -133,11 +85,3 @@ def test_parts_stand_where_the_manual_puts_them():
 def test_orientation_format_3_does_not_exist():
     with pytest.raises(ProtocolError, match="orientation format 3"):
         LegacyCodec(Layout(Mode.ORIENTATION, 0xC))
-
-
-def test_a_sample_of_another_layout_is_refused():
-    codec = LegacyCodec(Layout(Mode.CALIBRATED, 1))
-    with pytest.raises(ValueError, match="acceleration_mps2 is missing"):
-        codec.encode(LegacyData(sample_counter=1))
-    with pytest.raises(ValueError, match="the layout has 38"):
-        codec.encode(filled(Layout(Mode.CALIBRATED | Mode.STATUS, 1)))
