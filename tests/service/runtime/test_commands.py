@@ -106,6 +106,15 @@ def test_save_map_answers_when_every_scan_before_it_is_on_disk(machine: Machine,
     assert machine.ask("save_map")["version"] == 2
 
 
+def test_a_map_is_saved_with_its_graph_as_it_is_then(machine: Machine, tmp_path: Path):
+    machine.checkpoints_in(tmp_path / "graphs")
+    machine.scan()
+    assert machine.ask("save_map")["ok"]
+    graph = load_map(tmp_path / "map").graph
+    assert graph is not None
+    assert len(graph) == 5
+
+
 def test_a_map_that_cannot_be_saved_is_reported(machine: Machine, tmp_path: Path):
     (tmp_path / "map").write_text("in the way")
     machine.scan()
