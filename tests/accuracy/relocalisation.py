@@ -177,8 +177,8 @@ def in_second_half(name: str, count: int) -> list[Look]:
     frames, mountings = list(session.frames()), session.mountings
     scans = [k for k, frame in enumerate(frames) if isinstance(frame, LaserScan)]
     middle = scans[len(scans) // 2]
-    _, whole = _mapped(frames, mountings)
-    begin, _ = _mapped(frames[:middle], mountings)
+    _, whole = mapped(frames, mountings)
+    begin, _ = mapped(frames[:middle], mountings)
     known = Known(begin, mountings, _true_of(begin, whole))
     starts = [
         k
@@ -202,7 +202,7 @@ def stored(world: World, laser: Laser, seconds: float, seed: int) -> tuple[Known
     """The map of one drive; and the first scan's pose in the world, in whose frame the truth is."""
     made = drive(world, laser, seconds, seed, Wheels())
     mountings = {laser.name: laser.mounting}
-    begin, _ = _mapped(made.frames, mountings)
+    begin, _ = mapped(made.frames, mountings)
     return Known(begin, mountings, _true_of(begin, _seen_from(SE2(), made.truth))), made.world_first
 
 
@@ -288,7 +288,7 @@ def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:
     return math.hypot(away[0], away[1]), abs(math.degrees(away[2]))
 
 
-def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[BeginIn, Mapping[int, Floats]]:
+def mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[BeginIn, Mapping[int, Floats]]:
     """The map of these frames, and where it has each scan in the end."""
     mapper = build_mapper(mapping_config(), mountings)
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]

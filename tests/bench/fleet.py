@@ -47,8 +47,7 @@ Row = tuple[str, float, str]
 def measure() -> list[Row]:
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        recordings = [_record(world, folder) for world in WORLDS_DRIVEN]
-        return _measure(VEHICLES, folder / "site", recordings)
+        return _measure(VEHICLES, folder / "site", [_record(world, folder) for world in WORLDS_DRIVEN])
 
 
 def _record(world: str, folder: Path) -> Path:

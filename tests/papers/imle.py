@@ -19,7 +19,6 @@ from tests.simulated import Drive, Imu, Laser, Run, Wheels, begun_beside, drive,
 
 MATCHERS = {"icp_scan_to_scan": "ICP", "monte_carlo": "Monte Carlo", "icp_then_search": "IMLE"}
 PUBLISHED_M = {"icp_scan_to_scan": (1.2, 4.4), "monte_carlo": (0.77, 0.86), "icp_then_search": (0.02, 0.09)}
-EARLY = 10  # epochs, of 0.28 m each
 FAR_BEAMS = 16  # of a scan in the room hit the wall 14 m ahead; no other wall tells how far it is
 IN_ROOM_M = 0.02  # C25
 
@@ -101,16 +100,12 @@ def accuracy_in_room(seeds: Sequence[int]) -> Section:
         IN_ROOM_M,
         FIRST_SCANS,
     )
-    rides = in_room(seeds)[0]
-    lone = [mapped("icp_then_search", ride, local_map={"insert_distance_m": 1e6}) for ride in rides]
     errors = [r.errors[1:, :2] for r in runs["icp_then_search"]]
     means = [float(np.hypot(*e.mean(axis=0))) for e in errors]
     scatter = [float(np.sqrt(((e - e.mean(axis=0)) ** 2).sum(axis=1).mean())) for e in errors]
     rows = [
         *section.rows,
         Row("C25", "IMLE: mean error over the epochs", means, "m"),
-        Row("C25", f"IMLE: over epochs 1 to {EARLY}", early(runs["icp_then_search"]), "m"),
-        Row("C25", f"IMLE: over epochs 1 to {EARLY}, with the first scan alone in the map", early(lone), "m"),
         Row("C25", "IMLE: RMS about that mean", scatter, "m"),
         Row(
             "C25",
@@ -127,11 +122,6 @@ def worst_is_beyond(runs: int) -> float:
     """Chance that of so many distances, each by the beams of one scan, one is off by more than IN_ROOM_M."""
     sigma_m = MODEL.sigma_m / math.sqrt(FAR_BEAMS)
     return 1.0 - math.erf(IN_ROOM_M / (sigma_m * math.sqrt(2.0))) ** runs
-
-
-def early(runs: Sequence[Run]) -> list[float]:
-    """Length of the mean error over the first epochs, a run each."""
-    return [float(np.hypot(*r.errors[1 : EARLY + 1, :2].mean(axis=0))) for r in runs]
 
 
 def accuracy_in_corridor(seeds: Sequence[int]) -> Section:
