@@ -1,12 +1,7 @@
-"""Makes the pictures of docs/operator.md and docs/results.md, of a simulated office:
-`python -m tests.browser.pictures [NAME]`.
-
-Named are those of the page of a running service: desktop-light, resources ...; left out, all are made.
-"""
+"""Makes the pictures of docs/operator.md and docs/results.md: `python -m tests.browser.pictures`."""
 
 import json
 import math
-import sys
 import tempfile
 import threading
 import time
@@ -322,13 +317,7 @@ def driving(server: WebServer, outputs: list[MapperOutput], seen: list[LaserScan
         yield
 
 
-def is_wanted(name: str) -> bool:
-    return not sys.argv[1:] or name in sys.argv[1:]
-
-
 def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool) -> None:
-    if not is_wanted(name):
-        return
     page.resize(size, is_dark)
     page.choose(area)
     before = page.run("return corridor.view.frames")
@@ -338,8 +327,6 @@ def take(page: Page, name: str, area: str, size: tuple[int, int], is_dark: bool)
 
 def take_live_edit(page: Page) -> None:
     """The map of the running session: an area about to be erased."""
-    if not is_wanted("edit-live"):
-        return
     page.resize(DESKTOP)
     page.choose("edit")
     page.element("fetch-keyframes").click()
@@ -394,8 +381,6 @@ def main() -> None:
             take(page, "phone-map", "map", PHONE, False)
             take(page, "phone-information", "information", PHONE, True)
         server.close()
-        if sys.argv[1:]:
-            return
         with chromium() as fresh:  # the first one has had a phone's scroll bars, which lie on the page
             take_replay(fresh, office.frames, Path(kept) / "recorded")
             take_report(fresh, office.frames, Path(kept) / "reported")

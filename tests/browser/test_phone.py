@@ -3,7 +3,7 @@
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from tests.browser.conftest import DESKTOP, PHONE
+from tests.browser.conftest import DESKTOP, PHONE, WIDE_CARDS
 
 TOOLS = {  # by name: what puts it to work
     "measure": "document.getElementById('measure').click()",
@@ -58,11 +58,13 @@ def test_names_of_areas_stand_apart_and_all_areas_fit_the_width(phone):
     )
     assert len(gaps) == 5
     assert min(gaps) >= 10.0
+    phone.run("document.getElementById('vehicle').textContent = 'veh1_20261122T171908Z_0001_of_the_drive'")
     for size in (DESKTOP, PHONE, (320, 640)):
         phone.resize(size)
         for area in ("information", "control", "edit", "history", "resources"):
             phone.choose(area)
             assert phone.run("return document.documentElement.scrollWidth") == size[0]
+            assert size[0] < PHONE[0] or phone.run(f"return {WIDE_CARDS}.map((c) => c.innerText)") == []
             assert box(phone, "#tab-resources")[2] <= size[0]
 
 

@@ -37,7 +37,7 @@ export class GraphLayer {
   }
 }
 
-/** For how long things stand around the vehicle: the static score, by which moving objects are told from what stays. */
+/** The static score: for how long cells around the vehicle have been occupied, which separates moving from static objects. */
 export class StandingLayer {
   /** cells: by rows, row 0 lowest; -1 nothing stands, else per cent of the time from which on it counts in full. */
   constructor({ cell_m = 1, column = 0, row = 0, width = 0, height = 0, cells = [] } = {}) {
@@ -68,7 +68,7 @@ export class StandingLayer {
   }
 }
 
-/** Cells that are occupied and were free (appeared), and the other way round (gone). */
+/** Cells that are occupied and were free (appeared), or free and were occupied (gone). */
 class ChangedCells {
   cell_m = 0;
 
@@ -121,7 +121,7 @@ export class ChangeLayer extends ChangedCells {
 
 /** What is not as the stored map says in which the vehicle is localised. */
 export class StoredChangeLayer extends ChangedCells {
-  /** isKnown: whether somebody watches. cells: by rows, row 0 lowest; APPEARED, GONE, or -1 as stored. */
+  /** isKnown: whether the vehicle is only localised in a stored map. cells: by rows, row 0 lowest; APPEARED, GONE, or -1 as stored. */
   constructor({ isKnown = false, cell_m = 1, column = 0, row = 0, width = 0, cells = [] } = {}) {
     super();
     const found = { appeared: [], gone: [] };

@@ -49,7 +49,7 @@ export class Legend {
       : [swatched("Just come: counts little", css(fresh), "standing-part"), swatched("Stands for long: counts in full", css(full), "standing-part")];
   }
 
-  /** Offered where somebody watches: a vehicle that is only localised in a stored map. */
+  /** Offered while the vehicle is only localised in a stored map. */
   #stored() {
     const { stored: { isKnown, counts }, colours } = this.view;
     byId("layer-stored").parentElement.hidden = byId("parts-stored").hidden = !isKnown;

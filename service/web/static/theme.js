@@ -1,4 +1,4 @@
-// Light or dark: as the device says, until somebody chooses.
+// Light or dark: as the device says, until a theme is chosen.
 
 import { byId, setText } from "./dom.js";
 
@@ -12,7 +12,7 @@ export const setUpTheme = (changed) => {
     const [sign, words] = CHOICES[chosen()];
     document.documentElement.dataset.theme = chosen() !== "auto" ? chosen() : device.matches ? "dark" : "light";
     setText(button, sign);
-    button.ariaLabel = button.title = `Colours: ${words}`;
+    for (const name of ["aria-label", "title"]) button.setAttribute(name, `Colours: ${words}`);
     changed();
   };
   button.addEventListener("click", () => {
