@@ -167,9 +167,8 @@ def test_two_passes_that_lie_apart_are_joined_by_five_presses(page, session, map
     assert page.run("return corridor.edit.pairs.passes.length") == 0
 
 
-def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, bent, axe):
+def test_a_time_span_is_cut_out_while_the_session_runs(page, session, mapping, bent):
     fetch(page, bent)
-    axe(page, "edit", sizes=[PHONE])
     page.element("cut-from").send_keys("3")
     page.element("cut-to").send_keys("4")
     assert page.text("cut-words") == "In it: 11 key frames."
@@ -188,3 +187,8 @@ def wait_for_change(page, words):
         words,
     )
     assert words in page.text("edit-note")
+
+
+def test_it_fits_a_phone_and_passes_axe(axe, page, session, bent):
+    fetch(page, bent)
+    axe(page, "edit", sizes=[PHONE])

@@ -41,7 +41,7 @@ def places_of(page, name):
     return page.run(f"{places} return [a.{name}, b.{name}]")
 
 
-def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(page, opened, graph, tmp_path, axe):  # noqa: F811
+def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(page, opened, graph, tmp_path):  # noqa: F811
     save_map(tmp_path, tiles_of(graph), 1, graph=graph)
     opened(tmp_path)
     by_residual = sorted(loops_of(graph)[0], key=lambda loop: -loop["off_mm"])
@@ -57,6 +57,11 @@ def test_a_loop_is_shown_with_its_evidence_refused_and_accepted(page, opened, gr
     wait_for_version(page, 3)
     assert len(load_map(tmp_path).graph.by_hand.pair_ends) == 2
     assert "refused by the operator" not in listed(page, REFUSED)
+
+
+def test_axe_finds_nothing_serious_in_the_list_of_loops(axe, page, opened, graph, tmp_path):  # noqa: F811
+    save_map(tmp_path, tiles_of(graph), 1, graph=graph)
+    opened(tmp_path)
     axe(page, sizes=[DESKTOP], schemes=[False])
 
 

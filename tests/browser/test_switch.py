@@ -24,7 +24,7 @@ def options(page):
     return page.run("return [...document.getElementById('profile').options].map((option) => option.value)")
 
 
-def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, dispatcher, monkeypatch, axe):
+def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, dispatcher, monkeypatch):
     refused = "this session is localised in a stored map"
     answers = [
         {"ok": False, "error": TAKEN_UP},
@@ -38,7 +38,6 @@ def test_a_profile_is_chosen_confirmed_and_asked_for_until_it_maps(page, live, d
 
     monkeypatch.setattr(live, "_answer", answer)
     open_control(page)
-    axe(page, "control", sizes=[PHONE], schemes=[False])
     assert options(page) == ["contour_lm", "imle"]  # not the one that maps
     page.put("profile", "imle")
     assert "keeps the map on disk" in page.text("control")
@@ -115,3 +114,8 @@ def test_a_copy_is_loaded_again_where_the_vehicle_was(page, ask_to_load, scene, 
     assert (loaded, verb) == ({"map": "office"}, "set_pose")
     pose = scene.pose(2.0)
     assert posed == pytest.approx({"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad})
+
+
+def test_the_card_fits_a_phone_and_passes_axe(axe, page, live):
+    open_control(page)
+    axe(page, "control", sizes=[PHONE], schemes=[False])
