@@ -31,15 +31,6 @@ def host_and_port(address: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def read_until(socket: sockets.socket, end: bytes) -> bytes:
-    read = b""
-    while end not in read:
-        more = socket.recv(4096)
-        assert more, f"closed after {read!r}"
-        read += more
-    return read
-
-
 def test_the_page_comes_with_strict_headers_and_files_that_a_browser_keeps(serve):
     async def look(client):
         async with client.session.get(client.address) as response:
@@ -238,10 +229,9 @@ def test_a_certificate_makes_it_https(serve, tmp_path):
     assert server.address.startswith("https://")
 
     trust = ssl.create_default_context(cafile=str(certificate))
-    host, port = host_and_port(server.address)
-    with (
-        sockets.create_connection((host, port), TIMEOUT_S) as plain,
-        trust.wrap_socket(plain, server_hostname=host) as socket,
-    ):
-        socket.sendall(HANDSHAKE.format(origin=server.address.rstrip("/"), host=f"{host}:{port}").encode())
-        assert b"hello" in read_until(socket, b'"verbs"')
+
+    async def look(client):
+        async with client.socket(ssl=trust) as socket:
+            assert (await client.next(socket, "hello"))["verbs"]
+
+    talk(server, look)
