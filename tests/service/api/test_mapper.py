@@ -44,12 +44,6 @@ def test_frames_of_a_program_are_mapped_where_the_vehicle_was(replayed):
     assert len(poses) == 50
 
 
-def test_without_config_and_mountings_one_laser_sits_at_the_origin():
-    pose = corridor.Mapper().process(replace(ROOM_SCAN, sensor="laser"))
-    assert pose is not None
-    assert (pose.x_m, pose.y_m) == (0.0, 0.0)
-
-
 def test_a_config_is_a_file_or_what_would_stand_in_one(tmp_path):
     sensor = {"type": "sick_lms100", "mounting": {"x_m": 0.2, "y_m": 0.05, "yaw_deg": 5.7295779513}}
     config = {"sensors": {"front": sensor}, "mapping": {"cell_m": 0.1}}

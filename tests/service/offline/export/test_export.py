@@ -13,7 +13,6 @@ from service.offline.score.trajectory import read_tum
 from service.outputs import NO_REASON, Grid, MapperOutput
 from service.recording.mcap_file import McapFile
 from tests.service.mapstore.tile_makers import tile
-from tests.service.offline.export.conftest import cells
 
 START_NS = 1_700_000_000_000_000_001
 POSES = [SE2(0.1 * k, -0.05 * k, 0.3 * k - 2.0) for k in range(12)]
@@ -90,14 +89,3 @@ def test_what_is_no_source_is_refused(tmp_path, to):
     with pytest.raises(InputError, match=r"neither a stored map .* nor a replay's folder"):
         export(tmp_path / "empty", to, tmp_path / "out" / "a")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_ros_map_is_exported_by_its_yaml(replayed, tmp_path):
-    for name in ("map.pgm", "map.yaml"):
-        (replayed / name).rename(replayed / name.replace("map", "hall"))
-    path = replayed / "hall.yaml"
-    path.write_text(path.read_text().replace("map.pgm", "hall.pgm"))
-    export(path, "pgm", tmp_path / "out.pgm")
-    np.testing.assert_array_equal(read_ros_map(tmp_path / "out.yaml").cells, cells())
-    with pytest.raises(InputError, match="neither a stored map"):
-        export(path, "tum", tmp_path / "out.tum")

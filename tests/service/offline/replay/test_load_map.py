@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from service.encoding import Message, encode_event, encode_frame, encode_tf_static
-from service.errors import InputError
 from service.mapper.profiles import mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
@@ -66,9 +65,3 @@ def test_from_the_event_on_the_poses_are_those_in_the_loaded_map(first, second, 
     assert len(np.unique(done.graph.segment)) == 2
     odom = np.array([(o.pose_odom_base.x_m, o.pose_odom_base.y_m) for o in done.outputs])
     assert np.hypot(*np.diff(odom, axis=0).T).max() < 0.1  # odom never jumps
-
-
-def test_a_map_that_is_not_there_any_more_is_named(first, second, tmp_path):
-    event = {"event": "load_map", "map": str(first[1]), "version": 9}
-    with pytest.raises(InputError, match="no version 9; there are 1"):
-        replay([recorded(tmp_path / "later.mcap", second, event)], ReplayOptions())
