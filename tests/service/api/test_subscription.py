@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import zenoh
 
 import corridor
 from service.api import subscription
@@ -7,6 +8,7 @@ from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from tests.service.mapstore.tile_makers import same, tile
+from tests.service.publishing.conftest import client_config
 from tests.waiting import wait_until
 
 TIMEOUT_S = 20.0
@@ -92,6 +94,14 @@ def test_a_closed_subscription_gives_what_waits_and_ends_the_loop(publisher, sub
     subscribed.close()
     subscribed.close()
     assert [update.stamp_ns for update in subscribed] == [8]
+
+
+def test_a_session_of_the_program_is_used(publisher, store):
+    store.update([tile(0, 0, 1)])
+    session = zenoh.open(client_config(publisher.endpoints[0]))
+    with corridor.subscribe(session, ["tile"], timeout_s=TIMEOUT_S) as updates:
+        assert same(next(updates), tile(0, 0, 1))
+    assert session.is_closed()
 
 
 def test_where_nothing_answers_the_endpoint_is_named(monkeypatch):
