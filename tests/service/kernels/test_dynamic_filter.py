@@ -6,8 +6,11 @@ from service.kernels import tiles
 from service.kernels.static_score import (
     Observations,
     StaticScoreSettings,
+    count_beams_through_walls,
     count_hits,
+    find_dynamic,
     remove_by_ray_cast,
+    static_residuals,
     weigh_static_score,
 )
 from service.kernels.surfels import PARTS, TILE_BITS, TILE_MASK, SurfelGrid, insert_surfels
@@ -147,3 +150,63 @@ def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
     assert set(place.scores(near[0])) == {-SETTINGS.max_free}
     weights = [place.see(*near).max() for _ in range(5)]
     assert weights == [0.0, 0.0, 0.0, 1.0, 1.0]
+
+
+def residuals(place: CandidateSubmap, xy: np.ndarray, normals: np.ndarray, latest: int) -> np.ndarray:
+    residual_m = np.empty(len(xy))
+    static_residuals(xy, normals, POSE, place.grid, place.observations, 0.6, latest, residual_m)
+    return residual_m
+
+
+def moved(place: CandidateSubmap, xy: np.ndarray, latest: int) -> np.ndarray:
+    is_dynamic = np.zeros(len(xy), np.bool_)
+    find_dynamic(xy, POSE, place.grid, place.observations, latest, is_dynamic)
+    return is_dynamic
+
+
+def test_a_wall_is_static_from_the_mark_at_which_it_was_first_seen() -> None:
+    place = CandidateSubmap()
+    xy, normals = wall(2.0)
+    for mark in range(5, 15):
+        place.see(xy, normals, mark=mark)
+    assert np.isnan(residuals(place, xy, normals, 4)).all()
+    near = xy - np.array([0.03, 0.0])
+    np.testing.assert_allclose(residuals(place, near, normals, 5), 0.03, atol=0.005)
+
+
+def test_points_in_known_free_space_have_moved_and_new_ground_has_not() -> None:
+    place = CandidateSubmap()
+    near, far = wall(2.0, 0.2), wall(3.0)
+    place.see(*near)  # with a tile: free space is known where something is near
+    for _ in range(12):
+        place.see(*far)
+    beyond, _ = wall(3.5, 0.2)
+    assert moved(place, near[0], 1).all()
+    assert not moved(place, far[0], 1).any()
+    assert not moved(place, beyond, 1).any()
+
+
+def test_an_object_in_free_space_is_dynamic_until_it_stayed_over_enough_of_the_path() -> None:
+    place = CandidateSubmap()
+    near, far = wall(2.0, 0.2), wall(3.0)
+    place.see(*near)
+    for _ in range(12):
+        place.see(*far)
+    for _ in range(8):
+        place.see(*near, mark=30)
+    assert place.scores(near[0]).min() > 0
+    assert moved(place, near[0], 29).all()
+    assert not moved(place, near[0], 30).any()
+
+
+def test_beams_that_end_behind_a_static_wall_pass_through_it() -> None:
+    place = CandidateSubmap()
+    near, far = wall(2.0), wall(3.0, 0.3)
+    for _ in range(10):
+        place.see(*near, mark=7)
+    through = [
+        count_beams_through_walls(xy, SENSOR, POSE, place.grid, place.observations, latest, SETTINGS.behind_m)
+        for xy, latest in ((far[0], 7), (far[0], 6), (near[0], 7))
+    ]
+    assert through[0] >= 0.9 * len(far[0])
+    assert through[1:] == [0, 0]
