@@ -213,3 +213,50 @@ def test_the_side_of_a_door_is_a_plane_for_a_laser_of_one_degree() -> None:
     assert planar >= 0.5 * 20 * is_side.sum()
     assert moved == planar
     assert np.mean(np.abs(off_rad) < 0.5) > 0.8
+
+
+def test_few_far_points_make_no_plane_beside_an_edge() -> None:
+    """Of a stair of walls that are each hit once, any three points may lie in line."""
+    angles = np.arange(-0.5, 0.5, math.radians(2.0))
+    range_m = 4.0 + 0.5 * (np.arange(len(angles)) % 2) * np.linspace(0.2, 1.0, len(angles))
+    xy = np.column_stack([range_m * np.cos(angles), range_m * np.sin(angles)])
+    normals, _ = walls_at(xy, step_rad=math.radians(2.0))
+    assert (normals[:, 2] <= ROUGH_WEIGHT).all()
+
+
+def test_a_wall_that_ends_far_ahead_is_not_joined_to_the_next() -> None:
+    """Where it lies 18 cm deeper, its last points and the first of the other wall come in steps alike."""
+    xy = along_a_corridor(0.18, end_m=10.3)
+    normals = normals_of(xy)
+    is_deep = xy[:, 1] > 1.1
+    assert is_deep.sum() >= 4
+    assert (normals[is_deep, 2] > 1.0).all()
+    np.testing.assert_allclose(normals[is_deep, :2], [[0.0, -1.0]] * is_deep.sum(), atol=0.01)
+
+
+def test_noise_is_seen_where_only_every_second_beam_or_every_fourth_comes_back() -> None:
+    xy = noisy_wall(3.0, 0.04)
+    dense = range_noise(xy, np.arange(len(xy), dtype=np.int32), np.zeros(2))
+    for gap in (2, 3, 4):
+        assert range_noise(xy, np.arange(0, gap * len(xy), gap, dtype=np.int32), np.zeros(2)) == dense
+
+
+def test_noise_parts_no_wall_that_is_seen_aslant() -> None:
+    """A LUX errs by 4 cm, so by 12 cm between two beams at times; a split wall has less certain normals."""
+    angles = np.radians(np.arange(-55.0, 55.0, 0.5))
+    noise = np.random.default_rng(5)
+    planar = []
+    for _ in range(20):
+        range_m = 1.1 / np.cos(angles) + noise.normal(0.0, 0.04, len(angles))
+        xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        planar.append((normals_of(xy, sigma_m=0.04)[:, 2] >= 1.0).mean())
+    assert np.mean(planar) > 0.95  # 0.85 where 6 cm are a gap
+
+
+def test_grazed_points_with_lost_beams_between_are_of_no_known_wall() -> None:
+    xy = along_a_corridor(0.0)
+    every_second = np.delete(xy, np.flatnonzero(xy[:, 0] > 3.0)[1::2], axis=0)
+    step_m = np.hypot(*np.diff(every_second, axis=0).T)
+    is_far = (every_second[:-1, 0] > 4.5) & (step_m < 0.9)
+    assert is_far.sum() >= 4
+    assert (normals_of(every_second)[:-1][is_far, 2] == ROUGH_WEIGHT).all()

@@ -53,3 +53,16 @@ def test_a_heading_that_jumps_once_shows_no_offset(turned_at: int):
         turns.add_sample(k * 20 * MS, heading_rad(k * 20 * MS))
     found = [turns.add_scan(2 * S + k * 100 * MS, float(k > turned_at)) for k in range(FIRST_JUDGED)]
     assert set(found) == {None}
+
+
+def test_scans_that_lie_nowhere_are_left_out():
+    turns = TurnLag()
+    for k in range(1000):
+        turns.add_sample(k * 20 * MS + 300 * MS, heading_rad(k * 20 * MS))
+    found = [
+        turns.add_scan(at_ns, math.nan if k % 10 == 0 else heading_rad(at_ns))
+        for k in range(2 * FIRST_JUDGED)
+        for at_ns in [2 * S + k * 100 * MS]
+    ]
+    (lag,) = [one for one in found if one is not None and one.scans > 50]
+    assert lag.lag_s == pytest.approx(0.3, abs=3e-3)

@@ -151,3 +151,13 @@ def test_fixes_inconsistent_with_the_path_give_no_reference(drive: Outing, bare:
     assert result.geo is None
     assert result.fixes["fixes_contradicting"] > 50
     assert result.all == bare.all
+
+
+def test_the_reference_comes_once_the_direction_is_known_and_stays(results: list[Result]):
+    known = [result.geo is not None for result in results]
+    first = known.index(True)
+    assert all(known[first:])
+    assert 60.0 < 6.0 * first < 250.0  # m: 20 key frames a batch
+    assert not any(r.newest for r in results[:first])
+    assert results[first].newest
+    assert {r.geo.origin for r in results[first:] if r.geo} == {results[first].geo.origin}
