@@ -1,5 +1,6 @@
 """Real recordings as frames, and frames as a recording."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from tests.simulated import drive as simulated_drive
 DAY_S = 86_400.0  # no drive lasts so long: one file each
 
 
-def frames_of(path: Path, scans: int) -> list[Frame]:
+def frames_of(path: Path, scans: float = math.inf) -> list[Frame]:
     """Of a recording with one laser, `scan`: so many of its scans, and odometry."""
     frames, left = [], scans
     for frame in open_session([path]).frames():

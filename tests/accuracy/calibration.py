@@ -1,21 +1,24 @@
-"""Vehicles whose configs are wrong in everything that `corridor calibrate` estimates."""
+"""Twenty vehicles whose configs are wrong in everything that `corridor calibrate` estimates.
+
+Run by `python -m tests.accuracy.calibration [SEEDS]`; prints the table of docs/calibration.md.
+"""
 
 import math
+import sys
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.offline.calibrate.calibrate import Calibration, calibrate
+from service.offline.calibrate.calibrate import Calibration, SensorCalibration, calibrate
 from service.offline.importing.session_file import write_session
 from simulators.truth import LMS100, Ride
-from tests.papers.report import Row, Section
 from tests.service.offline.calibrate.drives import Vehicle, frames_of, one_laser, to_both_sides
 from tests.simulated import Imu, Wheels
 
+SEEDS = 20
 AIMS = {
     "yaw deg": 0.1,
     "x mm": 10.0,
@@ -79,7 +82,7 @@ def trial(seed: int, folder: Path) -> Trial:
 
 
 def _judge(done: Calibration, true: SE2, scale: float, turn_scale: float, wrong: dict[str, float]) -> Trial:
-    found = {(one.sensor, value.name): value for one in done.sensors for value in one.values}
+    by_name = {one.sensor: one for one in done.sensors}
     truth = {
         "x mm": ("front", "x", true.x_m, 1e3),
         "y mm": ("front", "y", true.y_m, 1e3),
@@ -91,34 +94,43 @@ def _judge(done: Calibration, true: SE2, scale: float, turn_scale: float, wrong:
     }
     off, sigmas = {}, {}
     for what, (sensor, name, value, factor) in truth.items():
-        off[what] = factor * (found[sensor, name].value - value)
-        sigmas[what] = factor * found[sensor, name].sigma
+        found = _value(by_name[sensor], name)
+        off[what] = factor * (found[0] - value)
+        sigmas[what] = factor * found[1]
     off["yaw deg"] = math.remainder(off["yaw deg"], 360.0)
     return Trial(wrong, off, sigmas)
 
 
-def calibration(seeds: Sequence[int]) -> Section:
-    with tempfile.TemporaryDirectory() as folder:
-        trials = [trial(seed, Path(folder)) for seed in seeds]
-    rows = []
+def _value(one: SensorCalibration, name: str) -> tuple[float, float]:
+    return next((value.value, value.sigma) for value in one.values if value.name == name)
+
+
+def table(trials: list[Trial]) -> str:
+    lines = ["| value | config off by | median error | worst error | reported sigma | bound | within it |"]
+    lines.append("|---|---|---|---|---|---|---|")
     for what, aim in AIMS.items():
         name, unit = what.rsplit(" ", 1)
-        off = [abs(one.off[what]) for one in trials]
-        rows += [
-            Row("", f"{name}: error", off, unit, at_most=aim),
-            Row("", f"{name}: reported sigma", [one.sigmas[what] for one in trials], unit),
-            Row(
-                "",
-                f"{name}: within {aim:g} {unit}",
-                [float(np.sum(np.array(off) <= aim))],
-                "vehicles",
-                digits=0,
-            ),
-            Row("", f"{name}: config off by", [abs(one.wrong[what]) for one in trials], unit, digits=1),
-        ]
-    return Section(
-        "Vehicles whose configs are wrong",
-        "A laser mounted anywhere, wheels, an IMU and their stamps, each wrong in the config; one drive that "
-        "turns to both sides, calibrated by `corridor calibrate`.",
-        rows,
-    )
+        off = np.abs([one.off[what] for one in trials])
+        wrong = np.abs([one.wrong[what] for one in trials]).max()
+        sigma = np.median([one.sigmas[what] for one in trials])
+        within = int((off <= aim).sum())
+        lines.append(
+            f"| {name} | up to {wrong:.1f} {unit} | {np.median(off):.3f} {unit} | {off.max():.3f} {unit} | "
+            f"{sigma:.3f} {unit} | {aim:g} {unit} | {within} of {len(trials)} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS
+    trials = []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(1, seeds + 1):
+            trials.append(trial(seed, Path(folder)))
+            shown = ", ".join(f"{what} {off:+.3f}" for what, off in trials[-1].off.items())
+            print(f"seed {seed}: {shown}", file=sys.stderr, flush=True)
+    print(table(trials))
+
+
+if __name__ == "__main__":
+    main()

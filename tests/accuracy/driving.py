@@ -4,6 +4,7 @@ import gc
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +55,11 @@ class Trip:
             gc.collect()
 
 
+def default_with(**settings: dict[str, Any]) -> MappingConfig:
+    """The default profile with other values of some keys, by box."""
+    return mapping_config({"settings": settings})
+
+
 def poses_of(poses: Sequence[SE2]) -> npt.NDArray[np.float64]:
     return np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
 
@@ -97,7 +103,7 @@ class Errors:
     end_mm: list[float] = field(default_factory=list)
     end_deg: list[float] = field(default_factory=list)
     lost_percent: list[float] = field(default_factory=list)
-    wrong: list[float] = field(default_factory=list)  # see ok_and_wrong
+    scan_ms: list[float] = field(default_factory=list)  # p50
 
     def add(self, made: Drive, done: Run) -> None:
         end_m, end_rad = done.end_error
@@ -109,31 +115,7 @@ class Errors:
         self.end_mm.append(1e3 * end_m)
         self.end_deg.append(math.degrees(end_rad))
         self.lost_percent.append(100.0 * lost_share(done))
-        self.wrong.append(ok_and_wrong(done))
-
-    def rows(self, case: str, *figures: str, at_most: float | None = None) -> list[Row]:
-        """A row for each of these figures, keys of FIGURES. at_most: bound of the first one."""
-        prefix = f"{case}: " if case else ""
-        made = []
-        for figure in figures:
-            what, unit, digits = FIGURES[figure]
-            made.append(Row("", prefix + what, getattr(self, figure), unit, at_most=at_most, digits=digits))
-            at_most = None
-        return made
-
-    def wrong_row(self, case: str) -> Row:
-        return ok_and_wrong_row(case, self.wrong)
-
-
-FIGURES = {  # of Errors: name, unit, digits
-    "finished_mm": ("ATE after the finish", "mm", 1),
-    "ate_mm": ("ATE live", "mm", 1),
-    "as_is_mm": ("live, as is", "mm", 1),
-    "heading_deg": ("heading, RMS", "deg", 3),
-    "end_mm": ("at the end", "mm", 1),
-    "end_deg": ("heading at the end", "deg", 3),
-    "lost_percent": ("scans lost", "%", 1),
-}
+        self.scan_ms.append(float(np.median(done.scan_ms)))
 
 
 def errors_of(trip: Trip, seeds: Sequence[int], config: MappingConfig | None = None) -> Errors:

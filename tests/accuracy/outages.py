@@ -1,17 +1,15 @@
 """What fails on a vehicle at night: silent sensors, a hung laser, a lift and carry, stamps that cannot be."""
 
 import gc
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from drivers.frames import LaserScan
+from drivers.frames import Frame, LaserScan
 from service.mapper.profiles import mapping_config
-from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.scene_judge import NORMED, SIGMAS, WRONG_M, normed
 from tests.accuracy.trials import ghost_cells
@@ -20,7 +18,6 @@ from tests.papers.pictures import end_points
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Run, Wheels, begun_at, drives, heading_rad, run_session
 
-PLACES = ("office", "library")
 MOMENTS = 12  # a world, spread over the lap
 OUTAGE_NS = 5_000_000_000
 ALONE_NS = (1_000_000_000, 2_000_000_000, OUTAGE_NS)  # for which a laser that is alone is silent
@@ -31,7 +28,7 @@ KNOWN_SHARE, KNOWN_M = 0.5, 0.1
 EACH = 10  # scan of those before
 OTHER_NOISE = 100  # added to a seed: the same drive once more
 ONTO_NEW = "lifted, carried on for 5 s with everything off"
-Fault = Callable[[Drive, int, int], Drive]  # from a moment on for so long, ns
+Fault = Callable[[Drive, int], Drive]
 
 
 @dataclass
@@ -110,12 +107,25 @@ def _first_s(stamp_ns: npt.NDArray[np.int64], after_ns: int) -> float:
 
 def outages(seeds: Sequence[int]) -> Section:
     rows = []
-    for name in PLACES:
+    for name in ("office", "library"):
         world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
-        of_both = [seeds[0], seeds[0] + OTHER_NOISE]
-        made, again = drives(world, LMS100_50HZ, world.drive.duration_s, of_both, Wheels())
-        faults = {what: (fault, OUTAGE_NS) for what, fault in _faults(again, seeds[0]).items()}
-        rows += _rows_of(name, world, made, faults, is_alone=False)
+        seconds = world.drive.duration_s
+        made, again = drives(world, LMS100_50HZ, seconds, [seeds[0], seeds[0] + OTHER_NOISE], Wheels())
+        faults = _faults(again, seeds[0])
+        outcomes = {what: Outcome() for what in faults}
+        for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
+            at_ns = round((0.1 + 0.7 * share) * seconds * 1e9)
+            until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
+            clean = ghost_cells(world, until, run_session(mapping_config(), until))
+            for what, fault in faults.items():
+                faulty = fault(until, at_ns)
+                done = run_session(mapping_config(), faulty)
+                after_ns = at_ns + (0 if what.startswith("one stamp") else OUTAGE_NS)
+                ghosts = ghost_cells(world, faulty, done) - clean
+                outcomes[what].add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
+                gc.collect()
+        for what, outcome in outcomes.items():
+            rows += outcome.rows(f"{name}, {what}", has_to_be_found=what != ONTO_NEW)
     return Section(
         "Outages",
         f"Each fault at {MOMENTS} moments of a lap; median and worst are over the moments. Each run ends "
@@ -132,11 +142,22 @@ def outages(seeds: Sequence[int]) -> Section:
 
 def outages_alone(seeds: Sequence[int]) -> Section:
     rows = []
-    for name in PLACES:
+    for name in ("office", "library"):
         world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
         (made,) = drives(world, LMS100_50HZ, world.drive.duration_s, [seeds[0]], None)
-        faults = {f"silent for {for_ns * 1e-9:.0f} s": (laser_silent, for_ns) for for_ns in ALONE_NS}
-        rows += _rows_of(name, world, made, faults, is_alone=True)
+        outcomes = {outage_ns: Outcome() for outage_ns in ALONE_NS}
+        for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
+            at_ns = round((0.1 + 0.7 * share) * world.drive.duration_s * 1e9)
+            until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
+            clean = ghost_cells(world, until, run_session(mapping_config(), until))
+            for outage_ns, outcome in outcomes.items():
+                faulty = laser_silent(until, at_ns, outage_ns)
+                done = run_session(mapping_config(), faulty)
+                after_ns, ghosts = at_ns + outage_ns, ghost_cells(world, faulty, done) - clean
+                outcome.add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
+                gc.collect()
+        for outage_ns, outcome in outcomes.items():
+            rows += outcome.rows(f"{name}, silent for {outage_ns * 1e-9:.0f} s", has_to_be_found=False)
     return Section(
         "Outages of a laser alone",
         f"As above, without odometry and IMU: nobody measures the way while the laser is silent. {MOMENTS} "
@@ -147,45 +168,22 @@ def outages_alone(seeds: Sequence[int]) -> Section:
     )
 
 
-def _rows_of(
-    name: str, world: World, made: Drive, faults: Mapping[str, tuple[Fault, int]], is_alone: bool
-) -> list[Row]:
-    """faults: by what happens, each with how long it lasts, ns."""
-    outcomes = {what: Outcome() for what in faults}
-    for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
-        at_ns = round((0.1 + 0.7 * share) * world.drive.duration_s * 1e9)
-        until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
-        clean = ghost_cells(world, until, run_session(mapping_config(), until))
-        for what, (fault, for_ns) in faults.items():
-            faulty = fault(until, at_ns, for_ns)
-            after_ns = at_ns + (0 if what.startswith("one stamp") else for_ns)
-            done = run_session(mapping_config(), faulty)
-            ghosts = ghost_cells(world, faulty, done) - clean
-            outcomes[what].add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
-            gc.collect()
-    return [
-        row
-        for what, outcome in outcomes.items()
-        for row in outcome.rows(f"{name}, {what}", has_to_be_found=not is_alone and what != ONTO_NEW)
-    ]
-
-
 def _faults(again: Drive, seed: int) -> dict[str, Fault]:
     """again: the same drive with other noise."""
     places = np.random.default_rng(seed)
 
-    def back(made: Drive, at_ns: int, for_ns: int) -> Drive:
+    def back(made: Drive, at_ns: int) -> Drive:
         to_ns = round(places.uniform(0.1, 0.7) * at_ns)
-        return carried_back(made, again, at_ns, for_ns, to_ns, AFTER_NS)
+        return carried_back(made, again, at_ns, OUTAGE_NS, to_ns, AFTER_NS)
 
     return {
-        "laser and odometry silent for 5 s, driven on": silent,
-        "laser silent for 5 s": laser_silent,
+        "laser and odometry silent for 5 s, driven on": lambda made, at_ns: silent(made, at_ns, OUTAGE_NS),
+        "laser silent for 5 s": lambda made, at_ns: laser_silent(made, at_ns, OUTAGE_NS),
         "one scan repeated for 5 s": _hung,
         "lifted, carried back within 5 s with everything off": back,
-        ONTO_NEW: carried_on,
-        "one stamp 5 s ahead": partial(_ahead, OUTAGE_NS),
-        "one stamp 1000 s ahead": partial(_ahead, 1_000_000_000_000),
+        ONTO_NEW: lambda made, at_ns: carried_on(made, at_ns, OUTAGE_NS),
+        "one stamp 5 s ahead": lambda made, at_ns: _ahead(made, at_ns, OUTAGE_NS),
+        "one stamp 1000 s ahead": lambda made, at_ns: _ahead(made, at_ns, 1_000_000_000_000),
     }
 
 
@@ -197,14 +195,23 @@ def _until(made: Drive, end_ns: int) -> Drive:
     )
 
 
-def _hung(made: Drive, at_ns: int, for_ns: int) -> Drive:
+def _within(frame: Frame, at_ns: int) -> bool:
+    return at_ns <= frame.arrived_ns < at_ns + OUTAGE_NS
+
+
+def _hung(made: Drive, at_ns: int) -> Drive:
     """The laser goes on sending the ranges of one scan under new stamps."""
-    during = [f for f in made.frames if isinstance(f, LaserScan) and at_ns <= f.arrived_ns < at_ns + for_ns]
-    hung = {id(scan): replace(scan, range_m=during[0].range_m) for scan in during}
-    return replace(made, frames=[hung.get(id(frame), frame) for frame in made.frames])
+    held = next(f for f in made.frames if isinstance(f, LaserScan) and f.arrived_ns >= at_ns)
+    return replace(
+        made,
+        frames=[
+            replace(f, range_m=held.range_m) if isinstance(f, LaserScan) and _within(f, at_ns) else f
+            for f in made.frames
+        ],
+    )
 
 
-def _ahead(by_ns: int, made: Drive, at_ns: int, _: int) -> Drive:
+def _ahead(made: Drive, at_ns: int, by_ns: int) -> Drive:
     frames = list(made.frames)
     k = next(k for k, f in enumerate(frames) if isinstance(f, LaserScan) and f.arrived_ns >= at_ns)
     stamp_ns = frames[k].stamp_ns + by_ns

@@ -5,7 +5,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -71,7 +70,9 @@ class Look:
     is_right: bool  # at its end
     is_wrong: bool  # said to be found, and is not there, at its end
     was_wrong_ok: bool  # at any moment
-    is_alike: bool  # lost between two places that fit about as well; a reported one is the true one
+    is_alike: (
+        bool  # lost between two places that fit about as well, and one of those reported is the true one
+    )
     is_likelier_elsewhere: bool  # lost, and not alike
     found_s: float  # from the first scan on; nan: not
     cpu_s: float  # of the scan that took longest
@@ -94,22 +95,37 @@ class Looks:
         elsewhere = sum(look.is_likelier_elsewhere for look in lost)
         wrong_ok = sum(look.was_wrong_ok for look in self.all)
 
-        row = partial(Row, case)
-        placed = 100.0 * (len(right) + alike) / count
-        wrong = sum(look.is_wrong for look in self.all)
-        off_mm, found_s = [look.off_mm for look in right], [look.found_s for look in right]
+        def one(what: str, value: float, unit: str, **bounds: float) -> Row:
+            return Row(case, f"{how}: {what}", [value], unit, digits=0, **bounds)  # type: ignore[arg-type]
+
         return [
-            row(f"{how}: right, of {count}", [100.0 * len(right) / count], "%", digits=0),
-            row(f"{how}: right, or alike", [placed], "%", at_least=at_least, digits=0, cause=cause),
-            row(f"{how}: lost", [len(lost)], "places", digits=0),
-            row(f"{how}: lost, alike", [alike], "places", digits=0),
-            row(f"{how}: lost, and likelier elsewhere", [elsewhere], "places", digits=0),
-            row(f"{how}: wrong", [wrong], "places", at_most=0.0, digits=0),
-            row(f"{how}: `ok` and wrong", [wrong_ok], "places", at_most=0.0, digits=0),
-            row(f"{how}: off where right", off_mm or [math.nan], "mm", digits=1),
-            row(f"{how}: found after", found_s or [math.nan], "s", digits=2),
-            row(
-                f"{how}: longest search", [look.cpu_s for look in self.all], "s", 1.0, by_worst=True, digits=2
+            one(f"right, of {count}", 100.0 * len(right) / count, "%"),
+            Row(
+                case,
+                f"{how}: right, or lost between two that are alike",
+                [100.0 * (len(right) + alike) / count],
+                "%",
+                at_least=at_least,
+                digits=0,
+                cause=cause,
+            ),
+            one("lost", float(len(lost)), "places"),
+            one("lost between two that are alike, the true one told", float(alike), "places"),
+            one("lost, and likelier elsewhere", float(elsewhere), "places"),
+            one("wrong", float(sum(look.is_wrong for look in self.all)), "places", at_most=0.0),
+            one("`ok` and wrong", float(wrong_ok), "places", at_most=0.0),
+            Row(
+                case, f"{how}: off where right", [look.off_mm for look in right] or [math.nan], "mm", digits=1
+            ),
+            Row(case, f"{how}: found after", [look.found_s for look in right] or [math.nan], "s", digits=2),
+            Row(
+                case,
+                f"{how}: longest search, processor",
+                [look.cpu_s for look in self.all],
+                "s",
+                at_most=1.0,
+                by_worst=True,
+                digits=2,
             ),
         ]
 
@@ -177,8 +193,8 @@ def in_second_half(name: str, count: int) -> list[Look]:
     frames, mountings = list(session.frames()), session.mountings
     scans = [k for k, frame in enumerate(frames) if isinstance(frame, LaserScan)]
     middle = scans[len(scans) // 2]
-    _, whole = mapped(frames, mountings)
-    begin, _ = mapped(frames[:middle], mountings)
+    _, whole = _mapped(frames, mountings)
+    begin, _ = _mapped(frames[:middle], mountings)
     known = Known(begin, mountings, _true_of(begin, whole))
     starts = [
         k
@@ -202,7 +218,7 @@ def stored(world: World, laser: Laser, seconds: float, seed: int) -> tuple[Known
     """The map of one drive; and the first scan's pose in the world, in whose frame the truth is."""
     made = drive(world, laser, seconds, seed, Wheels())
     mountings = {laser.name: laser.mounting}
-    begin, _ = mapped(made.frames, mountings)
+    begin, _ = _mapped(made.frames, mountings)
     return Known(begin, mountings, _true_of(begin, _seen_from(SE2(), made.truth))), made.world_first
 
 
@@ -288,7 +304,7 @@ def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:
     return math.hypot(away[0], away[1]), abs(math.degrees(away[2]))
 
 
-def mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[BeginIn, Mapping[int, Floats]]:
+def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[BeginIn, Mapping[int, Floats]]:
     """The map of these frames, and where it has each scan in the end."""
     mapper = build_mapper(mapping_config(), mountings)
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]

@@ -26,7 +26,7 @@ from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.buildings import LMS100_25HZ
 from tests.accuracy.sensors import GOOD_WHEELS
-from tests.carried import laser_silent
+from tests.carried import carried_on, laser_silent, silent
 from tests.simulated import Drive, Imu, Laser, Wheels, begun_at, drive, heading_rad
 
 STAND_S = 0.5
@@ -52,6 +52,7 @@ class Case:
     speed_mps: float = 1.0
     share: float = 0.33  # of the returns, from people or a train
     for_s: float | None = None  # how long it lasts; None: as the scene has it
+    has_imu: bool = True
 
     def __str__(self) -> str:
         return (
@@ -153,8 +154,12 @@ def _alone(stage: Stage) -> Stage:
     return replace(stage, wheels=None, imu=None)
 
 
-def _towed(stage: Stage) -> Stage:
-    return replace(_slipping(0.0, 0.0, stage), tamper=laser_silent)
+def _biased(stage: Stage) -> Stage:
+    return replace(stage, laser=replace(stage.laser, model=replace(stage.laser.model, bias_m=0.03)))
+
+
+def _tampered(tamper: Callable[[Drive, int, int], Drive], stage: Stage) -> Stage:
+    return replace(stage, tamper=tamper)
 
 
 SCENES: dict[str, Scene] = {
@@ -187,9 +192,20 @@ SCENES: dict[str, Scene] = {
         "the wheels stand while the vehicle drives", partial(_slipping, 0.0, 0.0), is_bound=False
     ),
     "wheels_spin": Scene("the wheels roll 1.5 times the way", partial(_slipping, 1.5, 1.0), is_bound=False),
-    "towed": Scene("wheels frozen and laser silent", _towed, 3.0, is_bound=False),
+    "towed": Scene(
+        "wheels frozen and laser silent",
+        lambda stage: _tampered(laser_silent, _slipping(0.0, 0.0, stage)),
+        3.0,
+        is_bound=False,
+    ),
+    "laser_silent": Scene("the laser is silent", partial(_tampered, laser_silent), 5.0),
+    "all_silent": Scene("all sensors are silent, the wheels count on", partial(_tampered, silent), 5.0),
+    "lifted": Scene(
+        "lifted and carried on, all sensors silent", partial(_tampered, carried_on), 5.0, is_bound=False
+    ),
     "gyro_bias": Scene("the gyro's bias jumps to 0.1 rad/s", partial(_gyro, 0.1, False), is_bound=False),
     "gyro_frozen": Scene("the gyro repeats its last rate", partial(_gyro, 0.0, True), is_bound=False),
+    "range_bias": Scene("all ranges 30 mm too long", _biased),
 }
 
 
@@ -211,7 +227,7 @@ def staged(case: Case) -> Staged:
     plain = driven(WORLDS[case.world](), case.moment, case.speed_mps, BEFORE_S + for_s + AFTER_S)
     world = begun_at(plain, heading_rad(case.seed))
     from_s = world.drive.duration_s - plain.drive.duration_s + BEFORE_S
-    still = Stage(case, world, from_s, from_s + for_s)
+    still = Stage(case, world, from_s, from_s + for_s, imu=Imu() if case.has_imu else None)
     stage = SCENES[case.scene].change(still)
     seconds = STAND_S + stage.to_s + AFTER_S
     made = drive(stage.world, stage.laser, seconds, case.seed, stage.wheels, stage.imu, STAND_S)

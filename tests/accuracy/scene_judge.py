@@ -122,6 +122,27 @@ def judge(
     )
 
 
+def trace(
+    outputs: Sequence[MapperOutput], truth: Sequence[SE2], from_ns: int, each_s: float = 1.0
+) -> list[str]:
+    """A line for each second: how far off, what the covariance says, the state."""
+    errors = errors_in_map(outputs, truth, from_ns)
+    lines, next_ns = [], outputs[0].stamp_ns
+    first_ns = next_ns
+    for output, error, pose in zip(outputs, errors, truth, strict=True):
+        if output.stamp_ns < next_ns:
+            continue
+        next_ns += round(each_s * 1e9)
+        sigma_m = math.sqrt(float(np.linalg.eigvalsh(output.covariance[:2, :2])[1]))
+        lines.append(
+            f"{1e-9 * (output.stamp_ns - first_ns):6.2f} s  off {math.hypot(*error[:2]):7.3f} m"
+            f" ({error[0]:+.3f} {error[1]:+.3f} m {math.degrees(error[2]):+.2f} deg)"
+            f"  sigma {sigma_m:7.4f} m  true {pose.x_m:7.2f} {pose.y_m:7.2f}"
+            f"  inliers {output.inlier_ratio:4.2f}  {output.state:<8} {output.reason}"
+        )
+    return lines
+
+
 def _path_length_m(a: SE2, b: SE2) -> float:
     return math.hypot(b.x_m - a.x_m, b.y_m - a.y_m)
 

@@ -18,12 +18,31 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import accuracy, cluster, fleet, live, site
+    from tests.bench import (
+        accuracy,
+        cluster,
+        decoding,
+        fleet,
+        live,
+        reading,
+        replaying,
+        scans,
+        secured,
+        site,
+        start_up,
+    )
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
+        "scans": scans.measure,
+        "decoding": decoding.measure,
+        "reading": reading.measure,
+        "replay": replaying.measure,
         "cluster": cluster.measure,
         "fleet": fleet.measure,
         "site": site.measure,
+        "site-sizes": site.measure_sizes,
+        "start-up": start_up.measure,
+        "secured": secured.measure,
         "live": live.measure,
         "accuracy": lambda: accuracy.measure(
             parsed.scenario, range(parsed.first_seed, parsed.first_seed + parsed.seeds)

@@ -59,19 +59,18 @@ class _Run:
         assert not faults, faults
         if bucket is not None:
             cast(Any, bucket).fs.get(cast(Any, out).path, str(self._folder / name), recursive=True)
-        found = digest(self._folder / name)
-        self._expected = self._expected or found
-        assert found == self._expected, f"{name}: other bytes"
+        digest = _digest(self._folder / name)
+        self._expected = self._expected or digest
+        assert digest == self._expected, f"{name}: other bytes"
         return taken_s
 
 
-def digest(folder: Path) -> str:
-    """Of all files of results, but for those that have times."""
-    found = hashlib.sha256()
+def _digest(folder: Path) -> str:
+    digest = hashlib.sha256()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         if path.name not in ("summary.json", DONE_FILE):
-            found.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
-    return found.hexdigest()
+            digest.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def measure() -> list[Row]:

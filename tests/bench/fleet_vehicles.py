@@ -1,7 +1,7 @@
 """One process of vehicles for the fleet's bench, each with a link, a certificate and a session of its own.
 
-`python -m tests.bench.fleet_vehicles SITE ENDPOINT FIRST COUNT RECORDING...`: vehicles that map the
-recordings at real time, each beginning with another one.
+`python -m tests.bench.fleet_vehicles SITE ENDPOINT FIRST COUNT [RECORDING...]`: vehicles that map the
+recordings at real time, each beginning with another one; without any, vehicles that stand and send.
 """
 
 import resource
@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import count as count_up
 from pathlib import Path
+
+import numpy as np
 
 from drivers.frames import LaserScan
 from service.encoding import LEVEL_OF_STATE, OK, Status, encode_diagnostics, encode_pose
@@ -27,8 +29,11 @@ from service.publishing.config import PublishingConfig
 from service.recording.mcap_source import Session
 from service.sinks.fleet_sink import FleetSink
 from tests.service.sinks.contexts import sink_context
+from tests.service.test_encoding_outputs import OUTPUT
 
+POSE_HZ = 12.5  # of the slowest laser; the policy lets 5 through
 TILES_S, HEALTH_S = 2.0, 1.0
+TILE_CELLS, TILES_AT_ONCE = 64, 2  # of a map that grows: 3.2 m of wall each, every 2 s
 HEALTH_BYTES = 6000  # of a vehicle with three devices
 FILLER = Status("devices", OK, "ok", {"text": "x" * HEALTH_BYTES})
 
@@ -102,10 +107,40 @@ def _map(vehicle: Vehicle, recordings: Sequence[Path], first: int) -> None:
         replay([recordings[k % len(recordings)]], ReplayOptions(rate=1.0), watch=watch)
 
 
+def _stand(vehicles: Sequence[Vehicle], seed: int) -> None:
+    """Poses and tiles of vehicles that stand, until the process is killed."""
+    random = np.random.default_rng(seed)
+    for step in count_up():
+        now_ns = time.time_ns()
+        pose = encode_pose(OUTPUT, now_ns)
+        for vehicle in vehicles:
+            vehicle.sink.put(replace(pose, log_ns=now_ns))
+            if step % round(POSE_HZ * HEALTH_S) == 0:
+                vehicle.send_health(Status("mapping", OK, "ok", {"state": "ok", "behind_s": "0"}))
+            if step % round(POSE_HZ * TILES_S) == 0:
+                first = vehicle.store.version + 1
+                tiles = [_tile(random, first + k, step) for k in range(TILES_AT_ONCE)]
+                vehicle.store.update(tiles)
+                vehicle.sink.put_tiles(tiles, now_ns, now_ns)
+        time.sleep(max(1.0 / POSE_HZ - (time.time_ns() - now_ns) / 1e9, 0.0))
+
+
+def _tile(random: np.random.Generator, version: int, step: int) -> TileUpdate:
+    """A wall a few cells thick, free on one side, unknown on the other."""
+    cells = np.full((TILE_CELLS, TILE_CELLS), -1, np.int8)
+    wall = int(random.integers(20, 44))
+    cells[:wall] = 0
+    cells[wall : wall + 3] = random.integers(40, 101, (3, TILE_CELLS), np.int8)
+    cells.setflags(write=False)
+    return TileUpdate(0, step % 40, version % 40, version, 0.05, cells)
+
+
 def main(folder: Path, endpoint: str, first: int, count: int, recordings: Sequence[Path]) -> None:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     vehicles = [Vehicle(folder, endpoint, number) for number in range(first, first + count)]
+    if not recordings:
+        _stand(vehicles, first)
     threads = [
         threading.Thread(target=_map, args=(vehicle, recordings, number), name=name_of(number))
         for number, vehicle in enumerate(vehicles, first)

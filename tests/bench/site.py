@@ -1,5 +1,10 @@
 """A site of 12 drives, two of another building: do they lie in one frame, and what does one more cost."""
 
+import hashlib
+import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,11 +21,11 @@ from service.offline.score.score import align, compose
 from service.offline.score.trajectory import read_tum
 from service.offline.site.build import site_build
 from service.offline.site.paths import PATHS
-from tests.bench.cluster import digest
 from tests.bench.site_drives import ELSEWHERE, SEEDS, record_drive
 
 Row = tuple[str, float, str]
 LAST = 20  # of the site; it is added to the others
+SIZES, SHORT_S = (20, 40, 60, 100), 40.0  # sessions of a site, of so many s each
 
 
 def measure() -> list[Row]:
@@ -41,7 +46,7 @@ def measure() -> list[Row]:
         with Cluster("local:2") as cluster:
             _build(results, folder / "cluster", cluster)
         for other in ("two", "cluster"):
-            assert digest(folder / "one") == digest(folder / other), f"other bytes by {other}"
+            assert _digest(folder / "one") == _digest(folder / other), f"other bytes by {other}"
         left_out = [f"site_{seed}" for seed in ELSEWHERE]
         assert list(report["left_out"]) == left_out, report["left_out"]
         last = folder / "r" / f"site_{LAST}"
@@ -59,8 +64,61 @@ def measure() -> list[Row]:
     ]
 
 
+def measure_sizes() -> list[Row]:
+    """Processor and memory for sites of more and more sessions of one place: 350 m of corridors and rooms."""
+    with TemporaryDirectory(prefix="corridor-bench-") as temporary:
+        folder = Path(temporary)
+        first = SEEDS[-1] + 1
+        seeds = range(first, first + max(SIZES))
+        sessions = [record_drive(seed, folder, SHORT_S)[0] for seed in seeds]
+        results = [folder / "r" / one.stem for one in sessions]
+        began_s = time.process_time()
+        run_batch(new_tasks([[one] for one in sessions], ReplayOptions(), results), in_turn, lambda *_: None)
+        replay_s = (time.process_time() - began_s) / len(sessions)
+        rows: list[Row] = [("replay of a short session, processor", replay_s, "s")]
+        for count in SIZES:
+            for what, value, unit in build_apart(results[:count], folder / str(count)):
+                rows.append((f"{count} sessions: {what}", value, unit))
+    return rows
+
+
+def build_apart(results: Sequence[Path], out: Path) -> list[Row]:
+    """By a process of its own, whose memory is only that of the build."""
+    command = [
+        sys.executable,
+        "-m",
+        "service",
+        "site",
+        "build",
+        *map(str, results),
+        "--out",
+        str(out),
+        "--json",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        report = json.loads(process.stdout.read())
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert not process.returncode, report
+    used_s = used.ru_utime + used.ru_stime
+    return [
+        ("in the map", float(len(report["sessions"])), ""),
+        ("processor", used_s, "s"),
+        ("processor a session", used_s / len(results), "s"),
+        ("memory", used.ru_maxrss / 1e3, "MB"),
+    ]
+
+
 def _build(sessions: Sequence[Path], out: Path, engine: Engine) -> dict[str, Any]:
     return site_build(sessions, ReplayOptions(), out, engine, lambda *_: None)
+
+
+def _digest(folder: Path) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        digest.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _ate_m(site: Path, truths: dict[str, Path]) -> float:

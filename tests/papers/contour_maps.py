@@ -11,6 +11,7 @@ from tests.simulated import LMS100_50HZ, Drive, begun_beside, drive, phase_m
 
 Array = np.ndarray
 BEAMS = BeamsConfig(nearest_m=0.5, farthest_m=20.0)  # of the profile
+Window = tuple[float, float, float, float]  # x0, x1, y0, y1, m
 
 
 def at_phase(world: World, seconds: float, seed: int) -> Drive:

@@ -1,7 +1,5 @@
 """Small pictures for the pages of the papers."""
 
-from collections.abc import Mapping
-
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
@@ -17,23 +15,26 @@ from service.geometry.se2 import SE2
 from tests.papers.report import FOLDER
 
 Array = npt.NDArray[np.float64]
-Window = tuple[float, float, float, float]  # x0, x1, y0, y1 in m
 COLOURS = 64
 
 
-def draw_maps(
-    name: str, caption: str, maps: Mapping[str, tuple[Array, Array]], cell_m: float, window: Window
-) -> tuple[str, str]:
-    """The same part of each map side by side: cells (N, 2) m with their likelihood (N,), dark is 1."""
+def draw_likelihood(
+    panel: Axes, xy_m: Array, likelihood: Array, cell_m: float, window: tuple[float, float, float, float]
+) -> None:
+    """Cells (N, 2) with their likelihood, dark is 1; x0, x1, y0, y1 in m is what is shown."""
     x0, x1, y0, y1 = window
     bins = round((y1 - y0) / cell_m), round((x1 - x0) / cell_m)
-    figure, panels = plt.subplots(1, len(maps), figsize=(7.4, 3.2), dpi=90, sharey=True)
-    for panel, (title, (xy_m, likelihood)) in zip(panels, maps.items(), strict=True):
-        image, *_ = np.histogram2d(xy_m[:, 1], xy_m[:, 0], bins, ((y0, y1), (x0, x1)), weights=likelihood)
-        panel.imshow(1.0 - image, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=window)
-        panel.tick_params(labelsize=7)
-        panel.set_title(title, fontsize=8)
-    return save(figure, name, caption)
+    image, *_ = np.histogram2d(xy_m[:, 1], xy_m[:, 0], bins, ((y0, y1), (x0, x1)), weights=likelihood)
+    panel.imshow(
+        1.0 - image,
+        cmap="gray",
+        vmin=0.0,
+        vmax=1.0,
+        origin="lower",
+        extent=window,
+        interpolation="antialiased",
+    )
+    panel.tick_params(labelsize=7)
 
 
 def end_points(scan: LaserScan, pose: SE2) -> Array:

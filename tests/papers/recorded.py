@@ -28,8 +28,9 @@ class Score:
     """
 
     error_m: float
+    error_deg: float | None  # of a building
+    closure_m: float | None  # of a world: the last pose against the first
     lost_share: float  # of the scans
-    scan_ms: float  # p50, in the mapper
 
 
 def scored(profile: str, name: str, settings: dict[str, Any] | None = None) -> Score | None:
@@ -39,6 +40,11 @@ def scored(profile: str, name: str, settings: dict[str, Any] | None = None) -> S
 
 @cache
 def _scored(profile: str, name: str, settings: str) -> Score | None:
+    return rescored(profile, name, settings)
+
+
+def rescored(profile: str, name: str, settings: str = "{}") -> Score | None:
+    """Replayed, whatever was scored before; settings as JSON."""
     folder = SHARED / ("datasets" if name in RELATIONS else "worlds") / name
     recording = folder / f"{name}.mcap"
     if not recording.is_file():
@@ -52,9 +58,9 @@ def _scored(profile: str, name: str, settings: str) -> Score | None:
         truth = folder / (f"{relations}.relations" if relations else f"{name}.tum")
         found = score(Path(made) / "trajectory.tum", truth, shift_s=shift_s)
     lost = sum(output.state == "lost" for output in done.outputs) / len(done.outputs)
-    is_building = isinstance(found, RelationsScore)
-    error_m = found.errors[0].translation_m.mean if is_building else found.ate_aligned_m.rms
-    return Score(error_m, lost, done.summary["scan_ms"]["p50"])
+    if isinstance(found, RelationsScore):
+        return Score(found.errors[0].translation_m.mean, found.errors[0].rotation_deg.mean, None, lost)
+    return Score(found.ate_aligned_m.rms, None, found.closure_m, lost)
 
 
 def error_row(
@@ -63,8 +69,9 @@ def error_row(
     profile: str,
     name: str,
     at_most: float | None = None,
+    settings: dict[str, Any] | None = None,
     cause: str = "",
 ) -> list[Row]:
     """One row, or none without the recording."""
-    found = scored(profile, name)
+    found = scored(profile, name, settings)
     return [] if found is None else [Row(ids, f"{what}{name}", [found.error_m], "m", at_most, cause=cause)]

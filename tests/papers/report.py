@@ -1,15 +1,11 @@
 """What an experiment shows, and how it is written down."""
 
 import re
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-
-from service.version import VERSION
 
 TITLE = "## "
 FOLDER = Path("build") / "papers"
@@ -69,29 +65,28 @@ def seeds_text(seeds: Sequence[int]) -> str:
 Scenario = Callable[[Sequence[int]], Section]  # from the seeds
 
 
-def run_scenarios(
-    page: Path, head: str, scenarios: Mapping[str, Scenario], wanted: Sequence[str], seeds: Sequence[int]
-) -> Iterator[tuple[str, Section]]:
-    """Run these; print each, and put it on the page, as soon as it is there. Raises OSError."""
-    for name in wanted:
-        began_s = time.monotonic()
-        section = scenarios[name](seeds)
-        lines, took_s = below_title(section), time.monotonic() - began_s
-        print("\n".join([f"\n{name}: {section.title} ({took_s:.0f} s)", *lines]), flush=True)
-        ran = f"corridor {VERSION}, {datetime.now(UTC).date()}, {section.ran_on or seeds_text(seeds)}"
-        lines = [f"{TITLE}{section.title}", "", f"Scenario `{name}`; {ran}, {took_s:.0f} s.", "", *lines]
-        sections = _sections(page) | {name: "\n".join(line.rstrip() for line in lines).rstrip() + "\n"}
-        page.parent.mkdir(parents=True, exist_ok=True)
-        page.write_text("\n".join([head, *(sections[one] for one in scenarios if one in sections)]))
-        yield name, section
+def write_page(path: Path, head: str, made: Mapping[str, tuple[Section, str]], order: Sequence[str]) -> str:
+    """Replace the sections of the scenarios that were made, each with what it ran on; the others stay, and
+    those that no scenario wrote stay behind them. Returns the page's text. Raises OSError.
+    """
+    sections = _read(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for name, (section, ran) in made.items():
+        lines = [f"{TITLE}{section.title}", "", f"Scenario `{name}`; {ran}.", "", *below_title(section)]
+        sections[name] = "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+    own = [name for name in sections if name.startswith(TITLE)]
+    text = "\n".join([head, *(sections[name] for name in [*order, *own] if name in sections)])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return text
 
 
-def _sections(page: Path) -> dict[str, str]:
-    """Those of a page as it is, by scenario."""
-    text = page.read_text(encoding="utf-8") if page.exists() else ""
-    parts = re.split(rf"^(?={TITLE})", text, flags=re.MULTILINE)
-    named = ((re.search(r"^Scenario `(\w+)`", part, flags=re.MULTILINE), part) for part in parts)
-    return {name[1]: part.rstrip() + "\n" for name, part in named if name}
+def _read(text: str) -> dict[str, str]:
+    """The sections of a page as it is, by scenario; by title where no scenario wrote them."""
+    sections = {}
+    for part in re.split(rf"^(?={TITLE})", text, flags=re.MULTILINE)[1:]:
+        named = re.search(r"^Scenario `(\w+)`", part, flags=re.MULTILINE)
+        sections[named[1] if named else part.splitlines()[0]] = part.rstrip() + "\n"
+    return sections
 
 
 def below_title(section: Section) -> list[str]:

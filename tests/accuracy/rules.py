@@ -1,0 +1,198 @@
+"""What single rules of the default profile are worth, on own drives and on given recordings."""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock, patch
+
+from service.kernels.deskew import deskew_points
+from service.kernels.filter_state import PackedFilter, views_of
+from service.kernels.normals import estimate_normals
+from service.kernels.tracks import Track
+from service.mapper.components import Points
+from service.mapper.filters.deskew import DeskewByTwist
+from service.mapper.scan_match.narrow_walls import Matrix, NarrowWalls
+from service.mapper.scan_match.submaps import Submap
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
+from simulators.worlds import WORLDS
+from tests.accuracy.driving import Errors, Trip
+from tests.accuracy.given import error_mm, recording_of
+from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
+from tests.papers.report import Section
+from tests.shared_data import SHARED
+from tests.simulated import LMS100_50HZ
+
+METHOD = "service.mapper.scan_match"
+NEVER_KNOWN = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
+
+
+def normals_of_points_as_they_are(*arguments: Any) -> None:
+    """As estimate_normals, whose first argument is the points, and the last one those moved."""
+    estimate_normals(*arguments)
+    arguments[-1][:] = arguments[0]
+
+
+def deskewed_by_twist(
+    packed: PackedFilter, _odometry: Track, _gyro: Track, _settings: Any, *arrays: Matrix
+) -> None:
+    """In place of deskew_sweep."""
+    beam_time_s, xy_raw, xy_base = arrays
+    deskew_points(xy_raw, beam_time_s, views_of(packed).twist, xy_base)
+
+
+def by_single_scans(walls: NarrowWalls, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
+    """In place of both methods of NarrowWalls."""
+    return normals
+
+
+# what is switched off, where, and the value that does it
+RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("nothing", METHOD, {}),
+    (
+        "information of a scan reduced by what chance gives ([22])",
+        f"{METHOD}.surfel_gauss_newton",
+        {"_chance_chi2": lambda _: 0.0},
+    ),
+    (
+        "unknown ground neutral in the loop search",
+        "service.mapper.graph.model.candidate_submap",
+        {"LOOP_UNKNOWN_LIKELIHOOD": 0.0},
+    ),
+    (
+        "motion within a sweep ([23])",
+        "service.estimator.estimator",
+        {"deskew_sweep": deskewed_by_twist},
+    ),
+    (
+        "acceleration that lasts",
+        "service.estimator.estimator",
+        {"ACCELERATION_S": 1e-4},  # of the same density: white
+    ),
+    (
+        "pose at the middle of a sweep",
+        "service.mapper.filters.deskew.DeskewByMotion",
+        {"moment_of": DeskewByTwist.moment_of},
+    ),
+    (
+        "odometry with a fault does not count",
+        "service.estimator.estimator",
+        {"FAULT_NOISE": math.inf},
+    ),
+    (
+        "coarse start held to the prediction by no more than it tells apart",
+        f"{METHOD}.surfel_gauss_newton",
+        {"COARSE_M": 0.0, "COARSE_RAD": 0.0},
+    ),
+    (
+        "match tried where the vehicle would be had it gone on",
+        f"{METHOD}.surfel_gauss_newton",
+        {"SteadyMotion": lambda: NEVER_KNOWN},
+    ),
+    (
+        "returns missing by chance are no gaps beside posts",
+        f"{METHOD}.posts",
+        {"may_be_posts": lambda *_: (True, 0)},
+    ),
+    (
+        "points moved along their walls ([24])",
+        "service.mapper.walls",
+        {"estimate_normals": normals_of_points_as_they_are},
+    ),
+    (
+        "directions of walls by several key frames ([27])",
+        f"{METHOD}.narrow_walls.NarrowWalls",
+        {"directed": by_single_scans, "insert": by_single_scans},
+    ),
+    (
+        "aligned by surfels of half the size ([32])",
+        f"{METHOD}.submaps.Submap",
+        {"fine_grid": Submap.grid},
+    ),
+    (
+        "held near the prediction where the map alone draws it away ([33])",
+        f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
+        {"_more_likely": lambda _, aligned, attempt: aligned},
+    ),
+    (
+        "part of the scene moves where odometry and static walls agree ([35])",
+        f"{METHOD}.moving_scene.MovingScene",
+        {"match": lambda *_: None, "judge": lambda _, aligned, attempt: aligned, "explain": lambda *_: None},
+    ),
+    (
+        "odometry that stands counts only where a vehicle can stand ([30])",
+        "service.estimator.standstill.Standstill",
+        {"is_uninformative": lambda *_: False},
+    ),
+    (
+        "bias of the ranges learnt ([21])",
+        f"{METHOD}.range_bias.RangeBias",
+        {"is_due": lambda *_: False},
+    ),
+)
+TRIPS = {
+    "corridor100": Trip(WORLDS["corridor100"], LMS100_50HZ),
+    "bare corridor, at its end": Trip(WORLDS["featureless"], LMS100_50HZ, 100.0),
+    "ring": Trip(WORLDS["ring"], LMS100_50HZ),
+    "office": Trip(WORLDS["office"], LMS100_50HZ),
+    "office, 30 % of the beams lost": Trip(
+        WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, dropout_share=0.3))
+    ),
+    "office, ranges too long by 30 mm": Trip(
+        WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, bias_m=0.03))
+    ),
+    "office, mirror of 5 Hz": Trip(WORLDS["office"], MIRRORS["5 Hz"]),
+    "office, 10 Hz, odometry dead": Trip(WORLDS["office"], LMS100_10HZ, change=WRONG["dead"]),
+    "library, 10 Hz, odometry dead after 20 s": Trip(
+        WORLDS["library"], LMS100_10HZ, change=WRONG["dead after 20 s"]
+    ),
+}
+SYNTHETIC = ("corridor100d_s1", "fgi_s1", "ring_s3")
+REAL = ("fr079", "intel", "csail", "aces")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Is in force unless `off` says otherwise."""
+
+    module: str
+    off: dict[str, Any]
+
+    @property
+    def _switched(self) -> AbstractContextManager[Any]:
+        return patch.multiple(self.module, **self.off) if self.off else nullcontext()
+
+    def trip_mm(self, trip: Trip, seeds: Sequence[int], is_end: bool) -> str:
+        errors = Errors()
+        with self._switched:
+            for made, done in trip.runs(seeds):
+                errors.add(made, done)
+        values = sorted(errors.end_mm if is_end else errors.finished_mm)
+        return f"{values[len(values) // 2]:.1f} ({values[-1]:.1f})"
+
+    def recording_mm(self, name: str) -> str:
+        with tempfile.TemporaryDirectory() as out, self._switched:
+            write_replay(replay([recording_of(name)], ReplayOptions()), Path(out))
+            return f"{error_mm(name, Path(out) / 'trajectory.tum'):.1f}"
+
+
+def rules(seeds: Sequence[int]) -> Section:
+    kinds = [(what, Rule(module, off)) for what, module, off in RULES]
+    lines = ["| drive | " + " | ".join(what for what, _ in kinds) + " |", "|---|" + "---|" * len(kinds)]
+    for name, trip in TRIPS.items():
+        cells = [rule.trip_mm(trip, seeds, "end" in name) for _, rule in kinds]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    if (SHARED / "worlds").exists():
+        for name in SYNTHETIC + REAL:
+            cells = [rule.recording_mm(name) for _, rule in kinds]
+            lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
+    return Section(
+        "Error without single rules",
+        "Error after the finish in mm with one rule switched off, median (worst) of the seeds. Given "
+        "recordings have one run each: RMS against the truth, or the mean of the relations for real ones. "
+        "In the bare corridor the figure is the error at the end.",
+        tables=["\n".join(lines)],
+    )

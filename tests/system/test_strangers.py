@@ -1,0 +1,229 @@
+"""40 attempts of strangers on Zenoh and on the page of a live service: each is refused, nothing is lost."""
+
+import asyncio
+import json
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+import zenoh
+
+from drivers.zenoh_callback import daemon_callback
+from service.encoding import decode_diagnostics
+from service.offline.security.authority import Holder, init_site
+from service.web.tokens import add_grant, granted_beside, revoke_grant
+from tests.service.publishing.conftest import HOSTS, tls
+from tests.service.web.conftest import Client
+from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscriber, free_port
+from tests.waiting import wait_until
+
+ROOT = "corridor/v1/veh1"
+FAKE = b"FAKE"
+SERVED_S = 5.0  # beside other tests; with the processor to itself 1 s, see docs/security.md
+REFUSED_MS = 300
+
+COMMANDS: dict[str, dict[str, Any]] = {
+    "pause": {},
+    "reset_map": {},
+    "load_map": {"map": "/etc"},
+    "save_map": {"name": "mine"},
+    "switch_profile": {"profile": "imle"},
+    "stop_recording": {},
+    "mark": {"text": "mine"},
+    "set_mode": {"mode": "localization"},
+    "edit_map": {"change": {"what": "optimize"}},
+    "set_pose": {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0},
+}
+PUT = (
+    *(f"{ROOT}/{channel}" for channel in ("pose", "map", "map/tile/0/0/0", "health", "tf", "front/scan")),
+    f"{ROOT}/initialpose",
+    f"{ROOT}/**",
+    "0/pose/nav_msgs::msg::dds_::Odometry_/x",
+)
+ANSWERED = ("map", "cmd/pause")
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    holders = [Holder("veh1", "vehicle", HOSTS), Holder("hall", "viewer"), Holder("lost", "viewer")]
+    init_site(tmp_path / "site", holders, days=30)
+    init_site(tmp_path / "other", [Holder("hall", "viewer")], days=30)
+    return tmp_path / "site"
+
+
+@pytest.fixture
+def service(fake_vehicle: FakeVehicle, tmp_path: Path, site: Path) -> Iterator[LiveService]:
+    local, remote = f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
+    security = {"tls": tls(site, "veh1"), "roles": {"viewer": ["hall"], "vehicle": ["veh1"]}}
+    live = LiveService(
+        tmp_path, fake_vehicle.sensors(), listen=[local, remote], security=security, ros2={"enabled": True}
+    )
+    live.endpoint, live.remote = local, remote  # type: ignore[attr-defined]
+    live.start()
+    yield live
+    live.close()
+
+
+def shown(site: Path, name: str = "") -> dict[str, Any]:
+    """Settings of a session that shows the certificate of a name, or none."""
+    files = tls(site, name)
+    settings = {"root_ca_certificate": files["ca"]}
+    if name:
+        settings |= {"connect_certificate": files["certificate"], "connect_private_key": files["key"]}
+    return {"transport/link/tls": settings | {"enable_mtls": bool(name)}}
+
+
+def nothing_comes(session: zenoh.Session, key: str, request: dict[str, Any] | None = None) -> bool:
+    payload = None if request is None else json.dumps(request)
+    return not [reply for reply in session.get(key, payload=payload, timeout=PATIENCE_S) if reply.ok]
+
+
+def cannot_connect(endpoint: str, site: Path, name: str) -> bool:
+    try:
+        Subscriber(endpoint, {**shown(site, name), "connect/timeout_ms": REFUSED_MS}).close()
+    except zenoh.ZError:
+        return True
+    return False
+
+
+def is_cut_off(endpoint: str, sent: bytes) -> bool:
+    host, port = endpoint.partition("/")[2].split(":")
+    with socket.create_connection((host, int(port)), PATIENCE_S) as stranger:
+        stranger.sendall(sent)
+        with suppress(ConnectionError):
+            while stranger.recv(4096):
+                pass
+    return True
+
+
+def attempts_on_zenoh(
+    endpoint: str, site: Path, viewer: zenoh.Session, lost: zenoh.Session
+) -> dict[str, Callable[[], bool]]:
+    """lost: with a name that has no role any more."""
+    put = {f"put {key}": partial(lambda key: viewer.put(key, FAKE) is None, key) for key in PUT}
+
+    def answer(channel: str) -> bool:
+        key = f"{ROOT}/{channel}"
+        replying = daemon_callback(lambda query: query.reply(key, FAKE), "stranger")
+        viewer.declare_queryable(key, replying, complete=True)
+        return True
+
+    return {
+        **{
+            f"command {verb}": partial(nothing_comes, viewer, f"{ROOT}/cmd/{verb}", request)
+            for verb, request in COMMANDS.items()
+        },
+        "command all vehicles": partial(nothing_comes, viewer, "corridor/v1/*/cmd/pause", {}),
+        "call a service of ROS 2": partial(nothing_comes, viewer, "0/corridor/pause/**"),
+        **put,
+        **{f"answer {channel}": partial(answer, channel) for channel in ANSWERED},
+        "be alive": lambda: viewer.liveliness().declare_token(f"{ROOT}/alive/thief") is not None,
+        "read without a role": partial(nothing_comes, lost, f"{ROOT}/health"),
+        "connect by another authority": partial(cannot_connect, endpoint, site.parent / "other", "hall"),
+        "speak no TLS": partial(is_cut_off, endpoint, b"GET / HTTP/1.1\r\n\r\n" + bytes(1000)),
+        "connect without a certificate": partial(cannot_connect, endpoint, site, ""),
+        "ask for a version of 5000 digits": partial(
+            nothing_comes, viewer, f"{ROOT}/map/tile/**?since={'9' * 5000}"
+        ),
+    }
+
+
+async def attempts_on_page(address: str, token_file: Path) -> dict[str, bool]:
+    granted = granted_beside(token_file)
+    revoked = add_grant(granted, "revoked", "operator", None)
+    revoke_grant(granted, "revoked")
+    tokens = {
+        "no token": None,
+        "a wrong token": "wrong",
+        "a revoked token": revoked,
+        "an expired token": add_grant(granted, "late", "operator", time.time() - 1.0),
+        "a viewer's token": add_grant(granted, "hall", "viewer", None),
+    }
+    refused = {}
+    async with aiohttp.ClientSession() as session:
+        client = Client(session, address)
+        for name, token in tokens.items():
+            async with client.socket() as page:
+                if token is not None:
+                    await client.ask(page, type="token", token=token)
+                    assert not (await client.next(page, "access"))["may_control"]
+                await client.ask(page, type="command", n=1, verb="pause")
+                refused[f"command by {name}"] = not (await client.next(page, "answer"))["body"]["ok"]
+        async with client.socket() as page:
+            await client.ask(page, type="resource", n=1, action="delete", name="veh1")
+            refused["delete a map"] = not (await client.next(page, "answer"))["body"]["ok"]
+        async with client.socket() as page:
+            await page.send_str("x" * 1_000_000)
+            refused["send a megabyte"] = await client.closed_with(page) is not None
+        for name, headers in {
+            "call it by another name": {"Host": "rebound.example"},
+            "come from another page": {"Origin": "http://other.example"},
+        }.items():
+            with suppress(aiohttp.WSServerHandshakeError):
+                async with client.socket(headers=headers):
+                    raise AssertionError(f"{name}: opened")
+            refused[name] = True
+        for path in ("..%2f..%2fetc%2fpasswd", "download/x/session.mcap"):
+            async with session.get(f"{address}{path}") as answer:
+                refused[f"fetch {path}"] = answer.status == 404
+    return refused
+
+
+def test_40_attempts_of_strangers_are_refused_and_nothing_is_lost(
+    service: LiveService, site: Path, subscribe: Callable[[str], Subscriber]
+):
+    honest = subscribe(service.endpoint)
+    honest.wait_for("pose", 25)
+    honest.wait_for("health", 1)
+    endpoint = service.remote  # type: ignore[attr-defined]
+    watching, lost = subscribe(endpoint, shown(site, "hall")), subscribe(endpoint, shown(site, "lost"))
+    viewer = subscribe(endpoint, shown(site, "hall")).session  # hears itself, so another one watches
+    address = rows(honest)["web"].values["address"]
+    recorded = sorted(service.sessions.iterdir())
+
+    attempts = attempts_on_zenoh(endpoint, site, viewer, lost.session)
+    refused = {name: attempt() for name, attempt in attempts.items()}
+    token_file = service.config.parent / "web.token"
+    refused |= asyncio.run(attempts_on_page(address, token_file))
+    assert len(refused) >= 40
+    assert [name for name, was_refused in refused.items() if not was_refused] == []
+
+    began_s = time.monotonic()
+    assert honest.ask("mark", text="still here")["ok"]
+    assert nothing_comes(viewer, f"{ROOT}/nothing")
+    assert [reply.ok for reply in viewer.get(f"{ROOT}/health", timeout=PATIENCE_S)]
+    assert time.monotonic() - began_s < SERVED_S
+    honest.wait_for("pose", 10)
+    honest.wait_for("health", 2)
+    seen = rows(honest)
+    for name in ("zenoh", "ros2", "web", "recording", "map", "commands"):  # others depend on the processor
+        assert seen[name].level == 0, seen[name]
+    assert seen["commands"].values.get("mark") == "1"
+    assert seen["commands"].values.get("refused", "0") == "0"
+    # Scans may be late (`stale`, `overloaded`) where other tests have the processor.
+    assert seen["mapping"].values["state"] not in ("paused", "lost")
+    assert sorted(service.sessions.iterdir()) == recorded
+    assert watching.count("pose") > 0
+    for subscriber in (honest, watching):
+        assert FAKE not in [payload for heard in subscriber.heard.values() for _, payload in heard]
+    wait_until(lambda: f"{ROOT}/alive/mapping" in alive(watching))  # not while scans are late
+    assert f"{ROOT}/alive/thief" not in alive(watching)
+    service.signal(signal.SIGTERM)
+    assert service.wait() == 0, service.log
+
+
+def alive(subscriber: Subscriber) -> set[str]:
+    tokens = subscriber.session.liveliness().get(f"{ROOT}/alive/*")
+    return {str(reply.ok.key_expr) for reply in tokens if reply.ok}
+
+
+def rows(subscriber: Subscriber) -> dict[str, Any]:
+    """The newest health, by name of the row."""
+    return {row.name: row for row in decode_diagnostics(subscriber.heard["health"][-1][1])}
