@@ -260,3 +260,25 @@ def test_grazed_points_with_lost_beams_between_are_of_no_known_wall() -> None:
     is_far = (every_second[:-1, 0] > 4.5) & (step_m < 0.9)
     assert is_far.sum() >= 4
     assert (normals_of(every_second)[:-1][is_far, 2] == ROUGH_WEIGHT).all()
+
+
+@pytest.mark.parametrize(("sigma_m", "least"), [(0.012, 0.25), (0.04, 0.6)])
+def test_noise_along_the_beam_is_taken_out_along_the_wall_and_left_across_it(
+    sigma_m: float, least: float
+) -> None:
+    """The bearing determines where along the wall a beam ends."""
+    angles = np.radians(np.arange(-60.0, 60.0, 0.5))
+    noise_m = np.random.default_rng(4).normal(0.0, sigma_m, (40, len(angles)))
+    along, moved, across = [], [], []
+    for of_scan_m in noise_m:
+        range_m = 1.5 / np.cos(angles) + of_scan_m
+        xy = range_m[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        normals, there = walls_at(xy, sigma_m=sigma_m)
+        assert (there == xy)[normals[:, 2] < 0.5].all()
+        aslant = (np.abs(angles) > 0.6) & (normals[:, 2] >= 1.0)
+        along += list((xy[:, 1] - 1.5 * np.tan(angles))[aslant])
+        moved += list((there[:, 1] - 1.5 * np.tan(angles))[aslant])
+        across += list((there - xy)[aslant, 0])
+    assert len(along) > 1500
+    assert np.var(moved) < (1.0 - least) * np.var(along)
+    assert np.std(across) < 0.1 * np.std(along)

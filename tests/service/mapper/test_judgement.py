@@ -1,8 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 
-from service.mapper.judgement import Evidence, JudgementConfig, judge
+from service.mapper.judgement import Evidence, JudgementConfig, judge, sigmas_of
 
 RATIOS = JudgementConfig()
 GOOD = Evidence(
@@ -149,3 +150,10 @@ def test_a_sigma_that_measures_nothing_is_not_reported_as_a_number(much: float) 
 def test_an_open_direction_is_an_axis_with_one_name(direction_deg: float, axis: str) -> None:
     reason = judge(GOOD._replace(weakest=(0.2, math.radians(direction_deg))), RATIOS)[1]
     assert f"the direction {axis} deg from" in reason
+
+
+def test_the_sigma_of_a_position_is_that_of_its_worst_direction() -> None:
+    turn = np.eye(3)
+    turn[:2, :2] = [[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]]
+    covariance = turn @ np.diag([0.3**2, 0.01**2, 0.02**2]) @ turn.T
+    assert sigmas_of(covariance) == pytest.approx((0.3, 0.02))
