@@ -4,6 +4,7 @@ A process of its own, because the solver holds the interpreter while it works. I
 has no threads, and can be forked itself: a stand-by of the mapper gets a stand-by of the back end.
 """
 
+import ctypes
 import gc
 import logging
 import math
@@ -28,6 +29,8 @@ STOP_S = 2.0
 WAIT_S = 0.2
 MEET_S = 1.0  # that a stand-by which takes over waits for its back end: only then it can be copied itself
 STILL_S = 2.0  # a back end that someone waits for, and that neither computes nor waits for a processor
+OWN_MAPPING_BYTES = 256 * 1024  # of an allocation that goes back to the system when it is freed
+M_MMAP_THRESHOLD = -3  # of mallopt(3)
 CONNECT_S = 20.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
 
 
@@ -349,12 +352,23 @@ def _live(connection: socket.socket, back_end: BackEnd) -> None:
     os.closerange(connection.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
     gc.unfreeze()
     os.nice(NICENESS)
+    return_freed_memory()
     try:
         _Server(Channel(connection), back_end).run()
     except ChannelClosedError:
         pass
     finally:
         os._exit(0)  # nothing of the process that it was forked from is cleaned up twice
+
+
+def return_freed_memory() -> None:
+    """Return the memory of arrays to the system when they are freed.
+
+    The C library raises its threshold to the largest block that was freed; from then on sub-maps lie on the
+    heap between smaller blocks, and hours of laps take ever more memory. Without mallopt nothing is changed.
+    """
+    if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
+        mallopt(M_MMAP_THRESHOLD, OWN_MAPPING_BYTES)
 
 
 class _Server:

@@ -33,6 +33,7 @@ def test_the_files_of_faults_are_accepted_and_every_boot_order_is_there_once():
     assert {len(set(order)) for order in orders} == {5}
 
 
+@pytest.mark.soak
 def test_a_loop_of_the_map_that_began_after_a_silence_does_not_move_the_map_found_again():
     """The first scan begins a map of its own, the next ones lie on the old map; then a loop joins both."""
     silence = rows(seed=1, kills=1)["silence"]

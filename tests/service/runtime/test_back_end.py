@@ -1,6 +1,8 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -204,3 +206,27 @@ def _is_there(pid: int) -> bool:
         except ProcessLookupError:
             return False
     return True
+
+
+ARRAYS_BETWEEN_SMALL_BLOCKS = """
+import numpy as np
+from service.runtime.back_end import return_freed_memory
+def resident_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096e-6
+return_freed_memory()
+np.ones(4_000_000)
+arrays, kept = [], []
+for _ in range(200):
+    arrays.append(np.ones(125_000))
+    kept.append(bytearray(5000))
+full_mb = resident_mb()
+del arrays[:-1]
+print(full_mb - resident_mb())
+"""
+
+
+def test_freed_arrays_go_back_to_the_system():
+    """Else the back end takes more memory with every lap."""
+    command = [sys.executable, "-c", ARRAYS_BETWEEN_SMALL_BLOCKS]
+    freed_mb = float(subprocess.run(command, capture_output=True, check=True).stdout)
+    assert freed_mb > 150.0
