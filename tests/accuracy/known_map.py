@@ -6,23 +6,18 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from drivers.frames import NO_INTENSITY, LaserScan
-from service.estimator.motion import Motion, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.components import Match, Points
-from service.mapper.filters.deskew import BeamsConfig, DeskewByTwist
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from simulators.world import World
 from simulators.worlds import build_world
 from tests.papers.report import Row, Section
+from tests.service.mapper.scan_match.standing_scans import cast, hardly_known, insert_at, points_from
 from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Laser
 
 MAP_SCANS, SCANS = 300, 150
 STEP_M, STEP_RAD = 1e-4, 1e-5  # of the differences that give the derivatives
-PRIOR_SIGMA_M, PRIOR_SIGMA_RAD = 0.3, 0.1  # so weak that the scan alone decides
 START_OFF_M, START_OFF_RAD = 0.03, 0.01
-STILL = (0.0, 0.0, 0.0)
 
 
 def known_map(seeds: Sequence[int]) -> Section:
@@ -73,12 +68,12 @@ def fisher_information(world: World, laser: Laser, pose: SE2) -> npt.NDArray[np.
     the outer product of the range's derivatives, over the variance of the range.
     """
     deltas = ((STEP_M, 0.0, 0.0), (0.0, STEP_M, 0.0), (0.0, 0.0, STEP_RAD))
-    range_m, hit = _cast(world, laser, pose)
+    range_m, hit = cast(world, laser, pose)
     derivatives = np.zeros((3, laser.beams))
     usable = np.isfinite(range_m)
     for k, delta in enumerate(deltas):
-        ahead_m, ahead_hit = _cast(world, laser, pose @ SE2(*delta))
-        behind_m, behind_hit = _cast(world, laser, pose @ SE2(*delta).inverse())
+        ahead_m, ahead_hit = cast(world, laser, pose @ SE2(*delta))
+        behind_m, behind_hit = cast(world, laser, pose @ SE2(*delta).inverse())
         usable &= (ahead_hit == hit) & (behind_hit == hit)
         with np.errstate(invalid="ignore"):
             derivatives[k] = (ahead_m - behind_m) / (2.0 * sum(delta))
@@ -106,58 +101,3 @@ def match_errors(world: World, laser: Laser, pose: SE2, seed: int) -> npt.NDArra
         away = pose.inverse() @ found
         errors[k] = away.x_m, away.y_m, away.theta_rad
     return errors
-
-
-def hardly_known(pose: SE2) -> Prediction:
-    """Of a vehicle that stands near this pose: the scan decides."""
-    prior = _motion(pose, PRIOR_SIGMA_M, PRIOR_SIGMA_RAD)
-    return Prediction(
-        pose_odom_base=pose,
-        twist_base=STILL,
-        covariance=prior.covariance,
-        local_covariance=prior.covariance,
-        twist_gain=np.zeros((3, 3)),
-        elapsed_s=1.0,
-        travel_m=1.0,
-        is_measured=False,
-    )
-
-
-def insert_at(local_map: SurfelSubmaps, points: Points, pose: SE2) -> None:
-    """Put a scan into a map at its true pose."""
-    local_map.insert(points, Match(_motion(pose, 1e-6, 1e-6), points, 1.0, submap=0))
-
-
-def _motion(pose: SE2, sigma_m: float, sigma_rad: float) -> Motion:
-    return Motion(pose, STILL, np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]))
-
-
-def points_from(world: World, laser: Laser, pose: SE2, noise: np.random.Generator) -> Points:
-    """A scan from `pose`, the vehicle standing, with the noise of the laser and nothing else."""
-    range_m, _ = _cast(world, laser, pose)
-    range_m = np.where(np.isfinite(range_m), range_m, np.nan)
-    model = laser.model
-    range_m = range_m + (model.sigma_m + model.sigma_per_m * range_m) * noise.standard_normal(laser.beams)
-    scan = LaserScan(
-        sensor=laser.name,
-        stamp_ns=0,
-        arrived_ns=0,
-        beam_interval_ns=0,
-        scan_period_ns=laser.period_ns,
-        first_angle_rad=math.radians(laser.first_deg),
-        angle_step_rad=math.radians(laser.step_deg),
-        range_min_m=model.range_min_m,
-        range_max_m=model.range_max_m,
-        range_m=range_m.astype(np.float32),
-        intensity=NO_INTENSITY,
-    )
-    return DeskewByTwist(BeamsConfig(), {laser.name: laser.mounting})(scan, _motion(pose, 1.0, 1.0))
-
-
-def _cast(world: World, laser: Laser, pose: SE2) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
-    sensor = pose @ laser.mounting
-    rays = np.zeros((laser.beams, 4))
-    rays[:, 0], rays[:, 1] = sensor.x_m, sensor.y_m
-    steps = np.arange(laser.beams) * laser.step_deg
-    rays[:, 2] = sensor.theta_rad + np.radians(laser.first_deg + steps)
-    return world.cast(rays, np.empty((0, 5)), laser.model.range_max_m)

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.frames import NO_INTENSITY, LaserScan
 from service.estimator.motion import Motion, Prediction
@@ -43,11 +44,7 @@ def _motion(pose: SE2, sigma_m: float, sigma_rad: float) -> Motion:
 
 def points_from(world: World, laser: Laser, pose: SE2, noise: np.random.Generator) -> Points:
     """A scan from `pose`, the vehicle standing, with the noise of the laser and nothing else."""
-    sensor = pose @ laser.mounting
-    rays = np.zeros((laser.beams, 4))
-    rays[:, 0], rays[:, 1] = sensor.x_m, sensor.y_m
-    rays[:, 2] = sensor.theta_rad + np.radians(laser.first_deg + np.arange(laser.beams) * laser.step_deg)
-    range_m, _ = world.cast(rays, np.empty((0, 5)), laser.model.range_max_m)
+    range_m, _ = cast(world, laser, pose)
     range_m = np.where(np.isfinite(range_m), range_m, np.nan)
     model = laser.model
     range_m = range_m + (model.sigma_m + model.sigma_per_m * range_m) * noise.standard_normal(laser.beams)
@@ -65,3 +62,13 @@ def points_from(world: World, laser: Laser, pose: SE2, noise: np.random.Generato
         intensity=NO_INTENSITY,
     )
     return DeskewByTwist(BeamsConfig(), {laser.name: laser.mounting})(scan, _motion(pose, 1.0, 1.0))
+
+
+def cast(world: World, laser: Laser, pose: SE2) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
+    """As World.cast, of the beams of a laser whose vehicle stands at `pose`."""
+    sensor = pose @ laser.mounting
+    rays = np.zeros((laser.beams, 4))
+    rays[:, 0], rays[:, 1] = sensor.x_m, sensor.y_m
+    steps = np.arange(laser.beams) * laser.step_deg
+    rays[:, 2] = sensor.theta_rad + np.radians(laser.first_deg + steps)
+    return world.cast(rays, np.empty((0, 5)), laser.model.range_max_m)
