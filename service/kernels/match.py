@@ -7,7 +7,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
@@ -23,7 +22,7 @@ from service.kernels.pose_information import (
 )
 from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_cost, surfel_normal_equations
-from service.kernels.surfels import SurfelGrid, clear_cache, empty_cache, find_surfels_cached
+from service.kernels.surfels import SurfelCache, SurfelGrid, clear_cache, empty_cache, find_surfels_cached
 
 MAX_HALVINGS = 4  # of a step that raises the cost; [12]
 MIN_FINE_SHARE = 0.8  # inliers of half cells over those of full cells; below it the full cells decide; [32]
@@ -66,13 +65,11 @@ class MatchSettings(NamedTuple):
 
 
 class MatchResult(NamedTuple):
-    pose: npt.NDArray[np.float64]  # (3,)
-    twist: npt.NDArray[np.float64]  # (3,)
-    covariance: npt.NDArray[
-        np.float64
-    ]  # (3, 3) of the pose against the map, in its base axes, by prior and scan
+    pose: Float64_1D  # (3,)
+    twist: Float64_1D  # (3,)
+    covariance: Float64_2D  # (3, 3) of the pose against the map, in its base axes, by prior and scan
     # (3, 3) of the scan alone, in base axes, less information_chance_chi2; the covariance has all of it
-    information: npt.NDArray[np.float64]
+    information: Float64_2D
     prior_weight: float  # of the prediction; 1: it agrees with the scan
     share: float  # inlier ratio, 0..1
     used: int  # points used
@@ -139,73 +136,138 @@ def student_cost(chi2, freedom):
 _student_cost = inner_kernel(student_cost)
 
 
-@inner_kernel
-def cost_at(xy_base, normals, pose, prior, prior_information, grid, settings, least_count, cache, found):
-    """Half the cost of points and prior at a pose, [12]; arguments as those of align_on_surfels.
-
-    found   (N, 6) float64   out: from find_surfels, there
-    """
-    find_surfels_cached(xy_base, normals, pose, grid, settings.least_normal_cosine, least_count, cache, found)
-    cost = surfel_cost(xy_base, normals, found, pose, 1.5 * grid.cell_m, settings)
-    chi2 = prior_chi2_at(pose, prior.pose, prior_information)
-    return cost + _student_cost(chi2, settings.degrees_of_freedom)
-
-
-@inner_kernel
-def align_on_surfels(
-    returns,
-    normals,
-    prior,
-    prior_information,
-    grid,
-    settings,
-    tolerance_factor,
-    doubt_inlier_ratio,
-    least_count,
-    cache,
-    xy_base,
-    pose,
-    information,
-    less_chance,
-):
-    """Gauss-Newton on surfels with a prior, deskewed again with the twist of each step.
+class Problem(NamedTuple):
+    """What a pose is fitted to, but for the surfels.
 
     returns             Returns            end points at their own times
     normals             (N, 3) float64     base frame
     prior               Prior
     prior_information   (3, 3) float64     in the axes of the grid
-    grid                SurfelGrid
     settings            MatchSettings
-    tolerance_factor              float              factor on the convergence limits; 1 for a match in doubt
-    doubt_inlier_ratio  float              below this inlier ratio, or with a contradicted prediction, no step
-                                           may raise the cost
-    least_count         float              as in find_surfels_cached
-    cache               SurfelCache        in and out: results of previous searches
-    xy_base             (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
-    pose                (3,)   float64     in: initial; out: final
-    information         (3, 3) float64     out: of the scan alone, in the axes of the grid
-    less_chance         (3, 3) float64     out: the same, less information_chance_chi2
-    Returns (half the cost before the last step, of points and prior; points used; inliers; weight of the
-    prior).
     """
-    g = np.empty(3)
+
+    returns: Returns
+    normals: Float64_2D
+    prior: Prior
+    prior_information: Float64_2D
+    settings: MatchSettings
+
+
+class Target(NamedTuple):
+    """Surfels of one resolution.
+
+    grid          SurfelGrid
+    least_count   float         as in find_surfels_cached
+    cache         SurfelCache   in and out: results of previous searches
+    """
+
+    grid: SurfelGrid
+    least_count: float
+    cache: SurfelCache
+
+
+class Alignment(NamedTuple):
+    """Arrays of one alignment, filled in place.
+
+    pose          (3,)   float64   in: initial; out: final
+    xy_base       (N, 2) float64   in: deskewed with the prior's twist; out: with the matched one
+    information   (3, 3) float64   out: of the scan alone, in the axes of the grid
+    less_chance   (3, 3) float64   out: the same, less information_chance_chi2
+    """
+
+    pose: Float64_1D
+    xy_base: Float64_2D
+    information: Float64_2D
+    less_chance: Float64_2D
+
+
+class Fit(NamedTuple):
+    """How an alignment ended."""
+
+    cost: float  # half the cost of points and prior, where the match is in doubt; else 0
+    used: int  # points
+    inliers: int
+    prior_weight: float
+
+
+@inner_kernel
+def copy_alignment(source, target):
+    copy_vector(source.pose, target.pose)
+    copy_matrix(source.xy_base, target.xy_base)
+    copy_matrix(source.information, target.information)
+    copy_matrix(source.less_chance, target.less_chance)
+
+
+@inner_kernel
+def cost_at(pose, xy_base, problem, target, found):
+    """Half the cost of points and prior at a pose, [12].
+
+    found   (N, 6) float64   out: from find_surfels, there
+    """
+    grid, settings = target.grid, problem.settings
+    find_surfels_cached(
+        xy_base,
+        problem.normals,
+        pose,
+        grid,
+        settings.least_normal_cosine,
+        target.least_count,
+        target.cache,
+        found,
+    )
+    cost = surfel_cost(xy_base, problem.normals, found, pose, 1.5 * grid.cell_m, settings)
+    chi2 = prior_chi2_at(pose, problem.prior.pose, problem.prior_information)
+    return cost + _student_cost(chi2, settings.degrees_of_freedom)
+
+
+@inner_kernel
+def newton_step(pose, problem, weight, damping, g, information, step):
+    """Gauss-Newton step by scan and prior, [15]. Returns False where it is not determined.
+
+    weight        float            of the prior
+    damping       (3, 3) float64   of the scan
+    g             (3,)   float64   of the scan
+    information   (3, 3) float64   of the scan
+    step          (3,)   float64   out: to be subtracted from the pose
+    """
+    prior_pose, prior_information = problem.prior.pose, problem.prior_information
     total = np.empty(3)
-    step = np.empty(3)
-    twist = np.empty(3)
-    H = np.empty((3, 3))
-    shared = np.empty((3, 3))
-    damping = np.empty((3, 3))
     system = np.empty((3, 3))
+    for i in range(3):
+        total[i] = 0.0
+        for j in range(3):
+            total[i] += damping[i, j] * g[j] + weight * prior_information[i, j] * (
+                pose[j] - prior_pose[j] if j < 2 else wrap(pose[2] - prior_pose[2])
+            )
+            system[i, j] = information[i, j] + weight * prior_information[i, j]
+    return solve_3x3(system, total, step)
+
+
+@inner_kernel
+def align_on_surfels(problem, target, tolerance_factor, doubt_inlier_ratio, alignment):
+    """Gauss-Newton on surfels with a prior, deskewed again with the twist of each step.
+
+    problem             Problem
+    target              Target
+    tolerance_factor    float       factor on the convergence limits; 1 for a match in doubt
+    doubt_inlier_ratio  float       below this inlier ratio, or with a contradicted prediction, no step may
+                                    raise the cost
+    alignment           Alignment   in and out
+    Returns Fit; its cost is that before the last step.
+    """
+    returns, normals, prior, prior_information, settings = problem
+    grid, least_count, cache = target
+    pose, xy_base, information, less_chance = alignment
+    g, step, twist = np.empty(3), np.empty(3), np.empty(3)
+    H, shared, damping = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     count = xy_base.shape[0]
     found = np.empty((count, 6))
     evidence = np.empty((count, 7))
     evaluated = np.empty(3)
     moves = count > 0 and (returns.beam_time_s[0] != 0.0 or returns.beam_time_s[count - 1] != 0.0)
-    used = 0
-    inliers = 0
+    used = inliers = halvings = 0
     weight = 1.0
     last = pose.copy()
-    halvings = 0
     for k in range(settings.iterations + 1):
         if moves and 0 < k <= settings.deskew_rounds:
             learn_twist(prior, pose, weight, twist)
@@ -220,13 +282,8 @@ def align_on_surfels(
         weight_here = prior_weight_at(pose, prior.pose, prior_information, settings.degrees_of_freedom)
         is_in_doubt = inliers < doubt_inlier_ratio * used or weight_here < MIN_PRIOR_WEIGHT
         if is_in_doubt and 0 < k < settings.iterations and halvings < MAX_HALVINGS:
-            before = cost_at(
-                xy_base, normals, last, prior, prior_information, grid, settings, least_count, cache, found
-            )
-            after = cost_at(
-                xy_base, normals, pose, prior, prior_information, grid, settings, least_count, cache, found
-            )
-            if after > before:
+            before = cost_at(last, xy_base, problem, target, found)
+            if cost_at(pose, xy_base, problem, target, found) > before:
                 halvings += 1
                 part = 0.5 if halvings < MAX_HALVINGS else 0.0
                 for i in range(3):
@@ -237,14 +294,8 @@ def align_on_surfels(
         copy_vector(pose, last)
         scan_information(H, shared, evidence, settings.chance_chi2, damping, information)
         weight = weight_here
-        for i in range(3):
-            total[i] = 0.0
-            for j in range(3):
-                total[i] += damping[i, j] * g[j] + weight * prior_information[i, j] * (
-                    pose[j] - prior.pose[j] if j < 2 else wrap(pose[2] - prior.pose[2])
-                )
-                system[i, j] = information[i, j] + weight * prior_information[i, j]
-        if k == settings.iterations or is_last or not solve_3x3(system, total, step):
+        is_last = is_last or k == settings.iterations
+        if is_last or not newton_step(pose, problem, weight, damping, g, information, step):
             break
         for i in range(3):
             pose[i] -= step[i]
@@ -260,11 +311,74 @@ def align_on_surfels(
         scan_information(H, shared, evidence, settings.information_chance_chi2, damping, less_chance)
     cost = 0.0
     if inliers < doubt_inlier_ratio * used:
-        cost = cost_at(
-            xy_base, normals, evaluated, prior, prior_information, grid, settings, least_count, cache, found
-        )
+        cost = cost_at(evaluated, xy_base, problem, target, found)
     pose[2] = wrap(pose[2])
-    return cost, used, inliers, weight
+    return Fit(cost, used, inliers, weight)
+
+
+@inner_kernel
+def information_at(covariance, theta_rad, information):
+    """Inverse of a covariance in base axes, in those of the grid; 0 where it has none."""
+    rotated = np.zeros((3, 3))
+    if invert_3x3(covariance, rotated):
+        rotate_information(rotated, theta_rad, information)
+
+
+@inner_kernel
+def align_from_starts(problem, target, start, doubt_inlier_ratio, alignment):
+    """Alignment from `start` and, at a low inlier ratio, from initial poses by the coarse map.
+
+    The prediction may be outside the basin of convergence of the surfels. Then the coarse map gives initial
+    poses, from the predicted heading and two beside it; the match of least cost is kept. Its prior is widened
+    to the resolution of the coarse map: else wrong odometry with a small covariance would fix every start.
+
+    start       (3,) float64
+    alignment   Alignment      in: xy_base; out
+    Other arguments as for align_on_surfels. Returns Fit.
+    """
+    settings, prior, grid = problem.settings, problem.prior, target.grid
+    loose = prior.covariance.copy()
+    loose[0, 0] += settings.coarse_m * settings.coarse_m
+    loose[1, 1] += settings.coarse_m * settings.coarse_m
+    loose[2, 2] += settings.coarse_rad * settings.coarse_rad
+    coarse_information = np.zeros((3, 3))
+    information_at(loose, prior.pose[2], coarse_information)
+    field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
+    coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
+    predicted_xy = alignment.xy_base.copy()
+    copy_vector(start, alignment.pose)
+    best = align_on_surfels(problem, target, settings.near, doubt_inlier_ratio, alignment)
+    trial = new_alignment(start, predicted_xy)
+    for side in (0.0, 1.0, -1.0):
+        if best.inliers >= doubt_inlier_ratio * best.used:
+            break
+        copy_matrix(predicted_xy, trial.xy_base)
+        copy_vector(start, trial.pose)
+        trial.pose[2] += 2.0 * side * math.sqrt(prior.covariance[2, 2])
+        thin, weights = thin_evenly(trial.xy_base, settings.coarse_beams, settings.coarse_sigma)
+        align_points(
+            thin,
+            weights,
+            prior.pose,
+            coarse_information,
+            field,
+            coarse,
+            coarse.trials,
+            coarse.first_damping,
+            trial.pose,
+            trial.information,
+        )
+        fit = align_on_surfels(problem, target, settings.near, math.inf, trial)
+        if fit.cost < best.cost:
+            best = fit
+            copy_alignment(trial, alignment)
+    return best
+
+
+@inner_kernel
+def new_alignment(pose, xy_base):
+    """An Alignment of its own arrays, from a pose and points."""
+    return Alignment(pose.copy(), xy_base.copy(), np.empty((3, 3)), np.empty((3, 3)))
 
 
 @kernel(Returns, Float64_2D, Prior, Float64_1D, SurfelGrid, SurfelGrid, MatchSettings, float, Float64_2D)
@@ -284,131 +398,50 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     xy_base     (N, 2) float64     in: deskewed with the prior's twist; out: with the matched one
     Returns MatchResult.
     """
-    information = np.empty((3, 3))
-    of_trial = np.empty((3, 3))
-    less_chance = np.empty((3, 3))
-    less_chance_of_trial = np.empty((3, 3))
-    rotated = np.zeros((3, 3))
     prior_information = np.zeros((3, 3))
-    if invert_3x3(prior.covariance, rotated):
-        rotate_information(rotated, prior.pose[2], prior_information)
-    # The prediction may be outside the basin of convergence of the surfels. Then the coarse map gives initial
-    # poses, from the predicted heading and two beside it; the match of least cost is kept. Its prior is
-    # widened to the resolution of the coarse map: else wrong odometry with a small covariance would fix every
-    # start.
-    loose = prior.covariance.copy()
-    loose[0, 0] += settings.coarse_m * settings.coarse_m
-    loose[1, 1] += settings.coarse_m * settings.coarse_m
-    loose[2, 2] += settings.coarse_rad * settings.coarse_rad
-    coarse_information = np.zeros((3, 3))
-    if invert_3x3(loose, rotated):
-        rotate_information(rotated, prior.pose[2], coarse_information)
-    field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
-    coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
+    information_at(prior.covariance, prior.pose[2], prior_information)
+    problem = Problem(returns, normals, prior, prior_information, settings)
     cache = empty_cache(xy_base.shape[0])
-    predicted_xy = xy_base.copy()
-    trial_xy = xy_base.copy()
-    trial_pose = start.copy()
-    pose = np.empty(3)
-    cost = 0.0
-    weight = 1.0
-    used = inliers = 0
-    for trial in range(4):
-        if trial > 0:
-            if inliers >= doubt_inlier_ratio * used:
-                break
-            copy_matrix(predicted_xy, trial_xy)
-            copy_vector(start, trial_pose)
-            side = 0.0 if trial == 1 else (1.0 if trial == 2 else -1.0)
-            trial_pose[2] += 2.0 * side * math.sqrt(prior.covariance[2, 2])
-            thin, weights = thin_evenly(trial_xy, settings.coarse_beams, settings.coarse_sigma)
-            align_points(
-                thin,
-                weights,
-                prior.pose,
-                coarse_information,
-                field,
-                coarse,
-                coarse.trials,
-                coarse.first_damping,
-                trial_pose,
-                of_trial,
-            )
-        trial_cost, trial_used, trial_inliers, trial_weight = align_on_surfels(
-            returns,
-            normals,
-            prior,
-            prior_information,
-            grid,
-            settings,
-            settings.near,
-            doubt_inlier_ratio if trial == 0 else math.inf,
-            0.0,
-            cache,
-            trial_xy,
-            trial_pose,
-            of_trial,
-            less_chance_of_trial,
-        )
-        if trial == 0 or trial_cost < cost:
-            cost = trial_cost
-            used = trial_used
-            inliers = trial_inliers
-            weight = trial_weight
-            copy_vector(trial_pose, pose)
-            copy_matrix(trial_xy, xy_base)
-            copy_matrix(of_trial, information)
-            copy_matrix(less_chance_of_trial, less_chance)
+    matched = Alignment(start.copy(), xy_base, np.empty((3, 3)), np.empty((3, 3)))
+    fit = align_from_starts(problem, Target(grid, 0.0, cache), start, doubt_inlier_ratio, matched)
+    weight = fit.prior_weight
     least_fine_count = 0.0
     if fine_grid.cell_m < grid.cell_m:
         least_fine_count = MIN_FINE_POINTS * (settings.surfel_sigma_m / settings.range_sigma_m) ** 2
-    fine_pose = pose.copy()
-    fine_xy = xy_base.copy()
+    fine = new_alignment(matched.pose, xy_base)
     clear_cache(cache)
-    _fine_cost, _used, fine_inliers, fine_weight = align_on_surfels(
-        returns,
-        normals,
-        prior,
-        prior_information,
-        fine_grid,
-        settings,
-        1.0,
-        0.0,
-        least_fine_count,
-        cache,
-        fine_xy,
-        fine_pose,
-        of_trial,
-        less_chance_of_trial,
-    )
-    if fine_inliers >= MIN_FINE_SHARE * inliers:
-        weight = fine_weight
-        copy_vector(fine_pose, pose)
-        copy_matrix(fine_xy, xy_base)
-        copy_matrix(of_trial, information)
-        copy_matrix(less_chance_of_trial, less_chance)
+    fine_fit = align_on_surfels(problem, Target(fine_grid, least_fine_count, cache), 1.0, 0.0, fine)
+    if fine_fit.inliers >= MIN_FINE_SHARE * fit.inliers:
+        weight = fine_fit.prior_weight
+        copy_alignment(fine, matched)
+    return result_of(problem, matched, weight, fit)
+
+
+@inner_kernel
+def result_of(problem, matched, weight, fit):
+    """MatchResult of an Alignment; weight is that of its prior, fit the one by full cells."""
+    prior, pose = problem.prior, matched.pose
     twist = np.empty(3)
     learn_twist(prior, pose, weight, twist)
-    least, direction = weakest_direction(less_chance)
-    covariance = np.zeros((3, 3))
-    joined = np.empty((3, 3))
-    in_base = np.zeros((3, 3))
-    rotate_information(information, -pose[2], in_base)
-    rotate_information(prior_information, -pose[2], rotated)
+    least, direction = weakest_direction(matched.less_chance)
+    covariance, joined = np.zeros((3, 3)), np.empty((3, 3))
+    of_scan, of_prior, less_chance = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    rotate_information(matched.information, -pose[2], of_scan)
+    rotate_information(problem.prior_information, -pose[2], of_prior)
     for i in range(3):
         for j in range(3):
-            joined[i, j] = in_base[i, j] + weight * rotated[i, j]
+            joined[i, j] = of_scan[i, j] + weight * of_prior[i, j]
     if not invert_3x3(joined, covariance):
         copy_matrix(prior.covariance, covariance)
-    rotate_information(less_chance, -pose[2], in_base)
+    rotate_information(matched.less_chance, -pose[2], less_chance)
     return MatchResult(
         pose,
         twist,
         covariance,
-        in_base,
+        less_chance,
         weight,
-        inliers / used if used > 0 else 0.0,
-        used,
+        fit.inliers / fit.used if fit.used > 0 else 0.0,
+        fit.used,
         math.sqrt(1.0 / least) if least > 0.0 else math.inf,
         wrap(direction - pose[2]),
     )
