@@ -6,6 +6,7 @@ Rounding is monotonic: a bound, a float32 sum in the order of the points, is nev
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from service.kernels.arrays import Float64_2D, LikelihoodCells
 from service.kernels.compiled import inner_kernel, seldom_kernel
@@ -18,6 +19,21 @@ from service.kernels.likelihood_search import (
 )
 from service.kernels.ordering import order_rising
 from service.kernels.tiles import NO_TILE, find_tile
+
+
+class BlockStack(NamedTuple):
+    """Blocks of a pyramid that wait to be split, the best on top, and the parts of the one that is split.
+
+    blocks        (4 L, 3) int64              level, row, column of its first cell
+    bounds        (4 L,)   float32 or int64   upper bounds of the scores in them
+    parts         (4, 2)   int64              row, column
+    part_bounds   (4,)     as bounds          rising
+    """
+
+    blocks: npt.NDArray[np.int64]
+    bounds: npt.NDArray[np.float32 | np.int64]
+    parts: npt.NDArray[np.int64]
+    part_bounds: npt.NDArray[np.float32 | np.int64]
 
 
 class MaxPyramid(NamedTuple):
@@ -127,6 +143,42 @@ def nearest_square(low, high):
     return high * high if high < 0 else 0
 
 
+@inner_kernel
+def insert_part(stack, count, bound, row, column):
+    """Insert a part of the block that is split, by its bound, after `count` others. Returns their number."""
+    at = count
+    while at > 0 and stack.part_bounds[at - 1] > bound:
+        stack.part_bounds[at] = stack.part_bounds[at - 1]
+        stack.parts[at, 0] = stack.parts[at - 1, 0]
+        stack.parts[at, 1] = stack.parts[at - 1, 1]
+        at -= 1
+    stack.part_bounds[at] = bound
+    stack.parts[at, 0] = row
+    stack.parts[at, 1] = column
+    return count + 1
+
+
+@inner_kernel
+def push_block(stack, depth, level, row, column, bound):
+    """Push a block on a stack of `depth` others. Returns their number."""
+    stack.blocks[depth, 0] = level
+    stack.blocks[depth, 1] = row
+    stack.blocks[depth, 2] = column
+    stack.bounds[depth] = bound
+    return depth + 1
+
+
+@inner_kernel
+def push_parts(stack, depth, count, level, least):
+    """Push those of `count` parts whose bound is `least` or more. Returns the depth of the stack."""
+    for n in range(count):
+        if stack.part_bounds[n] >= least:
+            depth = push_block(
+                stack, depth, level, stack.parts[n, 0], stack.parts[n, 1], stack.part_bounds[n]
+            )
+    return depth
+
+
 @seldom_kernel(Float64_2D, MaxPyramid, SearchWindow, float)
 def search_branch_and_bound(xy_base, pyramid, window, least_score):
     """The candidate of search_exhaustive on the layer of the pyramid, without evaluating most of them.
@@ -149,18 +201,16 @@ def search_branch_and_bound(xy_base, pyramid, window, least_score):
     shares = np.empty((heading_count, count), np.float32)  # points in each
     counts = np.empty(heading_count, np.int64)
     bounds = np.empty(heading_count * rows * columns, np.float32)
-    for k in range(heading_count):
-        counts[k] = turned_cells(xy_base, window, k, pyramid.cell_m, cells[k], shares[k])
-        own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
-        for a in range(rows):
-            for b in range(columns):
-                bounds[(k * rows + a) * columns + b] = block_sum(
-                    own_cells, own_shares, pyramid, top, a * size - half_y, b * size - half_x
-                )
     falling = np.empty(bounds.size)
+    for place in range(bounds.size):
+        k = place // (rows * columns)
+        j, i = (place // columns) % rows * size, place % columns * size
+        if j == 0 and i == 0:
+            counts[k] = turned_cells(xy_base, window, k, pyramid.cell_m, cells[k], shares[k])
+        own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
+        bounds[place] = block_sum(own_cells, own_shares, pyramid, top, j - half_y, i - half_x)
+        falling[place] = -bounds[place]
     order = np.empty(bounds.size, np.int64)
-    for n in range(bounds.size):
-        falling[n] = -bounds[n]
     order_rising(falling, order)
     evaluated = bounds.size
 
@@ -168,30 +218,28 @@ def search_branch_and_bound(xy_base, pyramid, window, least_score):
     best_rank = np.int64(2**62)
     best_k, best_j, best_i = np.int64(half_theta), np.int64(half_y), np.int64(half_x)
     found = False
-    stack = np.empty((4 * top + 4, 3), np.int64)  # level, j, i of blocks to split, best on top
-    stack_bounds = np.empty(4 * top + 4, np.float32)
-    child = np.empty((4, 2), np.int64)
-    child_bounds = np.empty(4, np.float32)
+    stack = BlockStack(
+        np.empty((4 * top + 4, 3), np.int64),
+        np.empty(4 * top + 4, np.float32),
+        np.empty((4, 2), np.int64),
+        np.empty(4, np.float32),
+    )
     for place in order:
         if bounds[place] < best:
             break
         k = place // (rows * columns)
         own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
-        depth = 1
-        stack[0, 0] = top
-        stack[0, 1] = (place // columns) % rows * size
-        stack[0, 2] = place % columns * size
-        stack_bounds[0] = bounds[place]
-        turned_square = (k - half_theta) ** 2
+        j, i = (place // columns) % rows * size, place % columns * size
+        depth = push_block(stack, 0, top, j, i, bounds[place])
         while depth > 0:
             depth -= 1
-            level, j, i = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-            bound = stack_bounds[depth]
+            level, j, i = stack.blocks[depth, 0], stack.blocks[depth, 1], stack.blocks[depth, 2]
+            bound = stack.bounds[depth]
             if bound < best:
                 continue
             edge = (1 << level) - 1
             rank = (
-                turned_square
+                (k - half_theta) ** 2
                 + nearest_square(j - half_y, min(j + edge, 2 * half_y) - half_y)
                 + nearest_square(i - half_x, min(i + edge, 2 * half_x) - half_x)
             )
@@ -203,37 +251,17 @@ def search_branch_and_bound(xy_base, pyramid, window, least_score):
                     best_k, best_j, best_i = k, j, i
                 continue
             half = 1 << (level - 1)
-            children = 0
-            for a in range(2):
-                for b in range(2):
-                    if j + a * half > 2 * half_y or i + b * half > 2 * half_x:
+            parts = 0
+            for row in (j, j + half):
+                for column in (i, i + half):
+                    if row > 2 * half_y or column > 2 * half_x:
                         continue
                     total = block_sum(
-                        own_cells,
-                        own_shares,
-                        pyramid,
-                        level - 1,
-                        j + a * half - half_y,
-                        i + b * half - half_x,
+                        own_cells, own_shares, pyramid, level - 1, row - half_y, column - half_x
                     )
-                    evaluated += 1
-                    at = children
-                    while at > 0 and child_bounds[at - 1] > total:  # rising: the best is pushed last
-                        child_bounds[at] = child_bounds[at - 1]
-                        child[at, 0] = child[at - 1, 0]
-                        child[at, 1] = child[at - 1, 1]
-                        at -= 1
-                    child_bounds[at] = total
-                    child[at, 0] = j + a * half
-                    child[at, 1] = i + b * half
-                    children += 1
-            for at in range(children):
-                if child_bounds[at] >= best:
-                    stack[depth, 0] = level - 1
-                    stack[depth, 1] = child[at, 0]
-                    stack[depth, 2] = child[at, 1]
-                    stack_bounds[depth] = child_bounds[at]
-                    depth += 1
+                    parts = insert_part(stack, parts, total, row, column)
+            evaluated += parts
+            depth = push_parts(stack, depth, parts, level - 1, best)
     result = result_of(count, pyramid, window, best, best_k, best_j, best_i, evaluated)
     if not found:
         return SearchResult(result.pose, -np.inf, half_theta, half_y, half_x, evaluated)

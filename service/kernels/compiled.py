@@ -33,6 +33,14 @@ def inner_kernel(function: Callable[..., Any]) -> Any:
     return njit(**INNER_OPTIONS)(function)
 
 
+def inlined_kernel(function: Callable[..., Any]) -> Any:
+    """As inner_kernel, but numba copies it into its callers: for short functions of inner loops.
+
+    A call costs as much as such a function where arrays are passed, each of which numba counts references of.
+    """
+    return njit(**INNER_OPTIONS, inline="always")(function)
+
+
 def _declared(types: tuple[Any, ...], is_seldom: bool) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         DECLARED[f"{function.__module__}.{function.__qualname__}"] = Declaration(types, is_seldom)

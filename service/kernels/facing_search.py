@@ -11,6 +11,7 @@ import numpy as np
 
 from service.kernels.arrays import Bool_2D, Float64_2D, Int8_4D
 from service.kernels.beam_likelihood import FREE_DENSITY, ON_WALL, UNKNOWN_DENSITY, WALL_SIGMA_M
+from service.kernels.branch_and_bound import BlockStack, insert_part, push_block, push_parts
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
@@ -138,6 +139,35 @@ def turned_facing(xy_base, normals, theta_rad, cell_m, cells):
             cells[n, 2] = direction_of(math.atan2(normals[n, 1], normals[n, 0]) + theta_rad)
 
 
+@inner_kernel
+def search_block(cells, levels, stack, bound, row, column, least):
+    """The best pose of one heading in a block of the highest level, above `least`, by branch and bound.
+
+    cells   (N, 3) int64   of turned_facing
+    bound   int            of the block
+    Returns (sum, row, column, sums evaluated); row -1: none.
+    """
+    best, best_row, best_column, evaluated = least, -1, -1, 0
+    depth = push_block(stack, 0, levels.shape[1] - 1, row, column, bound)
+    while depth > 0:
+        depth -= 1
+        level, row, column = stack.blocks[depth, 0], stack.blocks[depth, 1], stack.blocks[depth, 2]
+        if stack.bounds[depth] <= best:
+            continue
+        if level == 0:
+            best, best_row, best_column = stack.bounds[depth], row, column
+            continue
+        half = 1 << (level - 1)
+        parts = 0
+        for r in (row, row + half):
+            for q in (column, column + half):
+                total = facing_sum(cells, levels, level - 1, r, q, best)
+                parts = insert_part(stack, parts, total, r, q)
+        evaluated += parts
+        depth = push_parts(stack, depth, parts, level - 1, best + 1)
+    return best, best_row, best_column, evaluated
+
+
 @kernel(Float64_2D, Float64_2D, FacingPyramid, int, float)
 def search_facing(xy_base, normals, pyramid, heading_count, least):
     """The best pose of each block of the map and sector of headings.
@@ -164,13 +194,13 @@ def search_facing(xy_base, normals, pyramid, heading_count, least):
     cells = np.empty((heading_count, count, 3), np.int64)
     bounds = np.empty(heading_count * blocks, np.int64)
     promising = 0
-    for k in range(heading_count):
-        turned_facing(xy_base, normals, 2.0 * math.pi * k / heading_count, pyramid.cell_m, cells[k])
-        for a in range(rows):
-            for b in range(columns):
-                place = k * blocks + a * columns + b
-                bounds[place] = facing_sum(cells[k], levels, top, a * size, b * size, floor)
-                promising += bounds[place] > floor
+    for place in range(bounds.size):
+        k, block = place // blocks, place % blocks
+        if block == 0:
+            turned_facing(xy_base, normals, 2.0 * math.pi * k / heading_count, pyramid.cell_m, cells[k])
+        row, column = block // columns * size, block % columns * size
+        bounds[place] = facing_sum(cells[k], levels, top, row, column, floor)
+        promising += bounds[place] > floor
     evaluated = bounds.size
     which = np.empty(promising, np.int64)
     falling = np.empty(promising)
@@ -185,48 +215,24 @@ def search_facing(xy_base, normals, pyramid, heading_count, least):
 
     best = np.full(blocks * SECTORS, floor, np.int64)
     best_at = np.full((blocks * SECTORS, 3), -1, np.int64)  # heading, row, column
-    stack = np.empty((4 * top + 4, 3), np.int64)  # level, row, column of blocks to split, best on top
-    stack_bounds = np.empty(4 * top + 4, np.int64)
-    child = np.empty((4, 2), np.int64)
-    child_bounds = np.empty(4, np.int64)
-    for place in order:
-        k, block = which[place] // blocks, which[place] % blocks
-        bound = bounds[which[place]]
+    stack = BlockStack(
+        np.empty((4 * top + 4, 3), np.int64),
+        np.empty(4 * top + 4, np.int64),
+        np.empty((4, 2), np.int64),
+        np.empty(4, np.int64),
+    )
+    for n in order:
+        place = which[n]
+        k, block = place // blocks, place % blocks
         own = block * SECTORS + (k * SECTORS) // heading_count
-        depth = 1
-        stack[0, 0] = top
-        stack[0, 1] = block // columns * size
-        stack[0, 2] = block % columns * size
-        stack_bounds[0] = bound
-        while depth > 0:
-            depth -= 1
-            level, row, column = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-            bound = stack_bounds[depth]
-            if bound <= best[own]:
-                continue
-            if level == 0:
-                best[own] = bound
-                best_at[own, 0], best_at[own, 1], best_at[own, 2] = k, row, column
-                continue
-            half = 1 << (level - 1)
-            for a in range(2):
-                for b in range(2):
-                    r, q = row + a * half, column + b * half
-                    total = facing_sum(cells[k], levels, level - 1, r, q, best[own])
-                    at = 2 * a + b
-                    while at > 0 and child_bounds[at - 1] > total:  # rising: the best is pushed last
-                        child_bounds[at] = child_bounds[at - 1]
-                        child[at, 0], child[at, 1] = child[at - 1, 0], child[at - 1, 1]
-                        at -= 1
-                    child_bounds[at] = total
-                    child[at, 0], child[at, 1] = r, q
-            evaluated += 4
-            for at in range(4):
-                if child_bounds[at] > best[own]:
-                    stack[depth, 0] = level - 1
-                    stack[depth, 1], stack[depth, 2] = child[at, 0], child[at, 1]
-                    stack_bounds[depth] = child_bounds[at]
-                    depth += 1
+        row, column = block // columns * size, block % columns * size
+        total, row, column, more = search_block(
+            cells[k], levels, stack, bounds[place], row, column, best[own]
+        )
+        evaluated += more
+        if row >= 0:
+            best[own] = total
+            best_at[own, 0], best_at[own, 1], best_at[own, 2] = k, row, column
     kept = 0
     for own in range(best.size):
         kept += best_at[own, 0] >= 0

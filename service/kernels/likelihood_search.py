@@ -43,7 +43,6 @@ ByteLayer = Annotated[LikelihoodLayer, 1]  # the second kind of LikelihoodCells
 class SearchWindow(NamedTuple):
     """Candidates (k, j, i): the centre, rotated by (k - half_theta) steps about the base, then shifted by
     (i - half_x, j - half_y) cells along the axes of the map.
-    (i - half_x, j - half_y) cells along the axes of the map.
 
     pose             (3,) float64   x m, y m, theta rad of the base in the frame of the map: the centre
     half_x, half_y   int            cells

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernels.arrays import Float32_3D, Float32_5D, Float64_1D, Float64_2D
-from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.compiled import inlined_kernel, inner_kernel, kernel
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_slot
 
 TILE_BITS = 5
@@ -219,6 +219,83 @@ def find_surfels(xy_base, normals, pose, grid, least_cosine, found):
     find_surfels_cached(xy_base, normals, pose, grid, least_cosine, 0.0, cache, found)
 
 
+@inlined_kernel
+def gather_surfels(grid, row, column, near_surfels, first):
+    """Copy the surfels of the 3 x 3 cells around a cell, with means from the centre of that cell.
+
+    near_surfels   (M, 5) float64   out: rows from `first` on, as in SurfelCache
+    Returns the row after the last one. Cells are read as scalars: a reference costs more than a surfel.
+    """
+    surfels = grid.surfels
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    end = first
+    last_row = last_column = NO_ROW
+    slot = NO_TILE
+    for v in range(-1, 2):
+        tile_row = ((row + v) >> TILE_BITS) - first_row
+        r = (row + v) & TILE_MASK
+        for u in range(-1, 2):
+            tile_column = ((column + u) >> TILE_BITS) - first_column
+            if tile_row != last_row or tile_column != last_column:
+                last_row = tile_row
+                last_column = tile_column
+                slot = slot_at(slots, tile_row, tile_column)
+            if slot == NO_TILE:
+                continue
+            q = (column + u) & TILE_MASK
+            for side in range(2):
+                n = surfels[slot, r, q, side, COUNT]
+                if n == 0.0:
+                    break  # sides are filled in order
+                near_surfels[end, COUNT] = n
+                near_surfels[end, MEAN_X] = u * grid.cell_m + surfels[slot, r, q, side, MEAN_X]
+                near_surfels[end, MEAN_Y] = v * grid.cell_m + surfels[slot, r, q, side, MEAN_Y]
+                near_surfels[end, NORMAL_X] = surfels[slot, r, q, side, NORMAL_X]
+                near_surfels[end, NORMAL_Y] = surfels[slot, r, q, side, NORMAL_Y]
+                end += 1
+    return end
+
+
+@inlined_kernel
+def wall_beside(near_surfels, first, end, dx, dy, nx, ny, per_square_reach, least_cosine):
+    """Weighted mean of the surfels of rows first to end around a point.
+
+    dx, dy             m, of the point from the centre of its cell
+    nx, ny             its normal
+    per_square_reach   1/m^2
+    Returns (x m, y m of the wall from the centre of the cell, normal x, normal y, points it stands for).
+    A round wall lies between the plane through the mean and the surfels' own planes, at ROUND_SHARE; [28].
+    """
+    total = sum_x = sum_y = sum_nx = sum_ny = sum_off = 0.0
+    for k in range(first, end):
+        mx = near_surfels[k, MEAN_X]
+        my = near_surfels[k, MEAN_Y]
+        near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
+        if near <= 0.0:
+            continue
+        sx = near_surfels[k, NORMAL_X]
+        sy = near_surfels[k, NORMAL_Y]
+        if sx * nx + sy * ny <= least_cosine:
+            continue
+        weight = near_surfels[k, COUNT] * near * near
+        total += weight
+        sum_x += weight * mx
+        sum_y += weight * my
+        sum_nx += weight * sx
+        sum_ny += weight * sy
+        sum_off += weight * (sx * (dx - mx) + sy * (dy - my))
+    length = math.sqrt(sum_nx * sum_nx + sum_ny * sum_ny)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    nx = sum_nx / length
+    ny = sum_ny / length
+    off_mean = nx * (dx - sum_x / total) + ny * (dy - sum_y / total)  # distance from the mean plane
+    behind = ROUND_SHARE * (sum_off / total - off_mean)
+    return sum_x / total - behind * nx, sum_y / total - behind * ny, nx, ny, total
+
+
 @inner_kernel
 def find_surfels_cached(xy_base, normals, pose, grid, least_cosine, least_count, cache, found):
     """The wall beside each point: mean of the surfels in the 3 x 3 cells around it with a similar normal.
@@ -236,21 +313,13 @@ def find_surfels_cached(xy_base, normals, pose, grid, least_cosine, least_count,
     found          (N, 6) float64   out: x, y of the wall (m, frame of the grid), normal x, normal y, points
                                     it stands for, 0: none, the rest is then undefined; consecutive points of
                                     this scan in the same cell
-    A round wall lies between the plane through the mean and the surfels' own planes, at ROUND_SHARE; [28].
     Source: moving least squares, Kolluri 2008; for scans, Deschaud, IMLS-SLAM, 2018, eq. (1); of second
     order by the normals, as the spheres of Guennebaud, Gross, Algebraic point set surfaces, 2007.
     """
-    # The surfels around a cell are gathered once for consecutive points. Arrays are hoisted out of the tuples
-    # and cells read as scalars: a reference costs more than a surfel.
-    near_cell = cache.cell
-    near_span = cache.span
-    near_surfels = cache.surfels
+    # The surfels around a cell are gathered once for consecutive points.
+    near_cell, near_span, near_surfels = cache.cell, cache.span, cache.surfels
     used = cache.used[0]
     first = end = 0
-    surfels = grid.surfels
-    slots = grid.tiles.slots
-    first_row = grid.tiles.origin[0]
-    first_column = grid.tiles.origin[1]
     cell_m = grid.cell_m
     cells_per_m = 1.0 / cell_m
     per_square_reach = 1.0 / (REACH_CELLS * cell_m) ** 2
@@ -281,66 +350,19 @@ def find_surfels_cached(xy_base, normals, pose, grid, least_cosine, least_count,
                 if used + SURFELS_AROUND > near_surfels.shape[0]:  # full
                     clear_cache(cache)
                     used = 0
-                first = end = used
-                last_row = last_column = NO_ROW
-                slot = NO_TILE
-                for v in range(-1, 2):
-                    tile_row = ((row + v) >> TILE_BITS) - first_row
-                    r = (row + v) & TILE_MASK
-                    for u in range(-1, 2):
-                        tile_column = ((column + u) >> TILE_BITS) - first_column
-                        if tile_row != last_row or tile_column != last_column:
-                            last_row = tile_row
-                            last_column = tile_column
-                            slot = NO_TILE
-                            if 0 <= tile_row < slots.shape[0] and 0 <= tile_column < slots.shape[1]:
-                                slot = slots[tile_row, tile_column]
-                        if slot == NO_TILE:
-                            continue
-                        q = (column + u) & TILE_MASK
-                        for side in range(2):
-                            n = surfels[slot, r, q, side, COUNT]
-                            if n == 0.0:
-                                break  # sides are filled in order
-                            near_surfels[end, COUNT] = n
-                            near_surfels[end, MEAN_X] = u * cell_m + surfels[slot, r, q, side, MEAN_X]
-                            near_surfels[end, MEAN_Y] = v * cell_m + surfels[slot, r, q, side, MEAN_Y]
-                            near_surfels[end, NORMAL_X] = surfels[slot, r, q, side, NORMAL_X]
-                            near_surfels[end, NORMAL_Y] = surfels[slot, r, q, side, NORMAL_Y]
-                            end += 1
+                first = used
+                used = end = gather_surfels(grid, row, column, near_surfels, first)
                 near_cell[i, 0] = row
                 near_cell[i, 1] = column
                 near_span[i, 0] = first
                 near_span[i, 1] = end - first
-                used = end
-        dx = x - (column + 0.5) * cell_m
-        dy = y - (row + 0.5) * cell_m
-        total = sum_x = sum_y = sum_nx = sum_ny = sum_off = 0.0
-        for k in range(first, end):
-            mx = near_surfels[k, MEAN_X]
-            my = near_surfels[k, MEAN_Y]
-            near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
-            if near <= 0.0:
-                continue
-            sx = near_surfels[k, NORMAL_X]
-            sy = near_surfels[k, NORMAL_Y]
-            if sx * nx + sy * ny <= least_cosine:
-                continue
-            weight = near_surfels[k, COUNT] * near * near
-            total += weight
-            sum_x += weight * mx
-            sum_y += weight * my
-            sum_nx += weight * sx
-            sum_ny += weight * sy
-            sum_off += weight * (sx * (dx - mx) + sy * (dy - my))
-        length = math.sqrt(sum_nx * sum_nx + sum_ny * sum_ny)
-        if length > 0.0 and total >= least_count:
-            nx = sum_nx / length
-            ny = sum_ny / length
-            off_mean = nx * (dx - sum_x / total) + ny * (dy - sum_y / total)  # distance from the mean plane
-            behind = ROUND_SHARE * (sum_off / total - off_mean)
-            found[i, 0] = sum_x / total - behind * nx + (column + 0.5) * cell_m
-            found[i, 1] = sum_y / total - behind * ny + (row + 0.5) * cell_m
+        centre_x, centre_y = (column + 0.5) * cell_m, (row + 0.5) * cell_m
+        wall_x, wall_y, nx, ny, total = wall_beside(
+            near_surfels, first, end, x - centre_x, y - centre_y, nx, ny, per_square_reach, least_cosine
+        )
+        if total > 0.0 and total >= least_count:
+            found[i, 0] = wall_x + centre_x
+            found[i, 1] = wall_y + centre_y
             found[i, 2] = nx
             found[i, 3] = ny
             found[i, 4] = total

@@ -111,33 +111,56 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
     """
     at_ns = state.stamp_ns[0]
     lag_ns = np.int64(state.learnt[2] * 1e9)
-    twist = state.twist
     has_odometry = covers(odometry, at_ns + lag_ns, begin_s, end_s)
     has_gyro = covers(gyro, at_ns, begin_s, end_s)
     if not (has_odometry or has_gyro or np.any(state.acceleration != 0.0)):
         return False
-    step, rest = np.empty(3), np.empty(3)
-    origin, pose, scratch = np.empty(3), np.empty(3), np.empty(3)
-    odometry_s = gyro_s = start_rad = 0.0
-    if has_odometry:
-        odometry_at(odometry, at_ns + lag_ns, settings, origin, scratch)
-        odometry_s = (odometry.stamp_ns[odometry.span[1] - 1] - at_ns - lag_ns) * 1e-9
-    if has_gyro:
-        start_rad = gyro_angle_at(gyro, at_ns)
-        gyro_s = (gyro.stamp_ns[gyro.span[1] - 1] - at_ns) * 1e-9
-    speed = math.hypot(twist[0], twist[1])
-    rate = abs(twist[2])
     count = deviation.shape[0]
+    times_s = np.empty(count)
     expected_at = np.empty((count, 3))
     off = np.zeros((count, 3))  # relative to expected_at
-    known, variance, odometry_rad = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
+    odometry_rad, odometry_variance = np.zeros(count), np.zeros(count)  # of the rotation in off
     for k in range(count):
-        t = begin_s + (end_s - begin_s) * k / (count - 1)
-        expected_step(state, t, settings, expected_at[k])
-        if not has_odometry:
-            continue
-        known[k] = min(t, odometry_s)
-        odometry_at(odometry, at_ns + lag_ns + np.int64(known[k] * 1e9), settings, pose, scratch)
+        times_s[k] = begin_s + (end_s - begin_s) * k / (count - 1)
+        expected_step(state, times_s[k], settings, expected_at[k])
+    if has_odometry:
+        measure_by_odometry(
+            state, odometry, times_s, settings, expected_at, off, odometry_rad, odometry_variance
+        )
+    if has_gyro:
+        correct_by_gyro(state, gyro, times_s, settings, has_odometry, odometry_rad, odometry_variance, off)
+    step, pose = np.empty(3), np.empty(3)
+    twist = state.twist
+    for k in range(count):
+        t = times_s[k]
+        exponential(t * twist[0], t * twist[1], t * twist[2], step)
+        compose(expected_at[k], off[k], pose)
+        between(step, pose, deviation[k])
+    return True
+
+
+@inner_kernel
+def measure_by_odometry(state, track, times_s, settings, expected_at, off, measured_rad, variance_rad2):
+    """Deviation from the predicted motion by odometry; [23].
+
+    times_s         (K,)   float64   from the state's time
+    expected_at     (K, 3) float64   m, m, rad: predicted motion until then
+    off             (K, 3) float64   out: m, m, rad, weighted by its gain
+    measured_rad    (K,)   float64   out: its rotation before weighting
+    variance_rad2   (K,)   float64   out: noise of that
+    """
+    at_ns = state.stamp_ns[0] + np.int64(state.learnt[2] * 1e9)
+    count = times_s.shape[0]
+    origin, pose, scratch = np.empty(3), np.empty(3), np.empty(3)
+    step, rest = np.empty(3), np.empty(3)
+    odometry_at(track, at_ns, settings, origin, scratch)
+    newest_s = (track.stamp_ns[track.span[1] - 1] - at_ns) * 1e-9
+    speed, rate = math.hypot(state.twist[0], state.twist[1]), abs(state.twist[2])
+    known, variance = np.empty(count), np.empty((count, 2))
+    for k in range(count):
+        t = times_s[k]
+        known[k] = min(t, newest_s)
+        odometry_at(track, at_ns + np.int64(known[k] * 1e9), settings, pose, scratch)
         between(origin, pose, step)
         step[0] *= 1.0 + state.learnt[0]
         step[1] *= 1.0 + state.learnt[0]
@@ -152,41 +175,46 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
         turn_variance = settings.heading_walk**2 * path_length_m + settings.turn_walk**2 * turn_rad
         turn_variance += settings.resolution_rad**2 + (settings.jitter_s * rate) ** 2
         variance[k, 1] = state.noise[1] * turn_variance
-        odometry_rad[k] = off[k, 2]
-    if has_odometry:
-        for axis in range(3):
-            # Empirical Bayes: the deviation beyond noise limits the prior variance (Efron, Morris 1973).
-            part = 0.0
-            for end in (0, count - 1):
-                expected = expected_variance(state, axis, known[end], settings)
-                shown = off[end, axis] ** 2 - variance[end, axis // 2]
-                if expected > 0.0:
-                    part = max(part, min(shown / expected, 1.0))
-            for k in range(count):
-                expected = part * expected_variance(state, axis, known[k], settings)
-                off[k, axis] *= gain_of(expected, off[k, axis], variance[k, axis // 2])
-    if has_gyro:
+        measured_rad[k] = off[k, 2]
+        variance_rad2[k] = variance[k, 1]
+    for axis in range(3):
+        # Empirical Bayes: the deviation beyond noise limits the prior variance (Efron, Morris 1973).
+        part = 0.0
+        for end in (0, count - 1):
+            expected = expected_variance(state, axis, known[end], settings)
+            shown = off[end, axis] ** 2 - variance[end, axis // 2]
+            if expected > 0.0:
+                part = max(part, min(shown / expected, 1.0))
         for k in range(count):
-            t = begin_s + (end_s - begin_s) * k / (count - 1)
-            known_s = min(t, gyro_s)
-            turned = gyro_angle_at(gyro, at_ns + np.int64(known_s * 1e9)) - start_rad
-            to_step_s2 = transition_over(abs(known_s), settings.acceleration_s).to_step_s2
-            turned -= (state.learnt[3] + twist[2]) * known_s + to_step_s2 * state.acceleration[2]
-            gyro_variance = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * rate * known_s) ** 2
-            expected = expected_variance(state, 2, known_s, settings)
-            gyro_variance *= state.gyro_noise[0]
-            kept = gain_of(expected, turned, gyro_variance)
-            if has_odometry:  # where gyro and odometry contradict each other, the gyro may be dead
-                apart = turned - odometry_rad[k]
-                both = gyro_variance + variance[k, 1]
-                kept *= min(1.0, CHI2_99_OF_1 * both / max(apart * apart, 1e-12))
-            off[k, 2] += kept * (turned - off[k, 2])
-    for k in range(count):
-        t = begin_s + (end_s - begin_s) * k / (count - 1)
-        exponential(t * twist[0], t * twist[1], t * twist[2], step)
-        compose(expected_at[k], off[k], pose)
-        between(step, pose, deviation[k])
-    return True
+            expected = part * expected_variance(state, axis, known[k], settings)
+            off[k, axis] *= gain_of(expected, off[k, axis], variance[k, axis // 2])
+
+
+@inner_kernel
+def correct_by_gyro(state, track, times_s, settings, has_odometry, odometry_rad, odometry_variance, off):
+    """Correct the rotation of a deviation by the gyro; [23].
+
+    times_s             (K,)   float64   from the state's time
+    odometry_rad        (K,)   float64   rotation beyond the predicted one by odometry, if it has any
+    odometry_variance   (K,)   float64   rad^2, of that
+    off                 (K, 3) float64   in and out: m, m, rad
+    """
+    at_ns, rate = state.stamp_ns[0], state.twist[2]
+    start_rad = gyro_angle_at(track, at_ns)
+    newest_s = (track.stamp_ns[track.span[1] - 1] - at_ns) * 1e-9
+    for k in range(times_s.shape[0]):
+        known_s = min(times_s[k], newest_s)
+        turned = gyro_angle_at(track, at_ns + np.int64(known_s * 1e9)) - start_rad
+        to_step_s2 = transition_over(abs(known_s), settings.acceleration_s).to_step_s2
+        turned -= (state.learnt[3] + rate) * known_s + to_step_s2 * state.acceleration[2]
+        variance = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * abs(rate) * known_s) ** 2
+        variance *= state.gyro_noise[0]
+        kept = gain_of(expected_variance(state, 2, known_s, settings), turned, variance)
+        if has_odometry:  # where gyro and odometry contradict each other, the gyro may be dead
+            apart = turned - odometry_rad[k]
+            both = variance + odometry_variance[k]
+            kept *= min(1.0, CHI2_99_OF_1 * both / max(apart * apart, 1e-12))
+        off[k, 2] += kept * (turned - off[k, 2])
 
 
 @kernel(PackedFilter, Track, Track, float, MotionSettings, Float64_1D, Float64_1D, Float64_2D)
