@@ -202,14 +202,14 @@ def search_branch_and_bound(xy_base, pyramid, window, least_score):
     counts = np.empty(heading_count, np.int64)
     bounds = np.empty(heading_count * rows * columns, np.float32)
     falling = np.empty(bounds.size)
-    for place in range(bounds.size):
-        k = place // (rows * columns)
-        j, i = (place // columns) % rows * size, place % columns * size
+    for n in range(bounds.size):
+        k = n // (rows * columns)
+        j, i = (n // columns) % rows * size, n % columns * size
         if j == 0 and i == 0:
             counts[k] = turned_cells(xy_base, window, k, pyramid.cell_m, cells[k], shares[k])
         own_cells, own_shares = cells[k, : counts[k]], shares[k, : counts[k]]
-        bounds[place] = block_sum(own_cells, own_shares, pyramid, top, j - half_y, i - half_x)
-        falling[place] = -bounds[place]
+        bounds[n] = block_sum(own_cells, own_shares, pyramid, top, j - half_y, i - half_x)
+        falling[n] = -bounds[n]
     order = np.empty(bounds.size, np.int64)
     order_rising(falling, order)
     evaluated = bounds.size
