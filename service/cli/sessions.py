@@ -19,7 +19,7 @@ from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
     from service.offline.cluster.engines import Engine
-    from service.offline.cluster.tasks import Task
+    from service.offline.cluster.session_task import Task
     from service.offline.past.recording_view import RecordingView
     from service.offline.past.replay_page import ReplayPage
     from service.offline.past.view import View
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
-    from service.offline.cluster.tasks import new_tasks
+    from service.offline.cluster.session_task import new_tasks
     from service.offline.replay.replay import DEFAULT_OUT, group_sessions, replay_all, result_folders
     from service.offline.replay.setup import ReplayOptions, refuse_contradictions
 

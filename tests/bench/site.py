@@ -15,7 +15,7 @@ import numpy as np
 
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
-from service.offline.cluster.tasks import new_tasks
+from service.offline.cluster.session_task import new_tasks
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.score import align, compose
 from service.offline.score.trajectory import read_tum

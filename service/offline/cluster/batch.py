@@ -10,7 +10,8 @@ from typing import Any
 from service.errors import CorridorError, StorageError, words_of
 from service.extras import install_command, optional
 from service.offline.cluster.engines import Engine
-from service.offline.cluster.tasks import Done, Task
+from service.offline.cluster.session_task import Task
+from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.replay.run import MAPPING
 
 log = logging.getLogger(__name__)
@@ -38,7 +39,7 @@ COLUMNS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-def run_batch(tasks: Sequence[Task], engine: Engine, progress: Progress) -> list[Done]:
+def run_batch(tasks: Sequence[AnyTask], engine: Engine, progress: Progress) -> list[Done]:
     """Run all; their outcomes in the order of the tasks."""
     done: dict[int, Done] = {}
     began_s = time.monotonic()

@@ -1,30 +1,20 @@
-"""What an engine runs; and a session as a task: it is replayed to its folder, unless that holds the same
-result already.
-"""
+"""What an engine runs, and what comes of it."""
 
 import hashlib
-import json
 import logging
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
 import service
-from service.archive import fingerprint
 from service.compile.cache import ensure_cache_dir
-from service.errors import CorridorError, InputError, StorageError, words_of
-from service.offline.past.result import SUMMARY_FILE
-from service.offline.replay.replay import Outcome, replay_to
-from service.offline.replay.result import Extra
-from service.offline.replay.setup import ReplayOptions
-from service.readable import refuse_unreadable
+from service.errors import CorridorError
 from service.version import VERSION
 
-DONE_FILE = "done.json"  # written last: a folder that has it is complete
 LOGGER = logging.getLogger("service")
 
 
@@ -44,46 +34,13 @@ class AnyTask(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
-    """program    digest of the sources of the client
-    is_again   do it although it is done
-    """
-
-    session: tuple[Path, ...]
-    options: ReplayOptions
-    folder: Path
-    extras: tuple[Extra, ...] = ()
-    program: str = ""
-    is_again: bool = False
-
-    @property
-    def name(self) -> str:
-        return str(self.session[0])
-
-    def work(self) -> "Done":
-        """Raises CorridorError."""
-        manifest = _manifest(self)
-        place = self.folder / DONE_FILE
-        try:
-            if not self.is_again and (summary := _summary_of(self.folder, manifest)) is not None:
-                return Done(summary, manifest, was_done=True)
-            place.unlink(missing_ok=True)
-            summary = replay_to(self.session, self.options, self.folder, self.extras)
-            place.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
-        except CorridorError:
-            raise
-        except OSError as error:
-            raise StorageError(f"cannot write to {self.folder}: {words_of(error)}") from error
-        return Done(summary, manifest)
-
-
-@dataclass(frozen=True, slots=True)
 class Done:
-    """manifest   what the result was made of, as in DONE_FILE; {} where there is none
+    """outcome    a summary, or why there is none
+    manifest   what the result was made of; {} where there is none
     was_done   by an earlier run
     """
 
-    outcome: Outcome
+    outcome: dict[str, Any] | CorridorError
     manifest: dict[str, Any]
     was_done: bool = False
 
@@ -113,39 +70,6 @@ def run(task: AnyTask) -> Done:
         return Done(CorridorError(f"{task.name}: this is a fault of the program\n{words}"), {})
 
 
-def _manifest(task: Task) -> dict[str, Any]:
-    """All that the bytes of the result depend on. Raises InputError."""
-    options = asdict(replace(task.options, config=None, map=None))
-    of_files = {"config": task.options.config, "map": task.options.map}
-    return {
-        "corridor": VERSION,
-        "program": program_digest(),
-        "input": {path.name: _fingerprint(path) for path in task.session},
-        "options": json.loads(json.dumps(options, default=str)),
-        "files": {name: _fingerprint(path) for name, path in of_files.items() if path is not None},
-        "extras": sorted(task.extras),
-    }
-
-
-def _fingerprint(path: Path) -> str:
-    refuse_unreadable(path)
-    try:
-        return fingerprint(path)
-    except OSError as error:
-        raise InputError(f"{path}: {words_of(error)}") from error
-
-
-def _summary_of(folder: Path, manifest: dict[str, Any]) -> dict[str, Any] | None:
-    """Summary of the existing result, where its manifest is the same; else None."""
-    try:
-        if json.loads((folder / DONE_FILE).read_text(encoding="utf-8")) != manifest:
-            return None
-        summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return None
-    return summary if isinstance(summary, dict) else None
-
-
 @contextmanager
 def logged(write: Callable[[str], object]) -> Iterator[None]:
     """Inside, what the service logs in this process goes to `write`, a line each."""
@@ -168,29 +92,3 @@ class _Lines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._write(self.format(record))
-
-
-def new_tasks(
-    sessions: Sequence[Sequence[Path]],
-    options: ReplayOptions,
-    folders: Sequence[Path],
-    extras: Sequence[Extra] = (),
-    is_again: bool = False,
-) -> list[Task]:
-    """With paths that mean the same in another process or, on a shared disk, on another node."""
-    options = replace(options, config=_absolute(options.config), map=_absolute(options.map))
-    return [
-        Task(
-            tuple(path.absolute() for path in session),
-            options,
-            folder.absolute(),
-            tuple(extras),
-            program_digest(),
-            is_again,
-        )
-        for session, folder in zip(sessions, folders, strict=True)
-    ]
-
-
-def _absolute(path: Path | None) -> Path | None:
-    return None if path is None else path.absolute()

@@ -13,7 +13,7 @@ from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapstore.files import is_map_folder, load_map, newest_digest, save_map
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Engine
-from service.offline.cluster.tasks import new_tasks
+from service.offline.cluster.session_task import new_tasks
 from service.offline.maps.changed_places import (
     ChangedPlace,
     ChangedPlaces,

@@ -19,7 +19,8 @@ from typing import Any
 from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
 from service.extras import optional
 from service.offline.cluster.engines import Engine
-from service.offline.cluster.tasks import new_tasks, program_digest
+from service.offline.cluster.session_task import new_tasks
+from service.offline.cluster.tasks import program_digest
 from service.offline.replay.setup import ReplayOptions
 from service.offline.tune.measures import Measured, measure
 from service.offline.tune.space import Parameter, section_of

@@ -15,7 +15,7 @@ from service.compile.worker import SeldomKernels
 from service.mapper.profiles import mapping_config
 
 WITHIN_S = 600.0  # the process that compiles takes only what processor time no one else wants
-COLD = ("build_pyramid", "write_tiles", "match_scan")  # the last is called with every scan
+COLD = ("build_pyramid", "write_tiles", "farthest_m2")  # the last is called with every scan; all are small
 
 
 def drain(seldom: SeldomKernels) -> None:
@@ -51,7 +51,7 @@ def test_seldom_kernels_are_compiled_by_another_process_and_loaded_here_one_at_a
     assert loaded == jobs
     for name in ("build_pyramid", "write_tiles"):
         assert list(tmp_path.glob(f"**/*.{name}-*.nbc"))
-    assert not list(tmp_path.glob("**/match.match_scan*.nbi"))
+    assert not list(tmp_path.glob("**/tiles.farthest_m2*.nbi"))
 
 
 SCRIPT = """

@@ -2,10 +2,9 @@
 
 import json
 import os
-import signal
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path, PosixPath
+from pathlib import Path
 
 import dask
 import pytest
@@ -15,8 +14,10 @@ from service.cli import main
 from service.errors import CorridorError, InputError, UsageError
 from service.offline.cluster.batch import TABLE_FILE, run_batch
 from service.offline.cluster.engines import MAX_TRIES, Cluster, Engine, Processes, in_turn
-from service.offline.cluster.tasks import DONE_FILE, Done, Task, new_tasks
+from service.offline.cluster.session_task import DONE_FILE, Task, new_tasks
+from service.offline.cluster.tasks import Done
 from service.offline.replay.replay import ReplayOptions
+from tests.service.offline.cluster.deadly_task import DeadlyTask
 from tests.service.offline.recorded_drives import RecordDrive
 from tests.soaked import in_soak
 
@@ -32,40 +33,22 @@ def results_in(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files if path not in own}
 
 
-class Deadly(PosixPath):
-    """The folder of a task that kills its process, the first N times; N ends its name."""
-
-    def __truediv__(self, name: str) -> Path:
-        killed = Path(f"{self}.killed")
-        times = len(killed.read_text()) if killed.exists() else 0
-        if times < int(self.name.rpartition("_")[2]):
-            killed.write_text("x" * (times + 1))
-            os.kill(os.getpid(), signal.SIGKILL)
-        return Path(str(self)) / name
-
-
 Judge = Callable[..., None]
 
 
 @pytest.fixture
-def judge(record_drive: RecordDrive, tmp_path: Path) -> Judge:
+def judge(tmp_path: Path) -> Judge:
     """Has an engine do a task whose process dies once and, where asked, one whose process always dies."""
-    session = record_drive(scans=10)
 
     def run(engine: Engine, log_line: str | None) -> None:
-        folders = [tmp_path / name for name in ("good", "dies_1", "dies_99")]
-        good, *tasks = new_tasks([[session]] * 3, ReplayOptions(), folders)
-        run_all([good])
-        deadly = [replace(task, folder=Deadly(task.folder)) for task in tasks]
-        once, *always = run_all(deadly if log_line is not None else deadly[:1], engine)
-        assert isinstance(once.outcome, dict)
-        assert results_in(folders[0]) == results_in(folders[1]) != {}
-        assert (tmp_path / "dies_1.killed").read_text() == "x"
-        for lost in always:
-            assert "died, each of 3 times" in str(lost.outcome)
-            assert str(log_line) in str(lost.outcome)
+        once, always = DeadlyTask(tmp_path / "once", 1), DeadlyTask(tmp_path / "always", 99)
+        done, *lost = run_batch([once, always] if log_line is not None else [once], engine, lambda *_: None)
+        assert done.outcome == {"deaths": 1}
+        for one in lost:
+            assert "died, each of 3 times" in str(one.outcome)
+            assert str(log_line) in str(one.outcome)
             # fewer by itself where it was cut off with the other before it came so far
-            assert 1 < len((tmp_path / "dies_99.killed").read_text()) <= MAX_TRIES
+            assert 1 < always.deaths <= MAX_TRIES
 
     return run
 
@@ -76,7 +59,7 @@ def test_a_process_that_dies_costs_its_own_task_alone(judge: Judge):
 
 
 @pytest.mark.parametrize("log_line", [None, in_soak("begins on tcp://127.0.0.1:")])
-def test_dask_tries_the_task_of_a_dead_worker_again_and_gives_the_same_bytes(
+def test_dask_tries_the_task_of_a_dead_worker_again(
     log_line: str | None, judge: Judge, caplog: pytest.LogCaptureFixture
 ):
     caplog.set_level("INFO")
@@ -130,7 +113,7 @@ def test_a_fault_of_the_program_is_the_outcome_of_its_session(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ):
-    monkeypatch.setattr("service.offline.cluster.tasks.replay_to", lambda *_: 1 / 0)
+    monkeypatch.setattr("service.offline.cluster.session_task.replay_to", lambda *_: 1 / 0)
     (done,) = run_all(new_tasks([[record_drive(scans=1)]], ReplayOptions(), [tmp_path / "out"]))
     assert "this is a fault of the program\nTraceback" in str(done.outcome)
     assert "ZeroDivisionError" in str(done.outcome)
@@ -167,7 +150,7 @@ def test_another_kind_of_cluster_is_refused_by_a_sentence(cluster: str, capfd: p
 
 
 @pytest.mark.soak
-def test_slurm_starts_workers_by_dask_jobqueue(
+def test_slurm_starts_workers_by_dask_jobqueue_whose_results_are_the_same_bytes(
     record_drive: RecordDrive,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -185,6 +168,9 @@ def test_slurm_starts_workers_by_dask_jobqueue(
     monkeypatch.setenv("PATH", f"{sbatch.parent}:{os.environ['PATH']}")
     settings = {"cores": 1, "memory": "2GB", "interface": "lo"}
     dask.config.set({f"jobqueue.slurm.{name}": value for name, value in settings.items()})
-    tasks = new_tasks([[record_drive(scans=10)]], ReplayOptions(), [tmp_path / "out"])
+    here, by_job = tmp_path / "here", tmp_path / "by_job"
+    one, other = new_tasks([[record_drive(scans=10)]] * 2, ReplayOptions(), [here, by_job])
+    run_all([one])
     with Cluster("slurm:1") as cluster:
-        assert isinstance(run_all(tasks, cluster)[0].outcome, dict)
+        run_all([other], cluster)
+    assert results_in(by_job) == results_in(here) != {}

@@ -15,7 +15,8 @@ from service.errors import CorridorError, InputError, UsageError
 from service.mapper.profiles import mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.offline.cluster.engines import Ended, in_turn
-from service.offline.cluster.tasks import Done, Task
+from service.offline.cluster.session_task import Task
+from service.offline.cluster.tasks import Done
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.trajectory import write_tum
 from service.offline.tune import search
