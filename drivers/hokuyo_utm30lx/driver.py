@@ -63,7 +63,7 @@ class HokuyoUtm30lxSession:
 
     @property
     def clock_offset_ns(self) -> int | None:
-        return None if self._last_ms is None or self._clock is None else self._clock.offset_ns
+        return None if self._clock is None else self._clock.offset_ns
 
     @property
     def clock_sigma_ns(self) -> int | None:

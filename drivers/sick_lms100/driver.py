@@ -84,7 +84,7 @@ class Lms100Session:
 
     @property
     def clock_offset_ns(self) -> int | None:
-        return None if self._last is None else self._clock.offset_ns
+        return self._clock.offset_ns
 
     @property
     def clock_sigma_ns(self) -> int | None:
