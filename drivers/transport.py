@@ -15,6 +15,7 @@ from drivers.counted import counted
 from drivers.errors import TransportError
 
 READ_BYTES = 65_536
+CONNECT_TIMEOUT_S = 1.5
 DEAD_PEER_MS = 3_000  # unacknowledged data older than this means the cable is out
 WRITE_TIMEOUT_S = 3.0  # a request of 100 bytes takes 0.2 s at 4800 baud
 # What pyserial raises when a port disappears. termios.error is no OSError.
@@ -34,31 +35,34 @@ def _reason(error: BaseException) -> str:
 
 
 class Transport(Protocol):
-    """One open wire. read() returns b"" when nothing came within timeout_s."""
+    """One open wire, closed at the end of a `with`. read() returns b"" when nothing came within timeout_s."""
 
     def read(self, timeout_s: float) -> bytes: ...
     def write(self, data: bytes) -> None: ...
     def close(self) -> None: ...
-    def __enter__(self) -> Self: ...
-    def __exit__(self, *exc_info: object) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
 
 
-class TcpTransport:
+class TcpTransport(Transport):
     """A TCP client. Raises TransportError when the peer refuses, resets, closes or stops acknowledging."""
 
-    def __init__(self, host: str, port: int, connect_timeout_s: float = 1.5) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self._where = f"{host}:{port}"
         try:
-            self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
+            self._socket = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
         except (OSError, UnicodeError) as error:  # the latter of an invalid name
             raise TransportError(f"cannot connect to {self._where}: {_reason(error)}") from error
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option, value in (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3)):
-            if hasattr(socket, option):
-                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_PEER_MS)
+        for option, value in (
+            *((socket.TCP_NODELAY, 1), (socket.TCP_USER_TIMEOUT, DEAD_PEER_MS)),
+            *((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 3)),
+        ):
+            self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
 
     def read(self, timeout_s: float) -> bytes:
         try:
@@ -84,14 +88,8 @@ class TcpTransport:
     def close(self) -> None:
         self._socket.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
-
-
-class SerialTransport:
+class SerialTransport(Transport):
     """A serial port by path, or socket://host:port of a device server; 8N1, no handshake.
 
     Raises TransportError where it cannot be opened, is unplugged, or takes nothing for WRITE_TIMEOUT_S.
@@ -173,9 +171,3 @@ class SerialTransport:
 
     def close(self) -> None:
         self._port.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()

@@ -2,13 +2,14 @@
 
 import errno
 from collections.abc import Collection, Iterator
-from typing import Any, Self
+from typing import Any
 
 import usb.core
 import usb.util
 
 from drivers.counted import counted
 from drivers.errors import TransportError
+from drivers.transport import Transport
 
 READ_BYTES = 4096  # a multiple of every packet size: else a full packet overflows
 WRITE_TIMEOUT_MS = 1000
@@ -16,7 +17,7 @@ WRITE_TIMEOUT_MS = 1000
 BULK = usb.util.ENDPOINT_TYPE_BULK
 
 
-class UsbTransport:
+class UsbTransport(Transport):
     """The first device of this vendor that is one of the products and, if given, has this serial number.
 
     A kernel driver that holds the interface (Linux makes /dev/ttyUSB of some) is detached while it is open.
@@ -123,12 +124,6 @@ class UsbTransport:
             pass
         finally:
             usb.util.dispose_resources(device)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
 
 
 def _words(error: usb.core.USBError) -> str:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol, Self
+from typing import Protocol
 
 from drivers.transport import SerialTransport, Transport
 from drivers.usb_transport import UsbTransport
@@ -21,7 +21,7 @@ class BaudPort(Transport, Protocol):
     def set_baud(self, baud: int) -> None: ...
 
 
-class ProbingPort:
+class ProbingPort(Transport):
     """Changes the rate until a complete message comes. What is written goes
     out at the rate of the moment, so a request has to be repeated until it is answered.
     """
@@ -57,12 +57,6 @@ class ProbingPort:
 
     def close(self) -> None:
         self._port.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
 
 
 def open_port(config: XsensMtigConfig) -> Transport:

@@ -2,12 +2,12 @@
 
 import threading
 from collections import deque
-from typing import Self
 
 import zenoh
 
 from drivers.errors import TransportError
 from drivers.rmw_zenoh import NO_TYPE_HASH, Node, Qos, Topic
+from drivers.transport import Transport
 from drivers.zenoh_config import zenoh_config
 from service.encoding import type_hash
 from service.ros2_sensors.config import Ros2SensorConfig
@@ -17,7 +17,7 @@ CONNECT_TIMEOUT_MS = 3_000
 MAX_WAITING = 1000  # messages; 5 s of an IMU
 
 
-class Subscription:
+class Subscription(Transport):
     """A transport that only reads. Raises TransportError where the router is not there, messages are lost, or
     messages of another definition come.
 
@@ -77,12 +77,6 @@ class Subscription:
 
     def close(self) -> None:
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Zenoh's thread: keep it until it is read."""

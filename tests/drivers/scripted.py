@@ -1,12 +1,12 @@
 """A transport that follows a script."""
 
 from collections.abc import Sequence
-from typing import Self
 
 from drivers.errors import TransportError
+from drivers.transport import Transport
 
 
-class ScriptedTransport:
+class ScriptedTransport(Transport):
     """Returns the given chunks, one a read, keeps what is written, and then raises TransportError."""
 
     def __init__(self, chunks: Sequence[bytes]) -> None:
@@ -24,9 +24,3 @@ class ScriptedTransport:
 
     def close(self) -> None:
         self.closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()

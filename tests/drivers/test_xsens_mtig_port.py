@@ -5,7 +5,7 @@ import pytest
 from drivers.errors import TransportError
 from drivers.transport import SerialTransport
 from drivers.xsens_mtig.driver import XsensMtigSession
-from drivers.xsens_mtig.port import DWELL_S, LIKELY_BAUDS, ProbingPort, open_port
+from drivers.xsens_mtig.port import DWELL_S, LIKELY_BAUDS, BaudPort, ProbingPort, open_port
 from drivers.xsens_mtig.protocol import Mid, encode
 from simulators.wire import serve_pty
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
@@ -13,7 +13,7 @@ from tests.drivers.mtig import ZERO_NS, Swing, config, samples
 from tests.drivers.virtual_time import SECOND_NS, TICK_NS
 
 
-class Line:
+class Line(BaudPort):
     """A serial line in virtual time, with a fake device at its end: what one says at another rate than the
     other is garbage.
     """
@@ -41,10 +41,6 @@ class Line:
         self.device.receive_data(data if same else bytes(b ^ 0x5A for b in data[::2]), self.now_ns)
 
     def close(self) -> None: ...
-    def __enter__(self) -> "Line":
-        return self
-
-    def __exit__(self, *exc_info: object) -> None: ...
 
 
 def pump(line: Line, port: ProbingPort, session: XsensMtigSession, seconds: float) -> list[object]:
