@@ -56,6 +56,9 @@ class Create1Session:
     answer can have been sent (Cristian, "Probabilistic clock synchronization", 1989). The pose never jumps.
     """
 
+    clock_offset_ns: int | None = None
+    clock_sigma_ns: int | None = None
+
     def __init__(self, config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> None:
         self._config = config
         self.outbox = bytearray()
@@ -78,14 +81,6 @@ class Create1Session:
         self._refused_in_a_row = 0
         self._in_banner_until_ns = 0
         self._bytes_heard = 0
-
-    @property
-    def clock_offset_ns(self) -> int | None:
-        return None
-
-    @property
-    def clock_sigma_ns(self) -> int | None:
-        return None
 
     def shutdown_request(self) -> bytes:
         return bytes([Opcode.START])  # Passive: the robot may charge and sleep

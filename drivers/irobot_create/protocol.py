@@ -101,30 +101,13 @@ class PacketId(IntEnum):
 
 
 # id -> struct code. The encoders are called signed in the manual; read modulo 2^16 the sign is nothing.
-PACKETS: dict[int, str] = {
-    **dict.fromkeys(range(7, 19), "B"),
-    19: "h",
-    20: "h",
-    21: "B",
-    22: "H",
-    23: "h",
-    24: "b",
-    25: "H",
-    26: "H",
-    **dict.fromkeys(range(27, 32), "H"),
-    32: "B",
-    33: "H",
-    **dict.fromkeys(range(34, 39), "B"),
-    **dict.fromkeys(range(39, 43), "h"),
-    43: "H",
-    44: "H",
-    45: "B",
-    **dict.fromkeys(range(46, 52), "H"),
-    52: "B",
-    53: "B",
-    **dict.fromkeys(range(54, 58), "h"),
-    58: "B",
-}
+_CODES = (
+    *("BBBBBBBBBBBB", "hhBHhbHH"),  # 7 bumps to 18 buttons; 19 distance to 26 battery capacity
+    *("HHHHHBH", "BBBBB"),  # 27 wall signal to 33; 34 charging sources to 38 stream packets
+    *("hhhhHH", "BHHHHHHBB"),  # 39 requested velocity to 44 right encoder; 45 light bumper to 53
+    "hhhhB",  # 54 motor currents to 58 stasis
+)
+PACKETS: dict[int, str] = dict(zip(range(7, 59), "".join(_CODES), strict=True))
 
 # The answer to a group is the plain concatenation of its packets, without ids.
 GROUPS: dict[int, range] = {
