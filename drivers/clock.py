@@ -109,11 +109,6 @@ class ClockMap:
         self.residual_ns = 0  # how much later than the line the newest message came
 
     @property
-    def settled(self) -> bool:
-        """True once skew is measured; before, stamps rest on the fastest arrival alone."""
-        return self._hull is not None and self._hull.span_ns >= SETTLED_NS
-
-    @property
     def offset_sigma_ns(self) -> int:
         """Standard deviation of the fastest arrival; UNKNOWN_NS for the first message.
 
@@ -132,10 +127,10 @@ class ClockMap:
         return self._line[1] * 1e6
 
     @property
-    def offset_ns(self) -> int:
-        """Host minus device clock at the newest message."""
+    def offset_ns(self) -> int | None:
+        """Host minus device clock at the newest message; None before the first."""
         if self._last_ticks is None:
-            return 0
+            return None
         return self._translate(self._last_ticks) - round(self._last_ticks * self._tick_ns)
 
     def observe(self, ticks: int, arrived_ns: int) -> None:
@@ -216,3 +211,24 @@ class ClockMap:
         device_ns = round(unwrapped_ticks * self._tick_ns)
         offset, skew = self._line
         return device_ns + hull.offset0_ns + round(offset + skew * (device_ns - hull.device0_ns))
+
+
+class MappedClock:
+    """Base of a device's own kind of time: what it says of the ClockMap under it."""
+
+    _clock: ClockMap
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Host minus device clock; None before the first message."""
+        return self._clock.offset_ns
+
+    @property
+    def offset_sigma_ns(self) -> int:
+        """Standard deviation of that offset."""
+        return self._clock.offset_sigma_ns
+
+    @property
+    def resets(self) -> int:
+        """Number of restarts of the device's clock."""
+        return self._clock.resets

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.clock import ClockMap
+from drivers.clock import ClockMap, MappedClock
 from drivers.hokuyo_utm30lx.protocol import CLOCK_MODULUS
 
 TICK_NS = 1_000_000
@@ -61,7 +61,7 @@ def bounds_of_time(samples: Sequence[TimeSample]) -> tuple[int, int] | None:
     return (lowest, highest) if lowest < highest else None
 
 
-class ScanClock:
+class ScanClock(MappedClock):
     """Give it each scan in order; it answers with the moment of the device's stamp.
 
     period_ns   from one scan of the stream to the next, nominal
@@ -82,19 +82,10 @@ class ScanClock:
         self._period_known = False
 
     @property
-    def resets(self) -> int:
-        """Number of restarts of the device's clock."""
-        return self._clock.resets
-
-    @property
-    def offset_ns(self) -> int:
-        """Host minus device clock."""
-        return self._clock.offset_ns - self.delay_ns
-
-    @property
-    def offset_sigma_ns(self) -> int:
-        """Standard deviation of that offset."""
-        return self._clock.offset_sigma_ns
+    def offset_ns(self) -> int | None:
+        """Host minus device clock; None before the first scan."""
+        offset_ns = self._clock.offset_ns
+        return None if offset_ns is None else offset_ns - self.delay_ns
 
     def synchronise(self, samples: Sequence[TimeSample]) -> bool:
         """Take in what TM1 answered; False where it contradicts itself."""

@@ -6,7 +6,7 @@ clock late, and a robot whose period is not 15.0 ms must not make it drift.
 
 from collections import deque
 
-from drivers.clock import ClockMap
+from drivers.clock import ClockMap, MappedClock
 from drivers.irobot_create.protocol import FRAME_PERIOD_NS
 
 # Frames whose fastest one is taken as prompt: longer than the bunches of 80 ms that USB makes, and than the
@@ -22,8 +22,9 @@ EVEN_SHARE = 0.5  # how far the single slopes may differ; lost frames are steps,
 MAX_DEVIATION = 0.05  # 64.5 frames a second were measured on a Roomba 690, 3 per cent off
 
 
-class FrameClock:
-    """Give it each good frame in order; it answers with the frame's stamp on the host's clock.
+class FrameClock(MappedClock):
+    """Give it each good frame in order; it answers with the frame's stamp on the host's clock. The
+    frame clock is count times period.
 
     latency_ns  from the moment of measurement to the arrival of the last byte, at the fastest: the frame's
                 time on the wire, plus what a calibration found
@@ -46,16 +47,6 @@ class FrameClock:
         # (count, lateness_ns) of the promptest.
         self._blocks: deque[tuple[int, int]] = deque(maxlen=MAX_BLOCKS)
         self._block: list[tuple[int, int]] = []  # (lateness_ns, count)
-
-    @property
-    def offset_ns(self) -> int | None:
-        """Host minus frame clock (count times period), None before the first frame."""
-        return None if self._origin is None else self._clock.offset_ns
-
-    @property
-    def offset_sigma_ns(self) -> int:
-        """Standard deviation of that offset."""
-        return self._clock.offset_sigma_ns
 
     def stamp(self, arrived_ns: int, missing_at_most: int) -> int:
         """Stamp, ns, of the next frame; later than that of every frame before it.

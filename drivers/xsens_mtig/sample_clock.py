@@ -5,7 +5,7 @@ which one it is shows when it wraps. GNSS messages carry the time of the receive
 before the samples around them, so small steps back are no restart. UTC in the same ticks serves as well.
 """
 
-from drivers.clock import ClockMap
+from drivers.clock import ClockMap, MappedClock
 
 FINE_TICK_NS = 100_000
 FINE_MODULI = (864_000_000, 1 << 32)
@@ -14,27 +14,13 @@ MAX_AHEAD_TICKS = 600_000  # over a wrap; 1 min without a message is a dead link
 COUNTER_MODULUS = 1 << 16
 
 
-class FineClock:
+class FineClock(MappedClock):
     """SampleTimeFine to host time; `observe` first, then `to_host_ns` for the same or a near reading."""
 
     def __init__(self, latency_ns: int) -> None:
         self._clock = ClockMap(FINE_TICK_NS, latency_ns=latency_ns)
         self._last: int | None = None  # as read
         self._wraps_ticks = 0  # what all wraps so far amount to
-
-    @property
-    def offset_ns(self) -> int | None:
-        """Host minus device clock, None before the first sample."""
-        return None if self._last is None else self._clock.offset_ns
-
-    @property
-    def offset_sigma_ns(self) -> int:
-        """Standard deviation of that offset."""
-        return self._clock.offset_sigma_ns
-
-    @property
-    def resets(self) -> int:
-        return self._clock.resets
 
     def step(self, ticks: int) -> int:
         """From the last reading observed to this one; negative: it lies before, or the device restarted."""
@@ -62,7 +48,7 @@ class FineClock:
         return self._wraps_ticks + ticks
 
 
-class CounterClock:
+class CounterClock(MappedClock):
     """A 16-bit sample counter to host time, for devices that send no other.
 
     period_ns  of one message. Some firmware counts the samples it skips as well: `skip` of them between two
@@ -80,15 +66,6 @@ class CounterClock:
 
     def _new_clock(self, stride: int) -> None:
         self._clock = ClockMap(self._period_ns / stride, COUNTER_MODULUS, self._latency_ns)
-
-    @property
-    def offset_ns(self) -> int | None:
-        return None if self._last is None else self._clock.offset_ns
-
-    @property
-    def offset_sigma_ns(self) -> int:
-        """Standard deviation of that offset."""
-        return self._clock.offset_sigma_ns
 
     @property
     def resets(self) -> int:

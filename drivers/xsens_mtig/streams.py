@@ -12,7 +12,9 @@ messages by the packet counter, which counts both.
 import math
 from collections import Counter
 from datetime import UTC, datetime
+from typing import TypeVar
 
+from drivers.clock import MappedClock
 from drivers.errors import ProtocolError
 from drivers.frames import Frame, GnssFix, ImuSample
 from drivers.watch import NOT_FINITE, SilenceWatch, StampGate
@@ -47,6 +49,8 @@ MAX_PERIODS_OLD = 2.5  # of the slower of rate of turn and acceleration, where i
 PERIOD_SHOWS_AFTER = 20  # steps between samples
 NO_PLACE = (math.nan, math.nan, math.nan)
 UNKNOWN_COVARIANCE = (0.0,) * 9
+T = TypeVar("T")
+_Found = dict[int, tuple[int, bytes]]  # kind -> id and payload of an item
 _FIX_WORDS = {True: "GNSS fix", False: "no GNSS fix", None: "not known whether there is a GNSS fix"}
 
 _READ = frozenset(
@@ -79,6 +83,8 @@ def utc_ns(utc: Utc | GnssPvt) -> int:
 class _Stream:
     """Base of both protocols."""
 
+    _clock: MappedClock
+
     def __init__(
         self, config: XsensMtigConfig, counters: Counter[str], health: DeviceHealth, silence: SilenceWatch
     ) -> None:
@@ -97,6 +103,17 @@ class _Stream:
         self._mixed = ""  # rates of acceleration and rate of turn, where they differ
         self._utc_stands = False  # it does not run before the first fix
         self._last_utc_ticks: int | None = None
+        self._last_itow_ms: int | None = None
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Host minus device clock; None: the newest sample had no time."""
+        return None if self.by_arrival else self._clock.offset_ns
+
+    @property
+    def offset_sigma_ns(self) -> int | None:
+        """Standard deviation of that offset."""
+        return None if self.by_arrival else self._clock.offset_sigma_ns
 
     @property
     def notes(self) -> list[str]:
@@ -157,6 +174,15 @@ class _Stream:
     def _turned(self, vector: Reals) -> Vector:
         return apply(self._axes, vector)
 
+    def _count_solution(self, itow_ms: int) -> None:
+        """Count one of the receiver's, and those missing before it by its time of week."""
+        self._counters["fixes_received"] += 1
+        if self._last_itow_ms is not None:
+            missed = (itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
+            if 0 < missed <= MAX_MISSED_FIXES:
+                self._counters["fixes_missed"] += missed
+        self._last_itow_ms = itow_ms
+
     def _fix(
         self,
         stamp_ns: int,
@@ -180,6 +206,8 @@ class _Stream:
 class Mtdata2Stream(_Stream):
     """One connection's MTData2, of the output that the device reports."""
 
+    _clock: FineClock
+
     def __init__(
         self,
         config: XsensMtigConfig,
@@ -202,27 +230,18 @@ class Mtdata2Stream(_Stream):
         self._newest: dict[Kind, tuple[int, Reals]] = {}  # stamp and value of rate of turn and acceleration
         self._clock = FineClock(self._latency_ns)
         self._last_packet: int | None = None
-        self._last_itow_ms: int | None = None
         self._period_ticks = 0  # between samples; the shortest of the first steps
         self._steps = 0
-
-    @property
-    def offset_ns(self) -> int | None:
-        return None if self.by_arrival else self._clock.offset_ns
-
-    @property
-    def offset_sigma_ns(self) -> int | None:
-        return None if self.by_arrival else self._clock.offset_sigma_ns
 
     def take(self, data: bytes, sent_ns: int, arrived_ns: int, messages_behind: float) -> list[Frame]:
         """Frames of one message, which was on the line from sent_ns on; so many more came in the same read.
         Raises ProtocolError where its content is not MTData2."""
-        found: dict[int, tuple[int, bytes]] = {}
+        found: _Found = {}
         for identifier, payload in split(data):
             kind = identifier & KIND_MASK
             if kind in _READ:
                 found[kind] = (identifier, payload)
-        packet, ticks = self._integer(found, Kind.PACKET_COUNTER), self._ticks(found)
+        packet, ticks = _read(found, Kind.PACKET_COUNTER, int), self._ticks(found)
         inertial = self._leading in found
         step = 0
         if ticks is not None:
@@ -235,7 +254,7 @@ class Mtdata2Stream(_Stream):
                 self._counters["clock_resets"] += 1
         self._count_packets(packet)
         for kind in (Kind.STATUS_WORD, Kind.STATUS_BYTE):
-            if (status := self._integer(found, kind)) is not None:
+            if (status := _read(found, kind, int)) is not None:
                 self._health.observe_status(status)
                 break
         if ticks is not None:
@@ -245,42 +264,28 @@ class Mtdata2Stream(_Stream):
         else:
             stamp_ns = sent_ns - self._latency_ns
         for kind in (Kind.RATE, Kind.ACCELERATION):
-            if kind in found:
-                value = read_item(*found[kind])
-                assert isinstance(value, tuple)
+            if (value := _read(found, kind, tuple)) is not None:
                 self._newest[kind] = (stamp_ns, value)
         frames: list[Frame] = []
         if inertial:
             self.by_arrival = ticks is None
             self._count_samples(step)
             frames += self._inertial(found, stamp_ns, arrived_ns)
-        if Kind.GNSS_PVT in found:
-            pvt = read_item(*found[Kind.GNSS_PVT])
-            assert isinstance(pvt, GnssPvt)
+        if (pvt := _read(found, Kind.GNSS_PVT, GnssPvt)) is not None:
             frames += self._gnss(pvt, stamp_ns, arrived_ns)
-        elif Kind.UTC in found:
-            utc = read_item(*found[Kind.UTC])
-            assert isinstance(utc, Utc)
+        elif (utc := _read(found, Kind.UTC, Utc)) is not None:
             if utc.valid & UTC_ALL_VALID == UTC_ALL_VALID:
                 self.utc_minus_host_ns = utc_ns(utc) - stamp_ns
         elif Kind.RATE not in found and Kind.ACCELERATION not in found:
             self._counters["messages_without_samples"] += 1
         return frames
 
-    def _ticks(self, found: dict[int, tuple[int, bytes]]) -> int | None:
+    def _ticks(self, found: _Found) -> int | None:
         """SampleTimeFine; else UTC in ticks of the same length; None: the message has neither."""
-        if Kind.SAMPLE_TIME_FINE in found or Kind.UTC not in found:
-            return self._integer(found, Kind.SAMPLE_TIME_FINE)
-        utc = read_item(*found[Kind.UTC])
-        assert isinstance(utc, Utc)
+        ticks = _read(found, Kind.SAMPLE_TIME_FINE, int)
+        if ticks is not None or (utc := _read(found, Kind.UTC, Utc)) is None:
+            return ticks
         return self._utc_ticks(utc, utc.valid & UTC_ALL_VALID == UTC_ALL_VALID)
-
-    def _integer(self, found: dict[int, tuple[int, bytes]], kind: Kind) -> int | None:
-        if kind not in found:
-            return None
-        value = read_item(*found[kind])
-        assert isinstance(value, int)
-        return value
 
     def _count_packets(self, packet: int | None) -> None:
         if packet is None:
@@ -307,7 +312,7 @@ class Mtdata2Stream(_Stream):
         if step <= GAP_IS_A_RESTART * self._period_ticks:
             self._counters["samples_missed"] += max(0, round(step / self._period_ticks) - 1)
 
-    def _inertial(self, found: dict[int, tuple[int, bytes]], stamp_ns: int, arrived_ns: int) -> list[Frame]:
+    def _inertial(self, found: _Found, stamp_ns: int, arrived_ns: int) -> list[Frame]:
         newest = [self._newest.get(kind) for kind in (Kind.RATE, Kind.ACCELERATION)]
         values = [pair[1] for pair in newest if pair is not None and stamp_ns - pair[0] <= self._most_old_ns]
         if len(values) < len(newest):
@@ -319,21 +324,13 @@ class Mtdata2Stream(_Stream):
         orientation: Reals | None = None
         local = LocalFrame.ENU
         for kind in (Kind.QUATERNION, Kind.EULER, Kind.MATRIX):
-            if kind in found:
-                identifier, payload = found[kind]
-                value = read_item(identifier, payload)
-                assert isinstance(value, tuple)
-                orientation, local = value, _local_frame(identifier)
+            if (orientation := _read(found, kind, tuple)) is not None:
+                local = _local_frame(found[kind][0])
                 break
         return self._sample(stamp_ns, arrived_ns, rate, force, local, orientation)
 
     def _gnss(self, pvt: GnssPvt, stamp_ns: int, arrived_ns: int) -> list[Frame]:
-        self._counters["fixes_received"] += 1
-        if self._last_itow_ms is not None:
-            missed = (pvt.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
-            if 0 < missed <= MAX_MISSED_FIXES:
-                self._counters["fixes_missed"] += missed
-        self._last_itow_ms = pvt.itow_ms
+        self._count_solution(pvt.itow_ms)
         good = bool(pvt.flags & 1)
         self._health.observe_gnss(pvt.fix, good, pvt.satellites)
         if pvt.valid & UTC_ALL_VALID == UTC_ALL_VALID:
@@ -345,6 +342,15 @@ class Mtdata2Stream(_Stream):
         return self._fix(stamp_ns, arrived_ns, status, place, accuracy_m)
 
 
+def _read(found: _Found, kind: Kind, form: type[T]) -> T | None:
+    """The value of this item, which is of that form; None where it was not sent. Raises ProtocolError."""
+    if kind not in found:
+        return None
+    value = read_item(*found[kind])
+    assert isinstance(value, form)
+    return value
+
+
 def _local_frame(identifier: int) -> LocalFrame:
     try:
         return LocalFrame(identifier & FRAME_MASK)
@@ -354,6 +360,8 @@ def _local_frame(identifier: int) -> LocalFrame:
 
 class LegacyStream(_Stream):
     """One connection's MTData, of the layout that was requested from the device or that it reports."""
+
+    _clock: CounterClock | FineClock
 
     def __init__(
         self,
@@ -367,40 +375,27 @@ class LegacyStream(_Stream):
         self._codec = LegacyCodec(output.layout)
         self._local = output.layout.local_frame
         self._sample_period_ns = 1e9 / output.rate_hz
-        counts = output.layout.settings & Settings.SAMPLE_COUNTER
-        self._counter = (
-            CounterClock(self._sample_period_ns, output.skip, self._latency_ns) if counts else None
-        )
-        self._utc = FineClock(self._latency_ns)  # for a device that was configured to send no counter
+        if output.layout.settings & Settings.SAMPLE_COUNTER:
+            self._clock = CounterClock(self._sample_period_ns, output.skip, self._latency_ns)
+        else:
+            self._clock = FineClock(self._latency_ns)  # by UTC
         self._samples_per_fix = max(1, round(output.rate_hz / GNSS_HZ))
         self._since_fix = 0
-        self._last_itow_ms: int | None = None
-
-    @property
-    def _clock(self) -> CounterClock | FineClock:
-        return self._counter or self._utc
-
-    @property
-    def offset_ns(self) -> int | None:
-        return None if self.by_arrival else self._clock.offset_ns
-
-    @property
-    def offset_sigma_ns(self) -> int | None:
-        return None if self.by_arrival else self._clock.offset_sigma_ns
 
     def _observe(self, sample: LegacyData, sent_ns: int) -> tuple[int, int] | None:
         """Stamp of the sample, and how many are missing before it; None where it has no time."""
-        if self._counter is not None and sample.sample_counter is not None:
-            missed = self._counter.observe(sample.sample_counter, sent_ns)
-            return self._counter.to_host_ns(sample.sample_counter), missed
+        if isinstance(self._clock, CounterClock):
+            assert sample.sample_counter is not None
+            missed = self._clock.observe(sample.sample_counter, sent_ns)
+            return self._clock.to_host_ns(sample.sample_counter), missed
         ticks = (
             None if sample.utc is None else self._utc_ticks(sample.utc, sample.utc.valid == LEGACY_UTC_VALID)
         )
         if ticks is None:
             return None
-        missed = max(0, round(self._utc.step(ticks) * FINE_TICK_NS / self._sample_period_ns) - 1)
-        self._utc.observe(ticks, sent_ns)
-        return self._utc.to_host_ns(ticks), missed
+        missed = max(0, round(self._clock.step(ticks) * FINE_TICK_NS / self._sample_period_ns) - 1)
+        self._clock.observe(ticks, sent_ns)
+        return self._clock.to_host_ns(ticks), missed
 
     def take(self, data: bytes, sent_ns: int, arrived_ns: int, messages_behind: float) -> list[Frame]:
         """Frames of one message, which was on the line from sent_ns on; so many more came in the same read.
@@ -462,12 +457,7 @@ class LegacyStream(_Stream):
         """
         if gps.itow_ms == self._last_itow_ms:
             return []
-        if self._last_itow_ms is not None:
-            missed = (gps.itow_ms - self._last_itow_ms) % WEEK_MS // GNSS_PERIOD_MS - 1
-            if 0 < missed <= MAX_MISSED_FIXES:
-                self._counters["fixes_missed"] += missed
-        self._last_itow_ms = gps.itow_ms
-        self._counters["fixes_received"] += 1
+        self._count_solution(gps.itow_ms)
         if has_fix is None:
             self._counters["fixes_without_status"] += 1
             return []

@@ -51,7 +51,7 @@ class Ros2Session:
 
     @property
     def clock_offset_ns(self) -> int | None:
-        return self._clock.offset_ns if self._gate.last_ns is not None else None
+        return self._clock.offset_ns
 
     @property
     def clock_sigma_ns(self) -> int | None:
