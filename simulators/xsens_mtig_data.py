@@ -10,7 +10,15 @@ from typing import Literal
 import numpy as np
 
 from drivers.xsens_mtig.health import FILTER_VALID, GNSS_FIX, SELFTEST_OK
-from drivers.xsens_mtig.mtdata import EULER, QUATERNION, LegacyCodec, LegacyData, Mode, RawGps, Settings
+from drivers.xsens_mtig.mtdata import (
+    EULER,
+    MATRIX,
+    QUATERNION,
+    LegacyCodec,
+    LegacyData,
+    Mode,
+    RawGps,
+)
 from drivers.xsens_mtig.mtdata2 import (
     FRAME_MASK,
     KIND_MASK,
@@ -262,49 +270,29 @@ def legacy_message(codec: LegacyCodec, sample: Sample, count: int, fix_age: int,
     count       the 16-bit sample counter
     fix_age     samples since the receiver's newest solution, which was of fix_utc_ns
     """
-    mode, settings = codec.layout.mode, codec.layout.settings
-    rotation: Floats = LOCAL_FROM_ENU[codec.layout.local_frame] @ sample.enu_from_sensor
-    orientation: tuple[float, ...] | None = None
-    if mode & Mode.ORIENTATION:
-        kind = codec.layout.orientation
-        flat = rotation.ravel().tolist()
-        orientation = (
-            quaternion_of_matrix(flat)
-            if kind == QUATERNION
-            else euler_deg(rotation)
-            if kind == EULER
-            else tuple(flat)
-        )
-    p = sample.estimate
-    velocity = LOCAL_FROM_ENU[codec.layout.local_frame] @ np.array(
-        p.velocity_enu_mps if p else (0.0, 0.0, 0.0)
-    )
-    calibrated = bool(mode & Mode.CALIBRATED)
+    layout, p = codec.layout, sample.estimate
+    local_from_enu = LOCAL_FROM_ENU[layout.local_frame]
+    rotation: Floats = local_from_enu @ sample.enu_from_sensor
+    flat = tuple(rotation.ravel().tolist())
+    orientation = {QUATERNION: quaternion_of_matrix(flat), EULER: euler_deg(rotation), MATRIX: flat}
+    velocity_enu_mps = p.velocity_enu_mps if p else (0.0, 0.0, 0.0)
     return codec.encode(
         LegacyData(
-            raw_inertial=(32768,) * 10 if mode & Mode.RAW_INERTIAL else None,
-            raw_gps=_raw_gps(sample.place, fix_age, fix_utc_ns) if mode & Mode.RAW_GPS else None,
-            temperature_c=31.5 if mode & Mode.TEMPERATURE else None,
-            acceleration_mps2=_if(calibrated and not settings & Settings.NO_ACCELERATION, sample.force_mps2),
-            rate_radps=_if(calibrated and not settings & Settings.NO_RATE, sample.rate_radps),
-            magnetic_field=_magnetic(sample)
-            if calibrated and not settings & Settings.NO_MAGNETIC_FIELD
-            else None,
-            orientation=orientation,
-            analog=(0,) * codec.layout.analog_inputs if mode & Mode.AUXILIARY else None,
-            position=((p.latitude_deg, p.longitude_deg, p.height_m) if p else (0.0, 0.0, 0.0))
-            if mode & Mode.POSITION
-            else None,
-            velocity_mps=_if(mode & Mode.VELOCITY, velocity),
-            status=status_word(sample) & 0xFF if mode & Mode.STATUS else None,
-            sample_counter=count if settings & Settings.SAMPLE_COUNTER else None,
-            utc=_utc(sample)._replace(valid=int(sample.utc_known)) if settings & Settings.UTC else None,
+            raw_inertial=(32768,) * 10,
+            raw_gps=_raw_gps(sample.place, fix_age, fix_utc_ns),
+            temperature_c=31.5,
+            acceleration_mps2=tuple(sample.force_mps2.tolist()),
+            rate_radps=tuple(sample.rate_radps.tolist()),
+            magnetic_field=_magnetic(sample),
+            orientation=orientation[layout.orientation] if layout.mode & Mode.ORIENTATION else None,
+            analog=(0,) * layout.analog_inputs,
+            position=(p.latitude_deg, p.longitude_deg, p.height_m) if p else (0.0, 0.0, 0.0),
+            velocity_mps=tuple((local_from_enu @ np.array(velocity_enu_mps)).tolist()),
+            status=status_word(sample) & 0xFF,
+            sample_counter=count,
+            utc=_utc(sample)._replace(valid=int(sample.utc_known)),
         )
     )
-
-
-def _if(wanted: int, vector: Floats) -> tuple[float, ...] | None:
-    return tuple(vector.tolist()) if wanted else None
 
 
 def _raw_gps(p: Place | None, age: int, utc_ns: int) -> RawGps:

@@ -292,7 +292,7 @@ class MtigDialogue:
                 f"output mode 0x{current.layout.mode:04X} holds data (0x{unknown:04X}) of unknown length; "
                 "write configure: true"
             )
-        names = {name for name, _ in current.layout.reals()}
+        names = {part.name for part in current.layout.parts()}
         if not {"rate_radps", "acceleration_mps2"} <= names:
             raise DeviceError(
                 f"mode 0x{current.layout.mode:04X} with settings 0x{current.layout.settings:08X} lacks "

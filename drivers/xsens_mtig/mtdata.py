@@ -5,9 +5,10 @@ which agree on the order; checked on traces of an MTi-G.
 """
 
 import struct
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from drivers.counted import counted
 from drivers.errors import ProtocolError
@@ -119,31 +120,69 @@ class Layout:
             return 0
         return 2 - sum(bool(self.settings & bit) for bit in (Settings.NO_ANALOG_1, Settings.NO_ANALOG_2))
 
-    def reals(self) -> list[tuple[str, int]]:
-        """(attribute of LegacyData, how many numbers) before and after the analog inputs, in order."""
-        mode, settings = self.mode, self.settings
-        wanted: list[tuple[str, int, int]] = [("temperature_c", 1, mode & Mode.TEMPERATURE)]
-        for name, switch in (
-            ("acceleration_mps2", Settings.NO_ACCELERATION),
-            ("rate_radps", Settings.NO_RATE),
-            ("magnetic_field", Settings.NO_MAGNETIC_FIELD),
-        ):
-            wanted.append((name, 3, mode & Mode.CALIBRATED and not settings & switch))
-        if mode & Mode.ORIENTATION:
-            wanted.append(("orientation", ORIENTATION_REALS[self.orientation], 1))
-        wanted.append(("position", 3, mode & Mode.POSITION))
-        wanted.append(("velocity_mps", 3, mode & Mode.VELOCITY))
-        return [(name, count) for name, count, there in wanted if there]
+    def parts(self) -> list["Part"]:
+        """In their order in the data. Raises ProtocolError for a layout that cannot be."""
+        mode, settings, calibrated = self.mode, self.settings, self.mode & Mode.CALIBRATED
+        orientation = ORIENTATION_REALS[self.orientation] if mode & Mode.ORIENTATION else 0
+        analog = struct.Struct(f">{self.analog_inputs}H")
+        table = (
+            (mode & Mode.RAW_INERTIAL, _tuple("raw_inertial", _RAW_INERTIAL)),
+            (mode & Mode.RAW_GPS, _tuple("raw_gps", _RAW_GPS, RawGps._make)),
+            (mode & Mode.TEMPERATURE, self._reals("temperature_c", 1)),
+            (calibrated and not settings & Settings.NO_ACCELERATION, self._reals("acceleration_mps2", 3)),
+            (calibrated and not settings & Settings.NO_RATE, self._reals("rate_radps", 3)),
+            (calibrated and not settings & Settings.NO_MAGNETIC_FIELD, self._reals("magnetic_field", 3)),
+            (orientation, self._reals("orientation", orientation)),
+            (self.analog_inputs, _tuple("analog", analog)),
+            (mode & Mode.POSITION, self._reals("position", 3)),
+            (mode & Mode.VELOCITY, self._reals("velocity_mps", 3)),
+            (mode & Mode.STATUS, _number("status", ">B")),
+            (settings & Settings.SAMPLE_COUNTER, _number("sample_counter", ">H")),
+            (settings & Settings.UTC, Part("utc", UTC_BYTES, read_utc, write_utc)),
+        )
+        return [part for is_there, part in table if is_there]
+
+    def _reals(self, name: str, count: int) -> "Part":
+        """One number or several."""
+        precision = self.precision
+
+        def read(data: bytes, at: int) -> Any:
+            values = read_reals(data, precision, count, at)
+            return values[0] if count == 1 else values
+
+        def write(value: Any) -> bytes:
+            return write_reals((value,) if count == 1 else value, precision)
+
+        return Part(name, count * BYTES[precision], read, write)
 
     @property
     def data_bytes(self) -> int:
         """Length of the data, by which a device's own word for it is checked. Raises ProtocolError."""
-        total = sum(count for _, count in self.reals()) * BYTES[self.precision] + 2 * self.analog_inputs
-        total += _RAW_INERTIAL.size if self.mode & Mode.RAW_INERTIAL else 0
-        total += _RAW_GPS.size if self.mode & Mode.RAW_GPS else 0
-        total += 1 if self.mode & Mode.STATUS else 0
-        total += 2 if self.settings & Settings.SAMPLE_COUNTER else 0
-        return total + (UTC_BYTES if self.settings & Settings.UTC else 0)
+        return sum(part.size for part in self.parts())
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of the data: an attribute of LegacyData. read takes the data and where the part begins."""
+
+    name: str
+    size: int
+    read: Callable[[bytes, int], Any]
+    write: Callable[[Any], bytes]
+
+
+def _tuple(name: str, layout: struct.Struct, make: Callable[[Any], Any] = tuple) -> Part:
+    return Part(
+        name,
+        layout.size,
+        lambda data, at: make(layout.unpack_from(data, at)),
+        lambda value: layout.pack(*value),
+    )
+
+
+def _number(name: str, code: str) -> Part:
+    layout = struct.Struct(code)
+    return Part(name, layout.size, lambda data, at: layout.unpack_from(data, at)[0], layout.pack)
 
 
 class LegacyCodec:
@@ -151,77 +190,29 @@ class LegacyCodec:
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
-        self.data_bytes = layout.data_bytes
-        before = ("temperature_c", "acceleration_mps2", "rate_radps", "magnetic_field", "orientation")
-        reals = layout.reals()
-        self._before = [(name, count) for name, count in reals if name in before]
-        self._after = [(name, count) for name, count in reals if name not in before]
-        self._precision = layout.precision
-        self._analog = struct.Struct(f">{layout.analog_inputs}H")
+        self._parts = layout.parts()
+        self._data_bytes = layout.data_bytes
 
     def decode(self, data: bytes) -> LegacyData:
         """Raises ProtocolError where the data have not the layout's length."""
-        if len(data) != self.data_bytes:
+        if len(data) != self._data_bytes:
             raise ProtocolError(
                 f"MTData of {counted(len(data), 'byte')}, mode 0x{self.layout.mode:04X} with settings "
-                f"0x{self.layout.settings:08X} makes {self.data_bytes}"
+                f"0x{self.layout.settings:08X} makes {self._data_bytes}"
             )
-        found: dict[str, object] = {}
-        mode, settings, at = self.layout.mode, self.layout.settings, 0
-        if mode & Mode.RAW_INERTIAL:
-            found["raw_inertial"] = _RAW_INERTIAL.unpack_from(data)
-            at += _RAW_INERTIAL.size
-        if mode & Mode.RAW_GPS:
-            found["raw_gps"] = RawGps._make(_RAW_GPS.unpack_from(data, at))
-            at += _RAW_GPS.size
-        at = self._read(self._before, data, at, found)
-        if self._analog.size:
-            found["analog"] = self._analog.unpack_from(data, at)
-            at += self._analog.size
-        at = self._read(self._after, data, at, found)
-        if mode & Mode.STATUS:
-            found["status"] = data[at]
-            at += 1
-        if settings & Settings.SAMPLE_COUNTER:
-            found["sample_counter"] = data[at] << 8 | data[at + 1]
-            at += 2
-        if settings & Settings.UTC:
-            found["utc"] = read_utc(data, at)
-        return LegacyData(**found)  # type: ignore[arg-type]
-
-    def _read(self, reals: list[tuple[str, int]], data: bytes, at: int, found: dict[str, object]) -> int:
-        for name, count in reals:
-            values = read_reals(data, self._precision, count, at)
-            found[name] = values[0] if count == 1 else values
-            at += count * BYTES[self._precision]
-        return at
+        found, at = {}, 0
+        for part in self._parts:
+            found[part.name] = part.read(data, at)
+            at += part.size
+        return LegacyData(**found)
 
     def encode(self, sample: LegacyData) -> bytes:
-        """The inverse of decode. Raises ValueError where the sample is not of this layout."""
+        """The inverse of decode; what the layout leaves out is left out. Raises ValueError where a part is
+        missing."""
         data = b""
-        if sample.raw_inertial is not None:
-            data += _RAW_INERTIAL.pack(*sample.raw_inertial)
-        if sample.raw_gps is not None:
-            data += _RAW_GPS.pack(*sample.raw_gps)
-        data += self._write(self._before, sample)
-        data += self._analog.pack(*(sample.analog or ()))
-        data += self._write(self._after, sample)
-        if sample.status is not None:
-            data += bytes((sample.status,))
-        if sample.sample_counter is not None:
-            data += struct.pack(">H", sample.sample_counter)
-        if sample.utc is not None:
-            data += write_utc(sample.utc)
-        if len(data) != self.data_bytes:
-            given = [f.name for f in fields(sample) if getattr(sample, f.name) is not None]
-            raise ValueError(f"{given} make {counted(len(data), 'byte')}, the layout has {self.data_bytes}")
-        return data
-
-    def _write(self, reals: list[tuple[str, int]], sample: LegacyData) -> bytes:
-        data = b""
-        for name, count in reals:
-            value = getattr(sample, name)
+        for part in self._parts:
+            value = getattr(sample, part.name)
             if value is None:
-                raise ValueError(f"{name} is missing, the layout has it")
-            data += write_reals((value,) if count == 1 else value, self._precision)
+                raise ValueError(f"{part.name} is missing, the layout has it")
+            data += part.write(value)
         return data

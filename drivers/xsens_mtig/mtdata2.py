@@ -6,7 +6,6 @@ Source: MT0101P, MTData2 and its tables of data identifiers. Checked on recordin
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -119,9 +118,7 @@ class GnssPvt(NamedTuple):
     valid: int  # as Utc.valid
     time_accuracy_ns: int
     nanosecond: int  # signed: the time is this much off the full second
-    fix: (
-        int  # 0 none, 1 dead reckoning, 2 two-dimensional, 3 three-dimensional, 4 with dead reckoning, 5 time
-    )
+    fix: int  # 0 none, 1 dead reckoning, 2 and 3 dimensions, 4 these with dead reckoning, 5 time alone
     flags: int  # bit 0 fix is good, bit 1 differential, bit 5 heading of the vehicle is good
     satellites: int
     reserved: int
@@ -149,14 +146,6 @@ class GnssPvt(NamedTuple):
 
 
 Value = Reals | int | Utc | GnssPvt | bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One item decoded: numbers as the device's units have them, or the bytes of what is not read here."""
-
-    id: int
-    value: Value
 
 
 def split(data: bytes) -> list[tuple[int, bytes]]:
@@ -214,16 +203,6 @@ def write_item(identifier: int, value: Value) -> bytes:
             f"{counted(len(value), 'number')} for {Kind(kind).name}, it has {REALS_OF[Kind(kind)]}"
         )
     return write_reals(value, identifier & PRECISION_MASK)
-
-
-def decode_items(data: bytes) -> list[Item]:
-    """Every item of a message. Raises ProtocolError."""
-    return [Item(identifier, read_item(identifier, payload)) for identifier, payload in split(data)]
-
-
-def encode_items(items: Iterable[Item]) -> bytes:
-    """The inverse of decode_items. Raises ValueError."""
-    return join((item.id, write_item(item.id, item.value)) for item in items)
 
 
 def item_bytes(identifier: int) -> int:

@@ -3,8 +3,8 @@
 import pytest
 
 from drivers.xsens_mtig.mtdata2 import (
-    decode_items,
     read_output_configuration,
+    split,
     write_output_configuration,
 )
 from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
@@ -148,8 +148,8 @@ def test_effective_rates_come_back_and_stay():
     messages = host.wait(1.0)
     counts = {}
     for message in messages:
-        for item in decode_items(message.data):
-            counts[item.id] = counts.get(item.id, 0) + 1
+        for identifier, _ in split(message.data):
+            counts[identifier] = counts.get(identifier, 0) + 1
     for identifier, rate in ((0x8020, 400), (0x4020, 100), (0xC020, 100), (0x3010, 50), (0x7010, 4)):
         assert counts[identifier] == pytest.approx(rate, abs=2)
     assert counts[0x1020] == len(messages)
