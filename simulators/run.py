@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn, TextIO
+from typing import BinaryIO, NoReturn
 
 import numpy as np
 
@@ -87,18 +87,27 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 class TruthFile:
     """Poses of the base in the frame of its start, one each TRUTH_STEP_NS of the host's monotonic clock."""
 
-    def __init__(self, ride: Ride, file: TextIO) -> None:
+    def __init__(self, ride: Ride, file: BinaryIO) -> None:
         self._ride = ride
         self._file = file
         self._next_ns = ride.start_ns
 
     def write_until(self, now_ns: int) -> None:
+        """Raises StorageError where the disk does not take it."""
         stamps_ns = np.arange(self._next_ns, now_ns + 1, TRUTH_STEP_NS, dtype=np.int64)
         if stamps_ns.size == 0:
             return
-        for stamp_ns, (x_m, y_m, theta_rad) in zip(stamps_ns, self._ride.poses(stamps_ns), strict=True):
-            self._file.write(f"{stamp_ns} {x_m:.6f} {y_m:.6f} {theta_rad:.7f}\n")
-        self._file.flush()
+        text = "".join(
+            f"{stamp_ns} {x_m:.6f} {y_m:.6f} {theta_rad:.7f}\n"
+            for stamp_ns, (x_m, y_m, theta_rad) in zip(stamps_ns, self._ride.poses(stamps_ns), strict=True)
+        )
+        try:
+            self._file.write(text.encode())
+        except OSError as error:
+            raise StorageError(
+                f"{self._file.name}: the truth cannot be written: {error.strerror}; make room, or name "
+                "another file by --truth"
+            ) from error
         self._next_ns = int(stamps_ns[-1]) + TRUTH_STEP_NS
 
 
@@ -116,7 +125,7 @@ def _run(options: argparse.Namespace) -> int:
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    with open(options.truth or os.devnull, "w", encoding="ascii") as truth_file, vehicle:
+    with open(options.truth or os.devnull, "wb", buffering=0) as truth_file, vehicle:
         truth = TruthFile(ride, truth_file)
         _announce(vehicle, options.print_endpoints)
         facts: Counter[tuple[str, str]] = Counter()

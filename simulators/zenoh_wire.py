@@ -17,12 +17,13 @@ from simulators.device import FakeDevice
 log = logging.getLogger(__name__)
 
 STOP_TIMEOUT_S = 5.0
+OWN_PORT_TIMEOUT_S = 2.0
 
 
 class ZenohWire:
     """Served while it is entered: entering opens the router, a thread publishes. Port 0: any free one.
 
-    Raises OSError where the port is taken.
+    Raises OSError where the port is taken, or the router does not answer.
     """
 
     def __init__(
@@ -63,15 +64,23 @@ class ZenohWire:
             self._session = zenoh.open(zenoh_config(settings))
         except zenoh.ZError as error:
             raise OSError(f"no router at {self.endpoint[0]}:{self.endpoint[1]}: {error}") from error
-        reply = next(iter(self._session.get(f"@/{self._session.zid()}/router", timeout=2.0)))
-        assert reply.ok is not None
-        locator: str = json.loads(reply.ok.payload.to_string())["locators"][0]
-        self.endpoint = (self.endpoint[0], int(locator.rpartition(":")[2]))
+        self.endpoint = (self.endpoint[0], self._own_port(self._session))
         self._stop.clear()
         self._thread = threading.Thread(
             target=self._run, args=(self._session,), name=f"node {self._topic.name}", daemon=True
         )
         self._thread.start()
+
+    def _own_port(self, session: zenoh.Session) -> int:
+        for reply in session.get(f"@/{session.zid()}/router", timeout=OWN_PORT_TIMEOUT_S):
+            if reply.ok is not None:
+                locator: str = json.loads(reply.ok.payload.to_string())["locators"][0]
+                return int(locator.rpartition(":")[2])
+        session.close()  # type: ignore[no-untyped-call]
+        raise OSError(
+            f"the fake node's router at {self.endpoint[0]}:{self.endpoint[1]} did not tell its port within "
+            f"{OWN_PORT_TIMEOUT_S:g} s; is this machine overloaded? Start it again"
+        )
 
     def cut(self) -> None:
         """The router and the node are gone."""

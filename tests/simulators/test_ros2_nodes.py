@@ -1,9 +1,10 @@
-"""What pretended ROS 2 nodes publish, against the truth that feeds them; no wire is entered."""
+"""What pretended ROS 2 nodes publish, against the truth that feeds them; no wire is served."""
 
 import math
 
 import numpy as np
 import pytest
+import zenoh
 
 from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.encoding import IMU, LASER_SCAN, ODOMETRY, decode_frame
@@ -13,6 +14,7 @@ from simulators.registry import DEVICE_KINDS
 from simulators.truth import LMS100, LaserTruth, Ride
 from simulators.vehicle import parse_device
 from simulators.worlds import build_world
+from simulators.zenoh_wire import ZenohWire
 
 START_NS = 1_000_000_000
 STAND_S = 1.0
@@ -77,3 +79,26 @@ def test_a_topic_may_be_named(ride: Ride):
     assert wire._topic.name == "/veh1/scan"
     with pytest.raises(ValueError, match="ROS 2 names are"):
         parse_device("it=ros2_scan:topic=a b")
+
+
+def test_a_router_that_does_not_tell_its_port_is_an_error_in_words(
+    ride: Ride, monkeypatch: pytest.MonkeyPatch
+):
+    class Silent:
+        closed = False
+
+        def zid(self) -> str:
+            return "1"
+
+        def get(self, key: str, timeout: float) -> list[zenoh.Reply]:
+            return []
+
+        def close(self) -> None:
+            self.closed = True
+
+    session = Silent()
+    monkeypatch.setattr(zenoh, "open", lambda config: session)
+    wire = ZenohWire(node("ros2_scan", ride), "/scan", LASER_SCAN, 0, "127.0.0.1", 0)
+    with pytest.raises(OSError, match=r"router at 127.0.0.1:0 did not tell its port within 2 s"), wire:
+        pass
+    assert session.closed

@@ -126,6 +126,16 @@ def test_truth_that_cannot_be_written_is_74(tmp_path: Path):
     assert ended.stderr == f"corridor: {tmp_path}/nowhere/truth.txt: No such file or directory\n"
 
 
+def test_a_disk_that_refuses_the_truth_is_74_and_names_the_file():
+    arguments = [*COMMAND, "--truth", "/dev/full"]
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert ended.returncode == 74
+    assert ended.stderr.splitlines()[-1] == (
+        "corridor: /dev/full: the truth cannot be written: No space left on device; make room, or name "
+        "another file by --truth"
+    )
+
+
 def test_faults_come_at_their_time_and_are_summed_up(tmp_path: Path):
     faults = tmp_path / "faults.yaml"
     faults.write_text(
