@@ -85,3 +85,27 @@ def test_parts_stand_where_the_manual_puts_them():
 def test_orientation_format_3_does_not_exist():
     with pytest.raises(ProtocolError, match="orientation format 3"):
         LegacyCodec(Layout(Mode.ORIENTATION, 0xC))
+
+
+@pytest.mark.parametrize(
+    ("switch", "name"),
+    [
+        (Settings.NO_ACCELERATION, "acceleration_mps2"),
+        (Settings.NO_RATE, "rate_radps"),
+        (Settings.NO_MAGNETIC_FIELD, "magnetic_field"),
+    ],
+)
+def test_what_is_switched_off_is_neither_written_nor_read(switch: Settings, name: str):
+    values = {"acceleration_mps2": (1.0,) * 3, "rate_radps": (2.0,) * 3, "magnetic_field": (3.0,) * 3}
+    codec = LegacyCodec(Layout(Mode.TEMPERATURE | Mode.CALIBRATED, switch))
+    data = codec.encode(LegacyData(temperature_c=4.0, **values))
+    assert len(data) == 28
+    assert codec.decode(data) == LegacyData(temperature_c=4.0, **{**values, name: None})
+
+
+def test_data_of_another_layout_are_refused():
+    codec = LegacyCodec(Layout(Mode.STATUS, Settings.SAMPLE_COUNTER))
+    with pytest.raises(ProtocolError, match=r"MTData of 4 bytes, .* makes 3"):
+        codec.decode(bytes(4))
+    with pytest.raises(ValueError, match="sample_counter is missing"):
+        codec.encode(LegacyData(status=1))
