@@ -1,6 +1,6 @@
 """Puts a fake device on a real wire: a TCP port or a pseudo terminal, one thread each.
 
-    wire = serve_tcp(FakeLms100(...))
+    wire = TcpWire(FakeLms100(...))
     with wire as (host, port):
         ...             # a driver connects, talks, goes, comes again
         wire.cut()      # clients are reset and the port refuses, as when the device loses power
@@ -248,10 +248,11 @@ class _Wire(ABC):
 
 class TcpWire(_Wire):
     """A device behind a TCP port. A device that is one FakeDevice serves one client and refuses a second
-    (accepted and closed at once); a ManyClients device gives each client a FakeDevice of its own.
+    (accepted and closed at once); a ManyClients device gives each client a FakeDevice of its own. Listens
+    while it is entered, which gives (host, port). Port 0: any free one.
     """
 
-    def __init__(self, device: FakeDevice | ManyClients, host: str, port: int) -> None:
+    def __init__(self, device: FakeDevice | ManyClients, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__(f"tcp {host}:{port}", device)
         self.endpoint = (host, port)  # for port 0 the real one, once entered
         self._server: socket.socket | None = None
@@ -317,14 +318,15 @@ class TcpWire(_Wire):
 
 
 class PtyWire(_Wire):
-    """A device behind a pseudo terminal. Opening the path is connecting, closing it is going.
+    """A device behind a pseudo terminal. Entering it gives the path; opening that is connecting,
+    closing it is going.
 
     A pseudo terminal has no baud rate and no modem lines: any rate a driver sets is accepted. With `link`
     the path is a symbolic link that survives a cut, as a udev name does; without, restore() may bring
     another /dev/pts number.
     """
 
-    def __init__(self, device: FakeDevice, link: Path | None) -> None:
+    def __init__(self, device: FakeDevice, link: Path | None = None) -> None:
         super().__init__("pty", device)
         self.link = link  # may be set until the wire is entered
         self._master = -1
@@ -399,13 +401,3 @@ class PtyWire(_Wire):
                 raise
         finally:
             os.close(line)
-
-
-def serve_tcp(device: FakeDevice | ManyClients, host: str = "127.0.0.1", port: int = 0) -> TcpWire:
-    """Context manager: the device listens while it is entered, which gives (host, port). Port 0: any free."""
-    return TcpWire(device, host, port)
-
-
-def serve_pty(device: FakeDevice, link: Path | None = None) -> PtyWire:
-    """Context manager: the device has a serial port while it is entered, which gives its path."""
-    return PtyWire(device, link)

@@ -14,7 +14,7 @@ from simulators.device_kind import DeviceKind
 from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.truth import URG04LX, UST, UTM30LX, LaserTruth, Ride, seed_of
-from simulators.wire import PtyWire, TcpWire, serve_pty, serve_tcp
+from simulators.wire import PtyWire, TcpWire
 
 OPTICS = {"utm_30lx": UTM30LX, "ust": UST, "urg_04lx_ug01": URG04LX}
 
@@ -63,8 +63,8 @@ def build(name: str, options: Utm30lxOptions, ride: Ride, seed: int) -> TcpWire 
     )
     device = FakeUtm30lx(source, setup, seed_of(seed, name))
     if wire == "usb":
-        return serve_pty(device, options.link)
-    return serve_tcp(device, options.host, options.port)
+        return PtyWire(device, options.link)
+    return TcpWire(device, options.host, options.port)
 
 
 KIND = DeviceKind(Utm30lxOptions, build)

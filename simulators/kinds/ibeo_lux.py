@@ -12,7 +12,7 @@ from service.geometry.se2 import SE2
 from simulators.device_kind import DeviceKind
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.truth import IBEO_LUX, LaserTruth, Ride, seed_of
-from simulators.wire import TcpWire, serve_tcp
+from simulators.wire import TcpWire
 
 
 class LuxOptions(BaseModel):
@@ -43,7 +43,7 @@ def build(name: str, options: LuxOptions, ride: Ride, seed: int) -> TcpWire:
         rain_share=options.rain_share,
         fixed=frozenset({Parameter[options.refuses]} if options.refuses else ()),
     )
-    return serve_tcp(FakeIbeoLux(source, setup, seed_of(seed, name)), options.host, options.port)
+    return TcpWire(FakeIbeoLux(source, setup, seed_of(seed, name)), options.host, options.port)
 
 
 KIND = DeviceKind(LuxOptions, build)

@@ -10,7 +10,7 @@ from drivers.irobot_create.config import PRESETS
 from simulators.device_kind import DeviceKind
 from simulators.irobot_create import FakeCreate
 from simulators.truth import CREATE_WHEELS, Ride, WheelTruth
-from simulators.wire import PtyWire, serve_pty
+from simulators.wire import PtyWire
 
 
 class CreateOptions(BaseModel):
@@ -34,7 +34,7 @@ def build(name: str, options: CreateOptions, ride: Ride, seed: int) -> PtyWire:
         slips_per_m=options.slips_per_m,
     )
     wheels = WheelTruth(ride, name, model, seed)
-    return serve_pty(FakeCreate(wheels, options.model, wakes_on_connect=True), options.link)
+    return PtyWire(FakeCreate(wheels, options.model, wakes_on_connect=True), options.link)
 
 
 KIND = DeviceKind(CreateOptions, build)

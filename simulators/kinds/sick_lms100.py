@@ -13,7 +13,7 @@ from simulators.device_kind import DeviceKind
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
 from simulators.truth import LMS100, LMS500, TIM500, LaserTruth, Ride, seed_of
-from simulators.wire import TcpWire, serve_tcp
+from simulators.wire import TcpWire
 
 OPTICS = {"lms1xx": LMS100, "lms5xx": LMS500, "tim5xx": TIM500, "tim7xx": TIM500}
 
@@ -50,7 +50,7 @@ def build(name: str, options: Lms100Options, ride: Ride, seed: int) -> TcpWire:
         refused=frozenset(filter(None, (options.refuses,))),
         firmware=options.firmware,
     )
-    return serve_tcp(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
+    return TcpWire(FakeLms100(source, setup, seed_of(seed, name)), options.host, options.port)
 
 
 KIND = DeviceKind(Lms100Options, build)

@@ -10,7 +10,7 @@ from drivers.xsens_mtig.protocol import CODE_OF_BAUD
 from simulators.device_kind import DeviceKind
 from simulators.inertial import Datum, ImuMounting, InertialTruth
 from simulators.truth import Ride
-from simulators.wire import PtyWire, serve_pty
+from simulators.wire import PtyWire
 from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 
 
@@ -56,7 +56,7 @@ def build(name: str, options: MtigOptions, ride: Ride, seed: int) -> PtyWire:
         gnss_sigma_m=options.gnss_sigma_m if options.satellites else None,
     )
     setup = MtigSetup(options.personality, options.baud, options.clock_drift_ppm, product=options.product)
-    return serve_pty(FakeMtiG(source, setup), options.link)
+    return PtyWire(FakeMtiG(source, setup), options.link)
 
 
 KIND = DeviceKind(MtigOptions, build)

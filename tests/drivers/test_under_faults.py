@@ -21,7 +21,7 @@ from drivers.xsens_mtig.driver import XsensMtigSession
 from simulators.device import FakeDevice
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100
-from simulators.wire import serve_pty, serve_tcp
+from simulators.wire import PtyWire, TcpWire
 from tests.drivers import irobot_bench, lms100, mtig
 from tests.drivers.faulty_devices import BENCHES, ZERO_NS, faulty, linked
 from tests.drivers.virtual_link import VirtualLink
@@ -236,7 +236,7 @@ def link() -> Iterator[Callable[..., Linked]]:
 def test_lms100_comes_back_over_tcp(link: Callable[..., Linked], fault: str, error: str):
     device = faulty(FakeLms100(lms100.Room()), fault, zero_ns=time.monotonic_ns())
     config = lms100.config(silence_timeout_s=0.5)
-    with serve_tcp(device) as address:
+    with TcpWire(device) as address:
         linked = link(lambda: TcpTransport(*address), lambda: Lms100Session(config))
         linked.wait(connects=1)
         linked.wait(connects=2)
@@ -266,7 +266,7 @@ def test_device_comes_back_over_a_terminal(
     }
     fake, new_session = makers[name]
     device = faulty(fake, fault, zero_ns=time.monotonic_ns())
-    with serve_pty(device, tmp_path / "device") as path:
+    with PtyWire(device, tmp_path / "device") as path:
         linked = link(lambda: SerialTransport(path, 115_200), new_session)
         linked.wait(connects=1)
         linked.wait(connects, more=150)  # 2 s, beyond what the fault takes

@@ -7,7 +7,7 @@ from drivers.transport import SerialTransport
 from drivers.xsens_mtig.driver import XsensMtigSession
 from drivers.xsens_mtig.port import DWELL_S, LIKELY_BAUDS, BaudPort, ProbingPort, open_port
 from drivers.xsens_mtig.protocol import Mid, encode
-from simulators.wire import serve_pty
+from simulators.wire import PtyWire
 from simulators.xsens_mtig import FakeMtiG, MtigSetup
 from tests.drivers.mtig import ZERO_NS, Swing, config, samples
 from tests.drivers.virtual_time import SECOND_NS, TICK_NS
@@ -91,7 +91,7 @@ def test_a_rate_once_found_is_kept_through_silence():
 
 
 def test_ports_are_opened_as_the_config_says(monkeypatch: pytest.MonkeyPatch):
-    with serve_pty(FakeMtiG(Swing())) as path:
+    with PtyWire(FakeMtiG(Swing())) as path:
         with open_port(config(device=str(path))) as port:
             assert isinstance(port, ProbingPort)
         with open_port(config(device=str(path), baud=460_800)) as port:

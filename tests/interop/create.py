@@ -9,7 +9,7 @@ from typing import Any
 from drivers.irobot_create.config import PRESETS
 from drivers.irobot_create.protocol import Mode, Opcode, PacketId
 from simulators.irobot_create import IDLE_VALUES, FakeCreate
-from simulators.wire import serve_pty
+from simulators.wire import PtyWire
 from tests.interop.programs import InteropError, Venv, run_client
 
 LEFT_MPS, RIGHT_MPS = 0.20, 0.26
@@ -50,7 +50,7 @@ def _run(venv: Venv, script: str, folder: Path, asked: Sequence[Opcode], mode: M
     wheels = EvenWheels(time.monotonic_ns())
     device = FakeCreate(wheels, "create2", start_counts=START_COUNTS)
     preset = PRESETS["create2"]
-    with serve_pty(device) as path:
+    with PtyWire(device) as path:
         facts = {
             "port": path,
             "start_ns": wheels.start_ns,

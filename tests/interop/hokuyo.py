@@ -9,7 +9,7 @@ from simulators.device import Sweep
 from simulators.hokuyo_optics import FULL_INTENSITY
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
-from simulators.wire import serve_tcp
+from simulators.wire import TcpWire
 from tests.interop.programs import InteropError, Venv, run_client
 
 WALLS_M = {"ahead": 6.0, "behind": 2.0, "left": 4.5, "right": 3.0}
@@ -51,7 +51,7 @@ class Room:
 def run_hokuyolx(venv: Venv, folder: Path) -> str:
     setup = Utm30lxSetup(wire="ethernet", serial_number=SERIAL, no_return_mm=NO_ECHO_MM)
     device = FakeUtm30lx(Room(seed=1), setup)
-    with serve_tcp(device) as (host, port):
+    with TcpWire(device) as (host, port):
         facts = {
             "host": host,
             "port": port,

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import pytest
 
-from simulators.wire import BACKLOG_BYTES, serve_pty, serve_tcp
+from simulators.wire import BACKLOG_BYTES, PtyWire, TcpWire
 from tests.waiting import wait_until
 
 Result = TypeVar("Result")
@@ -103,7 +103,7 @@ def read_terminal(fd: int) -> bytes:
 
 
 def test_tcp_client_is_greeted_answered_and_sent_what_falls_due():
-    with serve_tcp(Ticker()) as address, connect(address) as client:
+    with TcpWire(Ticker()) as address, connect(address) as client:
         client.sendall(b"abc")
         data = read_until(lambda: client.recv(4096), lambda data: b"ABC" in data and data.count(b".") >= 10)
     assert data.startswith(b"hello ")
@@ -111,7 +111,7 @@ def test_tcp_client_is_greeted_answered_and_sent_what_falls_due():
 
 def test_due_times_are_kept_without_drift():
     ticker = Ticker()
-    with serve_tcp(ticker) as address, connect(address) as client:
+    with TcpWire(ticker) as address, connect(address) as client:
         read_until(lambda: client.recv(4096), lambda data: data.count(b".") >= 200)
     assert min(ticker.lateness_ns) >= 0
     # The best of a hundred: whatever else the machine does, one that is behind makes up for it at once.
@@ -120,7 +120,7 @@ def test_due_times_are_kept_without_drift():
 
 
 def test_second_client_of_a_single_device_is_refused_and_counted():
-    wire = serve_tcp(Ticker())
+    wire = TcpWire(Ticker())
     with wire as address, connect(address) as first, connect(address) as second:
         assert second.recv(1) == b""
         assert first.recv(6) == b"hello "
@@ -129,7 +129,7 @@ def test_second_client_of_a_single_device_is_refused_and_counted():
 
 def test_several_clients_each_have_their_own_device():
     board = Switchboard()
-    with serve_tcp(board) as address, connect(address) as first, connect(address) as second:
+    with TcpWire(board) as address, connect(address) as first, connect(address) as second:
         first.sendall(b"one")
         second.sendall(b"two")
         heard_by_first = read_until(lambda: first.recv(4096), lambda data: b"ONE" in data)
@@ -141,7 +141,7 @@ def test_several_clients_each_have_their_own_device():
 
 def test_cut_resets_the_client_and_refuses_until_restored():
     ticker = Ticker()
-    wire = serve_tcp(ticker)
+    wire = TcpWire(ticker)
     with wire as address:
         with connect(address) as client:
             ticker.wait_for_events(1)
@@ -177,7 +177,7 @@ class Loose(Ticker):
 
 def test_device_that_is_unplugged_resets_its_client_and_refuses_until_it_is_plugged_in():
     ticker = Loose()
-    with serve_tcp(ticker) as address:
+    with TcpWire(ticker) as address:
         with connect(address) as client, pytest.raises(ConnectionResetError):
             read_until(lambda: client.recv(4096), lambda data: False)
         assert ticker.pulled.wait(5.0)
@@ -192,7 +192,7 @@ def test_device_that_is_unplugged_resets_its_client_and_refuses_until_it_is_plug
 
 def test_terminal_of_a_device_that_is_unplugged_goes_and_comes_back(tmp_path: Path):
     ticker = Loose()
-    with serve_pty(ticker, tmp_path / "create") as path:
+    with PtyWire(ticker, tmp_path / "create") as path:
         fd = open_terminal(path)
         poll = select.poll()
         poll.register(fd, 0)
@@ -217,7 +217,7 @@ def retry(attempt: Callable[[], Result], error: type[OSError]) -> Result:
 def test_slow_reader_loses_whole_messages_and_never_stops_the_device():
     message = b"<" + bytes(64 * 1024 - 2) + b">"
     ticker = Ticker(message, period_ns=200_000)
-    wire = serve_tcp(ticker)
+    wire = TcpWire(ticker)
     dropped = threading.Event()
 
     class Watching(type(wire.counters)):  # type: ignore[misc]
@@ -236,7 +236,7 @@ def test_slow_reader_loses_whole_messages_and_never_stops_the_device():
 
 
 def test_failure_of_a_device_is_raised_when_the_wire_closes():
-    wire = serve_tcp(Ticker()).restore()
+    wire = TcpWire(Ticker()).restore()
     with connect(wire.endpoint) as client:
         client.sendall(b"fail")
         read_until(lambda: client.recv(4096) or b"the end", lambda data: b"the end" in data)
@@ -246,7 +246,7 @@ def test_failure_of_a_device_is_raised_when_the_wire_closes():
 
 def test_terminal_is_raw_and_clients_come_and_go():
     ticker = Ticker()
-    with serve_pty(ticker) as path:
+    with PtyWire(ticker) as path:
         for turn in range(3):
             fd = open_terminal(path)
             assert not termios.tcgetattr(fd)[3] & (termios.ECHO | termios.ICANON | termios.ISIG)
@@ -261,7 +261,7 @@ def test_terminal_is_raw_and_clients_come_and_go():
 def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_before():
     """What no one read lies in the terminal itself, which the master's flush does not reach."""
     ticker = Ticker()
-    with serve_pty(ticker) as path:
+    with PtyWire(ticker) as path:
         fd = open_terminal(path)
         assert read_until(lambda: read_terminal(fd), lambda data: b"." in data)
         unread, _, _ = select.select([fd], [], [], PATIENCE_S)
@@ -276,7 +276,7 @@ def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_bef
 
 def test_terminal_no_one_reads_keeps_the_device_running():
     ticker = Ticker(b"x" * 1000, period_ns=100_000)
-    with serve_pty(ticker) as path:
+    with PtyWire(ticker) as path:
         fd = open_terminal(path)
         wait_until(lambda: len(ticker.lateness_ns) > 200)  # the terminal holds four
         os.close(fd)

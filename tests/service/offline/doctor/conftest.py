@@ -14,7 +14,7 @@ import pytest
 
 from service.offline.doctor import verdict
 from service.offline.doctor.machine import KernelClock, Machine
-from simulators.wire import serve_tcp
+from simulators.wire import TcpWire
 from tests.in_background import in_background
 from tests.silent_device import SilentDevice
 
@@ -93,7 +93,7 @@ class Parrot(SilentDevice):
 def on_tcp() -> Iterator[Callable[..., tuple[str, int]]]:
     """Puts fake devices on loopback ports, as long as the test runs."""
     with ExitStack() as stack:
-        yield lambda device: stack.enter_context(serve_tcp(device))
+        yield lambda device: stack.enter_context(TcpWire(device))
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from service.offline.doctor.devices import Patience
 from service.offline.doctor.examine import examine
 from simulators.irobot_create import FakeCreate
 from simulators.sick_lms100 import FakeLms100
-from simulators.wire import serve_pty, serve_tcp
+from simulators.wire import PtyWire, TcpWire
 from tests.drivers.irobot_bench import STANDING
 from tests.drivers.lms100 import Room
 
@@ -32,7 +32,7 @@ def written(tmp_path: Path, port: int, device: str) -> Path:
 
 @pytest.mark.usefixtures("any_rate_will_do")
 def test_a_vehicle_in_order_exits_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    with serve_tcp(FakeLms100(Room())) as (_, port), serve_pty(FakeCreate(STANDING)) as device:
+    with TcpWire(FakeLms100(Room())) as (_, port), PtyWire(FakeCreate(STANDING)) as device:
         config = written(tmp_path, port, device)
         assert main(["doctor", str(config), "--json", "--seconds", "0.5"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -6,7 +6,7 @@ from service.errors import UsageError
 from service.offline.setup.discovery import Wire, discover, parse_wire, serial_ports
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
-from simulators.wire import serve_tcp
+from simulators.wire import TcpWire
 from tests.drivers.lms100 import Room
 
 
@@ -60,7 +60,7 @@ ASK_S = 60.0  # a fake device on a busy machine; the first answer ends it
 
 
 def found_at_a(setup: Lms100Setup):
-    with serve_tcp(FakeLms100(Room(), setup)) as (host, port):
+    with TcpWire(FakeLms100(Room(), setup)) as (host, port):
         [found] = discover([Wire(host=host, port=port, type="sick_lms100")], ASK_S)
     return found
 
