@@ -123,20 +123,8 @@ class BitFlips(LastingFault):
     rate: float = Field(default=1e-3, gt=0.0, le=0.5)  # of the bits
 
 
-class HalfMessages(MessageFault):
-    kind: Literal["half_messages"]
-
-
-class WrongChecksum(MessageFault):
-    kind: Literal["wrong_checksum"]
-
-
-class Duplicate(MessageFault):
-    kind: Literal["duplicate"]
-
-
-class Drop(MessageFault):
-    kind: Literal["drop"]
+class PlainMessageFault(MessageFault):
+    kind: Literal["half_messages", "wrong_checksum", "duplicate", "drop"]
 
 
 class Delay(LastingFault):
@@ -153,7 +141,7 @@ KINDS: dict[str, type[Fault]] = {
     kind: model
     for model in (
         *(Cut, Silence, Restart, SlowStart, ClockJump, Garbage, BitFlips),
-        *(HalfMessages, WrongChecksum, Duplicate, Drop, Delay, Burst),
+        *(PlainMessageFault, Delay, Burst),
     )
     for kind in typing.get_args(model.model_fields["kind"].annotation)
 }

@@ -22,17 +22,14 @@ from simulators.fault_file import (
     ClockJump,
     Cut,
     Delay,
-    Drop,
-    Duplicate,
     Fault,
     Garbage,
-    HalfMessages,
     MessageFault,
+    PlainMessageFault,
     RepeatedFault,
     Restart,
     Silence,
     SlowStart,
-    WrongChecksum,
 )
 
 log = logging.getLogger(__name__)
@@ -40,44 +37,39 @@ log = logging.getLogger(__name__)
 TIMES, CONTENT = 0, 1  # generators of a fault: when it comes shall not depend on what was sent
 
 
-class _Schedule:
-    """When a fault acts: from begin_ns to before end_ns, of its next or present time. None: never again."""
+class _Scheduled:
+    """A fault of one device, when it acts, and the chance that belongs to it.
 
-    def __init__(self, fault: RepeatedFault, zero_ns: int, generator: np.random.Generator) -> None:
-        self._fault = fault
+    begin_ns, end_ns    of its next or present time; it acts before end_ns. None: never again
+    """
+
+    def __init__(self, fault: RepeatedFault, zero_ns: int, seed: int, number: int) -> None:
+        self.fault = fault
+        self.chance = np.random.default_rng([seed, number, CONTENT])
+        self.active = False
+        self._times = np.random.default_rng([seed, number, TIMES])
         self._first_ns = zero_ns + round(fault.at_s * 1e9)
-        self._lasts_ns = round(fault.lasts_s * 1e9)
-        self._generator = generator
         self._done = 0
         self.begin_ns: int | None = self._first_ns
 
     @property
     def end_ns(self) -> int | None:
-        return None if self.begin_ns is None else self.begin_ns + self._lasts_ns
+        return None if self.begin_ns is None else self.begin_ns + round(self.fault.lasts_s * 1e9)
+
+    @property
+    def next_change_ns(self) -> int | None:
+        return self.end_ns if self.active else self.begin_ns
 
     def go_on(self) -> None:
         """To the next time."""
-        fault = self._fault
+        fault = self.fault
+        self.active = False
         self._done += 1
         if fault.every_s is None or self._done == fault.times:
             self.begin_ns = None
             return
-        late_s = self._generator.uniform(0.0, fault.jitter_up_to_s)
+        late_s = self._times.uniform(0.0, fault.jitter_up_to_s)
         self.begin_ns = self._first_ns + round((self._done * fault.every_s + late_s) * 1e9)
-
-
-class _Scheduled:
-    """A fault of one device, where it stands in its schedule, and the chance that belongs to it."""
-
-    def __init__(self, fault: RepeatedFault, zero_ns: int, seed: int, number: int) -> None:
-        self.fault = fault
-        self.when = _Schedule(fault, zero_ns, np.random.default_rng([seed, number, TIMES]))
-        self.chance = np.random.default_rng([seed, number, CONTENT])
-        self.active = False
-
-    @property
-    def next_change_ns(self) -> int | None:
-        return self.when.end_ns if self.active else self.when.begin_ns
 
 
 class Faulty:
@@ -175,8 +167,7 @@ class Faulty:
             self._held.clear()
 
     def _end(self, scheduled: _Scheduled, at_ns: int) -> None:
-        scheduled.active = False
-        scheduled.when.go_on()
+        scheduled.go_on()
         if isinstance(scheduled.fault, Restart):
             assert isinstance(self.device, Restartable)
             self.device.restart(at_ns)
@@ -213,7 +204,7 @@ class Faulty:
                 leaves_ns += round(scheduled.chance.uniform(0.0, scheduled.fault.up_to_ms) * 1e6)
         for scheduled in active:
             if isinstance(scheduled.fault, Burst):
-                begin_ns, end_ns = scheduled.when.begin_ns, scheduled.when.end_ns
+                begin_ns, end_ns = scheduled.begin_ns, scheduled.end_ns
                 assert begin_ns is not None
                 assert end_ns is not None
                 hold_ns = round(scheduled.fault.hold_ms * 1e6)
@@ -238,17 +229,15 @@ class Faulty:
         else:
             match fault:
                 case Garbage():
-                    harmed = [
-                        chance.bytes(int(chance.integers(1, fault.up_to_bytes, endpoint=True))),
-                        message,
-                    ]
-                case HalfMessages():
+                    length = int(chance.integers(1, fault.up_to_bytes, endpoint=True))
+                    harmed = [chance.bytes(length), message]
+                case PlainMessageFault(kind="half_messages"):
                     harmed = [message[: int(chance.integers(0, len(message)))]]
-                case WrongChecksum():
+                case PlainMessageFault(kind="wrong_checksum"):
                     harmed = [self._spoil_checksum(message)]
-                case Duplicate():
+                case PlainMessageFault(kind="duplicate"):
                     harmed = [message, message]
-                case Drop():
+                case PlainMessageFault(kind="drop"):
                     harmed = []
                 case _:
                     raise AssertionError(f"{fault.kind} is no fault of a message")
