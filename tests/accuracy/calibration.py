@@ -1,6 +1,6 @@
 """Twenty vehicles whose configs are wrong in everything that `corridor calibrate` estimates.
 
-Run by `python -m tests.accuracy.calibration [SEEDS]`; prints the table of docs/calibration.md.
+Run by `python -m tests.accuracy.calibration [SEEDS]`; prints the figures of docs/calibration.md.
 """
 
 import math
