@@ -219,6 +219,11 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
             f"{_on_map(evidence)} (expected {limits.degraded_ratio:.0%}): unmapped ground, or a place that "
             "has changed much. Drive slowly until more of it is mapped",
         )
+    return _confidence_on_map(evidence, limits)
+
+
+def _confidence_on_map(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
+    """State and reason of a scan that lies on the map, by what it leaves uncertain."""
     if evidence.sigma[0] > MAX_SIGMA_M or evidence.sigma[1] > MAX_SIGMA_RAD:
         most = MAX_SIGMA_M, MAX_SIGMA_RAD
         return "degraded", _pose_uncertain(evidence, most)

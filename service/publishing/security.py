@@ -130,14 +130,7 @@ def access_control(
         "operator": ["send", "follow", "ask", "command"],
     }
     if topics:
-        rules += [
-            _rule("follow-topics", _FOLLOW, [*topics, *tokens]),
-            _rule("ask-late", ("query",), topics[1:]),
-            _rule("call", ("query",), topics),
-            _rule("set-pose", ("put",), [f"{ros2_domain}/**/initialpose/**"]),
-            _rule("join", ("liveliness_token",), tokens),
-            _rule("publish-topics", _ALL, [*topics, *tokens]),
-        ]
+        rules += _topic_rules(ros2_domain, topics, tokens)
         of_role["viewer"] += ["follow-topics", "ask-late"]
         of_role["operator"] += ["follow-topics", "call", "set-pose", "join"]
     subjects, policies = [], []
@@ -167,6 +160,18 @@ def access_control(
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def _topic_rules(ros2_domain: int | None, topics: list[str], tokens: list[str]) -> list[Rule]:
+    """Of topics of ROS 2, and of the liveliness tokens of its nodes."""
+    return [
+        _rule("follow-topics", _FOLLOW, [*topics, *tokens]),
+        _rule("ask-late", ("query",), topics[1:]),
+        _rule("call", ("query",), topics),
+        _rule("set-pose", ("put",), [f"{ros2_domain}/**/initialpose/**"]),
+        _rule("join", ("liveliness_token",), tokens),
+        _rule("publish-topics", _ALL, [*topics, *tokens]),
+    ]
 
 
 def _with_caches(keys: str) -> list[str]:

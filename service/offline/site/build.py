@@ -62,16 +62,7 @@ def site_build(
     replayed = _replayed(given, options, engine, progress)
     failed = {name: each for name, each in replayed.items() if isinstance(each, CorridorError)}
     refused = {name: LeftOut("", 0, str(error)) for name, error in failed.items()}
-    sessions: list[Session] = []
-    for one in given:
-        if one.name in failed:
-            continue
-        try:
-            if (fresh := _fresh(one, old, left_out)) is not None:
-                _refuse_again(fresh, [*old, *map(member_of, sessions)])
-                sessions.append(fresh)
-        except InputError as error:
-            refused[one.name] = LeftOut("", 0, str(error))
+    sessions = _fresh_of([one for one in given if one.name not in failed], old, left_out, refused)
     out.mkdir(parents=True, exist_ok=True)
     if site is None:
         if not sessions:
@@ -102,6 +93,24 @@ def site_build(
         for words in outcome["warnings"]
     ]
     return report | {"warnings": [*passed_over, *of_replays, *_uncertain(changed)]}
+
+
+def _fresh_of(
+    given: Sequence[Given],
+    old: Sequence[Member],
+    left_out: Mapping[str, LeftOut],
+    refused: dict[str, LeftOut],
+) -> list[Session]:
+    """Those that the site does not have yet; what cannot be used goes into `refused`."""
+    sessions: list[Session] = []
+    for one in given:
+        try:
+            if (fresh := _fresh(one, old, left_out)) is not None:
+                _refuse_again(fresh, [*old, *map(member_of, sessions)])
+                sessions.append(fresh)
+        except InputError as error:
+            refused[one.name] = LeftOut("", 0, str(error))
+    return sessions
 
 
 def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:

@@ -153,7 +153,7 @@ class DetachedSearch:
         alike, so one result is a hypothesis: its evidence must exceed that of any other place and of new
         ground by a margin, and the next key frames or dead reckoning must confirm it.
         """
-        config, keyframes = self._config, self._keyframes
+        keyframes = self._keyframes
         self.possible = []
         segment = int(keyframes.segment[-1])
         if segment != self._refused_segment:
@@ -162,15 +162,7 @@ class DetachedSearch:
         self._is_session_placed = not is_in_stored or bool((known >= keyframes.stored).any())
         if (expected := self._search_near_operator_pose(segment, known)) is not None:
             return expected
-        own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)
-        from_m = keyframes.path_length_m[-1] - config.place_m
-        if (
-            self._hypothesis is not None
-            and keyframes.path_length_m[-1] - self._hypothesis.path_length_m >= MIN_APART_M
-        ):
-            # Without key frames of the first result.
-            from_m = self._hypothesis.path_length_m + 0.5 * MIN_APART_M
-        own = own[keyframes.path_length_m[own] >= from_m][-MAX_QUERY:]
+        own = self._newest_of(segment)
         if not len(own) or not len(known):
             return None
         reference, newest = int(own[-1]), int(known[-1])
@@ -184,7 +176,23 @@ class DetachedSearch:
             if not self._is_possible(reference):
                 self._hypothesis = None
             return None
-        at, loop = best
+        return self._judged(*best, reference, segment, prior)
+
+    def _newest_of(self, segment: int) -> npt.NDArray[np.int64]:
+        """(K,) newest key frames of a segment, without those of the first result."""
+        keyframes, first = self._keyframes, self._hypothesis
+        path_length_m = keyframes.path_length_m
+        own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)
+        from_m = path_length_m[-1] - self._config.place_m
+        if first is not None and path_length_m[-1] - first.path_length_m >= MIN_APART_M:
+            from_m = first.path_length_m + 0.5 * MIN_APART_M
+        return np.array(own[path_length_m[own] >= from_m][-MAX_QUERY:])
+
+    def _judged(
+        self, at: Floats, loop: Loop, reference: int, segment: int, prior: OdometryPrior | None
+    ) -> tuple[Loop, ...] | None:
+        """The loops that prove a result of `find` at a pose in the map; None while it is a hypothesis."""
+        keyframes = self._keyframes
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
         path_length_m = float(keyframes.path_length_m[reference])
         is_disputed = self._allows_dead_reckoning(prior)
