@@ -4,13 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel
-
+from drivers.section import Section
 from simulators.truth import Ride
 from simulators.wire import PtyWire, TcpWire
 
 if TYPE_CHECKING:  # it brings Zenoh, which no other device needs
     from simulators.zenoh_wire import ZenohWire
+
+
+class DeviceOptions(Section, allow_inf_nan=False):
+    """What may stand behind NAME=TYPE: as key=value. Every key has a default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,5 +24,5 @@ class DeviceKind:
     the device on its wire, which is served while it is entered.
     """
 
-    options: type[BaseModel]
+    options: type[DeviceOptions]
     build: Callable[[str, Any, Ride, int], "TcpWire | PtyWire | ZenohWire"]

@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.hokuyo_utm30lx.models import ModelName
 from drivers.mounting import OffsetM, TurnDeg
 from service.geometry.se2 import SE2
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, DeviceOptions
 from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from simulators.truth import URG04LX, UST, UTM30LX, LaserTruth, Ride, seed_of
@@ -19,10 +19,8 @@ from simulators.wire import PtyWire, TcpWire
 OPTICS = {"utm_30lx": UTM30LX, "ust": UST, "urg_04lx_ug01": URG04LX}
 
 
-class Utm30lxOptions(BaseModel):
+class Utm30lxOptions(DeviceOptions):
     """What may stand behind `hokuyo_utm30lx:`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     model: ModelName = "utm_30lx"
     product: str = Field(default="", max_length=64)  # what it calls itself; "": as its model does

@@ -4,21 +4,19 @@ import math
 from dataclasses import replace
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.ibeo_lux.messages import Parameter
 from drivers.mounting import OffsetM, TurnDeg
 from service.geometry.se2 import SE2
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, DeviceOptions
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup
 from simulators.truth import IBEO_LUX, LaserTruth, Ride, seed_of
 from simulators.wire import TcpWire
 
 
-class LuxOptions(BaseModel):
+class LuxOptions(DeviceOptions):
     """What may stand behind `ibeo_lux:`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # 0: any free

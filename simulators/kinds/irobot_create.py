@@ -4,19 +4,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.irobot_create.config import PRESETS
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, DeviceOptions
 from simulators.irobot_create import FakeCreate
 from simulators.truth import CREATE_WHEELS, Ride, WheelTruth
 from simulators.wire import PtyWire
 
 
-class CreateOptions(BaseModel):
+class CreateOptions(DeviceOptions):
     """What may stand behind `irobot_create:`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     model: Literal["create1", "create2", "roomba"] = "create2"
     link: Path | None = None  # a symbolic link to the terminal, a name that stays

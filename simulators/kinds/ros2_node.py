@@ -2,17 +2,16 @@
 
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from drivers.rmw_zenoh import absolute_name
 from simulators.device import FakeDevice
+from simulators.device_kind import DeviceOptions
 from simulators.zenoh_wire import ZenohWire
 
 
-class NodeOptions(BaseModel):
+class NodeOptions(DeviceOptions):
     """What may stand behind each of the types."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # of its router; 0: any free

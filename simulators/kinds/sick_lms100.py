@@ -4,12 +4,12 @@ import math
 from dataclasses import replace
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.mounting import OffsetM, TurnDeg
 from drivers.sick_lms100.models import ModelName
 from service.geometry.se2 import SE2
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, DeviceOptions
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
 from simulators.truth import LMS100, LMS500, TIM500, LaserTruth, Ride, seed_of
@@ -18,10 +18,8 @@ from simulators.wire import TcpWire
 OPTICS = {"lms1xx": LMS100, "lms5xx": LMS500, "tim5xx": TIM500, "tim7xx": TIM500}
 
 
-class Lms100Options(BaseModel):
+class Lms100Options(DeviceOptions):
     """What may stand behind `sick_lms100:`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     model: ModelName = "lms1xx"
     ident: str = Field(default="", max_length=32)  # what it calls itself; "": as its model does

@@ -3,21 +3,19 @@
 import math
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from drivers.mounting import OffsetM, TurnDeg
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, DeviceOptions
 from simulators.inertial import Datum, ImuMounting, InertialTruth
 from simulators.truth import Ride
 from simulators.wire import PtyWire
 from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 
 
-class MtigOptions(BaseModel):
+class MtigOptions(DeviceOptions):
     """What may stand behind `xsens_mtig:`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     personality: Personality = "mtdata2"  # MTi-G-710; legacy: MTi-G
     link: Path | None = None  # a symbolic link to the terminal, a name that stays
