@@ -1,11 +1,10 @@
 """Compiles the kernels that this process calls before the first scan, or loads them from the cache.
 
-numba compiles one kernel at a time and keeps the interpreter locked meanwhile, so a further core needs a
-process of its own. Each process takes the next kernel until none is left; the first then loads those of the
-others from the shared cache, and compiles what is not there.
+numba compiles one kernel at a time and keeps the interpreter locked meanwhile, and the memory that it takes
+(0.5 GB) stays with its process. So processes of their own compile, one a core; each takes the next kernel
+until none is left. This one then loads all from the shared cache, and compiles what is not there.
 """
 
-import gc
 import logging
 import os
 import pickle
@@ -78,23 +77,17 @@ def warm_up(
     progress = progress or KernelProgress()
     start_compiler()
     jobs, seldom = jobs_of_process(back_end_elsewhere)
-    was_collecting = gc.isenabled()
-    gc.disable()  # collections of the compiler's objects take a tenth of the time; without, 200 MB more
     try:
-        try:
-            missing = _missing(jobs + seldom)
-        except CUT_SHORT as error:
-            if not forget_kernels():
-                raise
-            log.warning("compiled kernels could not be read (%r); all are compiled again", error)
-            missing = _missing(jobs + seldom)
-        left = [job for job in missing if leaves_seldom and job in seldom]
-        if now := [job for job in missing if job not in left]:
-            progress.expect(now)
-            _compile(Jobs(now), progress)
-    finally:
-        if was_collecting:
-            gc.enable()
+        missing = _missing(jobs + seldom)
+    except CUT_SHORT as error:
+        if not forget_kernels():
+            raise
+        log.warning("compiled kernels could not be read (%r); all are compiled again", error)
+        missing = _missing(jobs + seldom)
+    left = [job for job in missing if leaves_seldom and job in seldom]
+    if now := [job for job in missing if job not in left]:
+        progress.expect(now)
+        _compile(now, progress)
     return left
 
 
@@ -153,38 +146,38 @@ class Jobs:
             self._jobs.clear()
 
 
-def _compile(jobs: Jobs, progress: KernelProgress) -> None:
-    """With a process for each further core."""
-    further_cores = len(os.sched_getaffinity(0)) - 1
-    with ThreadPoolExecutor(further_cores or 1, "warm-up-helper") as pool:
-        helpers = [pool.submit(_help, jobs, progress) for _ in range(further_cores)]
+def _compile(jobs: list[Job], progress: KernelProgress) -> None:
+    """By a process for each core; this one loads the results, and compiles what is not in the cache then."""
+    count = min(len(os.sched_getaffinity(0)), len(jobs))
+    waiting = Jobs(list(jobs))
+    with ThreadPoolExecutor(count, "warm-up-helper") as pool:
+        helpers = [pool.submit(_help, waiting, progress) for _ in range(count)]
         try:
-            compiled: set[Dispatcher] = set()
-            while job := jobs.take(compiled):
-                job.do()
-                progress.done(job)
+            compiled = {job for helper in helpers for job in helper.result()}
         finally:
-            jobs.clear()
-        for job in [job for helper in helpers for job in helper.result()]:
-            job.do()
+            waiting.clear()
+    for job in jobs:
+        job.do()
+        if job not in compiled:
+            progress.done(job)
 
 
 def _help(jobs: Jobs, progress: KernelProgress) -> list[Job]:
-    """Have a process compile one job after the other; those that it was given."""
-    given: list[Job] = []
-    compiled: set[Dispatcher] = set()
+    """Have a process compile one job after the other; those that it has compiled."""
+    done: list[Job] = []
+    job, compiled = None, set[Dispatcher]()
     with Worker() as worker:
         while worker.wait_for_line():
-            if given:
-                progress.done(given[-1])
+            if job is not None:
+                done.append(job)
+                progress.done(job)
             job = jobs.take(compiled)
             worker.send(job)
             if job is None:
                 break
-            given.append(job)
     if worker.returncode:
         log.warning(
-            "the process that helps to compile ended with code %d; its part is compiled here",
+            "a process that compiles kernels ended with code %d; what is left is compiled here",
             worker.returncode,
         )
-    return given
+    return done

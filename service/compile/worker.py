@@ -8,6 +8,7 @@ the last. It ends with the process that began it.
 """
 
 import ctypes
+import gc
 import json
 import logging
 import os
@@ -85,6 +86,7 @@ class SeldomKernels:
 def main() -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     os.nice(int(sys.argv[1]))
+    gc.disable()  # collections of the compiler's objects take a tenth of the time; without, 200 MB more
     start_compiler()
     with suppress(BrokenPipeError):  # the process that this one works for is ending
         print(flush=True)

@@ -38,12 +38,6 @@ class Work:
         self.done.append(job.name)
 
 
-@pytest.fixture
-def work(monkeypatch: pytest.MonkeyPatch) -> Work:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0})
-    return Work(monkeypatch)
-
-
 def worker_that(does: str) -> type[Worker]:
     """A process that does something else instead of compiling."""
 
@@ -62,22 +56,29 @@ OBEYS = "for line in sys.stdin:\n    if line == 'null\\n': break\n    print(flus
 DIES = "sys.stdin.readline()\nsys.exit(3)"
 
 
-@pytest.mark.parametrize(("does", "warning"), [(OBEYS, ""), (DIES, "ended with code 3")])
-def test_what_a_further_process_took_is_loaded_here_or_compiled_if_it_died(
-    does: str, warning: str, work: Work, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> Work:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: CORES)
+    monkeypatch.setattr(module, "Worker", worker_that(OBEYS))
+    return Work(monkeypatch)
+
+
+@pytest.mark.parametrize(("does", "warnings"), [(OBEYS, 0), (DIES, len(CORES))])
+def test_what_other_processes_compiled_is_loaded_here_or_compiled_if_they_died(
+    does: str, warnings: int, work: Work, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     names = {f"job{k}" for k in range(50)}
     work.is_to_do(" ".join(names))
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: CORES)
     monkeypatch.setattr(module, "Worker", worker_that(does))
-    warm_up()
+    progress = KernelProgress(lambda p: None)
+    warm_up(progress=progress)
     assert sorted(work.done) == sorted(names)  # each once in this process
-    assert (warning in caplog.text) if warning else (caplog.text == "")
+    assert caplog.text.count("ended with code 3; what is left is compiled here") == warnings
+    assert progress.share == 1.0
 
 
 def test_no_process_begins_where_all_is_in_the_cache(work: Work, monkeypatch: pytest.MonkeyPatch):
     work.is_to_do("cached1 cached2", "cached3")
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: CORES)
     monkeypatch.setattr(module, "Worker", lambda: pytest.fail("a process was begun"))
     changes: list[float] = []
     assert warm_up(progress=KernelProgress(lambda p: changes.append(p.share))) == []
