@@ -325,18 +325,21 @@ def information_at(covariance, theta_rad, information):
 
 
 @inner_kernel
-def align_from_starts(problem, target, start, doubt_inlier_ratio, alignment):
-    """Alignment from `start` and, at a low inlier ratio, from initial poses by the coarse map.
+def align_from_starts(problem, target, doubt_inlier_ratio, alignment):
+    """Alignment from its pose and, at a low inlier ratio, from initial poses by the coarse map.
 
     The prediction may be outside the basin of convergence of the surfels. Then the coarse map gives initial
-    poses, from the predicted heading and two beside it; the match of least cost is kept. Its prior is widened
-    to the resolution of the coarse map: else wrong odometry with a small covariance would fix every start.
+    poses, from the predicted heading and two beside it; the match of least cost is kept. Their prior is
+    widened to the resolution of the coarse map: else wrong odometry with a small covariance would fix every
+    start.
 
-    start       (3,) float64
-    alignment   Alignment      in: xy_base; out
-    Other arguments as for align_on_surfels. Returns Fit.
+    Arguments as for align_on_surfels. Returns Fit.
     """
     settings, prior, grid = problem.settings, problem.prior, target.grid
+    start, predicted_xy = alignment.pose.copy(), alignment.xy_base.copy()
+    best = align_on_surfels(problem, target, settings.near, doubt_inlier_ratio, alignment)
+    if best.inliers >= doubt_inlier_ratio * best.used:
+        return best
     loose = prior.covariance.copy()
     loose[0, 0] += settings.coarse_m * settings.coarse_m
     loose[1, 1] += settings.coarse_m * settings.coarse_m
@@ -345,13 +348,8 @@ def align_from_starts(problem, target, start, doubt_inlier_ratio, alignment):
     information_at(loose, prior.pose[2], coarse_information)
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
     coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
-    predicted_xy = alignment.xy_base.copy()
-    copy_vector(start, alignment.pose)
-    best = align_on_surfels(problem, target, settings.near, doubt_inlier_ratio, alignment)
     trial = new_alignment(start, predicted_xy)
     for side in (0.0, 1.0, -1.0):
-        if best.inliers >= doubt_inlier_ratio * best.used:
-            break
         copy_matrix(predicted_xy, trial.xy_base)
         copy_vector(start, trial.pose)
         trial.pose[2] += 2.0 * side * math.sqrt(prior.covariance[2, 2])
@@ -372,6 +370,8 @@ def align_from_starts(problem, target, start, doubt_inlier_ratio, alignment):
         if fit.cost < best.cost:
             best = fit
             copy_alignment(trial, alignment)
+            if best.inliers >= doubt_inlier_ratio * best.used:
+                break
     return best
 
 
@@ -403,7 +403,7 @@ def match_scan(returns, normals, prior, start, grid, fine_grid, settings, doubt_
     problem = Problem(returns, normals, prior, prior_information, settings)
     cache = empty_cache(xy_base.shape[0])
     matched = Alignment(start.copy(), xy_base, np.empty((3, 3)), np.empty((3, 3)))
-    fit = align_from_starts(problem, Target(grid, 0.0, cache), start, doubt_inlier_ratio, matched)
+    fit = align_from_starts(problem, Target(grid, 0.0, cache), doubt_inlier_ratio, matched)
     weight = fit.prior_weight
     least_fine_count = 0.0
     if fine_grid.cell_m < grid.cell_m:
