@@ -144,6 +144,17 @@ def nearest_square(low, high):
 
 
 @inner_kernel
+def empty_stack(top, bounds):
+    """A BlockStack for the blocks of levels up to `top`, of the type of bounds. At most 4 wait on a level."""
+    return BlockStack(
+        np.empty((4 * top + 4, 3), np.int64),
+        np.empty(4 * top + 4, bounds.dtype),
+        np.empty((4, 2), np.int64),
+        np.empty(4, bounds.dtype),
+    )
+
+
+@inner_kernel
 def insert_part(stack, count, bound, row, column):
     """Insert a part of the block that is split, by its bound, after `count` others. Returns their number."""
     at = count
@@ -218,12 +229,7 @@ def search_branch_and_bound(xy_base, pyramid, window, least_score):
     best_rank = np.int64(2**62)
     best_k, best_j, best_i = np.int64(half_theta), np.int64(half_y), np.int64(half_x)
     found = False
-    stack = BlockStack(
-        np.empty((4 * top + 4, 3), np.int64),
-        np.empty(4 * top + 4, np.float32),
-        np.empty((4, 2), np.int64),
-        np.empty(4, np.float32),
-    )
+    stack = empty_stack(top, bounds)
     for place in order:
         if bounds[place] < best:
             break

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.kernels.arrays import Bool_2D, Float64_2D, Int8_4D
 from service.kernels.beam_likelihood import FREE_DENSITY, ON_WALL, UNKNOWN_DENSITY, WALL_SIGMA_M
-from service.kernels.branch_and_bound import BlockStack, insert_part, push_block, push_parts
+from service.kernels.branch_and_bound import empty_stack, insert_part, push_block, push_parts
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.ordering import order_rising
 
@@ -215,12 +215,7 @@ def search_facing(xy_base, normals, pyramid, heading_count, least):
 
     best = np.full(blocks * SECTORS, floor, np.int64)
     best_at = np.full((blocks * SECTORS, 3), -1, np.int64)  # heading, row, column
-    stack = BlockStack(
-        np.empty((4 * top + 4, 3), np.int64),
-        np.empty(4 * top + 4, np.int64),
-        np.empty((4, 2), np.int64),
-        np.empty(4, np.int64),
-    )
+    stack = empty_stack(top, bounds)
     for n in order:
         place = which[n]
         k, block = place // blocks, place % blocks

@@ -104,7 +104,9 @@ class LoopBackEnd:
     def _place(self) -> PlaceUpdate:
         detached = self.detached_search
         possible = detached.possible if self._is_detached() else ()
-        return PlaceUpdate(self._placement.state, possible, detached.pose_refused, detached.unconfirmed_place)
+        return PlaceUpdate(
+            self._placement.state, possible, detached.operator_pose.refused, detached.unconfirmed_place
+        )
 
     def _work(self, batch: Batch) -> Result:
         for frame in batch.frames:
@@ -112,7 +114,7 @@ class LoopBackEnd:
         removed_count = self._old_passes.removed_count  # indices of fixes do not account for it
         self._anchoring.add([replace(fix, keyframe=fix.keyframe - removed_count) for fix in batch.fixes])
         if batch.request == "set_pose":
-            self.detached_search.search_near(np.array(batch.pose))
+            self.detached_search.operator_pose.set(np.array(batch.pose))
         if batch.request == "set_mode":
             return self._set_mode(batch.is_localizing)
         joined = self._search_detached() if self._is_detached() else None

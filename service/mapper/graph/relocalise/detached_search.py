@@ -11,22 +11,19 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.components import PossiblePlace, UnconfirmedPlace
-from service.mapper.graph.model.candidate_submap import (
-    MIN_LOOP_SCORE,
-    CandidateSubmap,
-    cloud_of,
-)
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop, loop_of
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
-from service.mapper.graph.model.point_clouds import Fit, PointCloud
+from service.mapper.graph.model.point_clouds import PointCloud
 from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
 from service.mapper.graph.relocalise.known_map import (
+    MAX_QUERY,
     MIN_MARGIN_NATS,
     Aligned,
     KnownMap,
     PlaceScore,
+    fits,
     margin_of,
 )
 from service.mapper.graph.relocalise.odometry_prior import (
@@ -37,6 +34,7 @@ from service.mapper.graph.relocalise.odometry_prior import (
     OdometryPrior,
     places_in,
 )
+from service.mapper.graph.relocalise.operator_pose import OperatorPose
 from service.mapper.graph.relocalise.place_search import (
     EXPECTED_WINDOW,
     REFINE_MARGIN_NATS,
@@ -47,8 +45,6 @@ from service.mapper.graph.relocalise.place_search import (
 )
 from service.mapper.known_pose import KnownPose, covariance_added
 
-SUBMAP_RADIUS_M, MAX_SUBMAP_KEYFRAMES = 6.0, 40  # key frames around a pose set by the operator
-MAX_QUERY = 12  # key frames of a query
 MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
 # Of dead reckoning without a scan gap, and per m of a segment.
 MAX_ODOMETRY_ERROR_M, MAX_ODOMETRY_ERROR_SHARE = 4.0, 0.2
@@ -56,10 +52,6 @@ SEARCH_GRID_M = 10.0  # grid of the search area's centre
 MIN_APART_M = 4.0  # between two results that confirm each other: from one viewpoint rooms may look alike
 # Probability that any of the searched places fits as well by chance, if the vehicle is on unmapped ground.
 MAX_CHANCE = 1e-4
-# Least share of the beams on the map, and on walls of those on known ground. From new viewpoints, and near
-# new ground, much of the query is unmapped.
-MIN_ON_MAP, MIN_AGREEING = 0.3, 0.90
-SET_POSE_WINDOW, SET_POSE_ATTEMPTS = (1.5, 0.35), 10  # m, rad around a pose set by the operator; attempts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,23 +87,13 @@ class DetachedSearch:
     def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
         self._config = config
         self._keyframes = keyframes
+        self.operator_pose = OperatorPose(keyframes)  # searched first
         self._hypothesis: Hypothesis | None = None
-        self._operator_pose: Floats | None = None  # (3,) pose of the newest key frame set by the operator
-        self._operator_pose_odom: Floats | None = None  # the same as pose of odom in the map
-        self._attempts_left = 0
-        self.pose_refused: tuple[float, float, float] | None = None  # by the operator, contradicted
-        self._refused_segment = 0
         self._known_map: KnownMap | None = None
         self._is_session_placed = True  # False: the session has no place in the stored map
         self.possible: list[PossiblePlace] = []  # of the newest segment, as in PlaceUpdate
         self._query: SeenCloud | None = None  # of the newest search
         self._places: list[CandidatePose] = []  # its results
-
-    def search_near(self, pose_map_base: Floats) -> None:
-        """Search first around the pose set by the operator, (3,) m, m, rad."""
-        self._operator_pose, self._operator_pose_odom = pose_map_base, None
-        self._attempts_left = SET_POSE_ATTEMPTS
-        self.pose_refused = None
 
     def make_ready(self, known: npt.NDArray[np.int64]) -> None:
         """Build the search structures before the first search. known (K,) as of find."""
@@ -156,12 +138,12 @@ class DetachedSearch:
         keyframes = self._keyframes
         self.possible = []
         segment = int(keyframes.segment[-1])
-        if segment != self._refused_segment:
-            self.pose_refused = None
         is_in_stored = 0 < keyframes.stored < keyframes.count
         self._is_session_placed = not is_in_stored or bool((known >= keyframes.stored).any())
-        if (expected := self._search_near_operator_pose(segment, known)) is not None:
-            return expected
+        if (placed := self.operator_pose.find(segment, known)) is not None:
+            pose_map_odom, loop = placed
+            self._place(segment, pose_map_odom)
+            return (loop,)
         own = self._newest_of(segment)
         if not len(own) or not len(known):
             return None
@@ -247,27 +229,18 @@ class DetachedSearch:
             self.possible = [PossiblePlace(float(at[0]), float(at[1]), nats, least)]
         return nats >= least
 
-    def _around(self, known: npt.NDArray[np.int64], pose: Floats) -> CandidateSubmap:
-        """Sub-map of key frames of all passes around a pose (3,) of the map."""
-        keyframes = self._keyframes
-        away_m = np.hypot(*(keyframes.map[known, :2] - pose[:2]).T)
-        nearest = known[np.argsort(away_m, kind="stable")[:MAX_SUBMAP_KEYFRAMES]]
-        near = nearest[np.sort(away_m)[:MAX_SUBMAP_KEYFRAMES] <= max(SUBMAP_RADIUS_M, float(away_m.min()))]
-        return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
-
     def _map_of(self, known: npt.NDArray[np.int64]) -> KnownMap:
         """The search structures, cached while the known map stays the same."""
         if self._known_map is None or not np.array_equal(self._known_map.known, known):
             self._known_map = KnownMap(self._keyframes, known)
         return self._known_map
 
-    def _place(self, segment: int, pose_map_odom: Floats, is_set_by_operator: bool = False) -> None:
+    def _place(self, segment: int, pose_map_odom: Floats) -> None:
         keyframes = self._keyframes
-        if self._operator_pose is not None and not is_set_by_operator:
-            self._reject_operator_pose(segment)
+        self.operator_pose.refuse(segment)
         mine = keyframes.segment == segment
         keyframes.map[mine] = se2.compose(pose_map_odom, keyframes.odom[mine])
-        self._hypothesis = self._operator_pose = self._known_map = None
+        self._hypothesis = self._known_map = None
 
     def places_of(
         self,
@@ -385,53 +358,6 @@ class DetachedSearch:
         log_ratio = self._known_map.log_ratio_where_known(self._query, best.pose, other.pose)
         return log_ratio + best.prior - other.prior
 
-    def _search_near_operator_pose(
-        self, segment: int, known: npt.NDArray[np.int64]
-    ) -> tuple[Loop, ...] | None:
-        """Place the newest segment near the pose set by the operator, if it fits; gives up after
-        SET_POSE_ATTEMPTS.
-        """
-        keyframes = self._keyframes
-        own = np.flatnonzero((keyframes.segment == segment) & keyframes.is_usable)[-MAX_QUERY:]
-        if self._operator_pose is None or not len(own) or not len(known):
-            return None
-        if self._operator_pose_odom is None:
-            newest = keyframes.odom[keyframes.count - 1]
-            self._operator_pose_odom = se2.compose(self._operator_pose, se2.between(newest, np.zeros(3)))
-        reference = int(own[-1])
-        at = se2.compose(self._operator_pose_odom, keyframes.odom[reference])
-        submap = self._around(known, at)
-        cloud = cloud_of(keyframes, own.tolist(), reference)
-        guess = se2.between(keyframes.map[submap.reference], at)
-        pose = submap.search(cloud, guess, *SET_POSE_WINDOW, MIN_LOOP_SCORE)
-        loop = None if pose is None else self._loop_at(submap, cloud, pose, reference)[1]
-        self._attempts_left -= 1
-        if loop is None:
-            if self._attempts_left == 0:
-                self._reject_operator_pose(segment)
-            return None
-        found = se2.compose(keyframes.map[submap.reference], loop.measured)
-        pose_map_odom = se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3)))
-        self._place(segment, pose_map_odom, is_set_by_operator=True)
-        return (loop,)
-
-    def _reject_operator_pose(self, segment: int) -> None:
-        assert self._operator_pose is not None
-        x_m, y_m, theta_rad = self._operator_pose.tolist()
-        self._operator_pose, self._refused_segment, self.pose_refused = None, segment, (x_m, y_m, theta_rad)
-
-    def _loop_at(
-        self, submap: CandidateSubmap, cloud: PointCloud, pose: Floats, reference: int
-    ) -> tuple[Fit, Loop | None]:
-        """The points aligned with a sub-map from a nearby pose, and the loop if they fit."""
-        fit = submap.align(cloud, pose)
-        against = submap.against(cloud, fit.pose)
-        if not _fits(fit.share, against):
-            return fit, None
-        return fit, loop_of(
-            submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
-        )
-
     def _candidate(
         self,
         known: npt.NDArray[np.int64],
@@ -450,7 +376,7 @@ class DetachedSearch:
         if prior is not None and is_at_dead_reckoning:
             fit = prior.joined(fit)
         nats = 0.0 if prior is None else prior.nats(fit.pose)
-        if not (is_at_dead_reckoning or _fits(score.on_map, score.against)):
+        if not (is_at_dead_reckoning or fits(score.on_map, score.against)):
             return CandidatePose(fit.pose, score, None, nats)
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
@@ -487,11 +413,6 @@ class DetachedSearch:
         most_m = SEARCH_GRID_M * (math.ceil((reach_m + EVIDENCE_RANGE_M) / SEARCH_GRID_M) + 1)
         is_near: npt.NDArray[np.bool_] = np.hypot(*(poses[known, :2] - middle).T) <= most_m
         return known[is_near]
-
-
-def _fits(on_map: float, against: float) -> bool:
-    """Whether enough of the beams lie on the map, and few contradict it. Shares, 0..1."""
-    return on_map >= MIN_ON_MAP and on_map >= MIN_AGREEING * (on_map + against)
 
 
 def _margin(unexplained: float, is_at_dead_reckoning: bool) -> float:

@@ -72,12 +72,21 @@ ON_MAP_RATIO = 0.5 * MAX_LOG_RATIO  # nats: a beam above it ends on a mapped obj
 # beams on a wall give one measurement: its offset. Parallel walls are this far apart.
 WALLS_APART_M = 2.0
 MAX_NATS_PER_WALL = math.log(WALLS_APART_M / (math.sqrt(2.0 * math.pi) * WALL_SIGMA_M))  # nats
+MAX_QUERY = 12  # key frames of a query
+# Least share of the beams on the map, and on walls of those on known ground. From new viewpoints, and near
+# new ground, much of the query is unmapped.
+MIN_ON_MAP, MIN_AGREEING = 0.3, 0.90
 SEEN_THROUGH_EVIDENCE = -10  # log-odds of a cell through which a beam passed without a hit
 
 
 def margin_of(unexplained: float) -> float:
     """Nats by which the evidence of a place must exceed that of others."""
     return MIN_MARGIN_NATS + UNEXPLAINED_SHARE * unexplained
+
+
+def fits(on_map: float, against: float) -> bool:
+    """Whether enough of the beams lie on the map, and few contradict it. Shares, 0..1."""
+    return on_map >= MIN_ON_MAP and on_map >= MIN_AGREEING * (on_map + against)
 
 
 def winning_nats(mass: float) -> float:
