@@ -30,36 +30,16 @@ from service.publishing.ros2_names import own_topics
 from service.recording.choice import Choice
 from service.sensor_kinds import SENSOR_KINDS
 from service.sinks.registry import SINKS
-from service.suggestion import suggest
+from service.suggestion import suggest, unknown_key
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
 NAME_RULE = "lower-case letters, digits and single _ in between, a letter first, at most 32 of them"
 MAX_NAME_LENGTH = 32
+_ANY_ADDRESS = frozenset(("0.0.0.0", "::"))
 # Taken by frames, topics and keys of the service itself.
 RESERVED_NAMES = frozenset(
     ("alive", "base_link", "cmd", "diagnostics", "events", "health", "map", "odom", "pose", "tf", "tf_static")
 )
-
-_UNITS: dict[str, tuple[str, float, str]] = {  # suffix -> dimension, size, word
-    "ns": ("time", 1e-9, "nanoseconds"),
-    "us": ("time", 1e-6, "microseconds"),
-    "ms": ("time", 1e-3, "milliseconds"),
-    "s": ("time", 1.0, "seconds"),
-    "min": ("time", 60.0, "minutes"),
-    "h": ("time", 3600.0, "hours"),
-    "mm": ("length", 1e-3, "millimetres"),
-    "cm": ("length", 1e-2, "centimetres"),
-    "m": ("length", 1.0, "metres"),
-    "km": ("length", 1e3, "kilometres"),
-    "mrad": ("angle", 1e-3, "milliradians"),
-    "deg": ("angle", math.radians(1.0), "degrees"),
-    "rad": ("angle", 1.0, "radians"),
-    "kb": ("size", 1e-3, "kilobytes"),
-    "mb": ("size", 1.0, "megabytes"),
-    "gb": ("size", 1e3, "gigabytes"),
-    "hz": ("rate", 1.0, "hertz"),
-    "khz": ("rate", 1e3, "kilohertz"),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,6 +187,7 @@ class _Reader:
         }
         if isinstance(sinks["publishing"], PublishingConfig):
             self._refuse_own_topics(sensors, sinks["publishing"].ros2)
+        self._refuse_shared_ports(sinks)
         mapping = self._mapping(root)
         if isinstance(mapping, MappingConfig):
             self._refuse_nowhere_to_begin(mapping, _section(root, "map"))
@@ -243,7 +224,7 @@ class _Reader:
             self._fault((), f"a config is a mapping with the keys {', '.join(_KEYS)}")
             return None
         for key in root.keys() - set(_KEYS):
-            self._fault((key,), _unknown_key(key, root[key], _KEYS))
+            self._fault((key,), unknown_key(key, root[key], _KEYS))
         return root
 
     def _mapping(self, root: dict[str, Any]) -> BaseModel | None:
@@ -328,6 +309,18 @@ class _Reader:
                     fault = f"{where} is taken by {owner}; two sensors cannot share a wire"
                     self._fault(("sensors", name, keys[0]), fault)
 
+    def _refuse_shared_ports(self, sinks: Mapping[str, BaseModel | None]) -> None:
+        """Of two listeners at one address the second could not start. Port 0 is any free one."""
+        taken: list[tuple[str, int, str]] = []
+        for section, sink in sinks.items():
+            for host, port in getattr(sink, "tcp_addresses", ()):
+                for other, its_port, owner in taken:
+                    hosts = {one_spelling(host), one_spelling(other)}
+                    if port == its_port != 0 and (len(hosts) == 1 or hosts & _ANY_ADDRESS):
+                        fault = f"port {port} is taken by {owner}.listen; give each a port of its own"
+                        self._fault((section, "listen"), fault)
+                taken.append((host, port, section))
+
     def _refuse_own_topics(self, sensors: Mapping[str, BaseModel], ros2: Ros2Config) -> None:
         """What goes out must not come in again."""
         for name, sensor in sensors.items():
@@ -384,7 +377,7 @@ class _Reader:
                 key = str(detail["loc"][-1])
                 models = _models_at(model, detail["loc"][:-1])
                 known = sorted({name for found in models for name in found.model_fields} - {"name"})
-                self._fault(at, _unknown_key(key, detail["input"], known))
+                self._fault(at, unknown_key(key, detail["input"], known))
             case "missing":
                 self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
             case _:
@@ -439,25 +432,6 @@ def _name_fault(name: str) -> str:
     offer = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:MAX_NAME_LENGTH]
     example = f"; {offer} would do" if NAME.fullmatch(offer) else ""
     return f'"{name}" becomes part of Zenoh keys and ROS names, so it takes {NAME_RULE}{example}'
-
-
-def _unknown_key(key: str, value: object, known: typing.Sequence[str]) -> str:
-    return f"unknown key; {_other_unit(key, value, known) or suggest(key, known)}"
-
-
-def _other_unit(key: str, value: object, known: typing.Sequence[str]) -> str:
-    """Advice where `timeout_ms` stands for `timeout_s`, with the value converted; "" where that is not it."""
-    stem, _, unit = key.lower().rpartition("_")
-    if unit not in _UNITS:
-        stem, unit = key.lower(), ""
-    units = {other: other.rpartition("_")[2] for other in known if other.rpartition("_")[0] == stem}
-    alike = {other: _UNITS[its] for other, its in units.items() if its in _UNITS}
-    same = {other: its for other, its in alike.items() if unit and its[0] == _UNITS[unit][0]}
-    advice = " or ".join(f'"{other}", in {word}' for other, (_, _, word) in (same or alike).items())
-    for other, (_, size, _) in same.items():
-        if isinstance(value, int | float):
-            advice += f"; write {other}: {value * _UNITS[unit][1] / size:.10g}"
-    return advice and f"this setting is {advice}"
 
 
 def _correction(model: type[BaseModel], detail: ErrorDetails) -> str:

@@ -44,6 +44,14 @@ def host_of(endpoint: str) -> str:
     return (found[2] or "").strip("[]") if found is not None else ""
 
 
+def tcp_address(endpoint: str) -> tuple[str, int] | None:
+    """Host and port of an Endpoint over TCP; None for others."""
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or found[1] in (None, "udp"):
+        return None
+    return host_of(endpoint), int(found[3])
+
+
 def is_local(endpoint: str) -> bool:
     """Whether it is an address of this machine alone."""
     host = host_of(endpoint)
@@ -90,6 +98,11 @@ class PublishingConfig(Section):
     def secured(self) -> SecurityConfig | None:
         """The settings of security where there is any."""
         return self.security if self.security != "none" and self.security.is_on else None
+
+    @property
+    def tcp_addresses(self) -> list[tuple[str, int]]:
+        """Host and port of each TCP listener."""
+        return [address for endpoint in self.listen if (address := tcp_address(endpoint)) is not None]
 
     @model_validator(mode="after")
     def _refuse_strangers(self) -> "PublishingConfig":

@@ -49,6 +49,11 @@ class WebConfig(Section):
     tls_key: Path | None = None  # PEM
     most_browsers: int = Field(default=32, ge=1, le=1000)  # at the same time
 
+    @property
+    def tcp_addresses(self) -> list[tuple[str, int]]:
+        """Host and port of the TCP listener; none where the page is off."""
+        return [split_listen(self.listen)] if self.enabled else []
+
     @model_validator(mode="after")
     def _tls_is_complete(self) -> "WebConfig":
         if (self.tls_certificate is None) != (self.tls_key is None):

@@ -259,6 +259,27 @@ def test_two_sensors_on_one_wire_are_refused():
 
 
 @pytest.mark.parametrize(
+    ("zenoh", "page", "port"),
+    [
+        ("tcp/127.0.0.1:7001", "127.0.0.1:7001", 7001),
+        ("ws/localhost:9000", "0.0.0.0:9000", 9000),
+        ("tcp/127.0.0.1:8080", "LOCALHOST.:8080", None),
+        ("tcp/127.0.0.1:0", "127.0.0.1:0", None),
+        ("tcp/127.0.0.1:8080", "127.0.0.2:8080", None),
+        ("udp/127.0.0.1:8080", "127.0.0.1:8080", None),
+    ],
+)
+def test_the_page_and_zenoh_have_ports_of_their_own(zenoh: str, page: str, port: int | None):
+    text = f"{GOOD}publishing: {{listen: ['{zenoh}']}}\nweb: {{listen: '{page}'}}\n"
+    if port is None:
+        assert parse_config(text, "c.yaml").sinks["web"].listen == page
+    else:
+        told = f"web.listen: port {port} is taken by publishing.listen; give each a port of its own"
+        assert [fault.partition(": ")[2] for fault in faults(text)] == [told]
+        assert parse_config(text.replace("web: {", "web: {enabled: false, "), "c.yaml")
+
+
+@pytest.mark.parametrize(
     ("one", "other"), [("LMS.local", "lms.local."), ("fe80::0:1", "fe80::1"), ("10.0.0.7", "::ffff:10.0.0.7")]
 )
 def test_two_spellings_of_a_host_are_one_wire(one: str, other: str):
