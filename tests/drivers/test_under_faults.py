@@ -59,16 +59,16 @@ DRIVERS = ("lms100", "utm30lx", "lux", "mtig", "create")
 
 
 def cases(faults: Sequence[str]) -> list[Any]:
-    """Each fault on a device of every other driver that has what it spoils, and the drivers take turns from
+    """Each fault on a device of every third driver that has what it spoils, and the drivers take turns from
     fault to fault, as do the protocols where a driver speaks two; `make soak` runs the others.
     """
     found = []
     for turn, fault in enumerate(faults):
         has = [[n for n in NAMES if n.startswith(d) and has_what_is_spoilt(n, fault)] for d in DRIVERS]
         for place, spoilt in enumerate(names for names in has if names):
-            is_turn = (turn + place) % 2 == 0
+            is_turn = (turn + place) % 3 == 0
             for k, name in enumerate(spoilt):
-                is_now = is_turn and k == turn // 2 % len(spoilt)
+                is_now = is_turn and k == turn // 3 % len(spoilt)
                 found.append((name, fault) if is_now else in_soak(name, fault))
     return found
 

@@ -119,15 +119,15 @@ def learnt_on(
 @pytest.mark.parametrize("seed", FEW_SEEDS)
 def test_a_corridor_teaches_no_scale(seed: int) -> None:
     """Errors of scale and speed are indistinguishable there: noise must not seem to separate them."""
-    learnt = learnt_on(seed, 60.0, CORRIDOR, FaultyWheels())
+    learnt = learnt_on(seed, 30.0, CORRIDOR, FaultyWheels())
     assert abs(learnt.error[0]) < 1e-3
     assert learnt.sigma[0] == pytest.approx(EstimatorConfig().odometry_scale_sigma, rel=0.01)
-    assert abs(learnt.along_m) < 3.0 * 0.01 * math.sqrt(60.0)
+    assert abs(learnt.along_m) < 3.0 * 0.01 * math.sqrt(30.0)
 
 
 @pytest.mark.parametrize("seed", FEW_SEEDS)
 def test_a_straight_path_teaches_neither_turn_scale_nor_lag(seed: int) -> None:
-    learnt = learnt_on(seed, 60.0, EVERYWHERE, FaultyWheels())
+    learnt = learnt_on(seed, 30.0, EVERYWHERE, FaultyWheels())
     assert (learnt.over_sigma < 3.0).all()
     assert (learnt.sigma[1:] > 0.5 * np.array([0.02, 0.05])).all()
 
@@ -153,7 +153,7 @@ def test_a_fault_is_no_lag(wheels: FaultyWheels, seed: int) -> None:
 
 
 def motion_noise_learnt(
-    noise: float, with_odometry: bool = False, with_gyro: bool = False, seconds: float = 240.0
+    noise: float, with_odometry: bool = False, with_gyro: bool = False, seconds: float = 90.0
 ) -> npt.NDArray[np.float64]:
     """Mean of what is learnt of changes of twist; those forward have `noise` times the variance of the model.
 
@@ -180,7 +180,7 @@ def motion_noise_learnt(
 
 @pytest.mark.parametrize("noise", [0.1, in_soak(0.3)])
 def test_how_much_a_speed_changes_is_learnt_where_only_scans_measure_it(noise: float) -> None:
-    assert 0.6 * noise < motion_noise_learnt(noise)[0] < 1.4 * noise
+    assert 0.6 * noise < motion_noise_learnt(noise, seconds=240.0)[0] < 1.4 * noise
 
 
 def test_a_steady_drive_is_believed_to_go_on_steadily() -> None:
@@ -190,7 +190,7 @@ def test_a_steady_drive_is_believed_to_go_on_steadily() -> None:
 
 
 def test_where_odometry_measures_it_the_model_of_motion_stays_wide() -> None:
-    np.testing.assert_array_equal(motion_noise_learnt(0.0, with_odometry=True, seconds=90.0), 1.0)
+    np.testing.assert_array_equal(motion_noise_learnt(0.0, with_odometry=True), 1.0)
 
 
 def test_a_gyro_measures_the_rotation_alone() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from service.kernels.raycast import NO_HIT, cast_rays, index_segments
+from tests.soaked import in_soak
 
 NO_DISCS = np.empty((0, 5))
 
@@ -49,9 +50,8 @@ def reference(rays, segments, discs, range_max_m):
     return np.array(ranges), np.array(hits)
 
 
-@pytest.mark.parametrize("cell_m", [0.3, 1.0, 50.0])
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_cast_agrees_with_trying_everything(seed: int, cell_m: float):
+@pytest.mark.parametrize("seed", [1, in_soak(2), in_soak(3)])
+def test_cast_agrees_with_trying_everything(seed: int):
     rng = np.random.default_rng(seed)
     start = rng.uniform(-10, 10, (60, 2))
     segments = np.hstack([start, start + rng.normal(0, 2, (60, 2))])
@@ -59,11 +59,12 @@ def test_cast_agrees_with_trying_everything(seed: int, cell_m: float):
     segments[1::5, 3] = segments[1::5, 1]  # flat ones
     discs = np.hstack([rng.uniform(-10, 10, (5, 2)), rng.normal(0, 1, (5, 2)), rng.uniform(0.1, 0.5, (5, 1))])
     rays = np.column_stack([rng.uniform(-14, 14, (200, 2)), rng.uniform(-4, 4, 200), rng.uniform(0, 2, 200)])
-    range_m, hit = cast(rays, segments, discs, 15.0, cell_m)
     expected_m, expected_hit = reference(rays, segments, discs, 15.0)
     assert np.isfinite(expected_m).sum() > 100
-    np.testing.assert_array_equal(hit, expected_hit)
-    np.testing.assert_allclose(range_m, expected_m, atol=1e-9)
+    for cell_m in (0.3, 1.0, 50.0):
+        range_m, hit = cast(rays, segments, discs, 15.0, cell_m)
+        np.testing.assert_array_equal(hit, expected_hit)
+        np.testing.assert_allclose(range_m, expected_m, atol=1e-9)
 
 
 def test_axis_parallel_rays_hit_walls_on_cell_borders():
