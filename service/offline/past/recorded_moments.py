@@ -6,6 +6,7 @@ graphs are read when they are wanted.
 """
 
 from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -82,11 +83,7 @@ class RecordedMoments:
             for topic in recording.topics
             if topic.type == LASER_SCAN and topic.count and topic.name.count("/") == 2
         ]
-        self._pose_log_ns: list[int] = []
-        self._map_log_ns: list[int] = []
-        self._graph_log_ns: list[int] = []
-        self._standing_log_ns: list[int] = []
-        self._changes_log_ns: list[int] = []
+        self._log_ns: defaultdict[str, list[int]] = defaultdict(list)  # by channel: when each message came
         self._new_map_log_ns: list[int] = []
         self._events: list[tuple[int, float, str]] = []  # log time, stamp in s, text
         self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
@@ -98,7 +95,7 @@ class RecordedMoments:
         path_xy = np.array(xy_map, np.float64).reshape(-1, 2)
         rows = thinned(path_xy, PATH_STEP_M, MAX_PATH_POINTS)
         self.path_map: Floats = path_xy[rows]
-        self._path_log_ns = [self._pose_log_ns[row] for row in rows]
+        self._path_log_ns = [self._log_ns["pose"][row] for row in rows]
         self._tiles_of = lru_cache(KEPT_TILINGS)(self._read_tiles)
         self._graph_of = lru_cache(1)(self._read_graph)
 
@@ -136,7 +133,7 @@ class RecordedMoments:
             scans=scans,
             mountings=mountings,
             graph=self._graph(at_ns),
-            standing=self._grid(STANDING, self._standing_log_ns, at_ns, since_ns),
+            standing=self._grid(STANDING, at_ns, since_ns),
             changes=self._changes(at_ns, since_ns),
             statuses=self._statuses(at_ns),
             events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MAX_EVENTS:],
@@ -144,7 +141,7 @@ class RecordedMoments:
 
     def tiles_at(self, at_ns: int) -> Sequence[TileUpdate]:
         """Tiles of the newest map that was recorded by then, if any. Raises InputError."""
-        log_ns = _newest(self._map_log_ns, at_ns)
+        log_ns = self._newest("map", at_ns)
         return () if log_ns is None else self._tiles_of(log_ns)
 
     def _read(
@@ -154,22 +151,14 @@ class RecordedMoments:
         figures = FigureRows(max(PERIOD_S, span_ns / 1e9 / MAX_ROWS))
         for message in self._recording.messages(recorded):
             log_ns = message.log_ns
+            self._log_ns[message.channel].append(log_ns)
             match message.channel:
                 case "pose":
                     pose = decode_pose(message.payload)
-                    self._pose_log_ns.append(log_ns)
                     xy_map.append((pose.pose.x_m, pose.pose.y_m))
                     figures.put_pose(pose)
                     figures.put_latencies([(log_ns - pose.stamp_ns) / 1e6])
                     progress((log_ns - self.first_ns) / span_ns)
-                case "map":
-                    self._map_log_ns.append(log_ns)
-                case "graph":
-                    self._graph_log_ns.append(log_ns)
-                case "standing":
-                    self._standing_log_ns.append(log_ns)
-                case "map/changes":
-                    self._changes_log_ns.append(log_ns)
                 case "diagnostics":
                     statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
                     self._health.append((log_ns, [(one, self._since.put(one, stamp_s)) for one in statuses]))
@@ -206,10 +195,8 @@ class RecordedMoments:
         return scans
 
     def _pose_before(self, at_ns: int) -> list[Pose]:
-        log_ns = _newest(self._pose_log_ns, at_ns)
-        if log_ns is None:
-            return []
-        return [decode_pose(m.payload) for m in self._recording.messages(["/pose"], log_ns, log_ns)][-1:]
+        log_ns = self._newest("pose", at_ns)
+        return [] if log_ns is None else [decode_pose(self._message("/pose", log_ns).payload)]
 
     def _statuses(self, at_ns: int) -> Sequence[tuple[Status, float]]:
         at = bisect_right(self._health, at_ns, key=lambda row: row[0])
@@ -219,22 +206,22 @@ class RecordedMoments:
         return [(Status("mapping", STALE, words, {"state": "not known"}), at_ns / 1e9)]
 
     def _map_words(self, at_ns: int) -> str:
-        log_ns = _newest(self._map_log_ns, at_ns)
+        log_ns = self._newest("map", at_ns)
         return "no map was recorded by then" if log_ns is None else f"map recorded {_ago(at_ns - log_ns)}"
 
     def _graph(self, at_ns: int) -> GraphPicture:
-        log_ns = _newest(self._graph_log_ns, at_ns)
+        log_ns = self._newest(GRAPH, at_ns)
         return NO_GRAPH if log_ns is None else self._graph_of(log_ns)
 
     def _changes(self, at_ns: int, since_ns: int) -> Grid | None:
         """None in a recording without any; else the page would offer to show them."""
-        if not self._changes_log_ns:
+        if not self._log_ns[CHANGES]:
             return None
-        return self._grid(CHANGES, self._changes_log_ns, at_ns, since_ns) or NOTHING_CHANGED
+        return self._grid(CHANGES, at_ns, since_ns) or NOTHING_CHANGED
 
-    def _grid(self, channel: str, came_log_ns: Sequence[int], at_ns: int, since_ns: int) -> Grid | None:
+    def _grid(self, channel: str, at_ns: int, since_ns: int) -> Grid | None:
         """The newest by then, of the map that began at since_ns."""
-        log_ns = _newest(came_log_ns, at_ns)
+        log_ns = self._newest(channel, at_ns)
         if log_ns is None or log_ns < since_ns:
             return None
         return decode_grid(self._message(f"/{channel}", log_ns).payload)
@@ -250,10 +237,10 @@ class RecordedMoments:
         *_, message = self._recording.messages([topic], log_ns, log_ns)
         return message
 
-
-def _newest(log_ns: Sequence[int], at_ns: int) -> int | None:
-    at = bisect_right(log_ns, at_ns)
-    return log_ns[at - 1] if at else None
+    def _newest(self, channel: str, at_ns: int) -> int | None:
+        """Log time of the newest message by then; None: there is none."""
+        at = bisect_right(self._log_ns[channel], at_ns)
+        return self._log_ns[channel][at - 1] if at else None
 
 
 def _around(poses: Sequence[Pose], scans: Sequence[LaserScan]) -> list[Pose]:
