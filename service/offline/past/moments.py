@@ -33,7 +33,7 @@ STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of
 
 
 class GoToRequest(Section):
-    """Seconds since the first moment; behind the last one it means that."""
+    """Seconds since the first moment, or since the recording began; behind the last one it means that."""
 
     position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 

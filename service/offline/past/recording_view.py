@@ -3,20 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from service.mapstore.tiles import TileStore
-from service.offline.past.moments import MomentCommands
+from service.offline.past.past_page import PastPage
 from service.offline.past.recorded_moments import RecordedMoments
-from service.offline.past.shown_tiles import ShownTiles
-from service.web.access import new_token
-from service.web.config import WebConfig
-from service.web.protocol import encode_path, series_json
+from service.web.protocol import series_json
 from service.web.send_queue import Payload
-from service.web.server import About, WebServer, start_serving
+from service.web.server import start_serving
 
 
-class RecordingView:
+class RecordingView(PastPage):
     """A page that shows a recording until `close`; at first its last moment.
 
     paths       files of one recording, or a folder of them
@@ -30,29 +24,12 @@ class RecordingView:
     def __init__(
         self, paths: Sequence[Path], listen: str, progress: Callable[[float], None] = lambda share: None
     ) -> None:
-        self.token = new_token()
-        self._moments = moments = RecordedMoments(paths, progress)
-        store = TileStore()
-        self._tiles = ShownTiles(store)
-        commands = MomentCommands(moments, self._show)
-        about = About(moments.name, "recorded", lambda: commands.verbs)
-        self._server = WebServer(
-            WebConfig(listen=listen), about, store, commands.answer, self.token, retry_s=None
-        )
-        path = encode_path(moments.path_map.astype(np.float32))
-        series = series_json(moments.rows, events=moments.events)
-        self._server.put_ready({"path": path, "series": series})
-        commands.go_to(moments.last_ns)
-        start_serving(self._server)
+        self._recorded = recorded = RecordedMoments(paths, progress)
+        super().__init__(recorded.name, "recorded", listen)
+        self.server.put_ready({"series": series_json(recorded.rows, events=recorded.events)})
+        self.look_back(recorded)
+        start_serving(self.server)
 
-    @property
-    def address(self) -> str:
-        """With the token, which going to another moment needs."""
-        return f"{self._server.address}#token={self.token}"
-
-    def close(self) -> None:
-        self._server.close()
-
-    def _show(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
-        self._tiles.take(self._moments.tiles_at(at_ns))
-        self._server.put_ready(payloads)
+    def show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
+        self.tiles.take(self._recorded.tiles_at(at_ns))
+        super().show_moment(at_ns, payloads)

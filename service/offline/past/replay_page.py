@@ -34,20 +34,17 @@ from service.errors import InputError, fault_words
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
-from service.mapstore.tiles import TileStore
 from service.offline.past.driven_moments import DrivenMoments
-from service.offline.past.moments import GO_TO, MomentCommands
+from service.offline.past.moments import GO_TO, GoToRequest
+from service.offline.past.past_page import PastPage
 from service.offline.past.replayed_moments import ReplayedMoments
-from service.offline.past.shown_tiles import ShownTiles
-from service.offline.replay.pace import Pace
+from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
-from service.web.access import new_token
-from service.web.config import WebConfig
-from service.web.protocol import encode_changes, encode_path, encode_standing, moment_over_json
-from service.web.server import About, WebServer, start_serving
+from service.web.protocol import encode_changes, encode_standing, moment_over_json
+from service.web.server import start_serving
 
 log = logging.getLogger(__name__)
 
@@ -68,14 +65,8 @@ class RateRequest(Section):
     rate: Annotated[float, Field(ge=0.0, le=10_000.0)]
 
 
-class GoToRequest(Section):
-    """Seconds since the beginning of the recording."""
-
-    position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
-
-class ReplayPage:
-    """A Watch that serves the page from its construction until `close`.
+class ReplayPage(PastPage, Watch):
+    """Served from its construction until `close`.
 
     listen      as web.listen in a config
     name        title of what the page shows
@@ -85,9 +76,7 @@ class ReplayPage:
     """
 
     def __init__(self, listen: str, name: str, rate: float, is_paused: bool = False) -> None:
-        self._pace = Pace(rate, is_paused)
-        self._store = TileStore()
-        self._shown = ShownTiles(self._store)
+        Watch.__init__(self, rate, is_paused)
         self._session: Session | None = None
         self._mapper: MappingSession | None = None
         self._changes: MapChanges | None = None  # that are shown
@@ -97,24 +86,14 @@ class ReplayPage:
         self._graph: GraphPicture | None = None  # the newest that is shown
         self._path: list[tuple[float, float]] = []  # driven since the last picture
         self._stamps: list[tuple[int, int]] = []  # of each scan mapped in the present map: measured, logged
-        self.moments: MomentCommands | None = None  # of the finished map
         self._phase = "starting"  # replaying, closing loops, finished
         self._picture_due_s = self._status_due_s = self._tiles_due_s = 0.0
         self._speed_from: tuple[float, int] | None = None  # moment and log time of the last status
-        self.token = new_token()
-        about = About(name, "", lambda: VERBS if self.moments is None else (*VERBS, GO_TO))
-        self.server = WebServer(
-            WebConfig(listen=listen), about, self._store, self._answer, self.token, retry_s=None
-        )
+        PastPage.__init__(self, name, "", listen)
         start_serving(self.server)
 
-    @property
-    def address(self) -> str:
-        """With the token, which the controls need."""
-        return f"{self.server.address}#token={self.token}"
-
-    def close(self) -> None:
-        self.server.close()
+    def verbs(self) -> tuple[str, ...]:
+        return (*VERBS, *super().verbs())
 
     def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
         self._session, self._mapper = session, mapper
@@ -151,7 +130,7 @@ class ReplayPage:
         self._tell_status()
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
-        self._shown.take(tiles)
+        self.tiles.take(tiles)
         self.server.put_ready({STANDING: encode_standing(None)})  # reported before the last loops
         self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
         self._show_graph()
@@ -166,25 +145,20 @@ class ReplayPage:
         stamp_ns, log_ns = np.array(self._stamps, np.int64).T
         poses = np.array([(p.x_m, p.y_m, p.theta_rad) for p in poses_map_base])
         is_remade = FROM_RAW in self._session.metadata  # then its file is gone later
-        moments: DrivenMoments | ReplayedMoments = (
-            DrivenMoments(stamp_ns, poses)
-            if is_remade
-            else ReplayedMoments(self._session, stamp_ns, log_ns, poses)
-        )
-        self.server.put_ready({"path": encode_path(moments.path_map.astype(np.float32))})
-        commands = MomentCommands(moments, lambda at_ns, payloads: self.server.put_ready(payloads))
         try:
-            commands.go_to(moments.last_ns)
+            self.look_back(
+                DrivenMoments(stamp_ns, poses)
+                if is_remade
+                else ReplayedMoments(self._session, stamp_ns, log_ns, poses)
+            )
         except InputError as error:
             log.warning("the page cannot look back: %s", error)  # the result is written all the same
-        else:
-            self.moments = commands
 
     def _begin_map(self) -> None:
         self.moments = None
         self._stamps.clear()
         self.server.put_ready({"moment": moment_over_json()})
-        self._shown.take([])
+        self.tiles.take([])
         self._changes = None
         self.server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
         self.server.put_path(np.empty((0, 2), np.float32))
@@ -213,7 +187,7 @@ class ReplayPage:
         if self._mapper is None or self._output is None:
             return
         began_s = time.monotonic()
-        self._shown.take(self._mapper.tiles())
+        self.tiles.take(self._mapper.tiles())
         self._show_graph()
         self.server.put_ready({STANDING: encode_standing(self._mapper.standing())})
         self._show_changes(self._mapper.changes_reported)
@@ -282,9 +256,8 @@ class ReplayPage:
         first_ns = self._log_ns if self._session is None else self._session.recording.first_log_ns
         return max(self._log_ns - first_ns, 0) / 1e9
 
-    def _answer(self, verb: str, payload: bytes) -> Answer:
-        """From a thread of the page."""
-        if verb == GO_TO and (moments := self.moments) is not None:
+    def answer(self, verb: str, payload: bytes) -> Answer:
+        if (moments := self.moments) is not None and verb in moments.verbs:
             return moments.answer(verb, payload)
         if verb not in VERBS:
             return refusal(f"this is a replay; it knows {', '.join(VERBS)}, and {GO_TO} when it is finished")

@@ -1,6 +1,5 @@
 """The moments of a recording that was mapped just now: its scans in the map as it is in the end."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from service.recording.sources import SCAN_TYPES
 LATER_NS = 1_000_000_000  # a scan that was measured before another may be logged so long after it
 
 
-class ReplayedMoments:
+class ReplayedMoments(DrivenMoments):
     """stamp_ns, log_ns, poses    (N,) rising, (N,) and (N, 3) of the scans mapped, at least one: when each
     was measured and logged, and where the base was in the finished map; x m, y m, theta rad
     """
@@ -31,37 +30,25 @@ class ReplayedMoments:
         log_ns: npt.NDArray[np.int64],
         poses: Floats,
     ) -> None:
+        super().__init__(stamp_ns, poses)
         self._session = session
-        self._recording = session.recording
-        self._driven = DrivenMoments(stamp_ns, poses)
-        self._stamp_ns = stamp_ns
         self._log_ns = log_ns
-        types = {topic.name: topic.type for topic in self._recording.topics}
+        types = {topic.name: topic.type for topic in session.recording.topics}
         self._topics = [topic for topic in session.devices if types.get(topic) in SCAN_TYPES]
-        self.path_map = self._driven.path_map
-
-    @property
-    def first_ns(self) -> int:
-        return self._driven.first_ns
-
-    @property
-    def last_ns(self) -> int:
-        return self._driven.last_ns
 
     def at(self, at_ns: int) -> Moment:
         """Raises InputError where the recording cannot be read any more."""
-        scans = self._scans(at_ns)
-        moment = self._driven.at(at_ns)
+        scans, moment = self._scans(at_ns), super().at(at_ns)
         newest = moment.poses[-1]
-        around = {pose.stamp_ns: pose for scan in scans for pose in self._driven.around(scan.stamp_ns)}
+        around = {pose.stamp_ns: pose for scan in scans for pose in self.around(scan.stamp_ns)}
         before = [around[stamp_ns] for stamp_ns in sorted(around) if stamp_ns < newest.stamp_ns]
         return replace(moment, poses=[*before, newest], scans=scans, mountings=self._session.mountings)
 
     def _scans(self, at_ns: int) -> Sequence[LaserScan]:
         """The newest of each laser that was measured by then."""
-        log_ns = int(self._log_ns[bisect_right(self._stamp_ns, at_ns) - 1])
+        log_ns = int(self._log_ns[self._newest(at_ns)])
         newest: dict[str, LaserScan] = {}
-        for message in self._recording.messages(self._topics, log_ns - STALE_NS, log_ns + LATER_NS):
+        for message in self._session.recording.messages(self._topics, log_ns - STALE_NS, log_ns + LATER_NS):
             try:
                 sensor = self._session.devices[self._session.topic_of(message)].get(frame_id(message.payload))
                 if sensor is None:

@@ -6,37 +6,31 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.counted import counted
 from service.encoding import CHANGES, OK, Status, encode_diagnostics, encode_graph
 from service.errors import InputError
-from service.geometry.poses import Floats
 from service.mapper.graph.model.graph_picture import draw, draw_saved
 from service.mapper.map_changes import MapChanges
 from service.mapstore.files import StoredMap
-from service.mapstore.tiles import TileStore
 from service.offline.maps.change_file import CHANGES_FILE, read_changes
 from service.offline.maps.changed_places import read_changed_places
 from service.offline.maps.commands import MapCommands
 from service.offline.past.driven_moments import DrivenMoments
-from service.offline.past.moments import MomentCommands
+from service.offline.past.past_page import PastPage
 from service.offline.past.result import GRAPH_FILE, Result, map_folder, open_result
-from service.offline.past.shown_tiles import ShownTiles
 from service.offline.score.trajectory import Trajectory
 from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.readable import read_text
-from service.web.access import new_token
-from service.web.config import WebConfig
 from service.web.protocol import encode_changes, encode_path, series_json
 from service.web.send_queue import Payload
-from service.web.server import About, WebServer, start_serving
+from service.web.server import start_serving
 
 NO_TRAJECTORY = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
 
 
-class View:
+class View(PastPage):
     """A page that shows one stored map or result, and what becomes of it, until `close`.
 
     source    the folder of a stored map, one that a replay wrote, or one with the map.yaml of a ROS map
@@ -46,43 +40,29 @@ class View:
     """
 
     def __init__(self, source: Path, listen: str) -> None:
-        self.token = new_token()
         self._source = source
         self._result = result = open_result(source)
-        self._store = TileStore()
-        self._tiles = ShownTiles(self._store)
-        self._moments: MomentCommands | None = None  # of the trajectory as it lies in the map that is shown
         self._at_ns: int | None = None  # of the moment that is shown
         self._map_commands: MapCommands | None = None
         if (folder := map_folder(source)) is not None and result.stored is not None:
             self._map_commands = MapCommands(folder, result.stored, self._show_stored)
-        about = About(source.resolve().name, "stored", self._verbs)
-        self.server = WebServer(
-            WebConfig(listen=listen), about, self._store, self.answer, self.token, retry_s=None
-        )
+        super().__init__(source.resolve().name, "stored", listen)
         self._show(result)
         start_serving(self.server)
 
-    @property
-    def address(self) -> str:
-        """With the token, which changes need."""
-        return f"{self.server.address}#token={self.token}"
-
-    def close(self) -> None:
-        self.server.close()
-
-    def _verbs(self) -> tuple[str, ...]:
-        return (
-            *(self._map_commands.verbs if self._map_commands else ()),
-            *(self._moments.verbs if self._moments else ()),
-        )
+    def verbs(self) -> tuple[str, ...]:
+        return (*(self._map_commands.verbs if self._map_commands else ()), *super().verbs())
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        if self._moments is not None and verb in self._moments.verbs:
-            return self._moments.answer(verb, payload)
+        if (moments := self.moments) is not None and verb in moments.verbs:
+            return moments.answer(verb, payload)
         if self._map_commands is not None:
             return self._map_commands.answer(verb, payload)
         return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")
+
+    def show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
+        self._at_ns = at_ns
+        super().show_moment(at_ns, payloads)
 
     def _show_stored(self, stored: StoredMap) -> None:
         self._result = self._result.in_version(stored)
@@ -91,8 +71,8 @@ class View:
     def _show(self, result: Result) -> None:
         now_ns = time.time_ns()
         tiles, trajectory = result.tiles, result.trajectory or NO_TRAJECTORY
-        self._tiles.take(tiles)
-        self._show_path(trajectory.stamp_ns, trajectory.pose)
+        self.tiles.take(tiles)
+        self._show_path(trajectory)
         self.server.put(encode_graph(graph_picture(result), now_ns))
         facts = {} if result.stored is None else {"version": str(result.stored.number)}
         if (geo := result.geo) is not None:
@@ -116,22 +96,16 @@ class View:
             return None if changed is None else changed.as_map_changes()
         return read_changes(self._source / CHANGES_FILE, tiles[0].cell_m) if tiles else None
 
-    def _show_path(self, stamp_ns: npt.NDArray[np.int64], poses: Floats) -> None:
+    def _show_path(self, driven: Trajectory) -> None:
         """The complete path, and of its moments the one that was shown before; at first the last."""
-        if not len(stamp_ns):
-            self._moments = None
+        if not len(driven.stamp_ns):
+            self.moments = None
             path = encode_path(np.empty((0, 2), np.float32))
             self.server.put_ready({"path": path, "series": series_json((), events=())})
             return
-        moments = DrivenMoments(stamp_ns, poses)
-        path = encode_path(moments.path_map.astype(np.float32))
-        self.server.put_ready({"path": path, "series": series_json(moments.rows, events=())})
-        self._moments = MomentCommands(moments, self._show_moment)
-        self._moments.go_to(moments.last_ns if self._at_ns is None else self._at_ns)
-
-    def _show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
-        self._at_ns = at_ns
-        self.server.put_ready(payloads)
+        moments = DrivenMoments(driven.stamp_ns, driven.pose)
+        self.server.put_ready({"series": series_json(moments.rows, events=())})
+        self.look_back(moments, self._at_ns)
 
 
 def graph_picture(result: Result) -> GraphPicture:

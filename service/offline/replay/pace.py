@@ -3,37 +3,12 @@
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
 
 from drivers.frames import LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import MappingSession
 from service.outputs import MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
-
-
-class Watch(Protocol):
-    """Observer of replays, one after another, in the thread that maps."""
-
-    def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
-        """A recording begins; with the mountings of its lasers."""
-        ...
-
-    def wait_for(self, log_ns: int) -> None:
-        """Before a step of that log time: return when it may be taken."""
-        ...
-
-    def mapped(self, scan: LaserScan, output: MapperOutput) -> None:
-        """A scan was mapped."""
-        ...
-
-    def closing(self) -> None:
-        """All scans of a map are mapped; its last loops are searched."""
-        ...
-
-    def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
-        """A map is finished, by a reset or at the end: what it is, and where its scans lie in the end."""
-        ...
 
 
 class Pace:
@@ -115,21 +90,27 @@ class Pace:
         return max(due_s - time.monotonic(), 0.0)
 
 
-class Unwatched:
-    """A Watch without an observer: only keeps the pace."""
+class Watch:
+    """Keeps the pace of replays, one after another, in the thread that maps. A subclass observes them, too.
 
-    def __init__(self, rate: float) -> None:
-        self._pace = Pace(rate)
+    rate    as of Pace
+    """
 
-    def begin(
-        self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]
-    ) -> None: ...
+    def __init__(self, rate: float, is_paused: bool = False) -> None:
+        self._pace = Pace(rate, is_paused)
+
+    def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
+        """A recording begins; with the mountings of its lasers."""
 
     def wait_for(self, log_ns: int) -> None:
+        """Before a step of that log time: return when it may be taken."""
         self._pace.wait_for(log_ns)
 
-    def mapped(self, scan: LaserScan, output: MapperOutput) -> None: ...
+    def mapped(self, scan: LaserScan, output: MapperOutput) -> None:
+        """A scan was mapped."""
 
-    def closing(self) -> None: ...
+    def closing(self) -> None:
+        """All scans of a map are mapped; its last loops are searched."""
 
-    def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None: ...
+    def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
+        """A map is finished, by a reset or at the end: what it is, and where its scans lie in the end."""

@@ -15,7 +15,7 @@ from service.compile.warm_up import KernelProgress, warm_up_in_turn
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError
 from service.mapstore.begin_in import begin_in
-from service.offline.replay.pace import Unwatched, Watch
+from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW, remake_frames
 from service.offline.replay.result import Extra, Replay, write_replay
 from service.offline.replay.run import MAPPING, Progress, ReplayRun
@@ -123,7 +123,7 @@ def replay(
     """
     with Warned() as warned:
         mapped = _replay_from_raw if options.from_raw else _replay
-        done = mapped(paths, options, progress, watch or Unwatched(options.rate))
+        done = mapped(paths, options, progress, watch or Watch(options.rate))
     done.summary["warnings"] = [*warned.lines, *doubts(done.summary)]
     return done
 
