@@ -28,6 +28,11 @@ def between(a: Poses, b: Poses) -> Poses:
     return _rows(c * dx + s * dy, -s * dx + c * dy, wrap_angle(b[..., 2] - a[..., 2]))
 
 
+def inverse(pose: Poses) -> Poses:
+    """pose^-1, row by row."""
+    return between(pose, np.zeros(3))
+
+
 def adjoint(pose: Poses) -> Floats:
     """(..., 3, 3) what takes a small error at the far end of each pose, in the axes there, to its near end.
 

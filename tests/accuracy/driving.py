@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.poses import compose
 from service.geometry.se2 import SE2
 from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, mapping_config
-from service.offline.score.score import align, compose
+from service.offline.score.score import align
 from simulators.world import World
 from tests.papers.report import Row
 from tests.simulated import Drive, Imu, Laser, Run, Wheels, begun_at, drive, heading_rad, run

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.frames import Frame, LaserScan
+from service.geometry.poses import compose
 from service.geometry.se2 import SE2
 from service.mapper.corrections import corrected
 from service.mapper.profiles import build_mapper, mapping_config
-from service.offline.score.score import align, compose
+from service.offline.score.score import align
 from simulators.truth import IBEO_LUX, Ride
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import WHEELS, poses_of

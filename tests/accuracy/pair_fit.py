@@ -10,7 +10,8 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from drivers.frames import LaserScan
-from service.offline.score.score import compose, invert, read_relations
+from service.geometry.poses import between
+from service.offline.score.score import read_relations
 from service.offline.score.trajectory import read_tum
 from tests.recorded_drive import frames_of
 
@@ -48,7 +49,7 @@ def pair_fit(recording: Path, trajectory: Path, relations: Path, shift_s: float)
         if max(abs(a - a_ns), abs(b - b_ns)) > NEAR_NS or a == b:
             continue
         poses = found.at(np.array([a, b]))
-        ours = compose(invert(poses[:1]), poses[1:])[0]
+        ours = between(poses[0], poses[1])
         here, there = points_of(scans[a]), points_of(scans[b])
         pair = mean_distance_m(here, there, ours), mean_distance_m(here, there, reference)
         if np.isfinite(pair).all():

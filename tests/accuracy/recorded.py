@@ -12,9 +12,10 @@ from mcap.writer import CompressionType, Writer
 
 from drivers.frames import OdometrySample
 from service.encoding import LASER_SCAN, ODOMETRY, decode_frame, encode_frame
+from service.geometry.poses import between, compose
 from service.geometry.se2 import SE2
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
-from service.offline.score.score import NEAR_NS, RelationsScore, compose, invert, read_relations, score
+from service.offline.score.score import NEAR_NS, RelationsScore, read_relations, score
 from service.offline.score.trajectory import read_tum
 from tests.papers.report import Row, Section
 from tests.shared_data import SHARED
@@ -128,13 +129,13 @@ def _errors(estimate: Path, near: bool, offset_x_m: float) -> tuple[float, float
         assert isinstance(report, RelationsScore)
         return report.errors[0].translation_m.mean, report.errors[0].rotation_deg.mean
     path = read_tum(estimate)
-    pose = compose(path.pose, np.array([[offset_x_m, 0.0, 0.0]]))
+    pose = compose(path.pose, np.array([offset_x_m, 0.0, 0.0]))
     from_ns, to_ns, expected = read_relations(RELATIONS)
     first, first_off_ns = _nearest(path.stamp_ns, from_ns)
     second, second_off_ns = _nearest(path.stamp_ns, to_ns)
     kept = (first_off_ns <= NEAR_NS) & (second_off_ns <= NEAR_NS)
-    relative = compose(invert(pose[first[kept]]), pose[second[kept]])
-    error = compose(invert(expected[kept]), relative)
+    relative = between(pose[first[kept]], pose[second[kept]])
+    error = between(expected[kept], relative)
     return float(np.hypot(*error[:, :2].T).mean()), float(np.abs(np.degrees(error[:, 2])).mean())
 
 

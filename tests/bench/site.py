@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from service.geometry.poses import compose
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
 from service.offline.cluster.session_task import new_tasks
 from service.offline.replay.setup import ReplayOptions
-from service.offline.score.score import align, compose
+from service.offline.score.score import align
 from service.offline.score.trajectory import read_tum
 from service.offline.site.build import site_build
 from service.offline.site.paths import PATHS

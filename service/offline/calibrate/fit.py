@@ -16,8 +16,8 @@ import numpy.typing as npt
 from numpy.linalg import LinAlgError
 
 from service.errors import InputError
-from service.geometry.poses import Floats
-from service.offline.calibrate.tracks import GyroTrack, LaserTrack, WheelTrack
+from service.geometry.poses import Floats, between, compose, inverse
+from service.offline.calibrate.tracks import GyroTrack, LaserTrack, WheelTrack, interpolated
 
 KNOT_NS = 400_000_000  # a step; shorter ones are affected by the smoothing of a mapper's motion model
 MIN_KNOTS = 40  # 16 s
@@ -64,29 +64,24 @@ def fit_wheels(laser: LaserTrack, wheels: WheelTrack, wheel_base_m: float | None
     Raises InputError where both hardly overlap or nothing was driven.
     """
     knots = _knots(laser, wheels.stamp_ns)
-    seen = _relative(laser.at(knots.astype(np.float64)))
-    stamps = wheels.stamp_ns.astype(np.float64)
-    counted_turn = np.interp(knots, stamps, np.concatenate(([0.0], np.cumsum(wheels.steps[:, 2]))))
-    turned = np.unwrap(laser.at(knots.astype(np.float64))[:, 2])
-    yaw = _first_yaw(laser, wheels, knots)
+    at_knots = laser.at(knots)
+    seen = _relative(at_knots)
+    counted = _relative(interpolated(knots, wheels.stamp_ns, wheels.poses(1, 1, 0, 0)))
 
     def residuals(p: Floats) -> Floats:
-        x, y, yaw_rad, scale, turn_scale, turn_per_m, offset_s = p
+        scale, turn_scale, turn_per_m, offset_s = p[3:]
         lost = 0.0 if wheel_base_m is None else turn_per_m * scale * wheel_base_m**2 / (4.0 * turn_scale)
         base = wheels.poses(scale, turn_scale, turn_per_m, lost)
-        at = knots + offset_s * 1e9
-        moved = np.column_stack([np.interp(at, stamps, base[:, k]) for k in range(3)])
-        return _against(seen, _relative(_mounted(moved, x, y, yaw_rad)))
+        moved = interpolated(knots + offset_s * 1e9, wheels.stamp_ns, base)
+        return between(seen, _relative(compose(moved, p[:3])))
 
-    if float(np.ptp(counted_turn)) == 0.0 and float(np.ptp(turned)) == 0.0 and not wheels.steps.any():
+    if float(np.ptp(at_knots[:, 2])) == 0.0 and not wheels.steps.any():
         raise InputError(f"{wheels.sensor}: the wheels never moved; drive, and turn to both sides")
-    way = np.abs(
-        _relative(np.column_stack([np.interp(knots, stamps, c) for c in wheels.poses(1, 1, 0, 0).T]))
-    )
+    way = np.abs(counted)
     unknowns = (
         Unknown("x_m", "m"),
         Unknown("y_m", "m"),
-        Unknown("yaw_rad", "rad", yaw),
+        Unknown("yaw_rad", "rad", _turn_between(seen, counted)),
         Unknown("scale", "1", 1.0),
         Unknown("turn_scale", "1", 1.0),
         Unknown("turn_per_m", "rad/m"),
@@ -101,15 +96,14 @@ def fit_gyro(laser: LaserTrack, gyro: GyroTrack) -> Fit:
     Raises InputError where both hardly overlap.
     """
     knots = _knots(laser, gyro.stamp_ns)
-    seen = np.diff(laser.at(knots.astype(np.float64))[:, 2])
-    stamps = gyro.stamp_ns.astype(np.float64)
+    seen = np.diff(laser.at(knots)[:, 2])
     duration_s = np.diff(knots) * 1e-9
-    felt = np.diff(np.interp(knots, stamps, gyro.turn_rad))
+    felt = np.diff(np.interp(knots, gyro.stamp_ns, gyro.turn_rad))
     start = -1.0 if float(seen @ felt) < 0.0 else 1.0  # upside down
 
     def residuals(p: Floats) -> Floats:
         scale, bias_radps, offset_s = p
-        turn = np.diff(np.interp(knots + offset_s * 1e9, stamps, gyro.turn_rad))
+        turn = np.diff(np.interp(knots + offset_s * 1e9, gyro.stamp_ns, gyro.turn_rad))
         off: Floats = scale * (turn - bias_radps * duration_s) - seen
         return off[:, None]
 
@@ -123,16 +117,13 @@ def fit_lasers(laser: LaserTrack, other: LaserTrack) -> Fit:
     Raises InputError where both hardly overlap.
     """
     knots = _knots(laser, other.stamp_ns)
-    at_knots = laser.at(knots.astype(np.float64))
-    seen = _relative(at_knots)
+    seen = _relative(laser.at(knots))
 
     def residuals(p: Floats) -> Floats:
-        x, y, yaw_rad, offset_s = p
-        c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-        back = (-c * x - s * y, s * x - c * y, -yaw_rad)  # pose_other_laser
-        return _against(seen, _relative(_mounted(other.at(knots + offset_s * 1e9), *back)))
+        pose_other_laser = inverse(p[:3])
+        return between(seen, _relative(compose(other.at(knots + p[3] * 1e9), pose_other_laser)))
 
-    yaw = _turn_between(_relative(other.at(knots.astype(np.float64))), seen)
+    yaw = _turn_between(_relative(other.at(knots)), seen)
     unknowns = (
         Unknown("x_m", "m"),
         Unknown("y_m", "m"),
@@ -160,28 +151,7 @@ def _knots(laser: LaserTrack, other_ns: npt.NDArray[np.int64]) -> npt.NDArray[np
 
 def _relative(pose: Floats) -> Floats:
     """(N, 3) poses -> (N - 1, 3) each seen from the one before."""
-    step = np.diff(pose, axis=0)
-    c, s = np.cos(pose[:-1, 2]), np.sin(pose[:-1, 2])
-    return np.column_stack((c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], step[:, 2]))
-
-
-def _mounted(pose: Floats, x: float, y: float, yaw_rad: float) -> Floats:
-    """pose @ (x, y, yaw), row by row."""
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    return np.column_stack((pose[:, 0] + c * x - s * y, pose[:, 1] + s * x + c * y, pose[:, 2] + yaw_rad))
-
-
-def _against(seen: Floats, expected: Floats) -> Floats:
-    """(N, 3) expected step seen from the end of the step that was seen."""
-    off = expected - seen
-    c, s = np.cos(seen[:, 2]), np.sin(seen[:, 2])
-    return np.column_stack((c * off[:, 0] + s * off[:, 1], -s * off[:, 0] + c * off[:, 1], off[:, 2]))
-
-
-def _first_yaw(laser: LaserTrack, wheels: WheelTrack, knots: npt.NDArray[np.int64]) -> float:
-    stamps = wheels.stamp_ns.astype(np.float64)
-    base = np.column_stack([np.interp(knots, stamps, column) for column in wheels.poses(1, 1, 0, 0).T])
-    return _turn_between(_relative(laser.at(knots.astype(np.float64))), _relative(base))
+    return between(pose[:-1], pose[1:])
 
 
 def _turn_between(from_steps: Floats, to_steps: Floats) -> float:

@@ -24,6 +24,11 @@ MIN_SCANS = 100
 SMALL_RAD = 1e-6  # below it the chord of an arc is its length
 
 
+def interpolated(at_ns: Stamps | Floats, stamp_ns: Stamps, poses: Floats) -> Floats:
+    """(M, 3) poses at some stamps, straight between the (N, 3) at rising stamps."""
+    return np.column_stack([np.interp(at_ns, stamp_ns, column) for column in poses.T])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserTrack:
     """Path of a laser, by its scans alone."""
@@ -33,9 +38,9 @@ class LaserTrack:
     pose: Floats  # (N, 3) pose_map_laser x m, y m, theta rad, theta without jumps by a turn
     latency_ms: Floats  # (N,) from the first ray to the last byte
 
-    def at(self, stamp_ns: Floats) -> Floats:
+    def at(self, stamp_ns: Stamps | Floats) -> Floats:
         """(M, 3) poses, straight between scans."""
-        return np.column_stack([np.interp(stamp_ns, self.stamp_ns, self.pose[:, k]) for k in range(3)])
+        return interpolated(stamp_ns, self.stamp_ns, self.pose)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from drivers.counted import counted
 from service.errors import InputError, UsageError
+from service.geometry.poses import Poses, between, compose, inverse, points_from
 from service.geometry.se2 import wrap_angle
 from service.offline.past.result import read_trajectory
 from service.offline.score.trajectory import (
@@ -26,7 +27,6 @@ from service.offline.score.trajectory import (
     read_tum,
 )
 
-Poses = npt.NDArray[np.float64]  # (N, 3) x m, y m, theta rad
 Pairs = Literal["all", "near"]
 
 NEAR_NS = 120_000_000  # "near": both stamps of a relation this close to a pose of the estimate
@@ -142,7 +142,7 @@ def score(
         if not abs(value) <= MAX_SHIFT:
             raise UsageError(f"{option} {value}: expected a number between -{MAX_SHIFT:g} and {MAX_SHIFT:g}")
     read = read_trajectory(estimate)
-    pose = compose(read.pose, np.array([[offset_x_m, 0.0, 0.0]])) if offset_x_m else read.pose
+    pose = compose(read.pose, np.array([offset_x_m, 0.0, 0.0])) if offset_x_m else read.pose
     shifted = Trajectory(read.stamp_ns + round(shift_s * NS_PER_S), pose)
     if truth.suffix == ".relations":
         return _score_relations(shifted, truth, shift_s, offset_x_m, pairs)
@@ -167,32 +167,12 @@ def read_relations(path: Path) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.in
     return np.array(from_ns, dtype=np.int64), np.array(to_ns, dtype=np.int64), np.array(relations)
 
 
-def compose(a: Poses, b: Poses) -> Poses:
-    """a @ b, row by row; one row serves for all."""
-    cosine, sine = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack(
-        (
-            a[:, 0] + cosine * b[:, 0] - sine * b[:, 1],
-            a[:, 1] + sine * b[:, 0] + cosine * b[:, 1],
-            wrap_angle(a[:, 2] + b[:, 2]),
-        )
-    )
-
-
-def invert(a: Poses) -> Poses:
-    cosine, sine = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack(
-        (-cosine * a[:, 0] - sine * a[:, 1], sine * a[:, 0] - cosine * a[:, 1], wrap_angle(-a[:, 2]))
-    )
-
-
 def align(estimate: Poses, truth: Poses) -> Poses:
-    """(1, 3) rigid motion T that minimises sum |T estimate - truth|^2 over the positions."""
+    """(3,) rigid motion T that minimises sum |T estimate - truth|^2 over the positions."""
     mean_e, mean_t = estimate[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
     e, t = estimate[:, :2] - mean_e, truth[:, :2] - mean_t
     theta = math.atan2((e[:, 0] * t[:, 1] - e[:, 1] * t[:, 0]).sum(), (e * t).sum())
-    turn = compose(np.array([[0.0, 0.0, theta]]), np.array([[*mean_e, 0.0]]))
-    return np.array([[mean_t[0] - turn[0, 0], mean_t[1] - turn[0, 1], theta]])
+    return np.array([*(mean_t - points_from(np.array([0.0, 0.0, theta]), mean_e)), theta])
 
 
 def _score_relations(
@@ -214,7 +194,7 @@ def _score_relations(
             f"{_span(estimate)} s; is it another recording, or --shift-s wrong?"
         )
     expected = expected[kept]
-    relative = compose(invert(estimate.at(from_ns[kept])), estimate.at(to_ns[kept]))
+    relative = between(estimate.at(from_ns[kept]), estimate.at(to_ns[kept]))
     return RelationsScore(
         kind="relations",
         pairs=pairs,
@@ -224,8 +204,8 @@ def _score_relations(
         shift_s=shift_s,
         offset_x_m=offset_x_m,
         errors=(
-            _relation_errors("kuemmerle: expected^-1 * relative", compose(invert(expected), relative)),
-            _relation_errors("cartographer: relative * expected^-1", compose(relative, invert(expected))),
+            _relation_errors("kuemmerle: expected^-1 * relative", between(expected, relative)),
+            _relation_errors("cartographer: relative * expected^-1", compose(relative, inverse(expected))),
         ),
     )
 
@@ -265,7 +245,7 @@ def _score_trajectory(estimate: Trajectory, path: Path, shift_s: float, offset_x
         ate_aligned_deg=_spread_of(aligned_deg),
         ate_m=_spread_of(as_is_m),
         ate_deg=_spread_of(as_is_deg),
-        alignment=(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2])),
+        alignment=(float(motion[0]), float(motion[1]), float(motion[2])),
         rpe_step_m=RPE_STEP_M,
         rpe_pairs=len(starts),
         rpe_m=_spread_of(rpe_m) if len(starts) else None,
@@ -295,8 +275,7 @@ def _steps(path_length_m: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64
 
 def _relative_error(e: Poses, t: Poses, starts: npt.NDArray[np.int64], ends: npt.NDArray[np.int64]) -> Poses:
     """(true step)^-1 * (estimated step)."""
-    true_step = compose(invert(t[starts]), t[ends])
-    return compose(invert(true_step), compose(invert(e[starts]), e[ends]))
+    return between(between(t[starts], t[ends]), between(e[starts], e[ends]))
 
 
 def _difference(a: Poses, b: Poses) -> Poses:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import InputError
-from service.geometry.poses import Floats
+from service.geometry.poses import Floats, points_from
 from service.mapper.saved_graph import SavedGraph
 from service.offline.past.result import open_result
 from service.offline.score.score import RelationsScore, score
@@ -98,13 +98,9 @@ def _placed(graph: SavedGraph) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
     """Points (M, 2) m and unit normals (M, 2) in the map, and the pass (M,) that each is of."""
     frame = np.repeat(np.arange(len(graph)), graph.point_count)
     pose = graph.map[frame]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-
-    def turned(xy: npt.NDArray[np.float32]) -> Floats:
-        return np.column_stack((c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]))
-
     passes = np.floor(graph.path_length_m / PASS_M).astype(np.int64)
-    return turned(graph.xy_base) + pose[:, :2], turned(graph.normals[:, :2]), passes[frame]
+    normals = points_from(pose * (0.0, 0.0, 1.0), graph.normals[:, :2].astype(np.float64))
+    return points_from(pose, graph.xy_base.astype(np.float64)), normals, passes[frame]
 
 
 def map_entropy(tiles: Sequence[TileUpdate]) -> float:
