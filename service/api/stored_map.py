@@ -61,8 +61,6 @@ class Map:
         """
         if config is None:
             mountings = {scan.sensor: (0.0, 0.0, 0.0)} if mountings is None else mountings
-            config = {
-                "mapping": {"cell_m": next(tile.cell_m for tile in self._stored.tiles if tile.level == 0)}
-            }
+            config = {"mapping": {"cell_m": self._stored.cell_m}}
         mapper = Mapper(config, mountings, map=self.folder, version=self.version, localize=True)
         return locate(scan, mapper)

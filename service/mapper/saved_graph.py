@@ -71,6 +71,11 @@ class SavedGraph:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
+    def points_of(self, k: int) -> Floats:
+        """(P, 2) m, the points of one key frame, base frame."""
+        first = int(self.point_count[:k].sum())
+        return self.xy_base[first : first + int(self.point_count[k])].astype(np.float64)
+
     def checked(self) -> "SavedGraph":
         """The graph itself. Raises SavedGraphError if the arrays do not fit each other or are not finite."""
         if self.stamp_ns.ndim != 1 or self.point_count.dtype.kind != "i" or self.loop_ends.ndim != 2:

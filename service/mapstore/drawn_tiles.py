@@ -9,6 +9,8 @@ from service.geometry.polygons import Cells, cells_along, cells_inside
 from service.geometry.poses import Floats
 from service.outputs import UNKNOWN, TileUpdate
 
+_NO_CELLS: Cells = np.empty((0, 2), np.int64)
+
 
 def with_area(
     tiles: Sequence[TileUpdate], corners_map: Floats, value: int, drawn: Sequence[TileUpdate] = ()
@@ -28,6 +30,15 @@ def with_line(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> t
     return _filled(_covering(tiles, cells), cells, value)
 
 
+def with_cells(
+    tiles: Sequence[TileUpdate], cells: Cells, cell_m: float, drawn: Sequence[TileUpdate]
+) -> tuple[list[TileUpdate], int]:
+    """With cells of one size, each in a tile of `drawn`, as they are there, also where no tile was; else as
+    with_area.
+    """
+    return _filled(_covering(tiles, {cell_m: cells}), {cell_m: cells}, UNKNOWN, drawn)
+
+
 def _sizes(tiles: Sequence[TileUpdate]) -> set[float]:
     return {tile.cell_m for tile in tiles}
 
@@ -42,7 +53,7 @@ def _filled(
     version = max(tile.version for tile in tiles)
     filled, count = [], 0
     for tile in tiles:
-        edge, cells = len(tile.cells), cells_by_size[tile.cell_m]
+        edge, cells = len(tile.cells), cells_by_size.get(tile.cell_m, _NO_CELLS)
         row, column = (cells[(cells // edge == (tile.iy, tile.ix)).all(axis=1)] % edge).T
         shown = by_place.get((tile.level, tile.ix, tile.iy))
         values = value if shown is None else shown[row, column]
@@ -65,7 +76,7 @@ def _covering(tiles: Sequence[TileUpdate], cells_by_size: dict[float, Cells]) ->
     more = []
     for level, cell_m, edge in sorted({(tile.level, tile.cell_m, len(tile.cells)) for tile in tiles}):
         unknown = np.broadcast_to(np.int8(UNKNOWN), (edge, edge))
-        for iy, ix in np.unique(cells_by_size[cell_m] // edge, axis=0).tolist():
+        for iy, ix in np.unique(cells_by_size.get(cell_m, _NO_CELLS) // edge, axis=0).tolist():
             if (level, ix, iy) not in there:
                 more.append(TileUpdate(level, ix, iy, 0, cell_m, unknown))
     return [*tiles, *more]

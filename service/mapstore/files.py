@@ -67,6 +67,11 @@ class StoredMap:
     edit: Edit | None = None  # that made this version; None: a session, a replay or a merge did
     digest: str = ""  # SHA-256 of its manifest, so of all its content
 
+    @property
+    def cell_m(self) -> float:
+        """Of the finest level."""
+        return next(tile.cell_m for tile in self.tiles if tile.level == 0)
+
 
 def save_map(
     folder: Path,

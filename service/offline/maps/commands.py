@@ -127,9 +127,7 @@ def look_at_keyframe(stored: StoredMap, k: int) -> dict[str, Any]:
     graph = stored.graph
     if graph is None or k >= len(graph):
         raise InputError(f"there is no key frame {k} in this map")
-    first = int(graph.point_count[:k].sum())
-    seen = graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)
-    points = se2.points_from(graph.map[k], seen)
+    points = se2.points_from(graph.map[k], graph.points_of(k))
     return {
         "keyframe": k,
         "stamp_ns": str(graph.stamp_ns[k]),

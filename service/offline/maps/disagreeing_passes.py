@@ -64,7 +64,7 @@ def _points(graph: SavedGraph, of: int, to: int, measured: Floats) -> Floats:
 
     measured    (3,) pose of key frame `to` in the frame of `of`
     """
-    earlier, later = (_seen(graph, k) for k in (of, to))
+    earlier, later = graph.points_of(of), graph.points_of(to)
     if not len(earlier) or not len(later):
         return np.zeros((0, 2, 2))
     of_earlier = se2.points_from(measured, later)
@@ -80,8 +80,3 @@ def _points(graph: SavedGraph, of: int, to: int, measured: Floats) -> Floats:
         chosen.append(int(left[best]))
     ends = (se2.points_from(graph.map[of], of_earlier), se2.points_from(graph.map[to], later))
     return np.stack([end[chosen] for end in ends], axis=1)
-
-
-def _seen(graph: SavedGraph, k: int) -> Floats:
-    first = int(graph.point_count[:k].sum())
-    return graph.xy_base[first : first + int(graph.point_count[k])].astype(np.float64)

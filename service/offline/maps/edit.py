@@ -139,7 +139,7 @@ def erase(corners: Sequence[float], becomes: Becomes = "as_seen") -> Change:
         if graph is not None:
             graph, points = with_area_erased(graph, outline, becomes)
             if becomes == "as_seen":
-                shown = OccupancyTiles(OccupancyConfig(), stored.tiles[0].cell_m)
+                shown = OccupancyTiles(OccupancyConfig(), stored.cell_m)
                 shown.replace_by(rendered_part(graph, outline, shown.renderer), ())
                 tiles, cells = with_area(stored.tiles, outline, UNKNOWN, shown.changed_tiles())
         as_what = {"free": "free", "unknown": "unknown", "as_seen": "free or unknown, as scans see them,"}
@@ -278,8 +278,7 @@ def stamp_of(text: str, first_ns: int) -> int:
 
 
 def _solved(stored: StoredMap, graph: SavedGraph, words: str, facts: dict[str, Any]) -> Changed:
-    cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
-    shown = OccupancyTiles(OccupancyConfig(), cell_m)
+    shown = OccupancyTiles(OccupancyConfig(), stored.cell_m)
     done = solved(graph, shown.renderer)
     shown.replace_by(done.rendered_map, ())
     most_m = round(float(done.moved_m.max()), 3)

@@ -15,6 +15,7 @@ from service.mapper.edit_requests import EditError
 from service.mapper.graph.edit.remapping import scans_of, with_area_driven_again
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
+from service.mapstore.drawn_tiles import with_cells
 from service.mapstore.files import StoredMap
 from service.offline.maps.edit import Change, Changed, edit_map, points_of
 from service.offline.replay.replay import replay
@@ -54,13 +55,13 @@ def driven_again(session: SavedGraph | None, outline: Floats) -> Change:
         known = len(stored.graph)
         if not np.array_equal(session.stamp_ns[:known], stored.graph.stamp_ns):
             raise EditError("the map has changed since the drive was localised in it; run the command again")
-        cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
-        shown = OccupancyTiles(OccupancyConfig(), cell_m)
+        shown = OccupancyTiles(OccupancyConfig(), stored.cell_m)
         shown.replace_by(shown.renderer.render(scans_of(session, known)), ())
-        tiles, seen, cells = _with_seen(stored.tiles, shown.changed_tiles(), outline, cell_m)
-        if not len(seen):
+        driven = shown.changed_tiles()
+        if not len(seen := _seen(driven, outline, stored.cell_m)):
             raise EditError("the drive saw nothing of the area")
-        done = with_area_driven_again(stored.graph, session, outline, seen, cell_m)
+        tiles, cells = with_cells(stored.tiles, seen, stored.cell_m, driven)
+        done = with_area_driven_again(stored.graph, session, outline, seen, stored.cell_m)
         facts = {
             "cells_changed": cells,
             "keyframes_new": done.keyframes,
@@ -79,34 +80,12 @@ def driven_again(session: SavedGraph | None, outline: Floats) -> Change:
     return change
 
 
-def _with_seen(
-    tiles: Sequence[TileUpdate], driven: Sequence[TileUpdate], outline: Floats, cell_m: float
-) -> tuple[list[TileUpdate], Cells, int]:
-    """The finest tiles with those cells within the area that the drive has seen; these cells; and how many of
-    them are another than before. Tiles of which none is keep their version.
-    """
+def _seen(driven: Sequence[TileUpdate], outline: Floats, cell_m: float) -> Cells:
+    """The cells within the area that the drive has seen."""
     inside = cells_inside(outline, cell_m)
-    by_place = {(tile.ix, tile.iy): tile for tile in tiles if tile.level == 0}
-    version = max(tile.version for tile in tiles)
-    seen, count = [], 0
-    for new in driven:
-        edge = len(new.cells)
-        own = inside[(inside // edge == (new.iy, new.ix)).all(axis=1)]
-        own = own[new.cells[tuple((own % edge).T)] != UNKNOWN]
-        if not len(own):
-            continue
-        seen.append(own)
-        at = tuple((own % edge).T)
-        before = by_place.get((new.ix, new.iy))
-        cells = np.full((edge, edge), UNKNOWN, np.int8) if before is None else before.cells.copy()
-        changed = int((cells[at] != new.cells[at]).sum())
-        if not changed:
-            continue
-        cells[at] = new.cells[at]
-        cells.setflags(write=False)
-        version += 1
-        count += changed
-        by_place[new.ix, new.iy] = TileUpdate(0, new.ix, new.iy, version, cell_m, cells)
-    coarser = [tile for tile in tiles if tile.level != 0]
-    where: Cells = np.concatenate(seen) if seen else np.empty((0, 2), np.int64)
-    return [*by_place.values(), *coarser], where, count
+    seen = [np.empty((0, 2), np.int64)]
+    for tile in driven:
+        edge = len(tile.cells)
+        own = inside[(inside // edge == (tile.iy, tile.ix)).all(axis=1)]
+        seen.append(own[tile.cells[tuple((own % edge).T)] != UNKNOWN])
+    return np.concatenate(seen)

@@ -23,8 +23,7 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
     be read.
     """
     stored = load_map(folder, version)
-    fine = [tile for tile in stored.tiles if tile.level == 0]
-    cells = sum(int((tile.cells != UNKNOWN).sum()) for tile in fine)
+    cells = sum(int((tile.cells != UNKNOWN).sum()) for tile in stored.tiles if tile.level == 0)
     files = version_folder(folder, stored.number).iterdir()
     facts: dict[str, Any] = {
         "map": str(folder),
@@ -32,8 +31,8 @@ def map_info(folder: Path, version: int | None = None) -> dict[str, Any]:
         "saved": utc(stored.saved_ns),
         "edit": None if stored.edit is None else f"{stored.edit.who}: {stored.edit.words}",
         **stored.about,
-        "cell_m": fine[0].cell_m,
-        "seen_m2": round(cells * fine[0].cell_m ** 2, 1),
+        "cell_m": stored.cell_m,
+        "seen_m2": round(cells * stored.cell_m**2, 1),
         "disk_mb": round(sum(path.stat().st_size for path in files) / 1e6, 2),
         "geo_reference": None if stored.geo is None else stored.geo.as_dict(),
         "can_be_gone_on_in": stored.graph is not None,
@@ -109,8 +108,7 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
     if out.exists():
         raise InputError(f"{out} is there already; name a new folder by --out")
     stored = [load_map(folder) for folder in folders]
-    cell_m = next(tile.cell_m for tile in stored[0].tiles if tile.level == 0)
-    shown = OccupancyTiles(OccupancyConfig(), cell_m)
+    shown = OccupancyTiles(OccupancyConfig(), stored[0].cell_m)
     graph = _graph_of(stored[0], folders[0])
     steps = []
     for other, folder in zip(stored[1:], folders[1:], strict=True):

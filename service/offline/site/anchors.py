@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -57,8 +58,7 @@ class StoredAnchors(Anchoring):
 
     def solved(self, pose_map_enu: Floats) -> None:
         assert self.reference is not None
-        old, pose = self.reference, SE2(*pose_map_enu.tolist()).inverse()
-        self.reference = GeoReference(old.origin, pose, old.position_sigma_m, old.yaw_sigma_rad, old.fixes)
+        self.reference = replace(self.reference, pose_enu_map=SE2(*pose_map_enu.tolist()).inverse())
 
     def pose_map_of(self, geo: GeoReference) -> Floats:
         """(3,) in the map of what lies there on the earth. Only where there is a reference."""

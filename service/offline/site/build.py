@@ -120,8 +120,7 @@ def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
     stored = load_map(out)
     members, left_out = read_manifest(out, stored)
     assert stored.graph is not None
-    cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
-    return Site(members, stored.graph, cell_m, stored.geo), left_out, stored.number
+    return Site(members, stored.graph, stored.cell_m, stored.geo), left_out, stored.number
 
 
 def _take_kept(site: Site, out: Path) -> dict[str, Trajectory]:

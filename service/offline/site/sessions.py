@@ -112,12 +112,7 @@ def load_session(given: Given) -> Session:
             f"{folder}: the map has no graph, which only the profile corridor stores; replay the recording "
             "with that profile"
         )
-    cell_m = next(tile.cell_m for tile in stored.tiles if tile.level == 0)
-    return Session(given.name, stored.digest, stored.graph, _geo_of_first(stored.graph, stored.geo), cell_m)
-
-
-def _geo_of_first(graph: SavedGraph, geo: GeoReference | None) -> GeoReference | None:
-    if geo is None:
-        return None
-    pose = geo.pose_enu_map @ SE2(*graph.map[0].tolist())
-    return GeoReference(geo.origin, pose, geo.position_sigma_m, geo.yaw_sigma_rad, geo.fixes)
+    geo = stored.geo
+    if geo is not None:
+        geo = replace(geo, pose_enu_map=geo.pose_enu_map @ SE2(*stored.graph.map[0].tolist()))
+    return Session(given.name, stored.digest, stored.graph, geo, stored.cell_m)
