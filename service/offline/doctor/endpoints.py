@@ -92,7 +92,7 @@ def _is_taken(error: OSError | None) -> bool:
 
 def _service_at(machine: Machine, door: _Door) -> Process | None:
     """The `corridor run` or `corridor demo` that holds a taken endpoint, if one does."""
-    owners, _ = listeners(machine, door.port, door.protocol)
+    owners = listeners(machine, door.port, door.protocol)
     services = [owner for owner in owners if owner.is_service]
     if not owners:
         services = running_services(machine)  # another user's: the kernel shows its name, not its sockets
@@ -103,7 +103,7 @@ def _finding(machine: Machine, door: _Door, error: OSError | None) -> Finding:
     if error is None:
         return ok(door.who, f"{door.text} is free" if door.port else f"{door.text} takes any free port")
     if _is_taken(error):
-        owners, _ = listeners(machine, door.port, door.protocol)
+        owners = listeners(machine, door.port, door.protocol)
         owner_names = " and ".join(map(str, owners)) or "another user's process, which only root sees"
         remedy = f"stop that program, or change {door.key}"
         return fault(door.who, f"{door.text} is taken by {owner_names}", "a free port", remedy)

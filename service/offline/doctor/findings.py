@@ -3,13 +3,12 @@
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from drivers.counted import counted
 
 Severity = Literal["ok", "note", "fault"]
-EXIT_CODES = {False: 0, True: 1}
 
 _LABELS: dict[Severity, str] = {"ok": "ok", "note": "note", "fault": "FAULT"}
 _COLOURS: dict[Severity, str] = {"ok": "\x1b[32m", "note": "\x1b[33m", "fault": "\x1b[1;31m"}
@@ -56,26 +55,15 @@ class Report:
     @property
     def exit_code(self) -> int:
         """1 where there is a fault, else 0."""
-        return EXIT_CODES[self.counts["fault"] > 0]
+        return int(self.counts["fault"] > 0)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        findings = [
-            {
-                "severity": finding.severity,
-                "who": finding.who,
-                "measured": finding.measured,
-                "expected": finding.expected,
-                "remedy": finding.remedy,
-                "values": dict(finding.values),
-            }
-            for finding in self.findings
-        ]
         return {
             "config": self.config,
             "ok": self.exit_code == 0,
             "counts": self.counts,
-            "findings": findings,
+            "findings": [asdict(finding) for finding in self.findings],
         }
 
     def text(self, width: int = 110, colour: bool = False) -> str:
@@ -86,13 +74,9 @@ class Report:
 
     def _summary(self) -> str:
         counts = self.counts
-        if not counts["fault"]:
-            return f"nothing to mend: {counts['ok']} ok" + _counted(counts["note"], "note")
-        return f"{counts['ok']} ok" + _counted(counts["note"], "note") + _counted(counts["fault"], "fault")
-
-
-def _counted(count: int, word: str) -> str:
-    return f", {counted(count, word)}" if count else ""
+        worse = [counted(counts[what], what) for what in ("note", "fault") if counts[what]]
+        head = "" if counts["fault"] else "nothing to mend: "
+        return head + ", ".join([f"{counts['ok']} ok", *worse])
 
 
 def _lines(finding: Finding, name_width: int, width: int, colour: bool) -> Sequence[str]:

@@ -54,15 +54,15 @@ def holders(machine: Machine, path: Path) -> list[Process]:
     return _with_descriptor(machine, {str(path), str(machine.path(path))})
 
 
-def listeners(machine: Machine, port: int, protocol: str = "tcp") -> tuple[list[Process], bool]:
-    """Processes that listen at a port of tcp or udp, as far as permitted, and whether any does."""
+def listeners(machine: Machine, port: int, protocol: str) -> list[Process]:
+    """Processes that listen at a port of tcp or udp, as far as permitted."""
     sockets = set()
     for table in (protocol, f"{protocol}6"):
         for line in machine.text(f"/proc/net/{table}").splitlines()[1:]:
             fields = line.split()
             if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENING[protocol]:
                 sockets.add(f"socket:[{fields[9]}]")
-    return _with_descriptor(machine, sockets), bool(sockets)
+    return _with_descriptor(machine, sockets)
 
 
 def _with_descriptor(machine: Machine, targets: set[str]) -> list[Process]:
