@@ -3,14 +3,14 @@
 import errno
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.sensor_kind import SensorKind
-from drivers.transport import SerialTransport, Transport
+from drivers.transport import SerialTransport
 from service.offline.doctor import verdict
 from service.offline.doctor.findings import Finding, fault
 from service.offline.doctor.machine import Machine
@@ -90,26 +90,14 @@ def examine_sensor(
             return found
     if isinstance(wire, TcpWire):
         address, unknown = resolve(who, wire.host, wire.port)
-        blocking = unknown or look_at_route(machine, who, address, wire.port)
+        blocking = unknown or look_at_route(machine, who, address)
         if blocking is not None:
             return [blocking]
     start_up_s = kind.advice.start_up_s if patience.start_up_s is None else patience.start_up_s
-    seen = _probe(kind, config, start_up_s, patience.measure_s, stop)
+    seen = probe(kind, config, start_up_s, patience.measure_s, stop)
     if not seen.opened:
         return [*found, _not_opened(machine, who, wire, seen)]
     return [*found, *_judge(kind, config, wire, seen, patience, stop)]
-
-
-def _probe(
-    kind: SensorKind,
-    config: Any,
-    start_up_s: float,
-    measure_s: float,
-    stop: threading.Event,
-    until_answered: bool = False,
-) -> Probe:
-    opening: Callable[[], Transport] = partial(kind.open_transport, config)
-    return probe(opening, kind.session_maker(config), start_up_s, measure_s, stop, until_answered)
 
 
 def _not_opened(machine: Machine, who: str, wire: TcpWire | PortWire | None, seen: Probe) -> Finding:
@@ -135,9 +123,9 @@ def _judge(
     if seen.frames:
         return verdict.streaming(kind, config, seen)
     heard = bytes(seen.first_bytes)
-    if heard and (identity := reported_identity(kind, config, seen)) and seen.error is None:
-        return [verdict.slow(config, seen, identity)]
-    if _is_known(kind, config, seen):
+    if heard and seen.reported and seen.error is None:
+        return [verdict.slow(config, seen)]
+    if seen.reported or kind.advice.recognise(heard):
         return [verdict.refused(config, seen)]
     if isinstance(wire, PortWire):
         for baud in _other_bauds(kind, config):
@@ -146,23 +134,11 @@ def _judge(
                 return [verdict.wrong_baud(config, seen, baud, words)]
     if not heard:
         for other in kind.advice.other_settings(config):
-            answer = _probe(kind, other.config, patience.other_settings_s, 0.0, stop, until_answered=True)
-            if answer.frames or reported_identity(kind, other.config, answer):
+            answer = probe(kind, other.config, patience.other_settings_s, 0.0, stop, until_answered=True)
+            if answer.frames or answer.reported:
                 return [verdict.other_settings(config, seen, other.words, answer)]
         return [verdict.silent(kind, config, seen)]
     return [verdict.stranger(config, seen, isinstance(wire, PortWire))]
-
-
-def reported_identity(kind: SensorKind, config: Any, seen: Probe) -> dict[str, str]:
-    """Identity that the device itself has reported."""
-    at_first = kind.session_maker(config)().identity
-    return {key: text for key, text in seen.identity.items() if at_first.get(key) != text}
-
-
-def _is_known(kind: SensorKind, config: Any, seen: Probe) -> bool:
-    """Whether a device of this type answers, though it gives no frames."""
-    heard = bytes(seen.first_bytes)
-    return bool(reported_identity(kind, config, seen) or kind.advice.recognise(heard))
 
 
 def _other_bauds(kind: SensorKind, config: Any) -> list[int]:

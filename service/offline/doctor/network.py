@@ -15,11 +15,11 @@ _ARP_COMPLETE = 0x2
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The route of this machine to an address; `gateway` is "" within the interface's own net."""
+    """A route of this machine; `gateway` is "" within the interface's own net."""
 
     interface: str
+    network: ipaddress.IPv4Network
     gateway: str
-    has_carrier: bool  # False where the kernel knows that the cable is out
 
 
 def resolve(who: str, host: str, port: int) -> tuple[str, Finding | None]:
@@ -36,36 +36,35 @@ def resolve(who: str, host: str, port: int) -> tuple[str, Finding | None]:
     return str(family[0][4][0]), None
 
 
+def routes(machine: Machine) -> list[Route]:
+    """The kernel's table; IPv4 only."""
+    found = []
+    for line in machine.text("/proc/net/route").splitlines()[1:]:
+        interface, network, gateway, flags, *_, mask = line.split()[:8]
+        if int(flags, 16) & _UP:
+            net = ipaddress.IPv4Network((_number(network), _number(mask).bit_count()), strict=False)
+            by = str(ipaddress.IPv4Address(_number(gateway))) if int(flags, 16) & _GATEWAY else ""
+            found.append(Route(interface, net, by))
+    return found
+
+
 def route_to(machine: Machine, address: str) -> Route | None:
     """Route by the kernel's table; None where no line fits. IPv4 only: other addresses count as direct."""
     target = ipaddress.ip_address(address)
     if target.is_loopback or target.version != 4:
-        return Route("lo", "", True)
-    best: tuple[int, Route] | None = None
-    for line in machine.text("/proc/net/route").splitlines()[1:]:
-        interface, network, gateway, flags, *_, mask = line.split()[:8]
-        length = int.from_bytes(bytes.fromhex(mask), "little").bit_count()
-        if not int(flags, 16) & _UP or not _matches(target, network, mask):
-            continue
-        if best is None or length > best[0]:
-            by = str(_address(gateway)) if int(flags, 16) & _GATEWAY else ""
-            best = (length, Route(interface, by, _has_carrier(machine, interface)))
-    return best[1] if best else None
+        return Route("lo", ipaddress.IPv4Network("127.0.0.0/8"), "")
+    fitting = [route for route in routes(machine) if target in route.network]
+    return max(fitting, key=lambda route: route.network.prefixlen, default=None)
 
 
-def look_at_route(machine: Machine, who: str, address: str, port: int) -> Finding | None:
+def look_at_route(machine: Machine, who: str, address: str) -> Finding | None:
     """A fault where this machine has no route to the address, or one without a cable."""
     if not machine.text("/proc/net/route"):
         return None  # no table: the connection itself will show it
     route = route_to(machine, address)
     if route is None:
-        return fault(
-            who,
-            f"this machine has no route to {address}; {_own_addresses(machine)}",
-            "an interface with an address in the device's net",
-            f"sudo ip addr add {_neighbour(address)}/24 dev <interface at the device's cable>",
-        )
-    if not route.has_carrier:
+        return _no_route(machine, who, address)
+    if machine.text(f"/sys/class/net/{route.interface}/carrier") == "0":
         return fault(
             who,
             f"the way to {address} is {route.interface}, and nothing is plugged in there (no carrier)",
@@ -87,12 +86,7 @@ def call_failed(machine: Machine, who: str, address: str, port: int, error: Exce
             "just switched on: wait; else is `port` right, is `host` really this device?",
         )
     if number in (errno.ENETUNREACH, errno.EADDRNOTAVAIL):
-        return fault(
-            who,
-            f"this machine has no route to {address}; {_own_addresses(machine)}",
-            "an interface with an address in the device's net",
-            f"sudo ip addr add {_neighbour(address)}/24 dev <interface>",
-        )
+        return _no_route(machine, who, address)
     if number == errno.ECONNRESET:
         return fault(
             who,
@@ -116,12 +110,12 @@ def _no_host_there(machine: Machine, who: str, address: str, port: int) -> Findi
         return fault(
             who,
             f"no answer from {address}; the way there leads over {route.interface} and the gateway "
-            f"{route.gateway}, for {_own_addresses(machine)}",
+            f"{route.gateway}, for {_own_nets(machine)}",
             "an interface in the device's own net",
-            f"sudo ip addr add {_neighbour(address)}/24 dev <interface at the device's cable>",
+            _new_address(address),
         )
     on = f" on {route.interface}" if route else ""
-    if _arp_answered(machine, address) is False:
+    if _is_nobody(machine, address):
         measured = f"no machine has the address {address}{on} (no answer to ARP)"
     else:
         measured = f"no answer from {address} at port {port}{on}"
@@ -139,40 +133,33 @@ def errno_of(error: Exception) -> int | None:
     return cause.errno if isinstance(cause, OSError) else None
 
 
-def _arp_answered(machine: Machine, address: str) -> bool | None:
-    """None where the kernel's table has no entry."""
-    for line in machine.text("/proc/net/arp").splitlines()[1:]:
-        fields = line.split()
-        if fields[0] == address:
-            return bool(int(fields[2], 16) & _ARP_COMPLETE)
-    return None
+def _is_nobody(machine: Machine, address: str) -> bool:
+    """Whether the kernel has asked for it by ARP, and nobody has answered."""
+    entries = [line.split() for line in machine.text("/proc/net/arp").splitlines()[1:]]
+    return any(entry[0] == address and not int(entry[2], 16) & _ARP_COMPLETE for entry in entries)
 
 
-def _own_addresses(machine: Machine) -> str:
-    nets = []
-    for line in machine.text("/proc/net/route").splitlines()[1:]:
-        interface, network, _, flags, *_, mask = line.split()[:8]
-        if int(flags, 16) & _GATEWAY or network == "00000000":
-            continue
-        length = int.from_bytes(bytes.fromhex(mask), "little").bit_count()
-        nets.append(f"{_address(network)}/{length} on {interface}")
-    return "its own nets are " + ", ".join(nets) if nets else "it is in no net of its own"
+def _no_route(machine: Machine, who: str, address: str) -> Finding:
+    return fault(
+        who,
+        f"this machine has no route to {address}; {_own_nets(machine)}",
+        "an interface with an address in the device's net",
+        _new_address(address),
+    )
 
 
-def _has_carrier(machine: Machine, interface: str) -> bool:
-    return machine.text(f"/sys/class/net/{interface}/carrier") != "0"
+def _own_nets(machine: Machine) -> str:
+    own = [route for route in routes(machine) if not route.gateway and int(route.network.network_address)]
+    nets = ", ".join(f"{route.network} on {route.interface}" for route in own)
+    return f"its own nets are {nets}" if nets else "it is in no net of its own"
 
 
-def _matches(target: ipaddress.IPv4Address | ipaddress.IPv6Address, network: str, mask: str) -> bool:
-    bits = int.from_bytes(bytes.fromhex(mask), "little")
-    return int(target) & bits == int(_address(network))
+def _number(little_endian_hex: str) -> int:
+    return int.from_bytes(bytes.fromhex(little_endian_hex), "little")
 
 
-def _address(little_endian_hex: str) -> ipaddress.IPv4Address:
-    return ipaddress.IPv4Address(int.from_bytes(bytes.fromhex(little_endian_hex), "little"))
-
-
-def _neighbour(address: str) -> str:
-    """A free-looking address in the same /24, for an example."""
+def _new_address(address: str) -> str:
+    """The command that gives this machine a free-looking address in the same /24."""
     head, _, last = address.rpartition(".")
-    return f"{head}.{'200' if last != '200' else '201'}" if head else address
+    neighbour = f"{head}.{'200' if last != '200' else '201'}" if head else address
+    return f"sudo ip addr add {neighbour}/24 dev <interface at the device's cable>"

@@ -10,10 +10,12 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from drivers.errors import DriverError, TransportError, contained
 from drivers.frames import Frame
 from drivers.link import Session
+from drivers.sensor_kind import SensorKind
 from drivers.transport import Transport
 
 READ_TIMEOUT_S = 0.02  # as drivers.link has it
@@ -34,6 +36,7 @@ class Probe:
     stamps_ns: list[int] = field(default_factory=list)
     arrivals_ns: list[int] = field(default_factory=list)
     status: str = ""
+    identity_at_first: dict[str, str] = field(default_factory=dict)  # by the config alone
     identity: dict[str, str] = field(default_factory=dict)
     counters_at_first: Counter[str] = field(default_factory=Counter)
     counters: Counter[str] = field(default_factory=Counter)
@@ -44,6 +47,11 @@ class Probe:
     @property
     def frames(self) -> int:
         return len(self.stamps_ns)
+
+    @property
+    def reported(self) -> dict[str, str]:
+        """Identity that the device itself has reported."""
+        return {key: text for key, text in self.identity.items() if self.identity_at_first.get(key) != text}
 
     @property
     def rate_hz(self) -> float | None:
@@ -88,8 +96,8 @@ def _is_loss(counter: str) -> bool:
 
 
 def probe(
-    open_transport: Callable[[], Transport],
-    new_session: Callable[[], Session],
+    kind: SensorKind,
+    config: Any,
     start_up_s: float,
     measure_s: float,
     stop: threading.Event,
@@ -101,43 +109,31 @@ def probe(
     """
     seen = Probe()
     try:
-        with open_transport() as transport:
+        with kind.open_transport(config) as transport:
             seen.opened = True
-            _talk(seen, transport, new_session(), start_up_s, measure_s, stop, until_answered)
+            session = kind.session_maker(config)()
+            seen.identity_at_first = dict(session.identity)
+            began_s = time.monotonic()
+            end_s = began_s + start_up_s
+            try:
+                while not stop.is_set() and time.monotonic() < end_s:
+                    frames = _step(seen, transport, session)
+                    if frames and not seen.frames:
+                        seen.counters_at_first = Counter(session.counters)
+                        end_s = time.monotonic() + measure_s
+                    seen.stamps_ns += [frame.stamp_ns for frame in frames]
+                    seen.arrivals_ns += [frame.arrived_ns for frame in frames]
+                    if until_answered and (frames or session.identity != seen.identity_at_first):
+                        end_s = min(end_s, time.monotonic() + TALK_S)
+                if request := session.shutdown_request():
+                    transport.write(request)
+            finally:
+                seen.seconds, seen.ended_ns = time.monotonic() - began_s, time.monotonic_ns()
+                seen.status, seen.identity = session.status, dict(session.identity)
+                seen.counters, seen.clock_offset_ns = Counter(session.counters), session.clock_offset_ns
     except DriverError as error:
         seen.error = error
     return seen
-
-
-def _talk(
-    seen: Probe,
-    transport: Transport,
-    session: Session,
-    start_up_s: float,
-    measure_s: float,
-    stop: threading.Event,
-    until_answered: bool,
-) -> None:
-    began_s = time.monotonic()
-    known = dict(session.identity)
-    end_s = began_s + start_up_s
-    try:
-        while not stop.is_set() and time.monotonic() < end_s:
-            frames = _step(seen, transport, session)
-            if frames and not seen.frames:
-                seen.counters_at_first = Counter(session.counters)
-                end_s = time.monotonic() + measure_s
-            for frame in frames:
-                seen.stamps_ns.append(frame.stamp_ns)
-                seen.arrivals_ns.append(frame.arrived_ns)
-            if until_answered and (frames or session.identity != known):
-                end_s = min(end_s, time.monotonic() + TALK_S)
-        if request := session.shutdown_request():
-            transport.write(request)
-    finally:
-        seen.seconds, seen.ended_ns = time.monotonic() - began_s, time.monotonic_ns()
-        seen.status, seen.identity = session.status, dict(session.identity)
-        seen.counters, seen.clock_offset_ns = Counter(session.counters), session.clock_offset_ns
 
 
 def _step(seen: Probe, transport: Transport, session: Session) -> list[Frame]:

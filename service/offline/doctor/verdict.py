@@ -25,20 +25,10 @@ def streaming(kind: SensorKind, config: Any, seen: Probe) -> list[Finding]:
     """The device streams; remaining faults follow."""
     found = [_success(kind, config, seen)]
     if doubt := kind.advice.doubt(config, seen.identity) or _other_unit(config, seen):
-        measured, _, remedy = doubt.partition("; ")
-        found.append(
-            fault(config.name, measured, "the device that the config means", remedy or _page(config))
-        )
+        found.append(_fault(config, doubt, "the device that the config means"))
     if seen.error is not None:
-        measured, _, remedy = str(seen.error).partition("; ")
-        found.append(
-            fault(
-                config.name,
-                f"after {counted(seen.frames, 'frame')}: {measured}",
-                "a steady stream",
-                remedy or _page(config),
-            )
-        )
+        words = f"after {counted(seen.frames, 'frame')}: {seen.error}"
+        found.append(_fault(config, words, "a steady stream"))
     elif slow := _slow_rate(kind, config, seen):
         found.append(slow)
     for part in seen.status.split("; ")[1:]:
@@ -103,11 +93,12 @@ def _other_unit(config: Any, seen: Probe) -> str:
     return f"this is unit {found}, expected {wanted}; are two sensors swapped?"
 
 
-def slow(config: Any, seen: Probe, identity: dict[str, str]) -> Finding:
+def slow(config: Any, seen: Probe) -> Finding:
     """The device answers, and sends no frame in time."""
     return fault(
         config.name,
-        f"{_identity(identity)} answers, but no frame in {seen.seconds:.0f} s; its status: {seen.status}",
+        f"{_identity(seen.reported)} answers, but no frame in {seen.seconds:.0f} s; "
+        f"its status: {seen.status}",
         "the first frame by then",
         f"look again in a minute: it may be starting or taking over new settings; {_page(config)}",
     )
@@ -122,9 +113,8 @@ def refused(config: Any, seen: Probe) -> Finding:
             "frames",
             _page(config),
         )
-    measured, _, remedy = str(seen.error).partition("; ")
     expected = "a device that takes what the config asks" if isinstance(seen.error, DeviceError) else "frames"
-    return fault(config.name, measured, expected, remedy or _page(config))
+    return _fault(config, str(seen.error), expected)
 
 
 def silent(kind: SensorKind, config: Any, seen: Probe) -> Finding:
@@ -181,6 +171,12 @@ def stranger(config: Any, seen: Probe, is_serial: bool) -> Finding:
         expected,
         f"is it the right port, is baud right, do levels (RS-232, TTL) and ground fit? {_page(config)}",
     )
+
+
+def _fault(config: Any, words: str, expected: str) -> Finding:
+    """words    what a driver says: what is wrong; what to do"""
+    measured, _, remedy = words.partition("; ")
+    return fault(config.name, measured, expected, remedy or _page(config))
 
 
 def _identity(identity: dict[str, str]) -> str:

@@ -18,7 +18,6 @@ from pydantic import ValidationError
 from drivers.transport import SerialTransport
 from drivers.wires import is_host
 from service.errors import UsageError
-from service.offline.doctor.devices import reported_identity
 from service.offline.doctor.probe import listen, probe
 from service.offline.doctor.protocol_identification import describe, recognise_sensor
 from service.sensor_kinds import SENSOR_KINDS
@@ -131,15 +130,8 @@ def _ask_for(
     if wire.port is not None:
         where["port"] = wire.port
     config = kind.config.model_validate({"name": str(wire), **where, **settings})
-    seen = probe(
-        partial(kind.open_transport, config),
-        kind.session_maker(config),
-        ask_s,
-        0.0,
-        stop,
-        until_answered=True,
-    )
-    identity = reported_identity(kind, config, seen)
+    seen = probe(kind, config, ask_s, 0.0, stop, until_answered=True)
+    identity = seen.reported
     if shown := kind.advice.settings_of(identity):  # of another model it may have been refused, and is known
         settings = {**settings, **shown}
         config = kind.config.model_validate({"name": str(wire), **where, **settings})
