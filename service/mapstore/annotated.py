@@ -5,7 +5,7 @@ Marks have colours of a palette whose other entries are the greys themselves: a 
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -51,11 +51,11 @@ def scale_bar_m(width_m: float, share: float = BAR_SHARE) -> float:
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most)
 
 
-def known_part(picture: Picture, margin: int = MARGIN) -> Picture:
-    """The part of a map that is known, with so many pixels around."""
+def known_part(picture: Picture, margin: int = MARGIN, foot: int = 0, least_width: int = 0) -> Picture:
+    """The part of a map that is known, with so many pixels around, and below besides."""
     left, right, top, bottom = _known(picture)
     first_row, first_column = top - margin, left - margin
-    rows, width = bottom - top + 2 * margin, right - left + 2 * margin
+    rows, width = bottom - top + 2 * margin + foot, max(right - left + 2 * margin, least_width)
     return Picture(
         width,
         rows,
@@ -71,39 +71,35 @@ def annotated(picture: Picture, paths: Sequence[Floats] = ()) -> Picture:
 
     ways    (N, 2) m in the map each, N > 0: where the base was, in the order driven. A line each
     """
-    left, right, top, bottom = _known(picture)
-    width = max(right - left + 2 * MARGIN, MIN_WIDTH)
-    first_row, rows = top - MARGIN, bottom - top + 2 * MARGIN + FOOT
-    first_column = left - MARGIN
-    cell_m = picture.cell_m
-    x_min_m = picture.x_min_m + first_column * cell_m
-    y_min_m = picture.y_min_m + (picture.height - first_row - rows) * cell_m
+    shown = known_part(picture, MARGIN, FOOT, MIN_WIDTH)
+    cell_m = shown.cell_m
 
-    def pixels_of(x_m: npt.NDArray[np.float64], y_m: npt.NDArray[np.float64]) -> tuple[Places, Places]:
-        row = np.floor(rows - (y_m - y_min_m) / cell_m).astype(np.int64)
-        return row, np.floor((x_m - x_min_m) / cell_m).astype(np.int64)
+    def line(points: Floats) -> tuple[Places, Places]:
+        x_m, y_m = _line(points, cell_m / 2.0).T
+        row = np.floor(shown.height - (y_m - shown.y_min_m) / cell_m).astype(np.int64)
+        return row, np.floor((x_m - shown.x_min_m) / cell_m).astype(np.int64)
 
     marks = []
     for path in paths:
-        row, column = pixels_of(*_line(path, cell_m / 2.0).T)
+        row, column = line(path)
         marks.append(_Mark(WAY, np.concatenate((row, row + 1)), np.concatenate((column, column))))
     for colour, end in ((AXIS_X, (AXIS_M, 0.0)), (AXIS_Y, (0.0, AXIS_M))):
-        row, column = pixels_of(*_line(np.array([(0.0, 0.0), end]), cell_m / 2.0).T)
+        row, column = line(np.array([(0.0, 0.0), end]))
         marks.append(_Mark(colour, np.concatenate((row, row + 1)), np.concatenate((column, column + 1))))
-    marks += _scale_bar(rows, width, cell_m)
+    marks.append(_scale_bar(shown))
 
     def bands() -> Iterator[Pixels]:
         at = 0
-        for band in _cut(picture, first_row, rows, first_column, width):
+        for band in shown.bands():
             painted = band.copy()
             for mark in marks:
                 here = (mark.row >= at) & (mark.row < at + len(band))
-                here &= (mark.column >= 0) & (mark.column < width)
+                here &= (mark.column >= 0) & (mark.column < shown.width)
                 painted[mark.row[here] - at, mark.column[here]] = mark.colour
             at += len(band)
             yield painted
 
-    return Picture(width, rows, cell_m, x_min_m, y_min_m, bands)
+    return replace(shown, bands=bands)
 
 
 def _known(picture: Picture) -> tuple[int, int, int, int]:
@@ -148,25 +144,17 @@ def _line(points: npt.NDArray[np.float64], step_m: float) -> npt.NDArray[np.floa
     return np.column_stack([np.interp(at, path_length_m, points[:, k]) for k in (0, 1)])
 
 
-def _scale_bar(rows: int, width: int, cell_m: float) -> list[_Mark]:
+def _scale_bar(shown: Picture) -> _Mark:
     """In the lower left corner: a bar with ends, and its length above it."""
-    bar_m = scale_bar_m((width - 2 * MARGIN) * cell_m)
-    length, foot = max(round(bar_m / cell_m), 1), rows - 6
-    along = np.arange(length + 1)
-    row = [np.full(2 * len(along), foot)]
-    row[0][len(along) :] += 1
-    column = [np.tile(MARGIN + along, 2)]
-    for end in (MARGIN, MARGIN + length):
-        row.append(np.arange(foot - 3, foot + 5))
-        column.append(np.full(8, end))
-    words = f"{bar_m:g} m"
+    bar_m = scale_bar_m((shown.width - 2 * MARGIN) * shown.cell_m)
+    length, words = max(round(bar_m / shown.cell_m), 1), f"{bar_m:g} m"
+    foot = 5 * _ZOOM + 6  # row of the bar below the top of the words
+    inked = np.zeros((foot + 5, 4 + max(length + 1, 4 * _ZOOM * len(words))), np.bool_)
+    inked[foot : foot + 2, : length + 1] = True
+    inked[foot - 3 : foot + 5, [0, length]] = True
     for k, letter in enumerate(words):
-        for j, bits in enumerate(_FONT[letter]):
-            for i in range(3):
-                if bits & (4 >> i):
-                    at_row = foot - 6 - (5 - j) * _ZOOM
-                    at_column = MARGIN + 4 + (k * 4 + i) * _ZOOM
-                    square = np.arange(_ZOOM)
-                    row.append(np.repeat(at_row + square, _ZOOM))
-                    column.append(np.tile(at_column + square, _ZOOM))
-    return [_Mark(INK, np.concatenate(row), np.concatenate(column))]
+        glyph = np.array([[bits & 4, bits & 2, bits & 1] for bits in _FONT[letter]]) > 0
+        at = 4 + 4 * _ZOOM * k
+        inked[: 5 * _ZOOM, at : at + 3 * _ZOOM] |= glyph.repeat(_ZOOM, axis=0).repeat(_ZOOM, axis=1)
+    row, column = np.nonzero(inked)
+    return _Mark(INK, shown.height - 6 - foot + row, MARGIN + column)

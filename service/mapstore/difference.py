@@ -1,9 +1,10 @@
 """What differs between the tiles of two maps in one frame: counted, and as a picture."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from service.errors import InputError
 from service.mapstore.picture import (
@@ -14,15 +15,16 @@ from service.mapstore.picture import (
     WHITE_FREE,
     Picture,
     Pixels,
+    picture_of_squares,
 )
 from service.outputs import UNKNOWN, TileUpdate
 
 WALL_NEW, WALL_GONE, AREA_NEW, AREA_GONE = 20, 21, 22, 23
-COLOURS = {
-    WALL_NEW: (0, 140, 40),
-    WALL_GONE: (210, 30, 30),
+COLOURS = {  # a wall stands over its area
     AREA_NEW: (200, 240, 205),
     AREA_GONE: (250, 210, 205),
+    WALL_NEW: (0, 140, 40),
+    WALL_GONE: (210, 30, 30),
 }
 _UNKNOWN, _FREE, _OCCUPIED, _UNSURE = range(4)
 _KIND = np.full(256, _UNKNOWN, np.uint8)  # by occupancy in per cent, as a byte
@@ -63,47 +65,32 @@ class Difference:
         total = np.zeros(5, np.int64)
         for key in self._before.keys() | self._after.keys():
             old, new = self._kinds(key)
-            total += [
-                np.count_nonzero(which)
-                for which in (
-                    (old == _UNKNOWN) & (new != _UNKNOWN),
-                    (old != _UNKNOWN) & (new == _UNKNOWN),
-                    (old != _OCCUPIED) & (new == _OCCUPIED),
-                    (old == _OCCUPIED) & (new != _OCCUPIED),
-                    old != new,
-                )
-            ]
+            total += [np.count_nonzero(which) for which in (*_differing(old, new), old != new)]
         return CellCounts(*total.tolist())
 
     def picture(self) -> Picture:
-        """The second map in grey, and what differs in COLOURS."""
-        keys = self._before.keys() | self._after.keys()
-        columns, rows = [ix for ix, _ in keys], [iy for _, iy in keys]
-        low_x, high_x, low_y, high_y = min(columns), max(columns), min(rows), max(rows)
-        edge = self._edge
-        width, height = (high_x - low_x + 1) * edge, (high_y - low_y + 1) * edge
-
-        def bands() -> Iterator[Pixels]:
-            for iy in range(high_y, low_y - 1, -1):
-                band = np.full((edge, width), GREY_UNKNOWN, np.uint8)
-                for ix in range(low_x, high_x + 1):
-                    if (ix, iy) in keys:
-                        at = (ix - low_x) * edge
-                        band[:, at : at + edge] = self._pixels((ix, iy))[::-1]
-                yield band
-
-        tile_m = edge * self.cell_m
-        return Picture(width, height, self.cell_m, low_x * tile_m, low_y * tile_m, bands)
+        """The second map in grey, and what differs in COLOURS. Raises StorageError beyond MAX_PIXELS."""
+        return picture_of_squares(
+            self._before.keys() | self._after.keys(), self._edge, self.cell_m, self._pixels
+        )
 
     def _pixels(self, key: tuple[int, int]) -> Pixels:
         old, new = self._kinds(key)
         pixels: Pixels = _GREY[new]
-        pixels[(old == _UNKNOWN) & (new != _UNKNOWN)] = AREA_NEW
-        pixels[(old != _UNKNOWN) & (new == _UNKNOWN)] = AREA_GONE
-        pixels[(old != _OCCUPIED) & (new == _OCCUPIED)] = WALL_NEW
-        pixels[(old == _OCCUPIED) & (new != _OCCUPIED)] = WALL_GONE
-        return pixels
+        for colour, which in zip(COLOURS, _differing(old, new), strict=True):
+            pixels[which] = colour
+        return pixels[::-1]
 
     def _kinds(self, key: tuple[int, int]) -> tuple[Pixels, Pixels]:
         nothing = np.full((self._edge, self._edge), UNKNOWN, np.int8)
         return tuple(_KIND[side.get(key, nothing).view(np.uint8)] for side in (self._before, self._after))  # type: ignore[return-value]
+
+
+def _differing(old: Pixels, new: Pixels) -> tuple[npt.NDArray[np.bool_], ...]:
+    """Where an area is new, where one is gone, and the same of walls; the order of COLOURS."""
+    return (
+        (old == _UNKNOWN) & (new != _UNKNOWN),
+        (old != _UNKNOWN) & (new == _UNKNOWN),
+        (old != _OCCUPIED) & (new == _OCCUPIED),
+        (old == _OCCUPIED) & (new != _OCCUPIED),
+    )

@@ -1,13 +1,13 @@
 """The map as grey pixels in bands from the top, so that no file needs the complete map in memory at once."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from service.errors import StorageError
-from service.outputs import UNKNOWN, Grid, TileUpdate
+from service.outputs import Grid, TileUpdate
 
 Pixels = npt.NDArray[np.uint8]
 
@@ -56,9 +56,20 @@ def picture_of_tiles(tiles: Sequence[TileUpdate]) -> Picture:
     if not finest:
         raise ValueError("no tile of level 0 to make a picture of")
     first = next(iter(finest.values()))
-    edge, cell_m = first.cells.shape[0], first.cell_m
-    low_x, high_x = min(ix for ix, _ in finest), max(ix for ix, _ in finest)
-    low_y, high_y = min(iy for _, iy in finest), max(iy for _, iy in finest)
+    return picture_of_squares(
+        finest.keys(), len(first.cells), first.cell_m, lambda key: to_pixels(finest[key].cells)
+    )
+
+
+def picture_of_squares(
+    keys: Collection[tuple[int, int]], edge: int, cell_m: float, pixels: Callable[[tuple[int, int]], Pixels]
+) -> Picture:
+    """One row of tiles (ix, iy) a band, unknown where there is none. Raises StorageError beyond MAX_PIXELS.
+
+    pixels   (edge, edge) of a tile, row 0 on top
+    """
+    low_x, high_x = min(ix for ix, _ in keys), max(ix for ix, _ in keys)
+    low_y, high_y = min(iy for _, iy in keys), max(iy for _, iy in keys)
     width, height = (high_x - low_x + 1) * edge, (high_y - low_y + 1) * edge
     if width * height > MAX_PIXELS:
         raise StorageError(
@@ -68,10 +79,11 @@ def picture_of_tiles(tiles: Sequence[TileUpdate]) -> Picture:
 
     def bands() -> Iterator[Pixels]:
         for iy in range(high_y, low_y - 1, -1):
-            band = np.full((edge, width), UNKNOWN, dtype=np.int8)
+            band = np.full((edge, width), GREY_UNKNOWN, np.uint8)
             for ix in range(low_x, high_x + 1):
-                if (tile := finest.get((ix, iy))) is not None:
-                    band[:, (ix - low_x) * edge : (ix - low_x + 1) * edge] = tile.cells
-            yield to_pixels(band)
+                if (ix, iy) in keys:
+                    at = (ix - low_x) * edge
+                    band[:, at : at + edge] = pixels((ix, iy))
+            yield band
 
     return Picture(width, height, cell_m, low_x * edge * cell_m, low_y * edge * cell_m, bands)
