@@ -22,6 +22,7 @@ MIN_SPARE_TILES = 4  # how far the canvas grows beyond the tile that made it gro
 EDGE = 64  # cells along a tile that is made of a grid
 
 TileKey = tuple[int, int, int]  # level, ix, iy
+Place = npt.NDArray[np.int64]  # (2,) row and column of a tile
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,27 +192,26 @@ def _unknown(tile: TileUpdate) -> npt.NDArray[np.int8]:
 
 
 class _Canvas:
-    """One array that grows to where the tiles are."""
+    """One array that grows to where the tiles are. Places are row and column of tiles: iy, ix."""
 
     def __init__(self) -> None:
-        self._tiles: dict[tuple[int, int], TileUpdate] = {}  # to be rendered
+        self._tiles: dict[tuple[int, int], TileUpdate] = {}  # to be rendered, by place
         self._cells: npt.NDArray[np.int8] = np.empty((0, 0), dtype=np.int8)
-        self._first_ix = self._first_iy = 0  # tile at cells[0, 0]
-        self._low, self._high = (0, 0), (-1, -1)  # corner tiles (ix, iy) of what was rendered, both inside
+        self._first: Place = np.zeros(2, np.int64)  # of the tile at cells[0, 0]
+        self._low = self._end = self._first  # corners of what was rendered, the second excluded
         self._edge = 0  # cells along a tile
         self._cell_m = 0.0
         self._version = 0
         self._snapshot: Grid | None = None
 
     def render(self, tiles: Iterable[TileUpdate]) -> None:
-        for tile in tiles:
-            self._tiles[tile.ix, tile.iy] = tile
+        self._tiles |= {(tile.iy, tile.ix): tile for tile in tiles}
         if not self._tiles:
             return
-        self._cover(list(self._tiles.values()))
-        w = self._edge
-        for tile in self._tiles.values():
-            row, column = (tile.iy - self._first_iy) * w, (tile.ix - self._first_ix) * w
+        self._cover()
+        w, (first_row, first_column) = self._edge, self._first.tolist()
+        for (iy, ix), tile in self._tiles.items():
+            row, column = (iy - first_row) * w, (ix - first_column) * w
             self._cells[row : row + w, column : column + w] = tile.cells
             self._version = max(self._version, tile.version)
         self._tiles = {}
@@ -219,69 +219,50 @@ class _Canvas:
 
     def grid(self) -> Grid | None:
         if self._snapshot is None and self._edge > 0:
-            w = self._edge
-            row, column = (self._low[1] - self._first_iy) * w, (self._low[0] - self._first_ix) * w
-            height, width = (self._high[1] - self._low[1] + 1) * w, (self._high[0] - self._low[0] + 1) * w
-            cells = self._cells[row : row + height, column : column + width].copy()
+            cells = self._rendered().copy()
             cells.setflags(write=False)
-            tile_m = w * self._cell_m
-            self._snapshot = Grid(
-                self._version, self._cell_m, self._low[0] * tile_m, self._low[1] * tile_m, cells
-            )
+            y_min_m, x_min_m = (self._low * (self._edge * self._cell_m)).tolist()
+            self._snapshot = Grid(self._version, self._cell_m, x_min_m, y_min_m, cells)
         return self._snapshot
 
-    def _cover(self, tiles: list[TileUpdate]) -> None:
-        """Make room for `tiles`, keeping what is rendered. Raises StorageError when it would be too large."""
-        edge, cell_m = tiles[0].cells.shape[0], tiles[0].cell_m
+    def _rendered(self) -> npt.NDArray[np.int8]:
+        (top, left), (bottom, right) = (
+            (corner - self._first) * self._edge for corner in (self._low, self._end)
+        )
+        return self._cells[top:bottom, left:right]
+
+    def _cover(self) -> None:
+        """Make room for the tiles, keeping what is rendered; with room to spare: a long drive copies seldom.
+
+        Raises StorageError when it would be too large.
+        """
         if self._edge == 0:
-            self._edge, self._cell_m = edge, cell_m
-            self._low = (tiles[0].ix, tiles[0].iy)
-            self._high = self._low
-        for tile in tiles:
+            first = next(iter(self._tiles.values()))
+            self._edge, self._cell_m = len(first.cells), first.cell_m
+        for tile in self._tiles.values():
             if tile.cells.shape != (self._edge, self._edge) or tile.cell_m != self._cell_m:
                 raise ValueError(
                     f"tile {tile.ix}, {tile.iy} is {tile.cells.shape} cells of {tile.cell_m} m; "
                     f"this map has {self._edge} x {self._edge} of {self._cell_m} m"
                 )
-        low = tuple(min(self._low[i], *((t.ix, t.iy)[i] for t in tiles)) for i in (0, 1))
-        high = tuple(max(self._high[i], *((t.ix, t.iy)[i] for t in tiles)) for i in (0, 1))
-        width, height = high[0] - low[0] + 1, high[1] - low[1] + 1
+        places = np.array([*self._tiles, *([self._low, self._end - 1] if self._cells.size else [])])
+        low, end = places.min(axis=0), places.max(axis=0) + 1
+        height, width = (end - low).tolist()
         if width * height * self._edge**2 > MAX_GRID_CELLS:
             tile_m, cells = self._edge * self._cell_m, width * height * self._edge**2
             raise StorageError(
                 f"the map spans {width * tile_m:.0f} x {height * tile_m:.0f} m, {cells} cells; "
                 f"one picture holds at most {MAX_GRID_CELLS}: take its tiles, or set a larger mapping.cell_m"
             )
-        self._low, self._high = (low[0], low[1]), (high[0], high[1])
-        self._grow()
-
-    def _grow(self) -> None:
-        """Reallocate when a corner left the array, with room to spare: a long drive copies seldom."""
-        w = self._edge
-        rows, columns = self._cells.shape[0] // w, self._cells.shape[1] // w
-        if (
-            self._first_ix <= self._low[0]
-            and self._first_iy <= self._low[1]
-            and self._high[0] < self._first_ix + columns
-            and self._high[1] < self._first_iy + rows
-        ):
-            return
-        width, height = self._high[0] - self._low[0] + 1, self._high[1] - self._low[1] + 1
-        spare_x, spare_y = max(MIN_SPARE_TILES, width // 4), max(MIN_SPARE_TILES, height // 4)
-        first_ix, first_iy = self._low[0] - spare_x, self._low[1] - spare_y
-        grown = np.full(((height + 2 * spare_y) * w, (width + 2 * spare_x) * w), UNKNOWN, dtype=np.int8)
-        if rows and columns:
-            self._move_into(grown, first_ix, first_iy)
-        self._cells, self._first_ix, self._first_iy = grown, first_ix, first_iy
-
-    def _move_into(self, grown: npt.NDArray[np.int8], first_ix: int, first_iy: int) -> None:
-        """Copy the overlap; what lies outside of the new array was spare and never rendered."""
-        w = self._edge
-        row, column = (self._first_iy - first_iy) * w, (self._first_ix - first_ix) * w
-        top, left = max(row, 0), max(column, 0)
-        bottom = min(row + self._cells.shape[0], grown.shape[0])
-        right = min(column + self._cells.shape[1], grown.shape[1])
-        grown[top:bottom, left:right] = self._cells[top - row : bottom - row, left - column : right - column]
+        before = self._rendered(), self._low
+        self._low, self._end = low, end
+        if (low < self._first).any() or ((end - self._first) * self._edge > self._cells.shape).any():
+            spare = np.maximum(MIN_SPARE_TILES, (end - low) // 4)
+            self._first = low - spare
+            self._cells = np.full((end - low + 2 * spare) * self._edge, UNKNOWN, np.int8)
+            rendered, at = before
+            row, column = (at - self._first) * self._edge
+            self._cells[row : row + rendered.shape[0], column : column + rendered.shape[1]] = rendered
 
 
 def grid_of_tiles(tiles: Iterable[TileUpdate]) -> Grid:
