@@ -105,39 +105,12 @@ def to_json(kind: str, **content: Any) -> str:
 
 def pose_json(pose: Pose) -> str:
     """Base in map. covariance: the 9 values of x, y, theta in base axes; m^2, m rad, rad^2."""
-    return to_json("pose", **_pose_fields(pose))
+    return to_json("pose", **pose_fields(pose))
 
 
-def moment_json(
-    at_s: float,
-    position_s: float,
-    duration_s: float,
-    path: tuple[int, int],
-    poses: Sequence[Pose],
-    map_words: str,
-    events: Sequence[tuple[float, str]],
-) -> str:
-    """A moment of the past, in place of poses and events as they come; see service.offline.past.moments.
-
-    at_s, position_s, duration_s    Unix time; from the first moment to this one; to the last one
-    path        first and last + 1 of the points of the path that were driven by then
-    events      Unix time, s, and text
-    """
-    return to_json(
-        "moment",
-        at_s=at_s,
-        position_s=position_s,
-        duration_s=duration_s,
-        path=list(path),
-        poses=[_pose_fields(pose) for pose in poses],
-        map_words=map_words,
-        events=[{"stamp_s": stamp_s, "text": text} for stamp_s, text in events],
-    )
-
-
-def moment_over_json() -> str:
-    """No moment of the past is shown any more: what comes is of now."""
-    return to_json("moment_over")
+def event_fields(events: Sequence[tuple[float, str]]) -> list[dict[str, Any]]:
+    """Of events, each Unix time, s, and text."""
+    return [{"stamp_s": stamp_s, "text": text} for stamp_s, text in events]
 
 
 def mountings_json(poses_base_sensor: Mapping[str, SE2]) -> str:
@@ -154,13 +127,7 @@ def health_json(
         stamp_s=stamp_s,
         latency_ms=dict(latency_ms),
         statuses=[
-            {
-                "name": status.name,
-                "level": status.level,
-                "message": status.message,
-                "values": dict(status.values),
-                "since_s": since_s[status.name],
-            }
+            {**status._asdict(), "values": dict(status.values), "since_s": since_s[status.name]}
             for status in statuses
         ],
     )
@@ -182,7 +149,7 @@ def series_json(
         state=[row.state for row in rows],
         level=[row.level for row in rows],
         figures={name: [_rounded(row.figures.get(name)) for row in rows] for name in names},
-        events=None if events is None else [{"stamp_s": s, "text": text} for s, text in events],
+        events=None if events is None else event_fields(events),
     )
 
 
@@ -257,7 +224,7 @@ def _encode_picture(kind: int, grid: Grid | None) -> bytes:
     return header + zlib.compress(np.ascontiguousarray(grid.cells, np.int8).tobytes(), DEFLATE_LEVEL)
 
 
-def _pose_fields(pose: Pose) -> dict[str, Any]:
+def pose_fields(pose: Pose) -> dict[str, Any]:
     return {
         "stamp_ns": str(pose.stamp_ns),  # too long for a number of JavaScript
         "stamp_s": pose.stamp_ns / 1e9,

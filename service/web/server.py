@@ -27,7 +27,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, web
 
 from drivers.frames import CAUSES
-from service.encoding import Message, Status
+from service.encoding import Status
 from service.errors import StorageError, words_of
 from service.outputs import reason_value
 from service.version import VERSION
@@ -38,10 +38,9 @@ from service.web.connections import Listener
 from service.web.downloads import Downloads
 from service.web.help import Manual
 from service.web.live_view import LiveView, Shown
-from service.web.protocol import LARGEST_ASKED, CommandRequest, FloatArray, ResourceRequest, to_json
+from service.web.protocol import LARGEST_ASKED, CommandRequest, ResourceRequest, to_json
 from service.web.resources import Kind, Resources
 from service.web.seats import Seats
-from service.web.send_queue import Payload
 from service.web.tile_stream import MapSource, TileFeed
 from service.web.tokens import Attempts, Tokens
 
@@ -86,7 +85,7 @@ class About:
 
 
 class WebServer:
-    """The page, from `start` to `close`. `put` and `health` from any thread.
+    """The page, from `start` to `close`. `put...`, as of LiveView, and `health` from any thread.
 
     tiles     the store of the map
     answer    carries out a command: verb, JSON -> JSON; may wait, in bounded time
@@ -116,12 +115,17 @@ class WebServer:
         self._retry_s = retry_s
         self._names = own_names(config.hosts)
         self._scheme = "https" if config.tls_certificate else "http"
-        self._view = LiveView(time.monotonic_ns)
+        self._view = view = LiveView(time.monotonic_ns)
+        self.put, self.put_path, self.put_way, self.put_ready = (
+            view.put, view.put_path, view.put_way, view.put_ready
+        )  # fmt: skip
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._edition, self._files = _static_files()
         self._packed: dict[str, bytes] = {}  # by name, once it has been requested
         self._manual = Manual()
-        self._downloads = Downloads(self._resources(folders) if folders else None)
+        self._downloads = Downloads(
+            Resources(folders, lambda: view.map_folders, folders["session"] / ".exports") if folders else None
+        )
         self._browsers: dict[Browser, None] = {}  # the oldest first
         self._workers = ThreadPoolExecutor(COMMAND_THREADS, thread_name_prefix="web-command")
         self._map_number = tiles.number
@@ -155,22 +159,6 @@ class WebServer:
             )
             return bool(self._address)
 
-    def put(self, message: Message, origin_ns: int | None = None) -> None:
-        """Take a message in; never waits. origin_ns: of a pose, when its scan's last byte was read."""
-        self._view.put(message, origin_ns)
-
-    def put_path(self, points_map: FloatArray) -> None:
-        """Show this path in place of what was driven; (N, 2), m, map frame."""
-        self._view.put_path(points_map)
-
-    def put_way(self, points_map: FloatArray) -> None:
-        """Show that this was driven, too: a stretch between two poses of which not all are put; (N, 2), m."""
-        self._view.put_way(points_map)
-
-    def put_ready(self, payloads: Mapping[str, Payload]) -> None:
-        """Show payloads of protocol.py as they are, each in place of that of its key."""
-        self._view.put_ready(payloads)
-
     def health(self) -> Status:
         values = {
             "address": self._address,
@@ -199,9 +187,6 @@ class WebServer:
                 log.error("web: still serving after %.0f s; the page is left behind", CLOSE_TIMEOUT_S)
         self._downloads.close()
         self._workers.shutdown(wait=False, cancel_futures=True)
-
-    def _resources(self, folders: Mapping[Kind, Path]) -> Resources:
-        return Resources(folders, lambda: self._view.map_folders, folders["session"] / ".exports")
 
     def _run(self) -> None:
         asyncio.run(self._serve())

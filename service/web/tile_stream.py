@@ -39,10 +39,6 @@ class TileFeed:
         self._lock = asyncio.Lock()
         self._kept: OrderedDict[tuple[int, int], Batch] = OrderedDict()  # by version before and newest then
 
-    @property
-    def version(self) -> int:
-        return self._source.version
-
     async def after(self, version: int) -> Batch | None:
         """The next tiles for a browser that has all up to `version`; None where it has the newest."""
         async with self._lock:  # a second request for the same finds it made

@@ -22,9 +22,11 @@ from service.web.protocol import (
     encode_graph,
     encode_scan,
     encode_standing,
+    event_fields,
     health_json,
-    moment_json,
     mountings_json,
+    pose_fields,
+    to_json,
 )
 from service.web.send_queue import Payload
 
@@ -118,14 +120,15 @@ def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payloa
     payloads: dict[str, Payload] = {}
     if moment.mountings is not None:
         payloads["mountings"] = mountings_json(moment.mountings)
-    payloads["moment"] = moment_json(
+    payloads["moment"] = to_json(  # in place of poses and events as they come
+        "moment",
         at_s=moment.at_ns / 1e9,
         position_s=(moment.at_ns - first_ns) / 1e9,
         duration_s=(last_ns - first_ns) / 1e9,
         path=moment.path,
-        poses=moment.poses,
+        poses=list(map(pose_fields, moment.poses)),
         map_words=moment.map_words,
-        events=moment.events,
+        events=event_fields(moment.events),
     )
     if moment.statuses:
         delay_ms = {scan.sensor: (scan.arrived_ns - scan.stamp_ns) / 1e6 for scan in moment.scans}

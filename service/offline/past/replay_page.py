@@ -43,7 +43,7 @@ from service.offline.replay.raw import FROM_RAW
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
 from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
-from service.web.protocol import encode_changes, encode_standing, moment_over_json
+from service.web.protocol import encode_changes, encode_standing, to_json
 from service.web.server import start_serving
 
 log = logging.getLogger(__name__)
@@ -157,7 +157,7 @@ class ReplayPage(PastPage, Watch):
     def _begin_map(self) -> None:
         self.moments = None
         self._stamps.clear()
-        self.server.put_ready({"moment": moment_over_json()})
+        self.server.put_ready({"moment": to_json("moment_over")})
         self.tiles.take([])
         self._changes = None
         self.server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
