@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from service.errors import InputError
 
@@ -26,10 +25,6 @@ class Version:
     saved_ns: int  # Unix time
     about: Mapping[str, str]
     edit: Edit | None  # None: a session, a replay or a merge saved it
-
-
-def edit_to_json(edit: Edit) -> dict[str, Any]:
-    return {name: getattr(edit, name) for name in Edit.__slots__}
 
 
 def kept_for_ever(versions: Iterable[Version]) -> set[int]:

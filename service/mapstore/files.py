@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +35,7 @@ from service.mapstore.geo_file import GEO_FILE, read_geo, write_geo
 from service.mapstore.graph_files import GRAPH_FILE, link_graph, read_graph, segment_paths, write_graph
 from service.mapstore.links import CURRENT, UNFINISHED, point, point_for_others, point_to_current
 from service.mapstore.manifest import check_files, read_manifest, write_manifest
-from service.mapstore.picture import Picture, picture_of_tiles
+from service.mapstore.picture import picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.outputs import TileUpdate
@@ -48,9 +48,9 @@ KEEP_VERSIONS = 3
 FOR_OTHERS = ("map.yaml", "map.pgm", "map.png")
 TILES_FILE = "tiles.npz"
 MAX_TILE_INDEX = 1 << 31
-_CONTENT = (*FOR_OTHERS, TILES_FILE)
 _VERSION_NAME = re.compile(r"v(\d{6,})")
 _KEPT = "kept"  # in the folder of a version: why it is never removed
+ReadT = TypeVar("ReadT")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +93,19 @@ def save_map(
         return None
 
     def write(new: Path) -> list[str]:
-        picture = _write_content(new, tiles, geo)
-        names = [*_CONTENT, *([GEO_FILE] if geo is not None else [])]
+        picture = picture_of_tiles(tiles)
+        write_ros_map(new / "map.pgm", new / "map.yaml", picture)
+        with (new / TILES_FILE).open("wb") as file:
+            arrays = {
+                "index": np.array([(t.level, t.ix, t.iy, t.version) for t in tiles], dtype=np.int64),
+                "cell_m": np.array([t.cell_m for t in tiles]),
+                "cells": np.stack([t.cells for t in tiles]),
+            }
+            write_arrays(file, arrays)
+        names = [*FOR_OTHERS, TILES_FILE]
+        if geo is not None:
+            write_geo(new / GEO_FILE, geo)
+            names.append(GEO_FILE)
         if isinstance(graph, Path):
             names += link_graph(graph, new)
         elif graph is not None:
@@ -102,7 +113,7 @@ def save_map(
         write_png(new / "map.png", annotated(picture, segment_paths(new)), PALETTE)
         return names
 
-    return _publish(folder, write, saved_ns, dict(about or {}), edit)
+    return _publish(folder, write, saved_ns, about or {}, edit)
 
 
 def restore_version(folder: Path, number: int, saved_ns: int, edit: Edit) -> int:
@@ -111,15 +122,7 @@ def restore_version(folder: Path, number: int, saved_ns: int, edit: Edit) -> int
     Raises InputError where that version is not there or damaged, StorageError as save_map.
     """
     stored = load_map(folder, number)
-    old = folder / _name(number)
-    names = list(read_manifest(old).files)
-
-    def write(new: Path) -> list[str]:
-        for name in names:
-            os.link(old / name, new / name)
-        return names
-
-    return _publish(folder, write, saved_ns, stored.about, edit)
+    return _publish(folder, _linked(folder / _name(number)), saved_ns, stored.about, edit)
 
 
 def adopt_version(folder: Path, source: Path) -> int:
@@ -130,13 +133,19 @@ def adopt_version(folder: Path, source: Path) -> int:
     """
     manifest = read_manifest(source)
     check_files(source, manifest)
+    return _publish(folder, _linked(source), manifest.saved_ns, manifest.about, manifest.edit)
+
+
+def _linked(source: Path) -> Callable[[Path], list[str]]:
+    """Links all files of a version to another folder; their names. Raises InputError."""
+    names = list(read_manifest(source).files)
 
     def write(new: Path) -> list[str]:
-        for name in manifest.files:
+        for name in names:
             os.link(source / name, new / name)
-        return list(manifest.files)
+        return names
 
-    return _publish(folder, write, manifest.saved_ns, manifest.about, manifest.edit)
+    return write
 
 
 def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
@@ -144,15 +153,8 @@ def versions_of(folder: Path) -> tuple[list[Version], int, list[str]]:
 
     Raises InputError where `folder` holds no map that can be read.
     """
-    versions: list[Version] = []
-    problems: list[str] = []
-    for number in sorted(_versions_read(folder)):
-        try:
-            manifest = read_manifest(folder / _name(number))
-        except InputError as error:
-            problems.append(str(error))
-        else:
-            versions.append(Version(number, manifest.saved_ns, manifest.about, manifest.edit))
+    read, problems = _each(folder, read_manifest)
+    versions = [Version(number, one.saved_ns, one.about, one.edit) for number, one in read.items()]
     if not versions:
         raise _no_map(folder, problems)
     at = _number(_by_preference(folder)[0])
@@ -174,12 +176,10 @@ def load_map(folder: Path, number: int | None = None) -> StoredMap:
     problems: list[str] = []
     for name in _by_preference(folder):
         try:
-            stored = _load(folder / name, problems)
+            return _load(folder / name, problems)
         except InputError as error:
             log.warning("%s", error)
             problems.append(str(error))
-            continue
-        return stored
     raise _no_map(folder, problems)
 
 
@@ -188,18 +188,22 @@ def check_versions(folder: Path) -> tuple[list[int], list[str]]:
 
     Raises InputError where `folder` holds no map.
     """
-    complete: list[int] = []
+    complete, problems = _each(folder, lambda version: _load(version, []).number)
+    if not complete and not problems:
+        raise _no_map(folder, [])
+    return list(complete), problems
+
+
+def _each(folder: Path, read: Callable[[Path], ReadT]) -> tuple[dict[int, ReadT], list[str]]:
+    """What `read` gives of each version, by rising number; and why it gave nothing of the others."""
+    found: dict[int, ReadT] = {}
     problems: list[str] = []
     for number in sorted(_versions_read(folder)):
         try:
-            _load(folder / _name(number), [])
+            found[number] = read(folder / _name(number))
         except InputError as error:
             problems.append(str(error))
-        else:
-            complete.append(number)
-    if not complete and not problems:
-        raise _no_map(folder, [])
-    return complete, problems
+    return found, problems
 
 
 def _no_map(folder: Path, problems: Sequence[str]) -> InputError:
@@ -251,56 +255,41 @@ def _publish(
     folder: Path,
     write: Callable[[Path], list[str]],
     saved_ns: int,
-    about: dict[str, str],
+    about: Mapping[str, str],
     edit: Edit | None,
 ) -> int:
     """Make a version of what `write` puts into a new folder, and names; its number. Raises StorageError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with only_writer(folder):
-            return _publish_alone(folder, write, saved_ns, about, edit)
-    except OSError as error:
-        before = "; the version before is untouched" if _versions_read(folder) else ""
-        raise StorageError(f"cannot save the map to {folder}: {words_of(error)}{before}") from error
-
-
-def _publish_alone(
-    folder: Path,
-    write: Callable[[Path], list[str]],
-    saved_ns: int,
-    about: dict[str, str],
-    edit: Edit | None,
-) -> int:
-    for leftover in folder.glob(UNFINISHED + "*"):
-        _remove(leftover)
-    versions = [folder / _name(number) for number in _versions(folder)]
-    point_to_current(folder, versions)
-    point_for_others(folder, FOR_OTHERS, versions)
-    number = max(_versions(folder), default=0) + 1
-    new = folder / f"{UNFINISHED}{number}"
-    try:
-        new.mkdir()
-        names = write(new)
-        has_geo = GEO_FILE in names
-        if has_geo:
-            point_for_others(folder, [GEO_FILE], versions)
-        write_manifest(new, names, saved_ns, about, edit)
-        sync(new)
-        new.rename(folder / _name(number))
-    except (OSError, StorageError):
-        shutil.rmtree(new, ignore_errors=True)
-        raise
-    sync(folder)
-    point(folder / CURRENT, _name(number))
-    if not has_geo and (folder / GEO_FILE).is_symlink():
-        (folder / GEO_FILE).unlink()
-    for old in _too_old(folder):
-        # Half of it is no version: the next save removes the rest.
-        gone = folder / f"{UNFINISHED}{_name(old)}"
-        with suppress(OSError):  # again with the next save
-            (folder / _name(old)).rename(gone)
-            shutil.rmtree(gone)
-    return number
+    with only_writer(folder):
+        for leftover in folder.glob(UNFINISHED + "*"):
+            _remove(leftover)
+        versions = [folder / _name(number) for number in _versions(folder)]
+        point_to_current(folder, versions)
+        point_for_others(folder, FOR_OTHERS, versions)
+        number = max(_versions(folder), default=0) + 1
+        new = folder / f"{UNFINISHED}{number}"
+        try:
+            new.mkdir()
+            names = write(new)
+            has_geo = GEO_FILE in names
+            if has_geo:
+                point_for_others(folder, [GEO_FILE], versions)
+            write_manifest(new, names, saved_ns, about, edit)
+            sync(new)
+            new.rename(folder / _name(number))
+        except (OSError, StorageError):
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+        sync(folder)
+        point(folder / CURRENT, _name(number))
+        if not has_geo and (folder / GEO_FILE).is_symlink():
+            (folder / GEO_FILE).unlink()
+        for old in _too_old(folder):
+            # Half of it is no version: the next save removes the rest.
+            gone = folder / f"{UNFINISHED}{_name(old)}"
+            with suppress(OSError):  # again with the next save
+                (folder / _name(old)).rename(gone)
+                shutil.rmtree(gone)
+        return number
 
 
 def _too_old(folder: Path) -> list[int]:
@@ -318,42 +307,15 @@ def _too_old(folder: Path) -> list[int]:
     return [number for number in gone if not (folder / _name(number) / _KEPT).exists()]
 
 
-def _write_content(
-    new: Path,
-    tiles: Sequence[TileUpdate],
-    geo: GeoReference | None,
-) -> Picture:
-    """The picture of the map, which other programs read."""
-    if geo is not None:
-        write_geo(new / GEO_FILE, geo)
-    with (new / TILES_FILE).open("wb") as file:
-        arrays = {
-            "index": np.array([(t.level, t.ix, t.iy, t.version) for t in tiles], dtype=np.int64),
-            "cell_m": np.array([t.cell_m for t in tiles]),
-            "cells": np.stack([t.cells for t in tiles]),
-        }
-        write_arrays(file, arrays)
-    picture = picture_of_tiles(tiles)
-    write_ros_map(new / "map.pgm", new / "map.yaml", picture)
-    return picture
-
-
 def _load(version: Path, problems: list[str]) -> StoredMap:
     manifest = read_manifest(version)
     check_files(version, manifest)
     tiles = _tiles(version / TILES_FILE, read_arrays(version / TILES_FILE))
     geo = read_geo(version / GEO_FILE) if GEO_FILE in manifest.files else None
     graph = read_graph(version, manifest.files) if GRAPH_FILE in manifest.files else None
+    number, about = _number(version.name), manifest.about
     return StoredMap(
-        _number(version.name),
-        manifest.about,
-        manifest.saved_ns,
-        tiles,
-        problems,
-        geo,
-        graph,
-        manifest.edit,
-        manifest.digest,
+        number, about, manifest.saved_ns, tiles, problems, geo, graph, manifest.edit, manifest.digest
     )
 
 
@@ -410,14 +372,20 @@ def _number(name: str) -> int:
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    with (folder / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise StorageError(
-                f"{folder}: another process is writing this map; stop one of the two"
-            ) from error
-        yield
+    """Makes the folder. Raises StorageError, also for each OSError inside."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / ".lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise StorageError(
+                    f"{folder}: another process is writing this map; stop one of the two"
+                ) from error
+            yield
+    except OSError as error:
+        before = "; the version before is untouched" if _versions_read(folder) else ""
+        raise StorageError(f"cannot save the map to {folder}: {words_of(error)}{before}") from error
 
 
 def _remove(path: Path) -> None:

@@ -19,7 +19,5 @@ def read_geo(path: Path) -> GeoReference:
     """Raises InputError for what write_geo cannot have written."""
     try:
         return GeoReference.from_dict(json.loads(read_text(path)))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: {words_of(error)}") from error

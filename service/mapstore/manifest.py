@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from pydantic import BaseModel, Field, NonNegativeInt, StringConstraints, Valida
 from drivers.counted import counted
 from service.errors import InputError, words_of
 from service.limits import MAX_MAP_BYTES, MAX_MEMBERS, check
-from service.mapstore.edits import Edit, edit_to_json
+from service.mapstore.edits import Edit
 from service.readable import open_file, read_text
 from service.version import VERSION
 from service.writable import sync
@@ -46,7 +47,7 @@ def write_manifest(
         "corridor": VERSION,
         "saved_ns": saved_ns,
         "about": dict(about),
-        "edit": None if edit is None else edit_to_json(edit),
+        "edit": None if edit is None else asdict(edit),
         "files": {
             name: {"bytes": (folder / name).stat().st_size, "sha256": _sha256(folder / name)}
             for name in names
