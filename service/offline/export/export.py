@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 from service.encoding import OCCUPANCY_GRID, ODOMETRY, Message, decode_grid, decode_pose
 from service.errors import InputError, UsageError
@@ -26,7 +26,7 @@ from service.offline.export.geotiff import write_geotiff
 from service.offline.export.outlines import outlines
 from service.offline.export.point_cloud import write_pcd, write_ply
 from service.offline.importing.session_file import refuse_to_overwrite
-from service.offline.past.result import GRAPH_FILE, Result, is_ros_map, open_result
+from service.offline.past.result import GRAPH_FILE, is_ros_map, open_result
 from service.offline.score.trajectory import write_tum
 from service.offline.writing import complete_files
 from service.readable import refuse_unreadable
@@ -115,43 +115,16 @@ def _path(source: "_Source") -> list[SE2]:
     return [pose for _, pose in source.poses()] if source.has_poses else []
 
 
-class _Source(Protocol):
-    """Source of an export. Each method raises InputError where the data is missing or damaged."""
-
-    @property
-    def has_picture(self) -> bool: ...
-
-    @property
-    def has_poses(self) -> bool: ...
-
-    def picture(self) -> Picture: ...
-
-    def poses(self) -> Poses: ...
-
-    def g2o(self) -> str: ...
-
-    def geo(self) -> GeoReference | None: ...
-
-    def needed_geo(self, to: str) -> GeoReference: ...
-
-
 class _Folder:
-    """A stored map, the result of a replay, or a ROS map."""
+    """A stored map, a result, or a ROS map. Raises InputError where what is wanted is missing or damaged."""
 
     def __init__(self, source: Path) -> None:
         self._source = source
-        self._result: Result = open_result(source)
-
-    @property
-    def has_picture(self) -> bool:
-        return self._result.has_map
-
-    @property
-    def has_poses(self) -> bool:
-        return self._result.has_trajectory
+        self._result = result = open_result(source)
+        self.has_picture, self.has_poses = result.has_map, result.has_trajectory
 
     def picture(self) -> Picture:
-        if not self._result.has_map:
+        if not self.has_picture:
             raise InputError(self._neither())
         return self._result.picture
 
@@ -194,19 +167,13 @@ class _Folder:
 
 
 class _Session:
-    """A finished session."""
+    """A finished session; as _Folder."""
 
     def __init__(self, source: Path) -> None:
         self._source = source
         self._recording = Recording([source])
-
-    @property
-    def has_picture(self) -> bool:
-        return self._holds("/map", OCCUPANCY_GRID)
-
-    @property
-    def has_poses(self) -> bool:
-        return self._holds("/pose", ODOMETRY)
+        self.has_picture = self._holds("/map", OCCUPANCY_GRID)
+        self.has_poses = self._holds("/pose", ODOMETRY)
 
     def picture(self) -> Picture:
         """The last map in it."""
@@ -245,3 +212,6 @@ class _Session:
     def _holds(self, name: str, type_name: str) -> bool:
         topics = self._recording.topics
         return any(topic.name == name and topic.type == type_name and topic.count for topic in topics)
+
+
+_Source = _Folder | _Session

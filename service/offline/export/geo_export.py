@@ -13,11 +13,11 @@ from service.geometry.geodesy import to_utm, utm_zone
 from service.geometry.se2 import SE2
 from service.mapstore.picture import Picture
 from service.offline.export.outlines import Points
+from service.offline.score.trajectory import seconds_text
 from service.version import VERSION
 
 Poses = Sequence[tuple[int, SE2]]  # stamp_ns, pose_map_base
 
-NS_PER_S = 1_000_000_000
 DEGREES = "{:.8f}"  # 1 mm
 
 
@@ -27,7 +27,9 @@ def write_csv(path: Path, poses: Poses, reference: GeoReference | None) -> None:
     with path.open("w", encoding="ascii") as file:
         file.write(columns + "\n")
         for stamp_ns, pose in poses:
-            line = f"{_seconds(stamp_ns)},{pose.x_m:.6f},{pose.y_m:.6f},{math.degrees(pose.theta_rad):.6f}"
+            line = (
+                f"{seconds_text(stamp_ns)},{pose.x_m:.6f},{pose.y_m:.6f},{math.degrees(pose.theta_rad):.6f}"
+            )
             if reference is not None:
                 place = ",".join(map(DEGREES.format, reference.to_geodetic(pose.x_m, pose.y_m)))
                 line += f",{place},{reference.heading_deg(pose.theta_rad):.6f}"
@@ -44,8 +46,8 @@ def write_geojson(path: Path, poses: Poses, walls: Sequence[Points], reference: 
     if poses:
         about = {
             "name": "trajectory",
-            "first_stamp_s": _seconds(poses[0][0]),
-            "last_stamp_s": _seconds(poses[-1][0]),
+            "first_stamp_s": seconds_text(poses[0][0]),
+            "last_stamp_s": seconds_text(poses[-1][0]),
             "position_sigma_m": round(reference.position_sigma_m, 3),
             "yaw_sigma_deg": round(math.degrees(reference.yaw_sigma_rad), 4),
             "fixes": reference.fixes,
@@ -76,7 +78,7 @@ def write_kml(path: Path, poses: Poses, reference: GeoReference) -> None:
     path.write_text(
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
         f"<Placemark><name>trajectory</name><description>corridor {VERSION}; "
-        f"{_seconds(poses[0][0])} to {_seconds(poses[-1][0])} s</description>\n"
+        f"{seconds_text(poses[0][0])} to {seconds_text(poses[-1][0])} s</description>\n"
         "<LineString><tessellate>1</tessellate><altitudeMode>clampToGround</altitudeMode>\n"
         f"<coordinates>{places}</coordinates></LineString></Placemark>\n</Document></kml>\n",
         encoding="ascii",
@@ -102,14 +104,7 @@ def write_world_file(picture_path: Path, picture: Picture, reference: GeoReferen
     text = "".join(f"{value:.10f}\n" for value in affine)
     picture_path.with_suffix(".pgw").write_text(text, encoding="ascii")
     a, d, b, e, c, f = affine
-    corner = (
-        c - 0.5 * (a + b),
-        a,
-        b,
-        f - 0.5 * (d + e),
-        d,
-        e,
-    )  # of the first pixel
+    corner = (c - 0.5 * (a + b), a, b, f - 0.5 * (d + e), d, e)  # of the first pixel
     transform = ", ".join(f"{value:.10f}" for value in corner)
     picture_path.with_name(f"{picture_path.name}.aux.xml").write_text(
         f"<PAMDataset>\n{srs}<GeoTransform>{transform}</GeoTransform>\n</PAMDataset>\n", encoding="ascii"
@@ -162,10 +157,6 @@ def _cut(line: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]
             parts.append([(-side_deg, at_deg)])
         parts[-1].append((to_deg, to_latitude_deg))
     return parts
-
-
-def _seconds(stamp_ns: int) -> str:
-    return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d}"
 
 
 def _utm_wkt(zone: int, is_south: bool) -> str:

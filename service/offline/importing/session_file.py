@@ -27,8 +27,8 @@ def write_session(
     mountings: Mapping[str, SE2],
     about: Mapping[str, str],
     log_times: bool = False,
-) -> int:
-    """Write `/tf_static` and the frames, each at its own time; how many frames there were.
+) -> None:
+    """Write `/tf_static` and the frames, each at its own time.
 
     frames      in the order in which a mapper is to have them; at least one
     mountings   sensor -> pose_base_sensor
@@ -46,17 +46,19 @@ def write_session(
                 yield encode_tf_static(mountings, log_ns, log_ns)
             yield encode_frame(frame, log_ns=log_ns)
 
-    return write_messages(path, messages(), {"import": about}) - 1
+    write_messages(path, messages(), {"import": about})
 
 
-def write_messages(path: Path, messages: Iterable[Message], metadata: Mapping[str, Mapping[str, str]]) -> int:
-    """Write messages as they come, at least one; how many there were.
+def write_messages(
+    path: Path, messages: Iterable[Message], metadata: Mapping[str, Mapping[str, str]]
+) -> None:
+    """Write messages as they come, at least one.
 
     metadata    name -> key -> text
 
     Nothing stays where it fails. Raises StorageError, and what `messages` raises.
     """
-    count, file = 0, None
+    file = None
     try:
         for message in messages:
             if file is None:
@@ -65,7 +67,6 @@ def write_messages(path: Path, messages: Iterable[Message], metadata: Mapping[st
                 for name, values in metadata.items():
                     file.write_metadata(name, values)
             file.write(message)
-            count += 1
         if file is None:
             raise ValueError("no message to write")
         file.finish()
@@ -77,7 +78,6 @@ def write_messages(path: Path, messages: Iterable[Message], metadata: Mapping[st
     except BaseException:
         _leave(file)
         raise
-    return count
 
 
 def _leave(file: McapFile | None) -> None:

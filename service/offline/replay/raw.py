@@ -11,8 +11,8 @@ from pathlib import Path
 
 from service.config import ServiceConfig, load_config, parse_config, tf_static
 from service.encoding import LogClock, Message, decode_raw, encode_frame
-from service.errors import InputError, StorageError
-from service.recording.mcap_file import McapFile
+from service.errors import InputError
+from service.offline.importing.session_file import write_messages
 from service.recording.mcap_reader import Recording
 from service.recording.raw_wire import WireReplay, raw_topics, utc_offset_ns
 from service.sensor_kinds import SENSOR_KINDS
@@ -61,7 +61,9 @@ def remake_frames(
         name: WireReplay(SENSOR_KINDS[service.sensors[name].type].session_maker(service.sensors[name]))
         for name in names
     }
-    _write(recording, service, wires, {topics[name].removeprefix("/"): name for name in names}, out, progress)
+    channels = {topics[name].removeprefix("/"): name for name in names}
+    metadata = {**recording.metadata, FROM_RAW: {"corridor": VERSION}}
+    write_messages(out, _messages(recording, service, wires, channels, progress), metadata)
     remade = {
         name: Remade(wire.frames, wire.chunks_without_start, wire.requests_not_repeated)
         for name, wire in wires.items()
@@ -79,46 +81,25 @@ def _config(recording: Recording, config: Path | None) -> ServiceConfig:
     return parse_config(text, "recorded config")
 
 
-def _write(
+def _messages(
     recording: Recording,
     service: ServiceConfig,
     wires: Mapping[str, WireReplay],
     sensors: Mapping[str, str],
-    out: Path,
     progress: Callable[[float], None],
-) -> None:
-    """sensors: channel of raw bytes -> sensor."""
-    first_ns, span_ns = recording.first_log_ns, max(recording.last_log_ns - recording.first_log_ns, 1)
-    file = None
-    try:
-        file = McapFile(out, first_ns)
-        for name, values in recording.metadata.items():
-            file.write_metadata(name, values)
-        file.write_metadata(FROM_RAW, {"corridor": VERSION})
-        file.write(tf_static(service.sensors, first_ns))
-        for done_ns, message in _messages(recording, wires, sensors):
-            file.write(message)
-            progress((done_ns - first_ns) / span_ns)
-        file.finish()
-    except OSError as error:
-        if file is not None:
-            file.abandon()
-        raise StorageError(f"cannot write {out}: {error.strerror}") from error
-
-
-def _messages(
-    recording: Recording, wires: Mapping[str, WireReplay], sensors: Mapping[str, str]
-) -> Iterator[tuple[int, Message]]:
-    """Frames made again and recorded events, each with the log time up to which the recording was read."""
+) -> Iterator[Message]:
+    """Mountings, frames made again and recorded events. sensors: channel of raw bytes -> sensor."""
     offset_ns, clock = utc_offset_ns(recording), LogClock()
+    first_ns, span_ns = recording.first_log_ns, max(recording.last_log_ns - recording.first_log_ns, 1)
+    yield tf_static(service.sensors, first_ns)
     for message in recording.messages([*(f"/{channel}" for channel in sensors), "/events"]):
         if message.channel not in sensors:
-            yield message.log_ns, message
+            yield message
             continue
         chunk = decode_raw(message.payload, message.log_ns, offset_ns)
         for frame in wires[sensors[message.channel]].take(chunk):
-            log_ns = clock.next_ns(frame.arrived_ns + offset_ns)
-            yield message.log_ns, encode_frame(frame, offset_ns, log_ns)
+            yield encode_frame(frame, offset_ns, clock.next_ns(frame.arrived_ns + offset_ns))
+        progress((message.log_ns - first_ns) / span_ns)
 
 
 def _tell(path: Path, remade: Mapping[str, Remade]) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from service.errors import InputError
 from service.geometry.poses import Floats
-from service.offline.score.trajectory import NS_PER_S, parse_stamp
+from service.offline.score.trajectory import parse_stamp, seconds_text
 from service.outputs import STATES, MapperOutput
 from service.readable import read_text
 
@@ -45,11 +45,10 @@ def write_states(path: Path, outputs: Iterable[MapperOutput], lasers: Iterable[s
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for output, laser in zip(outputs, lasers, strict=True):
-            seconds, nanoseconds = divmod(output.stamp_ns, NS_PER_S)
             along_m, across_m, heading_deg = sigmas_of(output)
             writer.writerow(
                 (
-                    f"{seconds}.{nanoseconds:09d}",
+                    seconds_text(output.stamp_ns),
                     output.state,
                     output.reason.id,
                     f"{along_m:.6f}",

@@ -46,23 +46,23 @@ class Trajectory:
         return pose
 
 
+def seconds_text(stamp_ns: int) -> str:
+    """In decimal notation, exactly."""
+    return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d}"
+
+
 def tum_line(stamp_ns: int, pose: SE2) -> str:
-    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
     half_rad = pose.theta_rad / 2.0
     return (
-        f"{seconds}.{nanoseconds:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 "
+        f"{seconds_text(stamp_ns)} {pose.x_m:.9f} {pose.y_m:.9f} 0 "
         f"0 0 {math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
     )
 
 
-def write_tum(path: Path, poses: Iterable[tuple[int, SE2]]) -> int:
-    """Write (stamp_ns, pose) as they come; returns how many. Raises OSError."""
-    count = 0
+def write_tum(path: Path, poses: Iterable[tuple[int, SE2]]) -> None:
+    """Write (stamp_ns, pose) as they come. Raises OSError."""
     with path.open("w", encoding="ascii") as file:
-        for stamp_ns, pose in poses:
-            file.write(tum_line(stamp_ns, pose))
-            count += 1
-    return count
+        file.writelines(tum_line(*pose) for pose in poses)
 
 
 def read_tum(path: Path) -> Trajectory:
