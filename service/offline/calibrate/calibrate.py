@@ -128,7 +128,7 @@ def calibrate(
         log.warning("%s", warning)
     recorded = _recorded_config(session)
     config = given or recorded
-    before = recorded or config  # stamps and counts were made by this one
+    found = _Findings(recorded or config)
     lasers = sorted(session.scan_counts, key=lambda name: (-session.scan_counts[name], name))
     if reference is not None and reference not in lasers:
         raise UsageError(
@@ -140,40 +140,25 @@ def calibrate(
     if reference is None or reference not in tracks:
         raise InputError(f"{paths[0]}: {'; '.join(notes.values())}")
     first = tracks[reference]
-    done = Calibration(str(paths[0]), reference, float(first.stamp_ns[-1] - first.stamp_ns[0]) * 1e-9)
-    changes: Changes = {}
-    mounting, mounting_fit = _calibrate_wheels(first, wheels, before, done, changes)
+    mounting, mounting_fit = found.take_wheels(first, wheels)
     for name, samples in gyros.items():
         if (gyro := gyro_track(samples)) is not None:
-            _add(done, changes, before, name, "gyro", gyro.latency_ms, *_of_gyro(fit_gyro(first, gyro)))
+            found.take(name, "gyro", gyro.latency_ms, *_of_gyro(fit_gyro(first, gyro)))
     for name in lasers:
+        was = found.configured(name, "mounting")
         if name not in tracks:
-            _note(done, name, notes[name])
+            found.sensors.append(SensorCalibration(name, "laser", (), None, None, (notes[name],)))
         elif name == reference:
-            values = [] if mounting_fit is None else _of_mounting(mounting, mounting_fit, before, name)
-            _add(done, changes, before, name, "laser", first.latency_ms, values, [])
+            values = [] if mounting_fit is None else _of_mounting(mounting, mounting_fit, was)
+            found.take(name, "laser", first.latency_ms, values)
         else:
-            other = fit_lasers(first, tracks[name])
-            values = _of_other(mounting, mounting_fit, other, before, name)
-            _add(done, changes, before, name, "laser", tracks[name].latency_ms, values, [])
-    if not any(one.values for one in done.sensors):
+            values = _of_other(mounting, mounting_fit, fit_lasers(first, tracks[name]), was)
+            found.take(name, "laser", tracks[name].latency_ms, values)
+    if not any(one.values for one in found.sensors):
         raise InputError(f"{paths[0]}: {reference} is alone; there are no wheels, no gyro and no other laser")
-    _leave_out_what_is_refused(done, changes, config)
-    done.patch, done.config = patched(changes, config)
-    return done
-
-
-def _leave_out_what_is_refused(done: Calibration, changes: Changes, config: ServiceConfig | None) -> None:
-    """Leave out a sensor of another type in the config, or whose values the config does not accept."""
-    for name in list(changes):
-        settings = _sensor(config, name)
-        if settings is None or not (refused := why_not_taken(changes[name], settings)):
-            continue
-        del changes[name]
-        said = f"stays as it is, for the config's {name} ({settings.type}) does not take it: {refused}"
-        done.sensors = [
-            replace(one, notes=(*one.notes, said)) if one.sensor == name else one for one in done.sensors
-        ]
+    found.leave_out_what_is_refused(config)
+    seconds = float(first.stamp_ns[-1] - first.stamp_ns[0]) * 1e-9
+    return Calibration(str(paths[0]), reference, seconds, found.sensors, *patched(found.changes, config))
 
 
 def _recorded_config(session: Session) -> ServiceConfig | None:
@@ -213,55 +198,110 @@ def _tracks(
     return tracks, wheels, gyros, notes
 
 
-def _calibrate_wheels(
-    first: LaserTrack,
-    wheels: dict[str, list[OdometrySample]],
-    before: ServiceConfig | None,
-    done: Calibration,
-    changes: Changes,
-) -> tuple[SE2, Fit | None]:
-    """pose_base_laser of the reference by the wheels with most samples; without wheels as configured."""
-    chosen: tuple[SE2, Fit] | None = None
-    for name in sorted(wheels, key=lambda name: (-len(wheels[name]), name)):
-        track = wheel_track(wheels[name])
-        if track is None:
-            continue
-        settings = _sensor(before, name)
-        base_m = getattr(settings, "wheel_base_m", None)
-        fit = fit_wheels(first, track, base_m)
-        values = [
-            Value("scale", 100.0 * fit["scale"], 100.0 * fit.sigma("scale"), "%"),
-            Value("turn scale", 100.0 * fit["turn_scale"], 100.0 * fit.sigma("turn_scale"), "%"),
-            Value(
-                "turn per metre",
-                math.degrees(fit["turn_per_m"]),
-                math.degrees(fit.sigma("turn_per_m")),
-                "deg/m",
-            ),
-            Value("stamps late by", 1e3 * fit["offset_s"], 1e3 * fit.sigma("offset_s"), "ms"),
-        ]
-        mirrored = fit["turn_scale"] <= 0.0
-        notes = [MIRRORED.format(laser=first.sensor, wheels=name)] if mirrored else []
-        _add(done, changes, before, name, "wheels", track.latency_ms, values, notes)
-        if mirrored:  # it is not known which sensor is wrong, so neither is the laser's mounting
-            continue
-        if base_m is not None and all(value.is_known for value in values[:2]):
-            new = wheel_settings(fit, base_m, settings.left_scale, settings.right_scale)
-            changes.setdefault(name, {}).update(new)
+@dataclass(slots=True)
+class _Findings:
+    """What is found of each sensor, and what of it changes the config.
+
+    before    the config by which stamps and counts were made; None: it is not known
+    """
+
+    before: ServiceConfig | None
+    sensors: list[SensorCalibration] = field(default_factory=list)
+    changes: Changes = field(default_factory=dict)
+
+    def configured(self, sensor: str, key: str, default: Any = None) -> Any:
+        """A setting of a sensor, the default where there is none."""
+        settings = None if self.before is None else self.before.sensors.get(sensor)
+        return getattr(settings, key, default)
+
+    def take_wheels(
+        self, first: LaserTrack, wheels: dict[str, list[OdometrySample]]
+    ) -> tuple[SE2, Fit | None]:
+        """pose_base_laser of the reference by the wheels with most samples; without wheels as configured."""
+        chosen: tuple[SE2, Fit] | None = None
+        for name in sorted(wheels, key=lambda name: (-len(wheels[name]), name)):
+            if (track := wheel_track(wheels[name])) is None:
+                continue
+            base_m = self.configured(name, "wheel_base_m")
+            fit = fit_wheels(first, track, base_m)
+            values = [
+                _value("scale", fit, "scale", 100.0, "%"),
+                _value("turn scale", fit, "turn_scale", 100.0, "%"),
+                _value("turn per metre", fit, "turn_per_m", math.degrees(1.0), "deg/m"),
+                _late_by(fit),
+            ]
+            mirrored = fit["turn_scale"] <= 0.0
+            notes = [MIRRORED.format(laser=first.sensor, wheels=name)] if mirrored else []
+            self.take(name, "wheels", track.latency_ms, values, notes)
+            if mirrored:  # it is not known which sensor is wrong, so neither is the laser's mounting
+                continue
+            if base_m is not None and all(value.is_known for value in values[:2]):
+                scales = (self.configured(name, f"{side}_scale") for side in ("left", "right"))
+                self.changes.setdefault(name, {}).update(wheel_settings(fit, base_m, *scales))
+            if chosen is None:
+                chosen = SE2(fit["x_m"], fit["y_m"], fit["yaw_rad"]), fit
         if chosen is None:
-            chosen = SE2(fit["x_m"], fit["y_m"], fit["yaw_rad"]), fit
-    if chosen is None:
-        mounting = getattr(_sensor(before, first.sensor), "mounting", None)
-        at = SE2() if mounting is None else SE2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg))
-        return at, None
-    return chosen
+            at = self.configured(first.sensor, "mounting")
+            return SE2() if at is None else SE2(at.x_m, at.y_m, math.radians(at.yaw_deg)), None
+        return chosen
+
+    def take(
+        self,
+        name: str,
+        kind: Literal["laser", "wheels", "gyro"],
+        latency_ms: Floats,
+        values: Sequence[Value],
+        notes: Sequence[str] = (),
+    ) -> None:
+        """Note what was found, and what of it changes the config: a mounting, a latency."""
+        p50, p99 = (float(p) for p in np.percentile(latency_ms, (50, 99)))
+        said = list(notes)
+        found = {value.name: value for value in values}
+        new: dict[str, Any] = {}
+        if kind == "laser" and {"x", "y", "yaw"} <= found.keys():
+            place = {"x": "x_m", "y": "y_m", "yaw": "yaw_deg"}
+            known = {place[key]: round(found[key].value, 4) for key in place if found[key].is_known}
+            if known:
+                new["mounting"] = known
+        offset = found.get("stamps late by")
+        if offset is not None and offset.is_known:
+            latency = float(self.configured(name, "latency_ms", 0.0)) + offset.value
+            if MIN_LATENCY_MS <= latency <= MAX_LATENCY_MS:
+                new["latency_ms"] = round(latency, 2)
+            else:
+                said.append(
+                    f"a latency of {latency:.1f} ms is none that a config takes ({MIN_LATENCY_MS:g} to "
+                    f"{MAX_LATENCY_MS:g} ms)"
+                )
+        if new:
+            self.changes.setdefault(name, {}).update(new)
+        self.sensors.append(SensorCalibration(name, kind, tuple(values), p50, p99, tuple(said)))
+
+    def leave_out_what_is_refused(self, config: ServiceConfig | None) -> None:
+        """Leave out a sensor of another type in the config, or whose values the config does not accept."""
+        for name in list(self.changes):
+            settings = None if config is None else config.sensors.get(name)
+            if settings is None or not (refused := why_not_taken(self.changes[name], settings)):
+                continue
+            del self.changes[name]
+            said = f"stays as it is, for the config's {name} ({settings.type}) does not take it: {refused}"
+            self.sensors = [
+                replace(one, notes=(*one.notes, said)) if one.sensor == name else one for one in self.sensors
+            ]
 
 
-def _of_mounting(
-    mounting: SE2, fit: Fit, before: ServiceConfig | None, name: str, more: Fit | None = None
-) -> list[Value]:
-    """more: of this laser against the reference; its uncertainty comes on top, that of the yaw by a lever."""
-    was = getattr(_sensor(before, name), "mounting", None)
+def _value(name: str, fit: Fit, key: str, factor: float, unit: str) -> Value:
+    return Value(name, factor * fit[key], factor * fit.sigma(key), unit)
+
+
+def _late_by(fit: Fit) -> Value:
+    return _value("stamps late by", fit, "offset_s", 1e3, "ms")
+
+
+def _of_mounting(mounting: SE2, fit: Fit, was: Any, more: Fit | None = None) -> list[Value]:
+    """was: as configured. more: of this laser against the reference; its uncertainty comes on top, that of
+    the yaw by a lever.
+    """
     values = []
     for key, unit, value in (("x_m", "m", mounting.x_m), ("y_m", "m", mounting.y_m)):
         lever = 0.0 if more is None else math.hypot(more["x_m"], more["y_m"]) * fit.sigma("yaw_rad")
@@ -272,27 +312,16 @@ def _of_mounting(
     return [*values, Value("yaw", yaw_deg, math.degrees(sigma_rad), "deg", getattr(was, "yaw_deg", None))]
 
 
-def _of_other(
-    mounting: SE2, mounting_fit: Fit | None, other: Fit, before: ServiceConfig | None, name: str
-) -> list[Value]:
+def _of_other(mounting: SE2, mounting_fit: Fit | None, other: Fit, was: Any) -> list[Value]:
     """Calibration of a laser that was compared with the reference."""
     pose = mounting @ SE2(other["x_m"], other["y_m"], other["yaw_rad"])
-    values = (
-        _of_mounting(pose, other, before, name)
-        if mounting_fit is None
-        else _of_mounting(pose, mounting_fit, before, name, other)
-    )
-    offset = Value("stamps late by", 1e3 * other["offset_s"], 1e3 * other.sigma("offset_s"), "ms")
-    return [*values, offset]
+    fits = (other, was) if mounting_fit is None else (mounting_fit, was, other)
+    return [*_of_mounting(pose, *fits), _late_by(other)]
 
 
 def _of_gyro(fit: Fit) -> tuple[list[Value], list[str]]:
-    scale = Value("scale", 100.0 * fit["scale"], 100.0 * fit.sigma("scale"), "%")
-    values = [
-        scale,
-        Value("bias", math.degrees(fit["bias_radps"]), math.degrees(fit.sigma("bias_radps")), "deg/s"),
-        Value("stamps late by", 1e3 * fit["offset_s"], 1e3 * fit.sigma("offset_s"), "ms"),
-    ]
+    scale = _value("scale", fit, "scale", 100.0, "%")
+    values = [scale, _value("bias", fit, "bias_radps", math.degrees(1.0), "deg/s"), _late_by(fit)]
     notes = []
     if scale.is_known and abs(scale.value - 100.0) > GYRO_OFF_PERCENT:
         notes.append(
@@ -300,46 +329,3 @@ def _of_gyro(fit: Fit) -> tuple[list[Value], list[str]]:
             + ("is it mounted upside down?" if scale.value < 0.0 else "is it level, and in rad/s?")
         )
     return values, notes
-
-
-def _add(
-    done: Calibration,
-    changes: Changes,
-    before: ServiceConfig | None,
-    name: str,
-    kind: Literal["laser", "wheels", "gyro"],
-    latency_ms: Floats,
-    values: Sequence[Value],
-    notes: Sequence[str],
-) -> None:
-    """Note what was found, and what of it changes the config: a mounting, a latency."""
-    p50, p99 = (float(p) for p in np.percentile(latency_ms, (50, 99)))
-    said = list(notes)
-    found = {value.name: value for value in values}
-    new: dict[str, Any] = {}
-    if kind == "laser" and {"x", "y", "yaw"} <= found.keys():
-        place = {"x": "x_m", "y": "y_m", "yaw": "yaw_deg"}
-        known = {place[key]: round(found[key].value, 4) for key in place if found[key].is_known}
-        if known:
-            new["mounting"] = known
-    offset = found.get("stamps late by")
-    if offset is not None and offset.is_known:
-        latency = float(getattr(_sensor(before, name), "latency_ms", 0.0)) + offset.value
-        if MIN_LATENCY_MS <= latency <= MAX_LATENCY_MS:
-            new["latency_ms"] = round(latency, 2)
-        else:
-            said.append(
-                f"a latency of {latency:.1f} ms is none that a config takes ({MIN_LATENCY_MS:g} to "
-                f"{MAX_LATENCY_MS:g} ms)"
-            )
-    if new:
-        changes.setdefault(name, {}).update(new)
-    done.sensors.append(SensorCalibration(name, kind, tuple(values), p50, p99, tuple(said)))
-
-
-def _note(done: Calibration, name: str, note: str) -> None:
-    done.sensors.append(SensorCalibration(name, "laser", (), None, None, (note,)))
-
-
-def _sensor(config: ServiceConfig | None, name: str) -> Any:
-    return None if config is None else config.sensors.get(name)

@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 
 from service.config import ServiceConfig, parse_config
 from service.offline.calibrate.fit import Fit
+from service.offline.replay.setup import overlay
 
 Changes = dict[str, dict[str, Any]]  # sensor -> key -> value; a mapping is merged into the one that is there
 
@@ -35,7 +36,7 @@ def wheel_settings(fit: Fit, wheel_base_m: float, left_scale: float, right_scale
 def why_not_taken(values: Mapping[str, Any], settings: Any) -> str:
     """Values that the settings of a sensor refuse, and why; "" where they accept all."""
     merged = settings.model_dump(mode="json", exclude_unset=True)
-    _overlay(merged, values)
+    overlay(merged, values)
     try:
         type(settings).model_validate_json(json.dumps(merged), strict=True)
     except ValidationError as error:
@@ -69,16 +70,8 @@ def patched(changes: Changes, config: ServiceConfig | None) -> tuple[str, str]:
     document = editor.load(config.text)
     for name, values in changes.items():
         if name in document["sensors"]:
-            _overlay(document["sensors"][name], values)
+            overlay(document["sensors"][name], values)
     stream = io.StringIO()
     editor.dump(document, stream)
     parse_config(stream.getvalue(), "the calibrated config")
     return patch, stream.getvalue()
-
-
-def _overlay(settings: Any, values: Mapping[str, Any]) -> None:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            _overlay(settings.setdefault(key, {}), value)
-        else:
-            settings[key] = value

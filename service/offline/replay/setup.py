@@ -165,17 +165,18 @@ def _mapping(config: ReplayConfig | None, options: ReplayOptions) -> MappingConf
             raise ConfigError([f"--profile: {error}"]) from error
     if not options.mapping:
         return mapping
-    return mapping_config(overlaid(mapping.model_dump(mode="json"), options.mapping))
+    section = mapping.model_dump(mode="json")
+    overlay(section, options.mapping)
+    return mapping_config(section)
 
 
-def overlaid(section: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """A section of a config with other values in it; of nested sections only what `over` names."""
-    merged = dict(section)
-    for key, value in over.items():
-        below = merged.get(key)
-        is_nested = isinstance(value, Mapping) and isinstance(below, Mapping)
-        merged[key] = overlaid(below, value) if is_nested else value  # type: ignore[arg-type]
-    return merged
+def overlay(section: Any, values: Mapping[str, Any]) -> None:
+    """Put values into a section of a config; of nested sections only what `values` names."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and isinstance(section.get(key), Mapping):
+            overlay(section[key], value)
+        else:
+            section[key] = value
 
 
 def _lasers(session: Session, config: ReplayConfig | None, are_named: bool) -> Sequence[str]:
