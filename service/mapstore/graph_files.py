@@ -41,21 +41,18 @@ def write_graph(
     for first in range(0, len(graph), FRAMES_A_FILE):
         frames = slice(first, first + FRAMES_A_FILE)
         key = graph.stamp_ns[frames].tobytes() + graph.point_count[frames].tobytes()
-        if before is not None and (name := known.get(key)) and (before / name).exists():
-            os.link(before / name, folder / name)
-            names.append(name)
-            continue
-        points = packed_points(graph, first, min(first + FRAMES_A_FILE, len(graph)))
-        digest = hashlib.sha256(b"".join(array.tobytes() for array in points.values())).hexdigest()
-        name = f"points_{first // FRAMES_A_FILE:05d}_{digest[:12]}.npz"
+        name, points = known.get(key, ""), None
+        if not name or before is None or not (before / name).exists():
+            points = packed_points(graph, first, min(first + FRAMES_A_FILE, len(graph)))
+            digest = hashlib.sha256(b"".join(array.tobytes() for array in points.values())).hexdigest()
+            name = known[key] = f"points_{first // FRAMES_A_FILE:05d}_{digest[:12]}.npz"
         names.append(name)
-        known[key] = name
-        old = None if before is None else before / name
-        if old is not None and old.exists():
-            os.link(old, folder / name)
-            continue
-        with (folder / name).open("wb") as file:
-            write_arrays(file, points)
+        if points is None or (before is not None and (before / name).exists()):
+            assert before is not None
+            os.link(before / name, folder / name)
+        else:
+            with (folder / name).open("wb") as file:
+                write_arrays(file, points)
     with (folder / GRAPH_FILE).open("wb") as file:
         write_arrays(file, small_arrays(graph) | {"points": np.array(names, np.str_)})
     return [GRAPH_FILE, *names]

@@ -267,7 +267,7 @@ class LiveView:
             case "", "diagnostics":
                 return self._health(message)
             case "", "graph":
-                return self._graph(message)
+                return [self._keep("graph", encode_graph(decode_graph(message.payload)))]
             case "", "standing":
                 return [self._keep(STANDING, encode_standing(decode_grid(message.payload)))]
             case "map", "changes":
@@ -302,9 +302,6 @@ class LiveView:
         ]
         since = {status.name: self._since.put(status, stamp_s) for status in statuses}
         return [self._keep("health", health_json(statuses, since, self._arrival_ms, stamp_s))]
-
-    def _graph(self, message: Message) -> list[Shown]:
-        return [self._keep("graph", encode_graph(decode_graph(message.payload)))]
 
     def _mountings(self, message: Message) -> list[Shown]:
         self._upside_down = decode_upside_down(message.payload)

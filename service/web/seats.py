@@ -15,14 +15,9 @@ class Seated(Protocol):
     @property
     def address(self) -> str: ...
     @property
-    def is_guest(self) -> bool:
-        """Whether it has shown no token."""
-        ...
-
+    def is_guest(self) -> bool: ...  # it has shown no token
     @property
-    def must_show(self) -> bool:
-        """A token, soon."""
-        ...
+    def must_show(self) -> bool: ...  # a token, soon
 
 
 SeatedT = TypeVar("SeatedT", bound=Seated)

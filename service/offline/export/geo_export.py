@@ -95,33 +95,32 @@ def write_world_file(picture_path: Path, picture: Picture, reference: GeoReferen
     Sources: ESRI, World files for raster datasets: six lines A, D, B, E, C, F; GDAL's PAM (gdalpam.xsd).
     Raises OSError, and InputError where UTM ends.
     """
-    cell_m = picture.cell_m
-    left_m, top_m = picture.x_min_m + 0.5 * cell_m, picture.y_min_m + (picture.height - 0.5) * cell_m
-    affine, srs = (cell_m, 0.0, 0.0, -cell_m, left_m, top_m), ""
-    if reference is not None:
-        zone, is_south, affine = utm_affine(picture_path, picture, reference)
-        srs = f'<SRS dataAxisToSRSAxisMapping="1,2">{escape(_utm_wkt(zone, is_south))}</SRS>\n'
-    text = "".join(f"{value:.10f}\n" for value in affine)
+    utm, (a, d, b, e, x, y) = placed(picture_path, picture, reference)
+    srs = "" if utm is None else f'<SRS dataAxisToSRSAxisMapping="1,2">{escape(_utm_wkt(*utm))}</SRS>\n'
+    text = "".join(f"{value:.10f}\n" for value in (a, d, b, e, x + 0.5 * (a + b), y + 0.5 * (d + e)))
     picture_path.with_suffix(".pgw").write_text(text, encoding="ascii")
-    a, d, b, e, c, f = affine
-    corner = (c - 0.5 * (a + b), a, b, f - 0.5 * (d + e), d, e)  # of the first pixel
-    transform = ", ".join(f"{value:.10f}" for value in corner)
+    transform = ", ".join(f"{value:.10f}" for value in (x, a, b, y, d, e))
     picture_path.with_name(f"{picture_path.name}.aux.xml").write_text(
         f"<PAMDataset>\n{srs}<GeoTransform>{transform}</GeoTransform>\n</PAMDataset>\n", encoding="ascii"
     )
 
 
-def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[int, bool, Affine]:
-    """Zone, whether it is in the south, and what takes column and row to UTM, at the middles of pixels.
+def placed(
+    path: Path, picture: Picture, reference: GeoReference | None
+) -> tuple[tuple[int, bool] | None, Affine]:
+    """Zone of UTM and whether it is in the south, and what takes column and row to it, at the upper left
+    corners of pixels. Without a reference None, and to metres of the map.
 
     Zone and hemisphere are those of the map's origin, wherever its corners are. One affine map stands for the
     complete picture: within 1 km UTM's scale changes by a few millionths.
     Raises InputError, which names `path`, where UTM ends.
     """
-    latitude_deg, longitude_deg = reference.to_geodetic(0.0, 0.0)
-    zone, is_south = utm_zone(longitude_deg), latitude_deg < 0.0
     left_m, low_m = picture.x_min_m, picture.y_min_m
     top_m, right_m = low_m + picture.height * picture.cell_m, left_m + picture.width * picture.cell_m
+    if reference is None:
+        return None, (picture.cell_m, 0.0, 0.0, -picture.cell_m, left_m, top_m)
+    latitude_deg, longitude_deg = reference.to_geodetic(0.0, 0.0)
+    zone, is_south = utm_zone(longitude_deg), latitude_deg < 0.0
     try:
         corner, along, down = (
             to_utm(*reference.to_geodetic(*xy), zone, is_south)
@@ -131,8 +130,7 @@ def utm_affine(path: Path, picture: Picture, reference: GeoReference) -> tuple[i
         raise InputError(f"{path}: no place in UTM: {error}") from error
     a, d = ((along[k] - corner[k]) / picture.width for k in (0, 1))
     b, e = ((down[k] - corner[k]) / picture.height for k in (0, 1))
-    c, f = corner[0] + 0.5 * (a + b), corner[1] + 0.5 * (d + e)
-    return zone, is_south, (a, d, b, e, c, f)
+    return (zone, is_south), (a, d, b, e, corner[0], corner[1])
 
 
 def _coordinates(poses: Poses, reference: GeoReference) -> list[tuple[float, float]]:

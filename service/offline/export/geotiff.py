@@ -7,7 +7,7 @@ import numpy as np
 from service.extras import optional
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.picture import GREY_UNKNOWN, Picture
-from service.offline.export.geo_export import utm_affine
+from service.offline.export.geo_export import placed
 
 MODEL_TRANSFORMATION, GEO_KEYS, GEO_ASCII, GDAL_NODATA = 34264, 34735, 34737, 42113
 MODEL_TYPE, RASTER_TYPE, CITATION, PROJECTED_CRS, LINEAR_UNITS = 1024, 1025, 1026, 3072, 3076
@@ -24,19 +24,19 @@ def write_geotiff(path: Path, picture: Picture, reference: GeoReference | None) 
     Raises OSError, InputError where UTM ends, CorridorError where tifffile is not installed.
     """
     tifffile = optional("tifffile", "export", "--format geotiff")
-    top_m = picture.y_min_m + picture.height * picture.cell_m
-    a, d, b, e, x, y = picture.cell_m, 0.0, 0.0, -picture.cell_m, picture.x_min_m, top_m
-    keys = [(MODEL_TYPE, 0, 1, USER_DEFINED), (RASTER_TYPE, 0, 1, PIXEL_IS_AREA)]
-    citation = "Frame of the map: metres, place on the earth unknown|"
-    if reference is not None:
-        zone, is_south, (a, d, b, e, c, f) = utm_affine(path, picture, reference)
-        x, y = c - 0.5 * (a + b), f - 0.5 * (d + e)  # corner, not middle, of the first pixel
-        keys = [(MODEL_TYPE, 0, 1, PROJECTED), (RASTER_TYPE, 0, 1, PIXEL_IS_AREA)]
+    utm, (a, d, b, e, x, y) = placed(path, picture, reference)
+    citation, crs = "Frame of the map: metres, place on the earth unknown|", []
+    if utm is not None:
+        zone, is_south = utm
         citation = f"WGS 84 / UTM zone {zone}{'S' if is_south else 'N'}|"
-    keys.append((CITATION, GEO_ASCII, len(citation), 0))
-    if reference is not None:
-        keys.append((PROJECTED_CRS, 0, 1, (UTM_SOUTH if is_south else UTM_NORTH) + zone))
-    keys.append((LINEAR_UNITS, 0, 1, METRE))
+        crs = [(PROJECTED_CRS, 0, 1, (UTM_SOUTH if is_south else UTM_NORTH) + zone)]
+    keys = [
+        (MODEL_TYPE, 0, 1, USER_DEFINED if utm is None else PROJECTED),
+        (RASTER_TYPE, 0, 1, PIXEL_IS_AREA),
+        (CITATION, GEO_ASCII, len(citation), 0),
+        *crs,
+        (LINEAR_UNITS, 0, 1, METRE),
+    ]
     directory = [1, 1, 1, len(keys), *(value for key in keys for value in key)]
     matrix = [a, b, 0.0, x, d, e, 0.0, y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     tifffile.imwrite(

@@ -38,7 +38,7 @@ def write_manifest(folder: Path, members: Sequence[Member], left_out: Mapping[st
     """Raises StorageError."""
     content = {
         "format": FORMAT,
-        "members": [_as_dict(one) for one in members],
+        "members": [{**asdict(one), "geo": one.geo and one.geo.as_dict()} for one in members],
         "left_out": {name: asdict(one) for name, one in left_out.items()},
     }
     with complete_files(folder / SITE_FILE) as path:
@@ -86,16 +86,6 @@ def _of_graph(folder: Path, graph: SavedGraph | None, members: Sequence[Member])
             "corridor map edit --undo, or name a new folder by --out"
         )
     return list(members[:there])
-
-
-def _as_dict(member: Member) -> dict[str, Any]:
-    return {
-        "name": member.name,
-        "digest": member.digest,
-        "keyframes": member.keyframes,
-        "stamps_ns": list(member.stamps_ns),
-        "geo": None if member.geo is None else member.geo.as_dict(),
-    }
 
 
 def _member(content: Mapping[str, Any]) -> Member:
