@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from service.errors import CorridorError, InputError
 from service.geometry import poses as se2
@@ -43,10 +42,10 @@ class MapCommands:
         self._changing = threading.Lock()
         self._user = map_edit.user_name()
         self._table: requested_by.Table = {
-            "map_look": (TypeAdapter(requested_by.Look), lambda _: self._look()),
-            "map_keyframe": (TypeAdapter(requested_by.LookAtKeyframe), self._keyframe),
-            "map_version": (TypeAdapter(requested_by.LookAtVersion), self._version),
-            "map_edit": (TypeAdapter(requested_by.Edit), self._edit),
+            "map_look": (requested_by.Look, lambda _: self._look()),
+            "map_keyframe": (requested_by.LookAtKeyframe, self._keyframe),
+            "map_version": (requested_by.LookAtVersion, self._version),
+            "map_edit": (requested_by.Edit, self._edit),
         }
         self.verbs = tuple(self._table)
 

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from service.errors import InputError
 from service.geometry import poses as se2
@@ -75,7 +74,7 @@ def _graph_reported(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
     off = se2.between(before.map[in_before], after.map[in_after])
     off_m, off_rad = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
     moved = (off_m > MOVED_M) | (off_rad > MOVED_RAD)
-    fewer, more = _points_changed(before.point_count[in_before], after.point_count[in_after])
+    points = after.point_count[in_after] - before.point_count[in_before]
     loops_before, loops_after = _loops(before), _loops(after)
     only_before = np.delete(np.arange(len(before)), in_before)
     only_after = np.delete(np.arange(len(after)), in_after)
@@ -84,8 +83,8 @@ def _graph_reported(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
         "keyframes_gone": len(only_before),
         "loops_new": len(loops_after - loops_before),
         "loops_gone": len(loops_before - loops_after),
-        "points_new": more + int(after.point_count[only_after].sum()),
-        "points_gone": fewer + int(before.point_count[only_before].sum()),
+        "points_new": int(points[points > 0].sum()) + int(after.point_count[only_after].sum()),
+        "points_gone": int(-points[points < 0].sum()) + int(before.point_count[only_before].sum()),
         "keyframes_moved": int(moved.sum()),
     }
     if moved.any():
@@ -98,11 +97,6 @@ def _graph_reported(before: SavedGraph, after: SavedGraph) -> dict[str, Any]:
             "max_at_y_m": round(float(after.map[in_after[most], 1]), 2),
         }
     return facts
-
-
-def _points_changed(before: npt.NDArray[np.int64], after: npt.NDArray[np.int64]) -> tuple[int, int]:
-    change = after - before
-    return int(-change[change < 0].sum()), int(change[change > 0].sum())
 
 
 def _loops(graph: SavedGraph) -> set[tuple[int, int]]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, ValidationError
 
 from service.errors import InputError, fault_words
 from service.mapper.edit_requests import (
@@ -79,7 +79,9 @@ class KeyframeOfSession(RequestModel):
     keyframe: Number
 
 
-Table = Mapping[str, tuple[TypeAdapter[Any], Callable[[Any], dict[str, Any]]]]  # verb -> request, who does it
+Table = Mapping[
+    str, tuple[type[RequestModel], Callable[[Any], dict[str, Any]]]
+]  # verb -> request, who does it
 
 
 def carry_out(table: Table, verb: str, payload: bytes) -> dict[str, Any]:
@@ -88,7 +90,7 @@ def carry_out(table: Table, verb: str, payload: bytes) -> dict[str, Any]:
         raise InputError(f"{verb}: this is a stored map; it knows {', '.join(table)}")
     kind, do = table[verb]
     try:
-        requested = kind.validate_json(payload)
+        requested = kind.model_validate_json(payload)
     except ValidationError as error:
         raise InputError(fault_words(error)) from error
     return do(requested)

@@ -15,8 +15,6 @@ import sys
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pydantic import TypeAdapter
-
 from service.errors import CorridorError, InputError
 from service.mapstore.files import StoredMap, load_map
 from service.offline.maps import edit as map_edit
@@ -24,8 +22,6 @@ from service.offline.maps.commands import look, look_at_keyframe
 from service.offline.maps.requests import KeyframeOfSession, Look, Table, carry_out
 
 IDLE_S = 900.0  # then the memory of the map is given back; the page looks again
-
-_LOOK, _KEYFRAME = TypeAdapter[Any](Look), TypeAdapter[Any](KeyframeOfSession)
 
 
 class SessionMapCommands:
@@ -40,8 +36,8 @@ class SessionMapCommands:
         requested = json.loads(line)
         folder, request = Path(requested["map"]), json.dumps(requested["request"]).encode()
         table: Table = {
-            "look": (_LOOK, lambda _: self._look(folder)),
-            "keyframe": (_KEYFRAME, self._keyframe),
+            "look": (Look, lambda _: self._look(folder)),
+            "keyframe": (KeyframeOfSession, self._keyframe),
         }
         try:
             return {"ok": True, **carry_out(table, requested["verb"], request)}

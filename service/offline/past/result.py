@@ -8,7 +8,7 @@ The files as the replay wrote them are in DIR, and in DIR/unedited once an edit 
 import json
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -124,10 +124,6 @@ class Result:
     source: Path
     stored: StoredMap | None
     drive: Drive
-
-    def in_version(self, stored: StoredMap) -> "Result":
-        """The same result, as of another version of its map."""
-        return replace(self, stored=stored)
 
     @property
     def has_trajectory(self) -> bool:

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,7 @@ class View(PastPage):
         super().show_moment(at_ns, payloads)
 
     def _show_stored(self, stored: StoredMap) -> None:
-        self._result = self._result.in_version(stored)
+        self._result = replace(self._result, stored=stored)
         self._show(self._result)
 
     def _show(self, result: Result) -> None:

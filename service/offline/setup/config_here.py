@@ -54,16 +54,10 @@ def faults_here(config: ServiceConfig, file: str) -> list[str]:
 
 
 def shared_devices(
-    sensors: Mapping[str, Any],
-    real_path: Callable[[str], str] = os.path.realpath,
-    addresses_of: Callable[[str], frozenset[str]] | None = None,
+    sensors: Mapping[str, Any], real_path: Callable[[str], str] = os.path.realpath
 ) -> list[SharedDevice]:
-    """Sensors whose device files are links to one file, or whose hosts have one address at the same port.
-
-    addresses_of   of a host; None: as this machine knows them
-    """
-    ask = addresses_of or known_addresses
-    return [*_linked_files(sensors, real_path), *_hosts_with_one_address(sensors, ask)]
+    """Sensors whose device files are links to one file, or whose hosts have one address at the same port."""
+    return [*_linked_files(sensors, real_path), *_hosts_with_one_address(sensors)]
 
 
 def _linked_files(sensors: Mapping[str, Any], real_path: Callable[[str], str]) -> Iterator[SharedDevice]:
@@ -77,9 +71,7 @@ def _linked_files(sensors: Mapping[str, Any], real_path: Callable[[str], str]) -
             yield SharedDevice(name, "device", owner, real_path(device))
 
 
-def _hosts_with_one_address(
-    sensors: Mapping[str, Any], addresses_of: Callable[[str], frozenset[str]]
-) -> Iterator[SharedDevice]:
+def _hosts_with_one_address(sensors: Mapping[str, Any]) -> Iterator[SharedDevice]:
     at_port: dict[int, list[str]] = {}
     for name, sensor in sensors.items():
         if getattr(sensor, "host", None) is not None:
@@ -88,7 +80,7 @@ def _hosts_with_one_address(
         owners: dict[str, str] = {}
         for name in names if len(names) > 1 else ():
             shared = ""
-            for address in sorted(addresses_of(sensors[name].host)):
+            for address in sorted(known_addresses(sensors[name].host)):
                 if owners.setdefault(address, name) != name:
                     shared = address
             if shared:
