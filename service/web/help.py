@@ -83,7 +83,7 @@ class Manual:
         title = ""
         for heading, inline in pairwise(tokens):
             if heading.type == "heading_open":
-                title = title or _plain(inline)
+                title = title or "".join(child.content for child in inline.children or [])
                 heading.attrSet("id", anchor_of(inline.content))
         _mark_reasons(tokens)
         for token in tokens:
@@ -140,7 +140,3 @@ def _mark_reasons(tokens: list[Token]) -> None:
 def anchor_of(heading: str) -> str:
     """Anchor of a heading as GitHub makes it: lower case, punctuation dropped, blanks to hyphens."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-
-
-def _plain(inline: Token) -> str:
-    return "".join(child.content for child in inline.children or [])

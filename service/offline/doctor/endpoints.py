@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from service.config import ServiceConfig
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.machine import Machine
-from service.offline.doctor.processes import Process, listeners, running_services
+from service.offline.doctor.processes import Process, listeners, processes
 from service.offline.doctor.running import RunningService
 from service.web.config import split_listen
 
@@ -92,11 +92,9 @@ def _is_taken(error: OSError | None) -> bool:
 
 def _service_at(machine: Machine, door: _Door) -> Process | None:
     """The `corridor run` or `corridor demo` that holds a taken endpoint, if one does."""
-    owners = listeners(machine, door.port, door.protocol)
-    services = [owner for owner in owners if owner.is_service]
-    if not owners:
-        services = running_services(machine)  # another user's: the kernel shows its name, not its sockets
-    return services[0] if services else None
+    # Another user's: the kernel shows its name, not its sockets.
+    owners = listeners(machine, door.port, door.protocol) or processes(machine)
+    return next((owner for owner in owners if owner.is_service), None)
 
 
 def _finding(machine: Machine, door: _Door, error: OSError | None) -> Finding:

@@ -35,16 +35,13 @@ def examine(
     try:
         config = load_config(config_path)
     except ConfigError as error:
-        found = [_config_fault(text) for text in error.faults]
+        remedy = "mend it; corridor check says when it is right"
+        found = [fault("config", text, "", remedy) for text in error.faults]
         return Report(str(config_path), (*found, *general)), ConfigError.exit_code
     report = Report(
         str(config_path), (*_with_config(machine, config_path, config, patience or Patience()), *general)
     )
     return report, report.exit_code
-
-
-def _config_fault(text: str) -> Finding:
-    return fault("config", text, "", "mend it; corridor check says when it is right")
 
 
 def _with_config(

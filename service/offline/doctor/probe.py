@@ -82,17 +82,13 @@ class Probe:
     def losses(self) -> dict[str, int]:
         """Counters of losses since the first frame."""
         since = self.counters - self.counters_at_first
-        return {name: count for name, count in sorted(since.items()) if _is_loss(name)}
+        return {name: count for name, count in sorted(since.items()) if any(word in name for word in _LOSSES)}
 
 
 _LOSSES = (
     *("missed", "malformed", "checksum", "skipped", "cut", "truncated", "damaged", "fault", "failure"),
     *("duplicate", "repeated", "out_of_order", "not_as_configured", "unreadable", "reset", "restart"),
 )
-
-
-def _is_loss(counter: str) -> bool:
-    return any(word in counter for word in _LOSSES)
 
 
 def probe(

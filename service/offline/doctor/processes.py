@@ -45,10 +45,6 @@ def named(machine: Machine, *names: str) -> list[Process]:
     return [process for process in processes(machine) if process.name in short]
 
 
-def running_services(machine: Machine) -> list[Process]:
-    return [process for process in processes(machine) if process.is_service]
-
-
 def holders(machine: Machine, path: Path) -> list[Process]:
     """Processes that have this file or device open, as far as permitted; `path` without links in it."""
     return _with_descriptor(machine, {str(path), str(machine.path(path))})

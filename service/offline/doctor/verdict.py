@@ -122,13 +122,10 @@ def silent(kind: SensorKind, config: Any, seen: Probe) -> Finding:
         f"the wire is open, {counted(seen.bytes_written, 'byte')} sent, and nothing came "
         f"in {seen.seconds:.0f} s"
     )
-    if seen.error is not None and _hung_up(seen.error):
+    is_reset = seen.error is not None and errno_of(seen.error) in (errno.ECONNRESET, errno.EPIPE)
+    if is_reset or "closed the connection" in str(seen.error):
         measured = "accepts the connection and closes it without data"
     return fault(config.name, measured, f"a {config.type} to answer", kind.advice.silence)
-
-
-def _hung_up(error: Exception) -> bool:
-    return errno_of(error) in (errno.ECONNRESET, errno.EPIPE) or "closed the connection" in str(error)
 
 
 def other_settings(config: Any, seen: Probe, words: str, answer: Probe) -> Finding:

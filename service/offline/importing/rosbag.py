@@ -68,7 +68,8 @@ def import_rosbag(bag_path: Path, out_path: Path, choice: Choice = NO_CHOICE) ->
     known = {name: pose for name, pose in session.mountings.items() if name not in session.unmounted}
     report.mountings = known | session.antennas
     report.notes = [*session.notes, *session.warnings, *session.unmounted.values()]
-    if not any(isinstance(frame, LaserScan) and _has_return(frame) for frame in _usable(session)):
+    scans = (frame for frame in _usable(session) if isinstance(frame, LaserScan))
+    if not any(np.isfinite(scan.range_m).any() for scan in scans):
         raise InputError(
             f"{bag_path}: not one beam came back in all scans of "
             f"{' and '.join(sorted(session.mountings))}; nothing can be mapped of it"
@@ -98,7 +99,3 @@ def _counted(session: Session, report: BagReport) -> Iterator[Frame]:
         report.duration_s = (frame.arrived_ns - first_ns) / 1e9
         report.frames[f"{SEVERAL[type(frame)]} of {frame.sensor}"] += 1
         yield frame
-
-
-def _has_return(scan: LaserScan) -> bool:
-    return bool(np.isfinite(scan.range_m).any())

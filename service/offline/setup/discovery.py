@@ -94,8 +94,11 @@ def discover(wires: Sequence[Wire], ask_s: float = ASK_S) -> list[Found]:
 
 def _ask(wire: Wire, ask_s: float, stop: threading.Event) -> Found:
     candidates: Mapping[str, Mapping[str, Any]] = {wire.type: {}} if wire.type else _queried_at(wire)
-    if not wire.type and wire.device.startswith(("/", ".")) and (heard := _heard(wire.device, stop)):
-        recognised = {kind: candidates[kind] for kind in candidates if recognise_sensor(heard, kind)}
+    if not wire.type and wire.device.startswith(("/", ".")):
+        heard = listen(partial(SerialTransport, wire.device, LISTEN_BAUD), LISTEN_S, stop)
+        recognised = {
+            kind: candidates[kind] for kind in candidates if heard and recognise_sensor(heard, kind)
+        }
         candidates = recognised or candidates
     words: list[str] = []
     for kind, settings in candidates.items():
@@ -115,11 +118,6 @@ def _queried_at(wire: Wire) -> dict[str, Mapping[str, Any]]:
     advice = {name: kind.advice for name, kind in SENSOR_KINDS.items()}
     settings = {name: one.at_port if wire.device else one.at_host for name, one in advice.items()}
     return {name: requested for name, requested in settings.items() if requested is not None}
-
-
-def _heard(device: str, stop: threading.Event) -> bytes:
-    """Bytes that come without a request; b"" where the port cannot be opened, which the query reports."""
-    return listen(partial(SerialTransport, device, LISTEN_BAUD), LISTEN_S, stop)
 
 
 def _ask_for(

@@ -61,15 +61,15 @@ def parameters_of(mapping: MappingConfig, wanted: Sequence[str]) -> list[Paramet
         name, _, span = words.partition("=")
         fitting = [one for one in numbers if one == name or one.endswith(f".{name}")]
         if len(fitting) != 1:
-            hint = " or ".join(fitting) if fitting else suggest(name, [*numbers, *_ends(numbers)])
+            hint = (
+                " or ".join(fitting)
+                if fitting
+                else suggest(name, [*numbers, *(one.rpartition(".")[2] for one in numbers)])
+            )
             raise UsageError(f"--parameter {name}: {'which one' if fitting else 'not there'}? {hint}")
         parameter = numbers[fitting[0]]
         found[parameter.name] = _between(parameter, span) if span else parameter
     return list(found.values())
-
-
-def _ends(names: Mapping[str, Any]) -> list[str]:
-    return [name.rpartition(".")[2] for name in names]
 
 
 def _between(parameter: Parameter, span: str) -> Parameter:
