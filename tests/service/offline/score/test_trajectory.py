@@ -13,7 +13,7 @@ def test_a_trajectory_comes_back_with_its_stamps_to_the_nanosecond(tmp_path):
     stamps = 1_211_667_623_001_236_001 + np.cumsum(random.integers(1, 10**9, 200))
     poses = [SE2(*random.uniform(-1000, 1000, 2), random.uniform(-math.pi, math.pi)) for _ in stamps]
     path = tmp_path / "a.tum"
-    assert write_tum(path, zip(stamps.tolist(), poses, strict=True)) == 200
+    write_tum(path, zip(stamps.tolist(), poses, strict=True))
     back = read_tum(path)
     assert back.stamp_ns.tolist() == stamps.tolist()
     np.testing.assert_allclose(back.pose, [[p.x_m, p.y_m, p.theta_rad] for p in poses], atol=1e-9)
