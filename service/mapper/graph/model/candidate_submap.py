@@ -34,6 +34,7 @@ LOOP_SEARCH_POINTS = 200
 # Likelihood of a point on ground that the sub-map has not observed: below that of a point on a wall, so that
 # known ground is preferred.
 LOOP_UNKNOWN_LIKELIHOOD = 0.7
+LIKELIHOOD_STEP = 1.0 / 255.0  # of a cell of the pyramid, a byte
 MIN_LOOP_SCORE = 0.5  # least mean likelihood of a search result: half of the points lie on walls
 # [22] Gate for noise in the information of a loop: the largest of the loops along 30 m of a corridor, one
 # each 2 m.
@@ -79,6 +80,7 @@ class CandidateSubmap:
         self.members = list(members)
         self._space: OccupancyGrid | None = None
         self._pyramid: MaxPyramid | None = None
+        # For the free space alone.
         self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
         self._sensors = [
             se2.points_from(
@@ -144,17 +146,21 @@ class CandidateSubmap:
             pad = padding_cells(LOOP_SEARCH_LEVELS)
             low = np.floor(self._xy.min(axis=0) / CELL_M).astype(np.int64) - 2 - pad
             high = np.floor(self._xy.max(axis=0) / CELL_M).astype(np.int64) + 3
-            levels = np.zeros((LOOP_SEARCH_LEVELS, high[1] - low[1], high[0] - low[0]), np.float32)
             row, column = int(low[1]), int(low[0])
-            splat_field(self._xy, row, column, CELL_M, LOOP_FIELD_SIGMA_M, levels[0])
-            fill_unknown(levels[0], row, column, self._free(), LOOP_UNKNOWN_LIKELIHOOD)
-            pool_levels(levels, LOOP_UNKNOWN_LIKELIHOOD)
-            self._pyramid = MaxPyramid(levels, row, column, LOOP_UNKNOWN_LIKELIHOOD, 0.0, 1.0, CELL_M)
+            field = np.zeros((high[1] - low[1], high[0] - low[0]), np.float32)
+            splat_field(self._xy, row, column, CELL_M, LOOP_FIELD_SIGMA_M, field)
+            fill_unknown(field, row, column, self._free(), LOOP_UNKNOWN_LIKELIHOOD)
+            levels = np.empty((LOOP_SEARCH_LEVELS, *field.shape), np.uint8)
+            levels[0] = np.rint(field / LIKELIHOOD_STEP)
+            unknown = float(np.rint(LOOP_UNKNOWN_LIKELIHOOD / LIKELIHOOD_STEP))
+            pool_levels(levels, unknown)
+            self._pyramid = MaxPyramid(levels, row, column, unknown, 0.0, LIKELIHOOD_STEP, CELL_M)
         return self._pyramid
 
     def _free(self) -> OccupancyGrid:
         if self._space is None:
             self._space = free_space(self._clouds, self._sensors)
+            self._clouds, self._sensors = [], []
         return self._space
 
 

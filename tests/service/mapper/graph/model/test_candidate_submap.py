@@ -7,10 +7,16 @@ import numpy as np
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.candidate_submap import CandidateSubmap, cloud_of
+from service.mapper.graph.model.candidate_submap import (
+    LIKELIHOOD_STEP,
+    LOOP_UNKNOWN_LIKELIHOOD,
+    MIN_LOOP_SCORE,
+    CandidateSubmap,
+    cloud_of,
+)
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import loop_of
-from service.mapper.graph.model.point_clouds import PointCloud, SurfelSet, cloud_with_noise, joined
+from service.mapper.graph.model.point_clouds import CELL_M, PointCloud, SurfelSet, cloud_with_noise, joined
 from tests.service.mapper.graph.key_frames import append
 
 STEP_M = 0.3
@@ -64,3 +70,18 @@ def test_key_frames_of_one_wall_share_the_errors_of_its_surfels():
     assert information_along(often) > 8.0 * information_along(once)
     shared = surfels.align_with_shared_errors(often, origin, 0.0)
     assert shared.information[0, 0] < 3.0 * information_along(once)
+
+
+def test_a_search_finds_the_cell_and_refuses_what_no_wall_supports():
+    """The field is kept as bytes: half of a step of it is all that a score may be off by."""
+    keyframes = out_and_back()
+    submap, cloud, true = places_of(keyframes, 120)
+    found = submap.search(cloud, true + np.array([0.0, 0.4, 0.0]), WINDOW_M, 0.06, MIN_LOOP_SCORE)
+    assert found is not None
+    assert abs(found[1] - true[1]) < CELL_M
+    assert submap.search(cloud, true, WINDOW_M, 0.06, 1.0) is None
+    pyramid = submap.pyramid()
+    assert pyramid.levels.dtype == np.uint8
+    field = pyramid.scale * pyramid.levels[0]
+    assert float(field.max()) <= 1.0 + 0.5 * LIKELIHOOD_STEP
+    assert abs(pyramid.scale * pyramid.empty - LOOP_UNKNOWN_LIKELIHOOD) <= 0.5 * LIKELIHOOD_STEP
