@@ -28,10 +28,9 @@ CODES = {
     **{(command, "SIGINT"): 130 for command in ("run", "demo", "replay", "warmup")},
 }
 SPANS_S = {"at once": (0.0, 0.0), "soon": (0.0, 2.0), "late": (2.0, SPAN_S)}
-# Each command by each signal, and each signal at each kind of moment.
-NOW = {("run", "SIGINT", "soon"), ("run", "SIGTERM", "late"), ("demo", "SIGINT", "late"),
-       ("demo", "SIGTERM", "at once"), ("replay", "SIGINT", "at once"), ("replay", "SIGTERM", "soon"),
-       ("warmup", "SIGINT", "soon"), ("warmup", "SIGTERM", "at once")}  # fmt: skip
+# Each command, two by each signal, and each kind of moment.
+NOW = {("run", "SIGTERM", "late"), ("demo", "SIGINT", "soon"), ("replay", "SIGTERM", "soon"),
+       ("warmup", "SIGINT", "at once")}  # fmt: skip
 MOMENTS = [(*of, when) if (*of, when) in NOW else in_soak(*of, when) for of in CODES for when in SPANS_S]
 
 

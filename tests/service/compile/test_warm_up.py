@@ -67,7 +67,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Work:
 def test_what_other_processes_compiled_is_loaded_here_or_compiled_if_they_died(
     does: str, warnings: int, work: Work, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    names = {f"job{k}" for k in range(50)}
+    names = {f"job{k}" for k in range(8)}
     work.is_to_do(" ".join(names))
     monkeypatch.setattr(module, "Worker", worker_that(does))
     progress = KernelProgress(lambda p: None)
