@@ -6,11 +6,12 @@ from service.mapper.profiles import build_mapper, mapping_config
 from simulators.truth import Ride
 from simulators.worlds import WORLDS
 from tests.accuracy.lasers import ALL, frames_of
+from tests.soaked import in_soak
 
 SECONDS = 2.5
 
 
-@pytest.mark.parametrize("seed", [11, 31])
+@pytest.mark.parametrize("seed", [11, in_soak(31)])
 def test_a_laser_on_new_ground_is_neither_named_nor_drawn_along_the_corridor(seed: int) -> None:
     """The LUX ahead has the first scan; the UTM-30LX behind sees 1 % of what it saw, at rest for 0.7 s."""
     ride = Ride(WORLDS["ring"](), 0, 0.5)

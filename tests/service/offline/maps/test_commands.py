@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.mapstore.files import load_map, save_map
+from service.mapstore.files import load_map, save_map, versions_of
 from service.offline.maps import edit as map_edit
 from service.offline.maps.commands import MapCommands
 from tests.in_background import started
@@ -131,6 +131,11 @@ def test_changes_are_made_one_at_a_time(picture):
     assert commands.answer("map_look", b"{}").ok
 
 
+@pytest.fixture(scope="module")
+def unchanged(bent_folder):
+    return Asking(bent_folder)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -153,8 +158,7 @@ def test_changes_are_made_one_at_a_time(picture):
         ({"what": "melt"}, "does not match any of the expected tags"),
     ],
 )
-def test_what_is_no_change_is_refused_in_words(folder, change, words):
-    asking = Asking(folder)
-    assert words in asking.ask("map_edit", version=1, change=change)["error"]
-    assert asking.shown == []
-    assert load_map(folder).number == 1
+def test_what_is_no_change_is_refused_in_words(unchanged, bent_folder, change, words):
+    assert words in unchanged.ask("map_edit", version=1, change=change)["error"]
+    assert unchanged.shown == []
+    assert versions_of(bent_folder)[1] == 1

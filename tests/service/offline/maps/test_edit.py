@@ -1,6 +1,8 @@
 """What `corridor map edit` does to a stored map: each change on disk, listed, and taken back."""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,13 +37,20 @@ def graph() -> SavedGraph:
     return saved_of(1.2)
 
 
-@pytest.fixture
-def ring(tmp_path, graph):
+@pytest.fixture(scope="module")
+def stored_ring(tmp_path_factory, graph):
     """A stored map of a ring of corridors."""
+    folder = tmp_path_factory.mktemp("stored") / "ring"
     shown = OccupancyTiles(OccupancyConfig(), 0.05)
     shown.replace_by(solved(graph, shown.renderer).rendered_map, ())
-    save_map(tmp_path / "ring", shown.changed_tiles(), 1_000, {"vehicle": "veh1"}, graph=graph)
-    return tmp_path / "ring"
+    save_map(folder, shown.changed_tiles(), 1_000, {"vehicle": "veh1"}, graph=graph)
+    return folder
+
+
+@pytest.fixture
+def ring(tmp_path, stored_ring):
+    """A copy of it."""
+    return Path(shutil.copytree(stored_ring, tmp_path / "ring", symlinks=True))
 
 
 @pytest.fixture

@@ -1,19 +1,18 @@
 """`corridor map loops`: what holds a map together, what was not believed, and why."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
 
 from service.cli import main
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map
 from service.offline.maps.loops import map_loops
-from tests.service.mapper.graph.loops.rings import key_frames
+from tests.service.mapper.graph.loops.rings import fed_ring
 from tests.service.mapstore.tile_makers import tile
 
 TILES = [tile(0, 0, 1)]
@@ -22,10 +21,7 @@ TILES = [tile(0, 0, 1)]
 @pytest.fixture(scope="module")
 def graph() -> SavedGraph:
     """A ring with a loop among the others that the rest contradicts."""
-    frames, _ = key_frames(1.4)
-    back_end = LoopBackEnd(LoopsConfig(), None)
-    for k in range(0, len(frames), 7):
-        back_end.work(Batch(frames[k : k + 7]))
+    back_end = pickle.loads(fed_ring()[0])
     covariance = np.diag([1e-4, 1e-4, 1e-5])
     back_end.loops.accepted.append(Loop(10, 80, np.array([0.0, 0.3, 0.0]), covariance, 0.9, 300, 0.01))
     saved = back_end.work(Batch([], is_last=True)).saved

@@ -183,35 +183,33 @@ def test_a_new_drive_is_added_without_doing_the_others_again(grown, drives):
     assert list(again["left_out"]) == ["elsewhere"]
 
 
-def test_what_was_drawn_by_hand_outlives_the_next_build(grown, drives):
+def test_what_was_drawn_by_hand_outlives_the_next_build_and_a_map_that_lost_key_frames_is_refused(
+    grown, drives
+):
     assert main(["map", "edit", str(grown), "--wall", "2", "-0.5", "2", "0.5"]) == 0
-    build([drives / "c"], grown)
-    assert len(load_map(grown).graph.by_hand.kind) == 1
-
-
-def test_a_map_that_lost_key_frames_is_refused(grown, drives):
     assert main(["map", "edit", str(grown), "--cut", "1", "2", "--bridge"]) == 0
     with pytest.raises(InputError, match="cut, remapped or extended"):
         build([drives / "c"], grown)
     assert main(["map", "edit", str(grown), "--undo"]) == 0
     assert names_in(build([drives / "c"], grown)) == ["a", "b", "c"]
+    assert len(load_map(grown).graph.by_hand.kind) == 1
 
 
 def test_a_map_that_is_no_site_is_not_built_upon(drives, tmp_path):
-    store(tmp_path / "map", driven("a", 0))
+    shutil.copytree(drives / "a", tmp_path / "map", symlinks=True)
     with pytest.raises(InputError, match="no site build made"):
         build([drives / "b"], tmp_path / "map")
 
 
 def test_one_drive_counts_once(drives, tmp_path):
-    store(tmp_path / "copy_of_a", driven("a", 0))
+    shutil.copytree(drives / "a", tmp_path / "copy_of_a", symlinks=True)
     report = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
     assert names_in(report) == ["a"]
     assert report["left_out"] == {"copy_of_a": "it is the drive of a, by the stamps of its key frames"}
 
 
-def test_fixes_place_drives_that_do_not_overlap(tmp_path):
-    graph = driven("a", 0)
+def test_fixes_place_drives_that_do_not_overlap(drives, tmp_path):
+    graph = load_map(drives / "a").graph
     half, turn = COUNT // 4, FRAMES["b"]
     for name, rows, frame in (("first", slice(0, half), SE2()), ("second", slice(-half, None), turn)):
         is_kept = np.zeros(COUNT, np.bool_)

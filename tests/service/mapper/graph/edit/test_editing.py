@@ -1,9 +1,12 @@
+import pickle
+
 from service.mapper.graph.edit.editing import solved
-from tests.service.mapper.graph.loops.rings import RENDERER, saved_of
+from service.mapper.graph.loops.loop_batches import Batch
+from tests.service.mapper.graph.loops.rings import RENDERER, fed_ring
 
 
 def test_solving_a_solved_graph_moves_nothing():
-    graph = saved_of(1.4)
+    graph = pickle.loads(fed_ring()[0]).work(Batch([], is_last=True)).saved
     assert len(graph.loop_ends) >= 3
     again = solved(graph, RENDERER)
     assert again.contradicted == 0

@@ -1,13 +1,15 @@
 """Key frames of a drive round a ring of corridors, with odometry that turns a little too far."""
 
 import math
+import pickle
+from functools import cache
 
 import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
@@ -79,6 +81,23 @@ def key_frames(
         covariance = np.diag([1e-4, 1e-4, 1e-5])
         frames.append(KeyFrame(k * 10**8, accepted, covariance, 0, 0.9, False, xy, (0.0, 0.0), STEP_RAD))
     return frames, truth
+
+
+@cache
+def ring() -> tuple[list[KeyFrame], list[SE2]]:
+    """1.4 rounds, made once for all who look at them."""
+    return key_frames(1.4)
+
+
+@cache
+def fed_ring(is_open: bool = False) -> tuple[bytes, list[Result]]:
+    """A back end with all of the ring, pickled for each to load a copy, and its results. is_open: no loop is
+    accepted, so that the second round lies beside the first.
+    """
+    frames, _ = ring()
+    back_end = LoopBackEnd(LoopsConfig(consensus_span_m=1000.0) if is_open else LoopsConfig(), RENDERER)
+    results = [back_end.work(Batch(frames[k : k + 7])) for k in range(0, len(frames), 7)]
+    return pickle.dumps(back_end), results
 
 
 def saved_of(rounds: float) -> SavedGraph:

@@ -15,28 +15,21 @@ from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
-from tests.service.mapper.graph.loops.rings import RENDERER, ROUND, key_frames, seam_m
+from tests.service.mapper.graph.loops.rings import RENDERER, ROUND, fed_ring, ring, seam_m
 
-FRAMES, TRUTH = key_frames(1.4)
+FRAMES, TRUTH = ring()
 SPOTS = (8, 30, 52)  # key frames of the first round
 
 
-def fed(config: LoopsConfig) -> bytes:
-    back_end = LoopBackEnd(config, RENDERER)
-    for k in range(0, len(FRAMES), 7):
-        back_end.work(Batch(FRAMES[k : k + 7]))
-    return pickle.dumps(back_end)
-
-
-@pytest.fixture(scope="module")
-def open_ring() -> bytes:
+@pytest.fixture
+def open_ring() -> LoopBackEnd:
     """Without accepted loops: the second round is offset from the first."""
-    return fed(LoopsConfig(consensus_span_m=1000.0))
+    return pickle.loads(fed_ring(is_open=True)[0])
 
 
-@pytest.fixture(scope="module")
-def closed_ring() -> bytes:
-    return fed(LoopsConfig())
+@pytest.fixture
+def closed_ring() -> LoopBackEnd:
+    return pickle.loads(fed_ring()[0])
 
 
 def edited(back_end: LoopBackEnd, **change: Any) -> tuple[Result, EditAnswer]:
@@ -66,9 +59,8 @@ def pairs_of_both_rounds(graph: SavedGraph, off_m: float = 0.0) -> list[dict[str
     return pairs
 
 
-def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_each(open_ring: bytes):
-    back_end = pickle.loads(open_ring)
-    before = saved(back_end)
+def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_each(open_ring: LoopBackEnd):
+    before = saved(back_end := open_ring)
     assert seam_m(before, TRUTH).min() > 0.5
     result, answer = edited(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
     assert answer.reply["done"].startswith("pairs 0 to 2; key frames moved by up to ")
@@ -91,10 +83,9 @@ def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_eac
 
 @pytest.mark.parametrize("is_bridged", [False, True])
 def test_a_cut_removes_points_and_loops_of_its_time_and_undo_restores_them(
-    closed_ring: bytes, is_bridged: bool
+    closed_ring: LoopBackEnd, is_bridged: bool
 ):
-    back_end = pickle.loads(closed_ring)
-    before = saved(back_end)
+    before = saved(back_end := closed_ring)
     ends = before.loop_ends.tolist()
     assert ends
     span = {"what": "cut", "from_s": ends[0][1] / 10.0 - 0.2, "to_s": ends[0][1] / 10.0 + 0.2}
@@ -121,9 +112,8 @@ def shown(back_end: LoopBackEnd, kind: str) -> list[dict[str, Any]]:
     return [*map(dict, picture.evidence[kind])]
 
 
-def test_a_loop_is_refused_and_undo_restores_it(closed_ring: bytes):
-    back_end = pickle.loads(closed_ring)
-    before = saved(back_end)
+def test_a_loop_is_refused_and_undo_restores_it(closed_ring: LoopBackEnd):
+    before = saved(back_end := closed_ring)
     worst = shown(back_end, "accepted")[0]
     assert worst["off_mm"] == max(loop["off_mm"] for loop in shown(back_end, "accepted"))
     assert 0.0 < worst["sigma_mm"] < 500.0
@@ -141,8 +131,8 @@ def test_a_loop_is_refused_and_undo_restores_it(closed_ring: bytes):
     assert worst["stamps_ns"] not in [loop["stamps_ns"] for loop in shown(back_end, "refused")]
 
 
-def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: bytes):
-    graph = saved(pickle.loads(closed_ring))
+def test_the_only_loop_that_joins_a_segment_is_not_refused(closed_ring: LoopBackEnd):
+    graph = saved(closed_ring)
     graph = without_loops(graph, range(2, len(graph.loop_ends)))
     later = (np.arange(len(graph)) >= graph.loop_ends[:, 1].min()).astype(np.int64)
     back_end = LoopBackEnd(LoopsConfig(), RENDERER, replace(graph, segment=later))
@@ -157,24 +147,18 @@ def pair_of(*stamps_ns: str) -> dict[str, Any]:
     return {"stamps_ns": stamps_ns, "points_base": ((0.0, 0.0), (0.0, 0.0))}
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+def test_an_impossible_change_is_refused_and_changes_nothing(open_ring: LoopBackEnd):
+    before = saved(back_end := open_ring)
+    for change, words in (
         ({"what": "remove-pair", "pair": 0}, "there is no pair 0"),
         ({"what": "cut", "from_s": 1e6, "to_s": 1e7}, "no key frame lies in that time"),
         ({"what": "cut", "from_s": 0.0, "to_s": 1e7}, "that is all of the map"),
         ({"what": "add-pair", "pairs": [pair_of("0", "7")]}, "the key frame of 7 ns is not in the map"),
         ({"what": "add-pair", "pairs": [pair_of("0", "0")]}, "of one key frame"),
-    ],
-)
-def test_an_impossible_change_is_refused_and_changes_nothing(
-    open_ring: bytes, change: dict[str, Any], words: str
-):
-    back_end = pickle.loads(open_ring)
-    before = saved(back_end)
-    result, answer = edited(back_end, **change)
-    assert words in answer.error
-    assert result.rendered_map is None
+    ):
+        result, answer = edited(back_end, **change)
+        assert words in answer.error
+        assert result.rendered_map is None
     after = saved(back_end)
     np.testing.assert_array_equal(after.map, before.map)
     np.testing.assert_array_equal(after.point_count, before.point_count)

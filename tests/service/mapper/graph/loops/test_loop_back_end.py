@@ -15,30 +15,29 @@ from service.mapper.graph.model.graph_picture import PICTURE_GAP_M
 from service.mapper.graph.model.keyframe_list import KeyFrame
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.loops_config import LoopsConfig
-from tests.service.mapper.graph.loops.rings import LENGTH_M, RENDERER, ROUND, STEP_M, key_frames
+from tests.service.mapper.graph.loops import rings
+from tests.service.mapper.graph.loops.rings import LENGTH_M, ROUND, STEP_M, key_frames
 
 BATCH = 7
 Ring = tuple[list[KeyFrame], list[SE2]]  # and the truth
 Fed = tuple[bytes, list[Result]]
 
 
-@pytest.fixture(scope="module")
+def fed(frames: list[KeyFrame], config: LoopsConfig | None = None) -> LoopBackEnd:
+    back_end = LoopBackEnd(config or LoopsConfig(), None)
+    for k in range(0, len(frames), BATCH):
+        back_end.work(Batch(frames[k : k + BATCH]))
+    return back_end
+
+
+@pytest.fixture
 def ring() -> Ring:
-    return key_frames(1.4)
+    return rings.ring()
 
 
-def fed(
-    frames: list[KeyFrame], config: LoopsConfig | None = None, renders: bool = True
-) -> tuple[LoopBackEnd, list[Result]]:
-    back_end = LoopBackEnd(config or LoopsConfig(), RENDERER if renders else None)
-    return back_end, [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
-
-
-@pytest.fixture(scope="module")
-def ring_fed(ring: Ring) -> Fed:
-    """A back end with all of the ring, pickled for each test to load a copy; and its results."""
-    back_end, results = fed(ring[0])
-    return pickle.dumps(back_end), results
+@pytest.fixture
+def ring_fed() -> Fed:
+    return rings.fed_ring()
 
 
 def errors_m(corrections: list[Correction], truth: list[SE2]) -> np.ndarray:
@@ -78,7 +77,8 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     """The first pass and the newest ones stay, and the path of all scans is as good as that."""
     monkeypatch.setattr(old_passes, "MIN_REMOVED_AT_ONCE", 40)
     frames, truth = key_frames(3.8)
-    back_end, results = fed(frames, LoopsConfig(keep_passes=1), renders=False)
+    back_end = LoopBackEnd(LoopsConfig(keep_passes=1), None)
+    results = [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
     keyframes, a_round = back_end.keyframes, ROUND
     assert keyframes.count < 3.0 * a_round
     assert keyframes.has_points.sum() < 2.7 * a_round
@@ -107,20 +107,16 @@ def test_localisation_drops_nothing_of_the_stored_map(ring_fed: Fed):
 
 
 def test_the_same_batches_give_the_same_result_and_a_pickled_back_end_too(ring: Ring, ring_fed: Fed):
-    frames = ring[0]
-    back_end = pickle.loads(pickle.dumps(LoopBackEnd(LoopsConfig(), None)))
-    for k in range(0, len(frames), BATCH):
-        back_end.work(Batch(frames[k : k + BATCH]))
-    again = back_end.work(Batch([], is_last=True))
+    again = fed(ring[0]).work(Batch([], is_last=True))
     first = pickle.loads(ring_fed[0]).work(Batch([], is_last=True))
     assert again.all == first.all
     assert again.g2o == first.g2o
 
 
-def test_a_single_loop_is_not_accepted(ring: Ring):
-    back_end, results = fed(ring[0], LoopsConfig(consensus_span_m=1000.0))
+def test_a_single_loop_is_not_accepted():
+    back_end, results = rings.fed_ring(is_open=True)
     assert {result.loops for result in results} == {0}
-    assert back_end.work(Batch([], is_last=True)).loops == 0
+    assert pickle.loads(back_end).work(Batch([], is_last=True)).loops == 0
 
 
 @pytest.mark.parametrize("is_known", [True, False], ids=["known", "unknown"])
@@ -131,8 +127,7 @@ def test_a_lap_that_ends_where_it_began_is_closed_where_the_path_is_known(is_kno
         replace(frame, motion_covariance=k * np.diag([1e-4, 1e-4, 6e-7]) if is_known else None)
         for k, frame in enumerate(frames)
     ]
-    back_end, _ = fed(known)
-    finished = back_end.work(Batch([], is_last=True))
+    finished = fed(known).work(Batch([], is_last=True))
     end_m = errors_m(list(finished.all), truth)[-1]
     assert bool(finished.loops) is is_known
     assert bool(end_m < 0.03) is is_known, end_m
@@ -170,8 +165,7 @@ def test_after_a_poor_match_the_search_window_is_larger(ring: Ring, says_so: boo
     ]
     if says_so:
         turned[0] = replace(turned[0], score=0.5 * turned[0].score)
-    back_end, _ = fed([*frames[:kink], *turned])
-    finished = back_end.work(Batch([], is_last=True))
+    finished = fed([*frames[:kink], *turned]).work(Batch([], is_last=True))
     assert bool(seam_m(list(finished.all), truth).max() < 0.05) is says_so
 
 
