@@ -5,7 +5,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
-from itertools import product
+from itertools import cycle, islice, product
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from service.mapstore.graph_files import GRAPH_FILE
 from service.mapstore.links import CURRENT
 from service.offline.past.view import View
 from tests.browser.scene import Scene
-from tests.service.offline.conftest import bent, folder  # noqa: F401 - fixtures
+from tests.service.offline.conftest import bent, bent_folder, folder  # noqa: F401 - fixtures
 from tests.service.sinks.test_map_saver import tile
 from tests.service.web.conftest import (
     TIMEOUT_S,
@@ -322,7 +322,8 @@ def open_view(page: Page, view: View, version: int = 1) -> None:
 
 @pytest.fixture
 def axe() -> Callable[..., None]:
-    """Judges a page in each area, size and scheme: all fits the width, and axe-core finds nothing serious.
+    """Judges a page in each area, in the first size and scheme and in the second ones: all fits the width,
+    and axe-core finds nothing serious.
 
     areas    to be chosen; none: the page as it is
     shown    id of an element that must be displayed
@@ -340,7 +341,8 @@ def axe() -> Callable[..., None]:
     ) -> None:
         page.run(source)
         try:
-            for size, is_dark, area in product(sizes, schemes, areas or ("",)):
+            cases = islice(zip(cycle(sizes), cycle(schemes), strict=False), max(len(sizes), len(schemes)))
+            for (size, is_dark), area in product(cases, areas or ("",)):
                 page.resize(size, is_dark)
                 if area:
                     page.choose(area)
