@@ -63,6 +63,7 @@ check: venv ## ruff, mypy --strict, import-linter
 	$(BIN)/ruff format --check .
 	@echo "mypy: half a minute where nothing is cached"
 	$(BIN)/mypy
+	MYPYPATH=service/python $(BIN)/mypy tests/system/typed_program.py # of a user
 	$(BIN)/lint-imports
 
 ci: ## what a pull request must pass: check, test, and test with Python 3.13 where that is installed

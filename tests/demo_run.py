@@ -51,15 +51,12 @@ def run_demo(
     seconds: int,
     folder: Path,
     look: Callable[[int], None] = lambda process: None,
-    faults: Path | None = None,
     program: Path = HERE,
     environment: Mapping[str, str] | None = None,
 ) -> DemoRun:
     """`look` is called with the service's process id, each LOOK_S."""
     command = [str(program), "demo", "--json"]
     command += ["--seconds", str(seconds), "--out", str(folder)]
-    if faults is not None:
-        command += ["--faults", str(faults)]
 
     def watch(ended: threading.Event) -> None:
         while not ended.wait(LOOK_S):

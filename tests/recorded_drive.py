@@ -47,7 +47,7 @@ def record(frames: Sequence[Frame], mountings: Mapping[str, SE2], folder: Path, 
 
 def record_office(path: Path, seed: int) -> None:
     """A recording of 15 s as a demo leaves it, but of one laser."""
-    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=25.0), 15.0, seed, Wheels())
+    driven = simulated_drive(WORLDS["office"](), replace(LMS100_50HZ, rate_hz=12.5), 15.0, seed, Wheels())
     messages = [encode_frame(frame, T0_NS) for frame in driven.frames]
     path.parent.mkdir(exist_ok=True)
     write_file(path, [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS), *messages])

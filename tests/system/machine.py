@@ -36,10 +36,10 @@ def free_port() -> int:
 class FakeVehicle:
     """`python -m simulators` with a laser on a fixed port and a base on a named terminal; can start again."""
 
-    def __init__(self, folder: Path, stand_s: float = 1.0) -> None:
+    def __init__(self, folder: Path, stand_s: float = 1.0, faults: Path | None = None) -> None:
         self.truth = folder / "truth.txt"
         self.port, self.terminal = free_port(), folder / "base"
-        self._stand_s = stand_s
+        self._stand_s, self._faults = stand_s, faults
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
@@ -47,6 +47,7 @@ class FakeVehicle:
         command += ["--truth", str(self.truth), "--stand-s", str(self._stand_s)]
         command += ["--device", f"front=sick_lms100:port={self.port}"]
         command += ["--device", f"base=irobot_create:link={self.terminal}"]
+        command += ["--faults", str(self._faults)] if self._faults is not None else []
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         for line in self._process.stdout:

@@ -8,11 +8,9 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 import zenoh
-from rosbags.highlevel import AnyReader
 
 from drivers.rmw_zenoh import Attachment
 from drivers.zenoh_config import zenoh_config
-from service.cli import main
 from service.demo import interpolate
 from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
 from service.encoding.ros_services import TRIGGER, service_hash
@@ -25,7 +23,6 @@ from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscribe
 Subscribe = Callable[[str], Subscriber]
 SCAN = "sensor_msgs/msg/LaserScan"
 SCANS = 150  # 3 s at 50 Hz
-MAX_LOST_S = 5.0  # a second where the processor is ours alone; all of some fifteen where nothing was flushed
 
 
 def test_a_whole_drive(fake_vehicle: FakeVehicle, live_service: LiveService, subscribe: Subscribe):
@@ -110,57 +107,20 @@ def _check_recording(session: Path, truth: Path) -> None:
     replayed_live = (session.parent / "replayed" / "trajectory_live.tum").read_bytes()
     assert replayed_live == (session.parent / "live.tum").read_bytes()
 
-    poses = [decode_pose(payload) for payload in recorded]
+    # Of stamps taken while the processor was busy elsewhere a few are off; many where scans were passed over.
+    assert np.median(errors_m(recording, truth)) < (0.1 if too_old else 0.03)
+
+
+def errors_m(recording: Recording, truth: Path) -> list[float]:
+    """Of the poses of a recording, on a drive of a metre at the least."""
+    poses = [decode_pose(message.payload) for message in recording.messages(["/pose"])]
     offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
     stamps_ns = np.array([pose.stamp_ns for pose in poses]) - offset_ns
     true = interpolate(np.loadtxt(truth), stamps_ns)
-    start = true[0].inverse()
-    errors_m = [np.hypot(*_offset(start @ t, p.pose)) for t, p in zip(true, poses, strict=True)]
-    # Of stamps taken while the processor was busy elsewhere a few are off; many where scans were passed over.
-    assert np.median(errors_m) < (0.1 if too_old else 0.03)
     assert np.hypot(*_offset(true[0], true[-1])) > 1.0  # it really drove
+    start = true[0].inverse()
+    return [np.hypot(*_offset(start @ t, p.pose)) for t, p in zip(true, poses, strict=True)]
 
 
 def _offset(a, b) -> tuple[float, float]:
     return a.x_m - b.x_m, a.y_m - b.y_m
-
-
-def test_a_device_returns_and_a_kill_costs_a_second(
-    fake_vehicle: FakeVehicle, live_service: LiveService, subscribe: Subscribe
-):
-    subscriber = subscribe(live_service.endpoint)
-    subscriber.wait_for("pose", 10)
-    fake_vehicle.stop()
-    subscriber.wait_until(lambda: _state(subscriber, "front") == _state(subscriber, "base") == "down")
-    fake_vehicle.start()
-    subscriber.wait_until(lambda: _state(subscriber, "front") == _state(subscriber, "base") == "streaming")
-    subscriber.wait_for("pose", 100)
-    connects = {s.name: s.values["connects"] for s in decode_diagnostics(subscriber.heard["health"][-1][1])
-                if s.name.startswith("sensor/")}  # fmt: skip
-    assert connects == {"sensor/front": "2", "sensor/base": "2"}
-
-    live_service.signal(signal.SIGKILL)
-    assert live_service.wait() == -signal.SIGKILL
-    last_heard = decode_frame(SCAN, subscriber.heard["front/scan"][-1][1], "front", 0)
-    assert last_heard is not None
-    (left,) = live_service.sessions.glob("*.mcap.active")
-    assert main(["recover", str(left)]) == 0
-    (session,) = live_service.sessions.glob("*.mcap")
-    with AnyReader([session]) as reader:
-        stamps_ns = [
-            m[1] for m in reader.messages([c for c in reader.connections if c.topic == "/front/scan"])
-        ]
-    scans = [
-        decode_frame(m.type, m.payload, "front", m.log_ns)
-        for m in Recording([session]).messages(["/front/scan"])
-    ]
-    assert len(scans) == len(stamps_ns) > 50
-    assert scans[-1] is not None
-    assert (last_heard.stamp_ns - scans[-1].stamp_ns) / 1e9 < MAX_LOST_S
-
-
-def _state(subscriber: Subscriber, sensor: str) -> str:
-    if "health" not in subscriber.heard:
-        return ""
-    statuses = decode_diagnostics(subscriber.heard["health"][-1][1])
-    return next(s.values["state"] for s in statuses if s.name == f"sensor/{sensor}")

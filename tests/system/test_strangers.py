@@ -1,4 +1,7 @@
-"""40 attempts of strangers on Zenoh and on the page of a live service: each is refused, nothing is lost."""
+"""40 attempts of strangers on Zenoh and on the page of a live service: each is refused, nothing is lost.
+
+Then its devices go and return, and it is killed.
+"""
 
 import asyncio
 import json
@@ -14,10 +17,13 @@ from typing import Any
 import aiohttp
 import pytest
 import zenoh
+from rosbags.highlevel import AnyReader
 
 from drivers.zenoh_callback import daemon_callback
-from service.encoding import decode_diagnostics
+from service.cli import main
+from service.encoding import decode_diagnostics, decode_frame
 from service.offline.security.authority import Holder, init_site
+from service.recording.mcap_reader import Recording
 from service.web.tokens import add_grant, granted_beside, revoke_grant
 from tests.service.publishing.conftest import HOSTS, tls
 from tests.service.web.conftest import Client
@@ -26,6 +32,9 @@ from tests.waiting import wait_until
 
 ROOT = "corridor/v1/veh1"
 FAKE = b"FAKE"
+Subscribe = Callable[..., Subscriber]
+SCAN = "sensor_msgs/msg/LaserScan"
+MAX_LOST_S = 5.0  # a second where the processor is ours alone; all of some fifteen where nothing was flushed
 SERVED_S = 5.0  # beside other tests; with the processor to itself 1 s, see docs/security.md
 REFUSED_MS = 300
 
@@ -50,20 +59,35 @@ PUT = (
 ANSWERED = ("map", "cmd/pause")
 
 
-@pytest.fixture
-def site(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sites")
     holders = [Holder("veh1", "vehicle", HOSTS), Holder("hall", "viewer"), Holder("lost", "viewer")]
-    init_site(tmp_path / "site", holders, days=30)
-    init_site(tmp_path / "other", [Holder("hall", "viewer")], days=30)
-    return tmp_path / "site"
+    init_site(folder / "site", holders, days=30)
+    init_site(folder / "other", [Holder("hall", "viewer")], days=30)
+    return folder / "site"
 
 
-@pytest.fixture
-def service(fake_vehicle: FakeVehicle, tmp_path: Path, site: Path) -> Iterator[LiveService]:
+@pytest.fixture(scope="module")
+def vehicle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FakeVehicle]:
+    fake = FakeVehicle(tmp_path_factory.mktemp("vehicle"))
+    fake.start()
+    yield fake
+    fake.stop()
+
+
+@pytest.fixture(scope="module")
+def service(
+    vehicle: FakeVehicle, site: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[LiveService]:
     local, remote = f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
     security = {"tls": tls(site, "veh1"), "roles": {"viewer": ["hall"], "vehicle": ["veh1"]}}
     live = LiveService(
-        tmp_path, fake_vehicle.sensors(), listen=[local, remote], security=security, ros2={"enabled": True}
+        tmp_path_factory.mktemp("service"),
+        vehicle.sensors(),
+        listen=[local, remote],
+        security=security,
+        ros2={"enabled": True},
     )
     live.endpoint, live.remote = local, remote  # type: ignore[attr-defined]
     live.start()
@@ -177,7 +201,7 @@ async def attempts_on_page(address: str, token_file: Path) -> dict[str, bool]:
 
 
 def test_40_attempts_of_strangers_are_refused_and_nothing_is_lost(
-    service: LiveService, site: Path, subscribe: Callable[[str], Subscriber]
+    service: LiveService, site: Path, subscribe: Subscribe
 ):
     honest = subscribe(service.endpoint)
     honest.wait_for("pose", 25)
@@ -215,8 +239,44 @@ def test_40_attempts_of_strangers_are_refused_and_nothing_is_lost(
         assert FAKE not in [payload for heard in subscriber.heard.values() for _, payload in heard]
     wait_until(lambda: f"{ROOT}/alive/mapping" in alive(watching))  # not while scans are late
     assert f"{ROOT}/alive/thief" not in alive(watching)
-    service.signal(signal.SIGTERM)
-    assert service.wait() == 0, service.log
+
+
+def test_a_device_returns_and_a_kill_costs_a_second(
+    vehicle: FakeVehicle, service: LiveService, subscribe: Subscribe
+):
+    subscriber = subscribe(service.endpoint)
+    subscriber.wait_for("pose", 10)
+    vehicle.stop()
+    subscriber.wait_until(lambda: state(subscriber, "front") == state(subscriber, "base") == "down")
+    vehicle.start()
+    subscriber.wait_until(lambda: state(subscriber, "front") == state(subscriber, "base") == "streaming")
+    subscriber.wait_for("front/scan", 100)
+    subscriber.wait_for("pose", 10)
+    assert [rows(subscriber)[f"sensor/{name}"].values["connects"] for name in ("front", "base")] == ["2", "2"]
+
+    service.signal(signal.SIGKILL)
+    assert service.wait() == -signal.SIGKILL
+    last_heard = decode_frame(SCAN, subscriber.heard["front/scan"][-1][1], "front", 0)
+    assert last_heard is not None
+    (left,) = service.sessions.glob("*.mcap.active")
+    assert main(["recover", str(left)]) == 0
+    (session,) = service.sessions.glob("*.mcap")
+    with AnyReader([session]) as reader:
+        stamps_ns = [
+            m[1] for m in reader.messages([c for c in reader.connections if c.topic == "/front/scan"])
+        ]
+    scans = [
+        decode_frame(m.type, m.payload, "front", m.log_ns)
+        for m in Recording([session]).messages(["/front/scan"])
+    ]
+    assert len(scans) == len(stamps_ns) > 50
+    assert scans[-1] is not None
+    assert (last_heard.stamp_ns - scans[-1].stamp_ns) / 1e9 < MAX_LOST_S
+
+
+def state(subscriber: Subscriber, sensor: str) -> str:
+    """Of its link, by the newest health."""
+    return rows(subscriber)[f"sensor/{sensor}"].values["state"] if "health" in subscriber.heard else ""
 
 
 def alive(subscriber: Subscriber) -> set[str]:
