@@ -20,7 +20,7 @@ def failed(number: int) -> TransportError:
 
 
 def test_a_cable_that_is_out_is_seen_before_the_device_is_called(tree: FakeTree):
-    tree.write("/proc/net/route", HEAD + VEHICLE_NET)
+    tree.write("/proc/net/route", HEAD + DEFAULT + VEHICLE_NET)
     assert look_at_route(tree.machine(), "front", "192.168.0.1") is None
     tree.write("/sys/class/net/eth1/carrier", "0\n")
     finding = look_at_route(tree.machine(), "front", "192.168.0.1")

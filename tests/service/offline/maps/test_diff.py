@@ -66,7 +66,7 @@ def test_poses_loops_and_points_are_compared_by_the_stamps_of_their_key_frames(t
 
 def test_the_picture_shows_what_is_new_and_what_is_gone(tmp_path):
     before = changed(FREE, (2, 3, 97))
-    after = changed(FREE, (2, 6, 97))
+    after = changed(FREE, (4, 6, 97))
     save_map(tmp_path / "m", [before], 1)
     save_map(tmp_path / "m", [after], 2)
     out = tmp_path / "diff.png"
@@ -75,7 +75,7 @@ def test_the_picture_shows_what_is_new_and_what_is_gone(tmp_path):
     new = np.argwhere((pixels == COLOURS[WALL_NEW]).all(axis=2))
     gone = np.argwhere((pixels == COLOURS[WALL_GONE]).all(axis=2))
     assert len(new) == len(gone) == 1
-    assert (new[0] - gone[0]).tolist() == [0, 3]
+    assert (new[0] - gone[0]).tolist() == [-2, 3]  # rows of the map go up
     assert CELL_M == 0.5
 
 

@@ -11,7 +11,7 @@ from service.cli import main
 from service.errors import UsageError
 from service.mapstore.begin_in import MapVersion
 from service.mapstore.files import load_map, save_map
-from service.offline.replay.setup import ReplayOptions, set_up
+from service.offline.replay.setup import ReplayOptions, overlay, set_up
 from service.outputs import TileUpdate
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import Session, open_session
@@ -73,6 +73,12 @@ def test_a_map_that_is_left_out_is_reported_with_the_option(
     with caplog.at_level(logging.WARNING):
         set_up(session, ReplayOptions(map=office))
     assert caplog.text == ""
+
+
+def test_what_is_laid_over_a_section_leaves_its_neighbours():
+    section = {"profile": "corridor", "settings": {"matcher": {"a": 1, "b": 2}}}
+    overlay(section, {"cell_m": 0.1, "settings": {"matcher": {"b": 3}}})
+    assert section == {"profile": "corridor", "settings": {"matcher": {"a": 1, "b": 3}}, "cell_m": 0.1}
 
 
 @pytest.mark.parametrize(
