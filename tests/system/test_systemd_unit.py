@@ -44,6 +44,7 @@ def test_the_unit_is_well_closed(rendered: Path):
         "CacheDirectory=corridor",
         "Environment=NUMBA_CACHE_DIR=/var/cache/corridor/numba OPENBLAS_NUM_THREADS=1 PYTHONUNBUFFERED=1",
         *("StartLimitIntervalSec=0", "Restart=on-failure"),  # again and again, without end
+        "CPUWeight=500",  # else a busy computer passes scans over
         "OOMPolicy=continue",  # else systemd stops all where the mapper is killed, and no stand-by goes on
         *(f"DeviceAllow=char-{group} rw" for group in ("ttyUSB", "ttyACM")),  # adapters
         *(f"DeviceAllow=char-{group} rw" for group in ("ttyS", "ttyAMA", "ttyTHS", "ttymxc")),  # of the board
