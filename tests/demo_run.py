@@ -20,7 +20,7 @@ from simulators.wire import DROPPED
 from tests.in_background import in_background
 
 HERE = Path(sys.executable).parent / "corridor"  # of the tree that is tested
-ENDS_WITHIN_S = 100.0  # beyond the time asked for, and a tenth of it in which the recording is read: start, last loops
+ENDS_WITHIN_S = 100.0  # beyond the time asked for and a tenth of it, in which the recording is read
 LOOK_S = 10.0
 IN_TIME_S, STALL_S = 0.1, 0.5
 LEFT_OUT = re.compile(rf"^(\w+): (\d+) more (?:{TURNS_SKIPPED}|{DROPPED})", re.MULTILINE)
