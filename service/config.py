@@ -213,7 +213,9 @@ class _Reader:
         """That section; the others are not looked at."""
         if (root := self._root()) is None:
             return None
-        return self._model(PublishingConfig, _section(root, "publishing"), ("publishing",))
+        publishing = self._model(PublishingConfig, _section(root, "publishing"), ("publishing",))
+        self._refuse_shared_ports({"publishing": publishing})
+        return publishing
 
     def _root(self) -> dict[str, Any] | None:
         """None where there is nothing to look at; why is reported then."""
@@ -310,7 +312,7 @@ class _Reader:
                     self._fault(("sensors", name, keys[0]), fault)
 
     def _refuse_shared_ports(self, sinks: Mapping[str, BaseModel | None]) -> None:
-        """Of two listeners at one address the second could not start. Port 0 is any free one."""
+        """Of two listeners at one port the second could not start. Port 0 is any free one."""
         taken: list[tuple[str, int, str]] = []
         for section, sink in sinks.items():
             for host, port in getattr(sink, "tcp_addresses", ()):

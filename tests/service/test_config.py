@@ -9,6 +9,7 @@ from drivers.sick_lms100.config import Lms100Config
 from service.config import (
     laser_names,
     load_config,
+    load_publishing,
     load_replay_config,
     mapped_lasers,
     mounted_upside_down,
@@ -277,6 +278,14 @@ def test_the_page_and_zenoh_have_ports_of_their_own(zenoh: str, page: str, port:
         told = f"web.listen: port {port} is taken by publishing.listen; give each a port of its own"
         assert [fault.partition(": ")[2] for fault in faults(text)] == [told]
         assert parse_config(text.replace("web: {", "web: {enabled: false, "), "c.yaml")
+
+
+def test_a_router_listens_at_each_port_once(tmp_path: Path):
+    (path := tmp_path / "router.yaml").write_text(
+        "publishing: {listen: ['tcp/127.0.0.1:7447', 'tcp/127.0.0.1:7447']}"
+    )
+    with pytest.raises(ConfigError, match=r"publishing\.listen: port 7447 is taken by publishing\.listen"):
+        load_publishing(path)
 
 
 @pytest.mark.parametrize(
