@@ -64,12 +64,12 @@ def answer_of(**body) -> Answer:
 
 @pytest.fixture(scope="module")
 def map_process():
-    """Looks at the maps of all sessions: a start of one takes more than a second of processor."""
+    """Looks at the maps of all sessions. It is started here, by a request for a map that is not there: at its
+    low priority a start may take longer than a page is waited for.
+    """
     process = SessionMapProcess()
-    with suppress(
-        ResourceError
-    ):  # there is no such map; at its low priority a start may outlast a page's wait
-        process.ask("keyframes", Path("none"), {})
+    with suppress(ResourceError):
+        process.ask("look", Path("none"), {})
     yield SimpleNamespace(ask=process.ask, close=lambda: None)
     process.close()
 
