@@ -318,7 +318,9 @@ class _Reader:
             for host, port in getattr(sink, "tcp_addresses", ()):
                 for other, its_port, owner in taken:
                     hosts = {one_spelling(host), one_spelling(other)}
-                    if port == its_port != 0 and (len(hosts) == 1 or hosts & _ANY_ADDRESS):
+                    is_one_family = len({":" in one for one in hosts}) == 1
+                    is_shared = is_one_family and (len(hosts) == 1 or hosts & _ANY_ADDRESS)
+                    if port == its_port != 0 and is_shared:
                         fault = f"port {port} is taken by {owner}.listen; give each a port of its own"
                         self._fault((section, "listen"), fault)
                 taken.append((host, port, section))

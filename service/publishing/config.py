@@ -101,8 +101,9 @@ class PublishingConfig(Section):
 
     @property
     def tcp_addresses(self) -> list[tuple[str, int]]:
-        """Host and port of each TCP listener."""
-        return [address for endpoint in self.listen if (address := tcp_address(endpoint)) is not None]
+        """Host and port of each TCP listener; one at [::] is at all addresses of IPv4 as well."""
+        named = [address for endpoint in self.listen if (address := tcp_address(endpoint)) is not None]
+        return named + [("0.0.0.0", port) for host, port in named if host == "::"]
 
     @model_validator(mode="after")
     def _refuse_strangers(self) -> "PublishingConfig":

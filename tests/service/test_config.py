@@ -264,14 +264,17 @@ def test_two_sensors_on_one_wire_are_refused():
     [
         ("tcp/127.0.0.1:7001", "127.0.0.1:7001", 7001),
         ("ws/localhost:9000", "0.0.0.0:9000", 9000),
-        ("tcp/127.0.0.1:8080", "LOCALHOST.:8080", None),
+        ("tcp/[::]:9000", "127.0.0.1:9000", 9000),
+        ("tcp/[::1]:9000", "[::]:9000", 9000),
+        ("tcp/[::1]:9000", "0.0.0.0:9000", None),
+        ("tcp/127.0.0.1:9000", "[::]:9000", None),  # the page is at IPv6 alone then
         ("tcp/127.0.0.1:0", "127.0.0.1:0", None),
         ("tcp/127.0.0.1:8080", "127.0.0.2:8080", None),
         ("udp/127.0.0.1:8080", "127.0.0.1:8080", None),
     ],
 )
 def test_the_page_and_zenoh_have_ports_of_their_own(zenoh: str, page: str, port: int | None):
-    text = f"{GOOD}publishing: {{listen: ['{zenoh}']}}\nweb: {{listen: '{page}'}}\n"
+    text = f"{GOOD}publishing: {{listen: ['{zenoh}'], security: none}}\nweb: {{listen: '{page}'}}\n"
     if port is None:
         assert parse_config(text, "c.yaml").sinks["web"].listen == page
     else:

@@ -27,7 +27,7 @@ def test_a_drive_with_faults_stays_up_and_its_session_replays(
     try:
         service.start()
         vehicle.start()
-        over_s = time.monotonic() + SECONDS
+        over_s = time.monotonic() + SECONDS  # the faults are set by time
         subscribe(service.endpoint).wait_until(lambda: time.monotonic() > over_s)
         service.signal(signal.SIGTERM)
         assert service.wait() == 0, service.log
