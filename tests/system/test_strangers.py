@@ -25,6 +25,7 @@ from service.encoding import decode_diagnostics, decode_frame
 from service.offline.security.authority import Holder, init_site
 from service.recording.mcap_reader import Recording
 from service.web.tokens import add_grant, granted_beside, revoke_grant
+from tests.http_client import client_session
 from tests.service.publishing.conftest import HOSTS, tls
 from tests.service.web.conftest import Client
 from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscriber, free_port
@@ -171,7 +172,7 @@ async def attempts_on_page(address: str, token_file: Path) -> dict[str, bool]:
         "a viewer's token": add_grant(granted, "hall", "viewer", None),
     }
     refused = {}
-    async with aiohttp.ClientSession() as session:
+    async with client_session() as session:
         client = Client(session, address)
         for name, token in tokens.items():
             async with client.socket() as page:

@@ -24,6 +24,7 @@ from service.sinks.foxglove_config import FoxgloveConfig
 from service.sinks.foxglove_sink import MAX_WAITING, FoxgloveSink, open_sink
 from service.sinks.sink import SinkContext
 from tests.browser.scene import Scene, event
+from tests.http_client import client_session
 from tests.service.sinks.contexts import sink_context
 from tests.waiting import wait_until
 
@@ -96,7 +97,7 @@ def talk(sink: FoxgloveSink, conversation: Callable[[Viewer], Awaitable[None]]) 
     async def hold() -> None:
         async with (
             asyncio.timeout(TIMEOUT_S),
-            aiohttp.ClientSession() as session,
+            client_session() as session,
             session.ws_connect(sink.place(), protocols=["foxglove.sdk.v1"], max_msg_size=0) as socket,
         ):
             await conversation(Viewer(socket))

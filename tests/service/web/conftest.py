@@ -16,6 +16,7 @@ from service.mapstore.tiles import TileStore
 from service.publishing.commands import Answer
 from service.web.config import WebConfig
 from service.web.server import About, WebServer
+from tests.http_client import client_session
 from tests.in_background import in_background
 
 TOKEN = "the token of the test"
@@ -139,7 +140,7 @@ def talk(server: Addressed, conversation: Callable[[Client], Awaitable[None]]) -
     """Hold it, and close what was opened."""
 
     async def hold() -> None:
-        async with aiohttp.ClientSession() as session:
+        async with client_session() as session:
             await conversation(Client(session, server.address.partition("#")[0]))
 
     asyncio.run(hold())
