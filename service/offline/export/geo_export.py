@@ -9,10 +9,10 @@ from xml.sax.saxutils import escape
 
 from service.errors import InputError
 from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import to_utm, utm_zone
 from service.geometry.se2 import SE2
 from service.mapstore.picture import Picture
 from service.offline.export.outlines import Points
+from service.offline.export.utm import to_utm, utm_zone
 from service.offline.score.trajectory import seconds_text
 from service.version import VERSION
 

@@ -13,7 +13,6 @@ import numpy as np
 from service.encoding import pose_on_wire
 from service.errors import StorageError, words_of
 from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import UTM_MAX_LATITUDE_DEG
 from service.geometry.se2 import SE2
 from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import SavedGraph
@@ -24,6 +23,7 @@ from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.export.geo_export import Poses, write_world_file
+from service.offline.export.utm import UTM_MAX_LATITUDE_DEG
 from service.offline.maps.change_file import CHANGES_FILE, write_changes
 from service.offline.past.result import (
     FIRST_VERSION,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from service.errors import CorridorError, InputError
-from service.geometry.geodesy import to_utm
 from service.mapstore.picture import to_pixels
 from service.offline.export.export import export
 from service.offline.export.outlines import occupied_points, outlines
+from service.offline.export.utm import to_utm
 from tests.service.offline.export.conftest import CELL_M, PICTURE, POSES, REFERENCE, X_MIN_M, Y_MIN_M, cells
 
 
