@@ -21,7 +21,7 @@ OK, WARNING, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticSt
 LEVEL_OF_STATE: Mapping[State, int] = {"ok": OK, "degraded": WARNING, "lost": ERROR}
 TILES = "map/tile"  # begin of the channels of tiles
 CHANGES = "map/changes"  # the channel: what is not as a stored map says, see service.mapper.map_changes
-STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.standing
+STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.occupancy
 # Viewers in 3D draw what lies at one height in any order: the map would hide scans and path. So it lies below
 # them, and what is drawn on it halfway. More than a viewer's depth resolves (mm), less than a cell.
 MAP_BELOW_M = 0.02

@@ -25,7 +25,7 @@ from service.mapper.components import (
 from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser
 from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
-from service.mapper.maps.standing import draw_standing
+from service.mapper.maps.occupancy import draw_standing
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 

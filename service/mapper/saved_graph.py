@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from service.geometry.poses import Floats
 from service.mapper.by_hand import ByHand
-from service.mapper.refused_loops import RefusedLoops
+from service.mapper.loop_evidence import RefusedLoops
 
 SESSION_APART_M = 100.0  # path length assumed from the last key frame of a session to the next session
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of the noise of a range

@@ -206,7 +206,7 @@ def encode_graph(picture: GraphPicture) -> bytes:
 
 
 def encode_standing(grid: Grid | None) -> bytes:
-    """See service.mapper.maps.standing; None: of nothing it is known."""
+    """See service.mapper.maps.occupancy; None: of nothing it is known."""
     return _encode_picture(STANDING, grid)
 
 

@@ -12,11 +12,9 @@ from unittest.mock import patch
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.corrections import corrected
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
-from service.mapper.graph.model.keyframe_list import KeyFrame
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
+from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.mapper.graph.model.loops import agree
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.point_clouds import SurfelSet, cloud_with_noise
 from service.offline.replay.replay import ReplayOptions, replay
 from service.offline.score.trajectory import write_tum

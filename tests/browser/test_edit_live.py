@@ -13,9 +13,8 @@ import pytest
 from service.geometry import poses as se2
 from service.geometry.polygons import is_inside
 from service.mapper.edit_requests import EDIT_MAP
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapstore.files import save_map
 from service.publishing.commands import Answer

@@ -3,7 +3,7 @@
 import pytest
 
 from service.encoding import encode_graph
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_back_end import Batch
 from service.mapstore.files import load_map, save_map
 from service.offline.maps.loops import loops_of
 from tests.browser.conftest import DESKTOP

@@ -26,7 +26,7 @@ from service.mapper.judgement import (
     weakest_of,
 )
 from service.mapper.maps.known_ground import KnownGround
-from service.mapper.matchers.recovery import (
+from service.mapper.matchers.window_search import (
     LOST_WINDOW,
     MAX_WINDOW,
     MIN_INLIER_GAIN,

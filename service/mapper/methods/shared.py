@@ -1,9 +1,13 @@
 """Components of more than one profile."""
 
+from collections.abc import Mapping
+from typing import Any
+
+from drivers.frames import GnssFix
 from service.estimator.estimator import Estimator, EstimatorConfig
-from service.mapper.components import ComponentKind, NoSettings
+from service.geometry.se2 import SE2
+from service.mapper.components import ComponentKind, FinishedGraph, GraphRequestError, MappedScan, NoSettings
 from service.mapper.filters.deskew import BeamsConfig, DeskewByMotion, DeskewByTwist
-from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 
 ESTIMATOR = ComponentKind("estimator", EstimatorConfig, lambda config, _: Estimator(config))
@@ -23,3 +27,27 @@ OCCUPANCY_TILES = ComponentKind(
     OccupancyConfig,
     lambda config, around: OccupancyTiles(config, around.cell_m),
 )
+
+
+class NoGraph:
+    waiting = 0
+    ready = False
+    fault = ""
+    finds_segments = False
+
+    def add(self, scan: MappedScan) -> SE2:
+        return SE2()
+
+    def add_fix(self, fix: GnssFix) -> str:
+        return "fixes_passed_over"
+
+    def apply_result(self) -> None:
+        return None
+
+    def request(self, name: str, payload: Mapping[str, Any]) -> Mapping[str, Any]:
+        raise GraphRequestError(f"{name}: this profile has no graph; submap_graph and corridor have one")
+
+    def finish(self) -> FinishedGraph:
+        return FinishedGraph()
+
+    def close(self) -> None: ...

@@ -30,11 +30,11 @@ from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
 from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
-from service.mapper.scan_match.steady_motion import SteadyMotion
 from service.mapper.scan_match.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
 
-WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5  # over which both paths are compared, whichever is shorter
+# Over which both paths are compared, whichever is shorter; a window without moving returns is static again.
+WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
 USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 OUTLIER_SHARE = 0.1  # of the returns, on no static wall
@@ -46,11 +46,41 @@ MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia 
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
 MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
-# Between two scans: after a longer gap the vehicle may have been moved as well.
-MAX_UNSEEN_S = 1.0
 MAX_SILENT_S = 0.05  # of working odometry, which arrives at 20 Hz or more
-STILL_NS = 1_000_000_000  # without moving returns, until the scene counts as static again
 NOTHING_MOVES = -1  # ns, before all stamps
+MIN_STEP_NS = 20_000_000  # between poses that give a velocity
+MAX_UNSEEN_S = 1.0  # between two scans: after a longer gap the velocity may differ, or the vehicle was moved
+
+
+class SteadyMotion:
+    """Prediction at the velocity of the last matches, independent of odometry."""
+
+    def __init__(self) -> None:
+        # Stamps and poses; first and last are MIN_STEP_NS apart, because scans of several lasers are close.
+        self._matched: deque[tuple[int, SE2]] = deque()
+
+    def matched(self, stamp_ns: int, pose: SE2) -> None:
+        """Add a match."""
+        self._matched.append((stamp_ns, pose))
+        while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= MIN_STEP_NS:
+            self._matched.popleft()
+
+    @property
+    def last(self) -> SE2 | None:
+        """Pose of the newest match; None: there was none."""
+        return self._matched[-1][1] if self._matched else None
+
+    def pose_at(self, stamp_ns: int) -> SE2 | None:
+        """The predicted pose; None without a velocity, or for a stamp too far ahead."""
+        if len(self._matched) < 2:
+            return None
+        (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
+        step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
+        if step_ns < MIN_STEP_NS or ahead_ns <= 0 or max(step_ns, ahead_ns) * 1e-9 > MAX_UNSEEN_S:
+            return None
+        steps = ahead_ns / step_ns
+        forward_m, left_m, turn_rad = (before.inverse() @ last).log()
+        return last @ SE2.exp(steps * forward_m, steps * left_m, steps * turn_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,7 +358,7 @@ class MovingScene:
         return self._accepted(static, attempt)
 
     def _moves(self, attempt: Attempt) -> None:
-        self._moves_until_ns = attempt.stamp_ns + STILL_NS
+        self._moves_until_ns = attempt.stamp_ns + WINDOW_NS
         self._drift, self._path_length_m = SE2(), 0.0
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:

@@ -36,20 +36,19 @@ from service.mapper.judgement import (
     too_few,
     unmatched,
 )
-from service.mapper.matchers.recovery import (
+from service.mapper.matchers.window_search import (
     LOST_WINDOW,
     MIN_INLIER_GAIN,
     SEARCH_INTERVAL_S,
     Confirmation,
+    layer_of,
     reach_of,
     search_around,
 )
-from service.mapper.matchers.window_search import layer_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
-from service.mapper.scan_match.moving_scene import MovingScene
+from service.mapper.scan_match.moving_scene import MovingScene, SteadyMotion
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.scan_match.range_bias import RangeBias
-from service.mapper.scan_match.steady_motion import SteadyMotion
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.outputs import Reason, State
 

@@ -11,8 +11,7 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.loops.loop_set import AGREE_M, AGREE_RAD
 from service.mapper.graph.model.loops import WITHIN_M
-from service.mapper.loop_evidence import residuals
-from service.mapper.refused_loops import CONTRADICTED, NOT_SUPPORTED, TOO_FAR, WORDS
+from service.mapper.loop_evidence import CONTRADICTED, NOT_SUPPORTED, TOO_FAR, WORDS, residuals
 from service.mapper.saved_graph import SavedGraph
 
 MAX_PROPOSED = 20

@@ -20,8 +20,8 @@ from service.kernels.occupancy import GRID_TILE_CELLS
 from service.mapper.by_hand import ByHand
 from service.mapper.components import RenderedMap
 from service.mapper.graph.loops.stored_graph import to_render
-from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.pose_graph import groups_of
 from service.mapper.maps.occupancy import EVIDENCE, OccupancyRenderer
 from service.mapper.saved_graph import SavedGraph
 

@@ -23,9 +23,9 @@ from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.graph.edit.editing import only, optimised
 from service.mapper.graph.edit.merging import MIN_MERGE_LOOPS, together
 from service.mapper.graph.loops.old_passes import SAME_SPOT_M
-from service.mapper.graph.loops.stored_graph import loop_arrays, to_render
+from service.mapper.graph.loops.stored_graph import to_render
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.loops import Loop
+from service.mapper.graph.model.loops import Loop, loop_arrays
 from service.mapper.saved_graph import SavedGraph
 from service.offline.cluster.engines import Engine
 from service.offline.cluster.tasks import AnyTask, program_digest

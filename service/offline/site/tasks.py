@@ -7,8 +7,8 @@ from pathlib import Path
 
 from service.mapper.graph.edit.merging import QUERY_EVERY_M, MergeError, find_second, together
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.graph_files import read_graph, write_graph
 from service.offline.cluster.tasks import Done

@@ -7,8 +7,8 @@ import pytest
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction, FinishedGraph
-from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.mapping_session import MappingSession
+from service.mapper.methods.shared import NoGraph
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import NO_REASON, MapperOutput, TileUpdate
 from tests.service.offline.recorded_drives import room_scan

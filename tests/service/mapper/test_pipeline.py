@@ -10,9 +10,9 @@ from drivers.frames import Frame, GnssFix, ImuSample, LaserScan
 from service.estimator import estimator
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, PlaceUpdate, PossiblePlace, UnconfirmedPlace
-from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.known_pose import KnownPose
 from service.mapper.localisation import UNCONFIRMED_PLACE
+from service.mapper.methods.shared import NoGraph
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import MapperOutput

@@ -12,9 +12,9 @@ from service.encoding import (
 )
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
-from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
+from service.mapper.methods.shared import NoGraph
 from service.mapstore.tiles import TileStore
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime

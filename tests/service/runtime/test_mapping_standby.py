@@ -1,7 +1,7 @@
 """A mapping loop that goes on where another was lost."""
 
-from service.mapper.graph.model.no_graph import NoGraph
 from service.mapper.mapping_session import MappingSession
+from service.mapper.methods.shared import NoGraph
 from service.runtime.mapper_messages import (
     Decisions,
     Go,

@@ -18,10 +18,9 @@ from service.mapper.edit_requests import Becomes, EditError
 from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.stored_graph import saved_graph
-from service.mapper.graph.model.groups import groups_of
-from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.pose_graph import PoseGraph
-from service.mapper.refused_loops import BY_HAND, RefusedLoops
+from service.mapper.graph.model.keyframe_list import LoopsConfig
+from service.mapper.graph.model.pose_graph import PoseGraph, groups_of
+from service.mapper.loop_evidence import BY_HAND, RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
 SEEN_WITHIN_M = 0.3  # from a given point to a point of the key frame that saw it

@@ -10,11 +10,9 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.components import MapRenderer
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
 from service.mapper.graph.relocalise.place_search import SAME_PLACE_M, is_same_place, is_same_pose
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph

@@ -32,12 +32,10 @@ from service.mapper.edit_requests import (
     wall_words,
 )
 from service.mapper.graph.loops.old_passes import Renumbering
-from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.keyframe_list import KeyframeList, ThinnedScan
-from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.refusals import Refusals
-from service.mapper.loop_evidence import points_of
-from service.mapper.refused_loops import BY_HAND
+from service.mapper.graph.model.loops import Loop, Refusals
+from service.mapper.graph.model.pose_graph import groups_of
+from service.mapper.loop_evidence import BY_HAND, points_of
 
 MAX_UNDONE = 50  # changes kept for undo
 WALL_MARGIN_M = 0.2  # margin of the rendered area around a wall

@@ -1,21 +1,21 @@
 """Back end of the default profile: joins segments, closes loops, optimises the graph, bounds its memory."""
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
-from service.mapper.components import EditAnswer, MapRenderer, PlaceUpdate, RenderedMap
+from service.mapper.components import Correction, EditAnswer, MapRenderer, PlaceUpdate, RenderedMap
 from service.mapper.edit_requests import ONLY_LOCALISED, EditError, LiveChange
 from service.mapper.graph.gnss.anchoring import Anchoring
+from service.mapper.graph.gnss.fix_track import PlacedFix
 from service.mapper.graph.loops.live_edits import AppliedEdit, LiveEdits, keyframes_near
-from service.mapper.graph.loops.loop_batches import Batch, Result
 from service.mapper.graph.loops.loop_search import LoopSearch
-from service.mapper.graph.loops.loop_set import LoopSet
+from service.mapper.graph.loops.loop_set import LoopSet, SolutionDue
 from service.mapper.graph.loops.old_passes import OldPasses, Renumbering
-from service.mapper.graph.loops.picture_schedule import PictureSchedule
-from service.mapper.graph.loops.solution_due import SolutionDue
 from service.mapper.graph.loops.stored_graph import (
     Placement,
     anchor_loop,
@@ -24,21 +24,62 @@ from service.mapper.graph.loops.stored_graph import (
     saved_graph,
     to_render,
 )
-from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
-from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, thinned
+from service.mapper.graph.model.graph_picture import PictureSchedule
+from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, LoopsConfig, thinned
 from service.mapper.graph.model.loops import Loop, as_edges
-from service.mapper.graph.model.loops_config import LoopsConfig
-from service.mapper.graph.model.odometry_edges import odometry_edges
+from service.mapper.graph.model.odometry_edges import edges_in_hindsight, known_pose, odometry_edges
 from service.mapper.graph.model.path_drift import PathDrift
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph, to_g2o
 from service.mapper.graph.model.pose_graph_solver import solve
 from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY, DetachedSearch
 from service.mapper.graph.relocalise.place_search import EXPECTED_WINDOW
-from service.mapper.saved_graph import KeepGraph, SavedGraph
+from service.mapper.known_pose import KnownPose
+from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
+from service.outputs import GraphPicture
 
 FINISH_WINDOW = EXPECTED_WINDOW  # of the final search
 VERIFY_WITHIN_M = 2.0  # distance from a key frame of the stored map at which a new session is verified
 MAX_SESSION = 600  # key frames, 180 m of path: then a session that only localises drops half of them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Key frames and fixes since the last batch, and a request."""
+
+    frames: Sequence[KeyFrame]
+    request: str = ""  # "optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode"
+    pose: Sequence[float] = ()  # (x m, y m, theta rad) in the map, of set_pose
+    is_last: bool = False
+    fixes: Sequence[PlacedFix] = ()  # of key frames in this batch and before
+    change: LiveChange | None = None  # of edit_map
+    is_localizing: bool = False  # of set_mode
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """newest: as KeyframeList.newest_by_segment, if anything moved; all: every one, after the last batch.
+
+    g2o         after the last batch: the graph as text
+    keyframes   after the last batch and set_mode: number of key frames; after set_mode with the removed ones
+    geo, fixes  geographic reference of the map, None if not known; fixes by outcome
+    """
+
+    loops: int  # number of accepted ones
+    disabled: int  # number of disabled ones
+    joined: int | None = None  # number of the segment that was joined to the map; None: none
+    newest: Mapping[int, Correction] = field(default_factory=dict)
+    known: KnownPose | None = None  # newest key frame with a known place; None: unchanged
+    rendered_map: RenderedMap | None = None
+    all: Sequence[Correction] = ()
+    g2o: str = ""
+    keyframes: int = 0
+    geo: GeoReference | None = None
+    fixes: Mapping[str, int] = field(default_factory=dict)
+    saved: SavedGraph | KeptGraph | None = None  # at a checkpoint and at the end
+    place: PlaceUpdate = field(default_factory=PlaceUpdate)
+    picture: GraphPicture | None = None  # if due
+    edited: EditAnswer | None = None  # answer to a change or another mode
+    is_localizing: bool | None = None  # from now on; None: unchanged
 
 
 class LoopBackEnd:

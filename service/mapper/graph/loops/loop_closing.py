@@ -33,11 +33,9 @@ from service.mapper.edit_requests import (
     refuse_outline,
 )
 from service.mapper.graph.gnss.fix_track import FixTrack
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.model.background_graph import BackgroundGraph, add_counts
-from service.mapper.graph.model.keyframe_list import KeyFrame
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY
 from service.mapper.judgement import sigmas_of
 from service.mapper.saved_graph import KeepGraph, SavedGraph

@@ -16,12 +16,11 @@ from service.mapper.graph.model.candidate_submap import (
     CandidateSubmap,
     cloud_of,
 )
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop, far_from_loops, loop_of
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.path_drift import PathDrift, lengths_from
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
-from service.mapper.refused_loops import IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
+from service.mapper.loop_evidence import IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
 
 LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a search window without drift: error of a poor match
 DRIFTS = (REACH_SIGMAS, 4.0)  # sigmas of drift of position and heading added to half a window

@@ -9,9 +9,8 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import WITHIN_M, Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 
 SAME_SPOT_M, SAME_VIEW_RAD = 0.5, 0.5  # key frames this close see the same
 MIN_REMOVED_AT_ONCE = 200  # key frames, 60 m of path: each removal renumbers the others

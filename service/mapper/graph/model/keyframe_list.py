@@ -1,4 +1,4 @@
-"""Key frames, as the back end keeps them."""
+"""Key frames, as the back end keeps them, and the settings of the graph."""
 
 import math
 from collections.abc import Iterable
@@ -6,18 +6,38 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
+from drivers.section import Section
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.kernels.loops import thin_points
 from service.mapper.by_hand import ByHand
 from service.mapper.components import Correction
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 from service.mapper.walls import walls_of
 
 NO_POINTS, NO_NORMALS = np.empty((0, 2), np.float32), np.empty((0, 3), np.float32)
+
+
+class LoopsConfig(Section):
+    """Spacing of key frames, drift of odometry, and path lengths for loop search."""
+
+    keyframe_distance_m: float = Field(default=0.3, gt=0.0)
+    keyframe_turn_rad: float = Field(default=0.15, gt=0.0)
+    thin_m: float = Field(default=0.04, ge=0.0)  # least distance between two points of a key frame
+    keep_passes: int = Field(default=6, ge=1)  # newest passes kept of a place, besides the first
+
+    search_every_m: float = Field(default=2.0, gt=0.0)
+    solve_at_m: float = Field(default=0.05, gt=0.0)  # residual of a loop that triggers a solution
+    solve_at_rad: float = Field(default=0.01, gt=0.0)
+    place_m: float = Field(default=5.0, gt=0.0)  # path length of a query, and of a sub-map to each side
+    apart_m: float = Field(default=12.0, gt=0.0)  # least path length between two passes of a place
+    consensus_span_m: float = Field(default=5.0, gt=0.0)  # path length over which loops must agree
+
+    drift: float = Field(default=0.01, ge=0.0)  # m per m of path through the graph
+    drift_radpm: float = Field(default=0.0015, ge=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

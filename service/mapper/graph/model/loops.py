@@ -1,21 +1,26 @@
 """Loops: relative poses between two passes of a place, and whether two of them agree."""
 
 import math
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import Edges
+from service.mapper.loop_evidence import BY_HAND, RefusedLoops
 
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: systematic error of walls and sweeps
 # 1/m^2, 1/rad^2: along directions without walls; many loops do not add up there
 OPEN_INFORMATION = np.diag([1e-4, 1e-4, 1e-2])
 LOOP_KERNEL_SIGMAS = 2.0  # Cauchy kernel
 WITHIN_M = 30.0  # path length within which loops must agree
+MAX_REFUSED = 1000  # the newest ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +71,19 @@ def as_edges(loops: Sequence[Loop]) -> Edges:
     )
 
 
+def loop_arrays(loops: Sequence[Loop]) -> dict[str, npt.NDArray[Any]]:
+    """Loops as the fields of a SavedGraph; inverse of stored_loops."""
+    edges = as_edges(loops)
+    return {
+        "loop_ends": np.column_stack((edges.of, edges.to)).astype(np.int64),
+        "loop_measured": edges.measured,
+        "loop_covariance": edges.covariance,
+        "loop_score": np.array([loop.share for loop in loops], np.float64),
+        "loop_points": np.array([loop.points for loop in loops], np.int64),
+        "loop_against": np.array([loop.against for loop in loops], np.float64),
+    }
+
+
 def disagreement(keyframes: KeyframeList, loop: Loop) -> tuple[float, float]:
     """Residual of a loop in the map, m and rad."""
     here = se2.between(keyframes.map[loop.of], keyframes.map[loop.to])
@@ -89,3 +107,53 @@ def agree(
         np.hypot(error[0], error[1]) <= base[0] + growth[0] * path_m
         and abs(error[2]) <= base[1] + growth[1] * path_m
     )
+
+
+class Refusals:
+    """Refused loops by their key frames, with the latest reason."""
+
+    def __init__(self, stored: RefusedLoops | None = None) -> None:
+        self._by_ends: OrderedDict[tuple[int, int], tuple[Loop, int]] = OrderedDict()
+        stored = stored or RefusedLoops()
+        for k, (of, to) in enumerate(stored.ends.tolist()):
+            loop = Loop(
+                of,
+                to,
+                stored.measured[k],
+                np.zeros((3, 3)),  # not used
+                float(stored.score[k]),
+                int(stored.points[k]),
+                float(stored.against[k]),
+            )
+            self._by_ends[of, to] = loop, int(stored.reason[k])
+
+    def add(self, loops: Iterable[Loop], reason: int) -> None:
+        """reason: of service.mapper.loop_evidence."""
+        for loop in loops:
+            self._by_ends.pop((loop.of, loop.to), None)
+            self._by_ends[loop.of, loop.to] = loop, reason
+            if len(self._by_ends) > MAX_REFUSED:
+                self._by_ends.popitem(last=False)
+
+    def renumber(self, kept: Callable[[Sequence[Loop]], list[Loop]]) -> None:
+        """kept: returns those of some loops whose ends both remain, renumbered."""
+        rows = [(new, reason) for loop, reason in self._by_ends.values() for new in kept([loop])]
+        self._by_ends = OrderedDict(((loop.of, loop.to), (loop, reason)) for loop, reason in rows)
+
+    def by_hand(self, accepted: Collection[Loop]) -> list[Loop]:
+        """Loops that the operator removed and did not accept again."""
+        ends = {(loop.of, loop.to) for loop in accepted}
+        return [loop for at, (loop, why) in self._by_ends.items() if why == BY_HAND and at not in ends]
+
+    def arrays(self, accepted: Collection[Loop]) -> RefusedLoops:
+        """Loops that are not accepted."""
+        accepted_ends = {(loop.of, loop.to) for loop in accepted}
+        left = [one for ends, one in self._by_ends.items() if ends not in accepted_ends]
+        return RefusedLoops(
+            np.array([(loop.of, loop.to) for loop, _ in left], np.int64).reshape(-1, 2),
+            np.array([loop.measured for loop, _ in left], np.float64).reshape(-1, 3),
+            np.array([loop.share for loop, _ in left], np.float64),
+            np.array([loop.points for loop, _ in left], np.int64),
+            np.array([loop.against for loop, _ in left], np.float64),
+            np.array([reason for _, reason in left], np.int64),
+        )

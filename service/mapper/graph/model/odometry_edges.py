@@ -1,13 +1,17 @@
-"""Odometry steps between key frames as edges of the graph."""
+"""Odometry steps between key frames as edges of the graph, and the newest pose by them in hindsight."""
+
+from collections.abc import Collection
 
 import numpy as np
 import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
+from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges
-from service.mapper.known_pose import covariance_added
+from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges, PoseGraph
+from service.mapper.graph.model.pose_graph_solver import covariance_of
+from service.mapper.known_pose import KnownPose, covariance_added
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: least covariance of a step
 # m^2, rad^2: of an unmatched step without a motion model
@@ -19,6 +23,7 @@ MAX_SCAN_GAP_S = 2.0  # a longer scan gap: the vehicle may have been carried
 MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step without added noise
 GAP_SHARE = 0.1  # of a path without key frames, as where old passes were removed: error of odometry
 POOR_MATCH_SHARE = 0.6  # of the drive's median inlier ratio: below, the match may be wrong
+MIN_VARIANCE_SHARE = 1e-12  # of the largest variance of a step: above rounding
 
 
 def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
@@ -104,3 +109,40 @@ def _before(keyframes: KeyframeList) -> tuple[npt.NDArray[np.int64], npt.NDArray
         of[k - 1] = last_of.get(segment, k - 1)
         is_unknown[k - 1] = segment not in last_of
     return of, is_unknown
+
+
+def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
+    """Steps between key frames, with the covariances of the motion model smoothed over the entire drive:
+    along a path without loops they sum to that of the newest pose.
+
+    A key frame is known at least as well as a later one, minus what the step between them has added; [34].
+    """
+    edges, is_unknown = matched_steps(keyframes, step_m)
+    known = keyframes.motion_covariance.copy()
+    is_known = np.isfinite(known[edges.of] + known[edges.to]).all(axis=(1, 2)) & ~is_unknown
+    there = se2.adjoint(edges.measured)
+    back = np.linalg.inv(there)
+    for k in np.flatnonzero(is_known)[::-1].tolist():
+        of, to = edges.of[k], edges.to[k]
+        variances, axes = np.linalg.eigh(known[to] - back[k] @ known[of] @ back[k].T)
+        added = (axes * np.maximum(variances, max(variances[-1] * MIN_VARIANCE_SHARE, 0.0))) @ axes.T
+        known[of] = there[k] @ (known[to] - added) @ there[k].T
+        edges.covariance[k] = added + MIN_EDGE_COVARIANCE
+    edges.covariance[is_unknown] = UNKNOWN_COVARIANCE
+    return edges
+
+
+def known_pose(
+    keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, fixed_count: int
+) -> KnownPose | None:
+    """The newest key frame with a known place in the map; None: there is none, or its covariance is unknown.
+
+    joined        numbers of the segments with a known place
+    graph         with edges in hindsight; its first pose stands for the first fixed_count key frames
+    """
+    placed = np.flatnonzero(np.isin(keyframes.segment, list(joined)))
+    if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():
+        return None
+    k = int(placed[-1])
+    covariance = covariance_of(graph, k - max(fixed_count - 1, 0))
+    return KnownPose(SE2(*keyframes.odom[k].tolist()), keyframes.motion_covariance[k].copy(), covariance)

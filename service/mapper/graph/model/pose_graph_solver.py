@@ -7,13 +7,13 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
-from service.mapper.graph.model.groups import groups_of
 from service.mapper.graph.model.pose_graph import (
     UNKNOWN_COVARIANCE,
     Edges,
     GraphError,
     PoseGraph,
     SolverConfig,
+    groups_of,
 )
 
 

@@ -11,12 +11,11 @@ from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.components import PossiblePlace, UnconfirmedPlace
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.candidate_submap import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop, loop_of
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.model.point_clouds import PointCloud
-from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
 from service.mapper.graph.relocalise.known_map import (
     MAX_QUERY,
     MIN_MARGIN_NATS,

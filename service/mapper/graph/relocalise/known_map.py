@@ -38,6 +38,7 @@ from service.mapper.graph.model.candidate_submap import (
     LOOP_FIELD_SIGMA_M,
     LOOP_REACH_M,
     TRACED_EVERY,
+    SeenCloud,
     free_space,
     seen_by,
 )
@@ -49,7 +50,6 @@ from service.mapper.graph.model.point_clouds import (
     SurfelSet,
     joined,
 )
-from service.mapper.graph.model.seen_cloud import SeenCloud
 from service.mapper.matchers.window_search import thinned, window_around
 
 COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, each with one candidate

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels.beam_likelihood import MAX_LOG_RATIO
-from service.mapper.graph.model.seen_cloud import SeenCloud
+from service.mapper.graph.model.candidate_submap import SeenCloud
 from service.mapper.graph.relocalise.known_map import (
     MIN_MARGIN_NATS,
     Aligned,

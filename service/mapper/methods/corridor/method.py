@@ -2,7 +2,7 @@
 
 from service.mapper.components import ComponentKind, Method
 from service.mapper.graph.loops.loop_closing import LoopClosing
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.methods.shared import (
     DESKEW_BY_MOTION,
     DESKEW_BY_TWIST,

@@ -22,8 +22,7 @@ from service.mapper.judgement import JudgementConfig
 from service.mapper.matchers.covariances import diagonal, inverse
 from service.mapper.matchers.field_align import values_at
 from service.mapper.matchers.judged import Aligned, JudgedMatching
-from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.matchers.window_search import thinned
+from service.mapper.matchers.window_search import search_around, step_of, thinned
 from service.mapper.papers.contour_lm.contour_map import ContourMap
 
 Array = npt.NDArray[np.float64]

@@ -21,8 +21,7 @@ from service.mapper.components import Match, Points
 from service.mapper.judgement import JudgementConfig, too_few
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.judged import Aligned, JudgedMatching
-from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.matchers.window_search import search_bounded, window_around
+from service.mapper.matchers.window_search import search_around, search_bounded, step_of, window_around
 from service.mapper.papers.imle.patch_map import PatchMap
 from service.mapper.papers.imle.scan_icp import IcpConfig, ScanIcp, deskewed
 

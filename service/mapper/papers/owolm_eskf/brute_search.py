@@ -16,8 +16,7 @@ from service.mapper.judgement import JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.field_align import align, values_at
 from service.mapper.matchers.judged import Aligned, JudgedMatching
-from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.matchers.window_search import window_around
+from service.mapper.matchers.window_search import search_around, step_of, window_around
 from service.mapper.papers.owolm_eskf.across_walls import information_across, information_of_dots
 from service.mapper.papers.owolm_eskf.orthogonal_map import OrthogonalMap
 

@@ -25,8 +25,7 @@ from service.mapper.judgement import MIN_AGREEMENT_FAR, JudgementConfig
 from service.mapper.matchers.covariances import diagonal, in_base_axes, inverse
 from service.mapper.matchers.field_align import align, information_at, values_at
 from service.mapper.matchers.judged import Aligned, JudgedMatching
-from service.mapper.matchers.recovery import search_around, step_of
-from service.mapper.matchers.window_search import layer_of, thinned, window_around
+from service.mapper.matchers.window_search import layer_of, search_around, step_of, thinned, window_around
 from service.mapper.papers.submap_graph.counted_submaps import CountedSubmaps, Particle
 
 Array = npt.NDArray[np.float64]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.mapper.checks.scan_check import ODOMETRY_WAIT_NS, SPEED_NS, OdometryWait, ScanCheck
+from service.mapper.checks.sensor_checks import ODOMETRY_WAIT_NS, SPEED_NS, OdometryWait, ScanCheck
 
 S = 1_000_000_000
 

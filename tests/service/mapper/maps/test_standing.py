@@ -5,7 +5,7 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.components import Standing
-from service.mapper.maps.standing import SHOWN_REACH_M, draw_standing
+from service.mapper.maps.occupancy import SHOWN_REACH_M, draw_standing
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from service.outputs import NO_REASON, UNKNOWN, Grid, MapperOutput

@@ -3,7 +3,7 @@
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.scan_match.steady_motion import SteadyMotion
+from service.mapper.scan_match.moving_scene import SteadyMotion
 
 MS = 1_000_000
 STEP = SE2.exp(0.1, 0.01, 0.05)  # of 100 ms

@@ -11,9 +11,8 @@ import numpy as np
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.edit.editing import solved
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map, save_map

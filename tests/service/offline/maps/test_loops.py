@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_back_end import Batch
 from service.mapper.graph.model.loops import Loop
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.files import save_map

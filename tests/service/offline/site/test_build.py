@@ -19,10 +19,9 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.edit import merging
 from service.mapper.graph.edit.editing import only
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map, save_map
 from service.offline.cluster.engines import Ended, in_turn

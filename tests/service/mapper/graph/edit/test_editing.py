@@ -1,7 +1,7 @@
 import pickle
 
 from service.mapper.graph.edit.editing import solved
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_back_end import Batch
 from tests.service.mapper.graph.loops.rings import RENDERER, fed_ring
 
 

@@ -11,10 +11,8 @@ from service.geometry.geodesy import LocalFrame
 from service.geometry.poses import compose
 from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_track import FixTrack
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.keyframe_list import KeyFrame
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.offline.score.score import align
 from simulators.gnss import GnssModel, Receiver
 from tests.service.mapper.graph.key_frames import key_frame

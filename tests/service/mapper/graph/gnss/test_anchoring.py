@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.geometry.geodesy import LocalFrame
-from service.mapper.graph.loops.loop_batches import Result
+from service.mapper.graph.loops.loop_back_end import Result
 from simulators.gnss import GnssModel, Reflection
 from tests.service.mapper.graph.gnss.outdoors import (
     ORIGIN,

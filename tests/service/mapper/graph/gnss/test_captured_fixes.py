@@ -11,8 +11,7 @@ from service.encoding import decode_frame, encode_frame
 from service.geometry.geodesy import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_track import FixTrack
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from tests.drivers.mtig import fixes, mtdata2, talk
 from tests.service.mapper.graph.gnss.outdoors import NO_SEARCH
 from tests.service.mapper.graph.key_frames import key_frame

@@ -8,10 +8,8 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.keyframe_list import KeyFrame
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
 from tests.service.mapper.drives import cast

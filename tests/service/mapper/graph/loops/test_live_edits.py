@@ -11,9 +11,8 @@ import pytest
 from service.mapper.components import EditAnswer
 from service.mapper.edit_requests import EDIT_MAP
 from service.mapper.graph.edit.editing import without_loops
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.saved_graph import SavedGraph
 from tests.service.mapper.graph.loops.rings import RENDERER, ROUND, fed_ring, ring, seam_m
 

@@ -9,12 +9,10 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.components import Correction
 from service.mapper.graph.loops import old_passes
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch, Result
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.model.graph_picture import PICTURE_GAP_M
-from service.mapper.graph.model.keyframe_list import KeyFrame
+from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from tests.service.mapper.graph.loops import rings
 from tests.service.mapper.graph.loops.rings import LENGTH_M, ROUND, STEP_M, key_frames
 

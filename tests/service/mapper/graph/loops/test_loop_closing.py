@@ -7,9 +7,9 @@ from service.estimator.motion import Measurement, Motion
 from service.geometry.se2 import SE2
 from service.mapper.background import Done
 from service.mapper.components import MapChange, MappedScan, Match
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_back_end import Batch
 from service.mapper.graph.loops.loop_closing import LoopClosing
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from tests.service.mapper.test_localisation import POINTS
 
 PRIOR = np.diag([0.02, 0.01, 0.01]) ** 2

@@ -8,9 +8,8 @@ import pytest
 from service.geometry.se2 import SE2
 from service.mapper.graph.loops import old_passes
 from service.mapper.graph.loops.old_passes import OldPasses
-from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, ThinnedScan
+from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, LoopsConfig, ThinnedScan
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 
 PASSES, LONG = 11, 60  # key frames a pass: the newest 30 m, from pass 9 on, are not looked at
 

@@ -5,10 +5,9 @@ import pytest
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.graph.loops.solution_due import LEVER_M, RENDER_AT_M, SOLVE_EVERY_M, SolutionDue
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.loops.loop_set import LEVER_M, RENDER_AT_M, SOLVE_EVERY_M, SolutionDue
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import FLOOR, Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from tests.service.mapper.graph.key_frames import append_blank, key_frame
 
 LAP, STEP_M = 40, 1.0

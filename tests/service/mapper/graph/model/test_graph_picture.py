@@ -1,7 +1,7 @@
 import numpy as np
 
 from service.mapper.graph.model.graph_picture import MAX_KEYFRAMES, MAX_LOOPS, draw, draw_saved, stretches
-from service.mapper.refused_loops import RefusedLoops
+from service.mapper.loop_evidence import RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
 NONE = np.empty((0, 2), np.int64)

@@ -8,8 +8,8 @@ import pytest
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.hindsight import edges_in_hindsight, known_pose
 from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.odometry_edges import edges_in_hindsight, known_pose
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph
 from service.mapper.known_pose import KnownPose, carried
 from tests.service.mapper.graph.key_frames import append_blank, key_frame

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from tests.service.mapper.graph.key_frames import append, key_frame, polygon
 
 WALLS = polygon((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0))

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.loop_batches import Batch
+from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
+from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.model.path_drift import MAX_DRIFT_CHI2, NEAR_SIGMA_M, UNMODELLED_SHARE, PathDrift
-from service.mapper.refused_loops import TOO_FAR
+from service.mapper.loop_evidence import TOO_FAR
 from tests.service.mapper.graph.key_frames import key_frame
 from tests.service.mapper.graph.loops.rings import key_frames
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
+from service.mapper.graph.model.candidate_submap import EVIDENCE_RANGE_M, seen_cloud
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.seen_cloud import EVIDENCE_RANGE_M, seen_cloud
 from service.mapper.graph.relocalise.known_map import KnownMap
 from service.mapper.graph.relocalise.place_search import find_places
 from tests.service.mapper.graph.key_frames import STOOD, append, room, rooms

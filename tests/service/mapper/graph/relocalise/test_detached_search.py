@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from tests.service.mapper.graph.key_frames import STOOD, Walls, append, room, rooms

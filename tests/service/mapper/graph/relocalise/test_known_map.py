@@ -7,9 +7,8 @@ import pytest
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import loop_of
-from service.mapper.graph.model.loops_config import LoopsConfig
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
 from service.mapper.graph.relocalise.known_map import MIN_MARGIN_NATS, UNEXPLAINED_SHARE, PlaceScore
 from service.mapper.graph.relocalise.odometry_prior import OdometryPrior

@@ -7,8 +7,7 @@ import numpy as np
 
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
-from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.loops_config import LoopsConfig
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
 from service.mapper.graph.relocalise.place_search import is_same_pose
 from tests.service.mapper.graph.key_frames import Walls, append
