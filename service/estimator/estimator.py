@@ -54,6 +54,7 @@ NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this pa
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 DROPPED_TOGETHER = 64  # samples: a search for the oldest that is needed costs as much as a step
 PAUSE_NS = 1_000_000_000  # of odometry; shorter pauses are bridged without notice
+SPEED_WINDOW_S = 0.05  # to each side of a stamp, over which odometry gives a speed
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
 MIN_ELAPSED_S = 0.05  # stamps of a burst may be closer together than the samples were taken
 WARNING_INTERVAL_NS = 10_000_000_000
@@ -166,7 +167,7 @@ class Estimator:
             turn_acceleration=config.turn_acceleration,
             acceleration_s=ACCELERATION_S,
             jitter_s=config.odometry_jitter_s,
-            speed_window_s=0.05,
+            speed_window_s=SPEED_WINDOW_S,
             fault_noise=FAULT_NOISE,
         )
         self._odometry, self._gyro = _Samples(5), _Samples(2)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.frames import LaserScan, OdometrySample
+from service.estimator.estimator import PAUSE_NS, SPEED_WINDOW_S
 from service.estimator.motion import Prediction
 from service.mapper.checks.mounting_check import MountingCheck
 from service.mapper.checks.odometry_mounting import OdometryMounting
@@ -15,8 +16,6 @@ from service.mapper.judgement import GAP_S, too_few
 from service.outputs import Reason, State
 
 CONFIRMED_NS = 500_000_000  # for which an inlier scan confirms the pose
-ODOMETRY_WAIT_NS = 1_000_000_000  # after a pause of all sensors: odometry arrives at 2 Hz or more
-SPEED_NS = 50_000_000  # over which the motion model takes a speed from odometry
 REPEATED_TRAVEL_M = 0.02  # path length after which a real scan cannot be identical
 
 
@@ -44,7 +43,8 @@ class ScanCheck:
 
 
 class OdometryWait:
-    """Drops scans after a pause of laser and odometry until odometry has measured the motion meanwhile.
+    """Drops scans after a pause of laser and odometry until odometry has measured the motion meanwhile,
+    for PAUSE_NS at most.
 
     The first sample gives the motion during the pause, the next ones the present speed; an earlier scan would
     be predicted and deskewed without either.
@@ -71,14 +71,14 @@ class OdometryWait:
             return False
         if self._began_ns is None:
             self._began_ns = stamp_ns
-        return stamp_ns - self._began_ns <= ODOMETRY_WAIT_NS
+        return stamp_ns - self._began_ns <= PAUSE_NS
 
     def _is_measured(self, stamp_ns: int, last_ns: int, newest_ns: int) -> bool:
         if stamp_ns - last_ns <= GAP_S * 1e9:
             return True
         if self._since_ns <= last_ns:  # no pause of odometry has ended since the previous scan
             return stamp_ns - newest_ns <= GAP_S * 1e9
-        return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_NS
+        return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_WINDOW_S * 1e9
 
 
 class Verdict(NamedTuple):

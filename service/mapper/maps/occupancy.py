@@ -59,7 +59,6 @@ EVIDENCE = Evidence(
     round(MAX_LOG_ODDS / STEP_LOG_ODDS),
 )
 FREE_EVIDENCE = 2 * EVIDENCE.miss  # two misses and no hit
-MIN_SHOWN_PERCENT, MAX_SHOWN_PERCENT = 3, 97  # per cent at the limits of evidence
 NO_CELLS: Cells = np.zeros((0, 2), np.int64)
 RENDERED_AT_ONCE = 2  # older scans rendered with each new one after a correction
 
@@ -91,7 +90,7 @@ class Canvas:
         sensor = np.array(sensor_xy_m)
         reach_m = max(reach_of(xy_base), reach_of(sensor.reshape(1, 2)))
         self.tiles.cover_around((pose.x_m, pose.y_m), reach_m, self._cell_m, GRID_TILE_BITS)
-        self._scan_number = self._scan_number % 65_535 + 1
+        self._scan_number = self._scan_number % np.iinfo(np.uint16).max + 1
         trace_scan(
             xy_base,
             sensor,

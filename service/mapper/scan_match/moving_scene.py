@@ -37,7 +37,7 @@ from service.outputs import NO_REASON, Reason, State
 WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
 USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
-OUTLIER_SHARE = 0.1  # of the returns, on no static wall
+OUTLIER_SHARE = 0.1  # of the returns, on no static wall; more while part of the scene moves
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
 # observed, and where none are.
@@ -45,7 +45,6 @@ PRIOR_NATS = 5.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
-MIN_MOVING_SHARE = 0.1  # of the returns, while part of the scene moves
 MAX_SILENT_S = 0.05  # of working odometry, which arrives at 20 Hz or more
 NOTHING_MOVES = -1  # ns, before all stamps
 MIN_STEP_NS = 20_000_000  # between poses that give a velocity
@@ -265,10 +264,10 @@ class MovingScene:
         if attempt.predicted.elapsed_s > MAX_UNSEEN_S:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
             return aligned
-        if conflict is None and aligned.result.share > 1.0 - MIN_MOVING_SHARE:
+        if conflict is None and aligned.result.share > 1.0 - OUTLIER_SHARE:
             self._has_moved = False
             return aligned
-        is_seen_moving = _dynamic_share(aligned) >= MIN_MOVING_SHARE
+        is_seen_moving = _dynamic_share(aligned) >= OUTLIER_SHARE
         # Motion is visible in two consecutive scans; in one alone some returns are off the map by chance.
         is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
         if conflict is None and not is_moving:
@@ -281,7 +280,7 @@ class MovingScene:
             return aligned
         else:
             nats = self._inertia_nats(attempt, aligned)
-            is_moving = _share_on_walls_only_at(static, aligned, attempt) >= MIN_MOVING_SHARE
+            is_moving = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
         nats += PRIOR_NATS if is_moving else -PRIOR_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
@@ -365,7 +364,7 @@ class MovingScene:
         """The static match with Student's weight of the prediction, and its moving returns marked."""
         is_moving = static.submap.on_dynamic(static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
-        if moving_share >= MIN_MOVING_SHARE or self._is_drifting(static, attempt):
+        if moving_share >= OUTLIER_SHARE or self._is_drifting(static, attempt):
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON

@@ -12,20 +12,20 @@ from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.scan_match.submaps import Submap
 
-NODE_M, NODES = 0.5, 41  # the curve of the bias over range: 0 to 20 m
-SIGMA_M, SMOOTH_M = 0.01, 0.5  # prior of the curve: sigma and correlation length
+NODE_M, NODES = 0.5, 41  # the curve of the bias over range: 0 to 20 m; NODE_M is its correlation length
+SIGMA_M = 0.01  # prior of the curve
 OFFSET_SIGMA_M = 0.02  # prior of the constant part
 # A change of the offset is applied to the map above this size and so many sigmas: each time all walls move.
 OFFSET_STEP_M, OFFSET_SIGMAS = 0.001, 2.0
 # Offset, slope and curvature over 10 m are constrained to 0: they are equivalent to a scale of the map, and
 # in a corridor to motion. The offset is estimated separately, from the angles at which walls are seen.
 SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
-LEARN_EVERY_M = 0.05  # of travel
+SAME_WALL_M = 0.05  # of travel: scans within one key frame distance match the same noise of the map
 
 
 def _prior() -> npt.NDArray[np.float64]:
     """(NODES + 1, NODES + 1) 1/m^2, the offset last."""
-    apart = NODE_M / SMOOTH_M * (np.arange(NODES)[:, None] - np.arange(NODES))
+    apart = np.arange(NODES)[:, None] - np.arange(NODES)
     prior = np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
     smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTH_NODES), 3))
     prior[:SMOOTH_NODES, :SMOOTH_NODES] += smooth @ smooth.T / SMOOTH_SIGMA_M**2
@@ -73,10 +73,10 @@ class RangeBias:
         )
 
     def is_due(self, sensor: str, travel_m: float) -> bool:
-        """Whether LEARN_EVERY_M was travelled since the last update; adds travel_m."""
+        """Whether SAME_WALL_M was travelled since the last update; adds travel_m."""
         learnt = self._learnt[sensor]
         learnt.travel_m += travel_m
-        return learnt.travel_m >= LEARN_EVERY_M
+        return learnt.travel_m >= SAME_WALL_M
 
     def learn(
         self,

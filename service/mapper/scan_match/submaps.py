@@ -51,7 +51,6 @@ NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a seg
 MAX_MISSES = 3  # then another segment is begun
 STATIC_PATH_M = 1.0  # what is seen over so much of the path is static: no object moves along for longer
 MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below ENTERED_FREE
-MAX_NUMBER = 65_535  # of a key frame, then from 1 again
 
 
 class SubmapsConfig(Section):
@@ -212,7 +211,7 @@ class Submap:
         grid: SurfelGrid,
     ) -> npt.NDArray[np.float64]:
         """Update the static score by a key frame; returns its normals, with dynamic points at weight 0."""
-        number = np.uint16(self.scan_count % MAX_NUMBER + 1)
+        number = np.uint16(self.scan_count % np.iinfo(np.uint16).max + 1)  # 0: none
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
         static = normals.copy()
         settings, observations = self._dynamic_filter, self._observations()

@@ -15,14 +15,13 @@ from service.kernels.likelihood import LikelihoodField
 from service.kernels.match import (
     MIN_PRIOR_WEIGHT,
     MatchResult,
-    MatchSettings,
     Prior,
     match_scan,
     student_cost,
 )
 from service.kernels.normals import ROUGH_WEIGHT
-from service.kernels.surfels import MIN_NORMAL_COSINE
 from service.mapper.components import Match, Points
+from service.mapper.graph.model.point_clouds import SETTINGS
 from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
@@ -48,19 +47,16 @@ from service.mapper.matchers.window_search import (
 from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
 from service.mapper.scan_match.moving_scene import MovingScene, SteadyMotion
 from service.mapper.scan_match.posts import Posts, posts_of
-from service.mapper.scan_match.range_bias import RangeBias
+from service.mapper.scan_match.range_bias import SAME_WALL_M, RangeBias
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
-INLIER_M = 0.10  # largest distance of an inlier from its surfel
-ITERATIONS, DESKEW_ROUNDS = 15, 8
-SETTLED_M, SETTLED_RAD = 5e-4, 1e-4  # a smaller step ends the alignment
-NEAR = 10.0  # factor on these limits with full cells, before half cells refine the pose
-COARSE_SIGMA, COARSE_BEAMS, COARSE_ITERATIONS = 0.3, 180, 15  # sigma of 1 - likelihood
+DESKEW_ROUNDS = 8
+NEAR = 10.0  # factor on the step that ends the alignment with full cells, before half cells refine the pose
+COARSE_SIGMA, COARSE_BEAMS = 0.3, 180  # sigma of 1 - likelihood
 COARSE_M, COARSE_RAD = 0.1, 0.05  # resolution of the coarse map: a cell, and a cell at 2 m
-SAME_WALL_M = 0.05  # scans within one key frame distance match the same noise of the map
 CHANCE_M = 1.0  # of travel, over which chance information along an open direction accumulates
 MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
@@ -92,27 +88,17 @@ class SurfelGaussNewton:
 
     def __init__(self, config: SurfelMatcherConfig) -> None:
         self._config = config
-        self._settings = MatchSettings(
-            range_sigma_m=0.01,
+        self._settings = SETTINGS._replace(
             surfel_sigma_m=SURFEL_SIGMA_M,
             wall_sigma_m=config.wall_sigma_m,
-            repeats=1.0,
-            chance_chi2=0.0,
-            information_chance_chi2=0.0,
             cauchy_m=config.cauchy_m,
-            least_normal_cosine=MIN_NORMAL_COSINE,
-            iterations=ITERATIONS,
             deskew_rounds=DESKEW_ROUNDS,
-            inlier_m=INLIER_M,
             coarse_sigma=COARSE_SIGMA,
             coarse_m=COARSE_M,
             coarse_rad=COARSE_RAD,
             coarse_beams=COARSE_BEAMS,
-            coarse_iterations=COARSE_ITERATIONS,
+            coarse_iterations=SETTINGS.iterations,
             near=NEAR,
-            settled_m=SETTLED_M,
-            settled_rad=SETTLED_RAD,
-            degrees_of_freedom=STUDENT,
         )
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser

@@ -33,12 +33,7 @@ from service.mapper.graph.edit.editing import (
     without_pair,
     without_time,
 )
-from service.mapper.maps.occupancy import (
-    MAX_SHOWN_PERCENT,
-    MIN_SHOWN_PERCENT,
-    OccupancyConfig,
-    OccupancyTiles,
-)
+from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.drawn_tiles import with_area, with_line
 from service.mapstore.edits import Edit, undone_by
@@ -47,6 +42,7 @@ from service.mapstore.in_use import InUse
 from service.offline.replay.result import rewrite_result
 from service.outputs import UNKNOWN
 
+MIN_SHOWN_PERCENT, MAX_SHOWN_PERCENT = 3, 97  # at the limits of evidence of an OccupancyTiles
 MAX_NAMED = 3  # positions of pairs in the text of an edit
 
 

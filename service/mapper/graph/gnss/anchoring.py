@@ -15,6 +15,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_consensus import (
     CORRELATED_S,
+    MOST_FIXES,
     Consensus,
     FixPath,
     find_consensus,
@@ -27,7 +28,6 @@ from service.mapper.graph.model.pose_graph import Edges
 FAR_M = 1000.0  # a fix farther from the others than the path length plus this is a gross error
 FLOOR_M = 0.1  # sigma added to every fix: lever arm, stamps, and a tilted vehicle
 MIN_FIXES = 6  # accepted ones for a reference
-MIN_ACCEPTED_SHARE = 0.5  # accepted, of the kept fixes: with fewer there is no consensus
 MAX_YAW_SIGMA_RAD = math.radians(2.0)  # above it the path was too short for a heading of the map
 NEW_FIXES_FOR_CONSENSUS = 5, 0.05  # number, and share of all, after which it is computed again
 MAX_S = 10.0  # weight limit of a fix after a pause
@@ -102,7 +102,7 @@ class Anchoring:
         turned = se2.adjoint(consensus.pose_odom_enu)
         of_map = turned @ consensus.covariance @ turned.T  # of pose_enu_odom, in the axes of odom
         yaw_sigma_rad = math.sqrt(of_map[2, 2])
-        is_vague = accepted < MIN_ACCEPTED_SHARE * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
+        is_vague = accepted < MOST_FIXES * len(among) or yaw_sigma_rad > MAX_YAW_SIGMA_RAD
         if accepted < MIN_FIXES or (self.reference is None and is_vague):
             return False  # an existing reference stays, with its fixes
         self.counts["fixes_anchoring"] = accepted

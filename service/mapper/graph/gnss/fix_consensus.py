@@ -25,7 +25,7 @@ CORRELATED_S = 120.0  # duration of fixes that make one measurement: twice the c
 JUMP_M = 1.5  # plus JUMP_SIGMAS: a larger change of error between fixes is a jump (satellites change)
 JUMP_SIGMAS = 0.5  # of the larger sigma of both fixes
 STRETCH_SIGMAS = 1.5  # limit of the mean error of an interval between two jumps
-LARGEST_STRETCH = 0.5  # of all fixes: a larger interval is never rejected
+MOST_FIXES = 0.5  # share: a larger interval is never rejected, and fewer accepted ones are no consensus
 ROUNDS = 6
 MU_GROWTH = 2.0  # growth of mu per iteration
 MAX_MU = 1e4  # then undecided fixes are within 1e-4 of the gate
@@ -188,7 +188,7 @@ def _wrong_stretches(path: FixPath, off_m: Floats) -> npt.NDArray[np.bool_]:
     starts = np.flatnonzero(change_m > limit_m) + 1
     is_wrong = np.zeros(len(off_m), np.bool_)
     for stretch in np.split(np.arange(len(off_m)), starts):
-        if len(stretch) > LARGEST_STRETCH * len(off_m):
+        if len(stretch) > MOST_FIXES * len(off_m):
             continue
         mean_m = float(np.hypot(*off_m[stretch].mean(axis=0)))
         is_wrong[stretch] = mean_m > STRETCH_SIGMAS * float(sigma_m[stretch].mean())

@@ -183,7 +183,7 @@ def free_space(clouds: Sequence[PointCloud], sensors: Sequence[Floats]) -> Occup
     for number in range(0, len(clouds), TRACED_EVERY):
         ends, sensor = clouds[number].xy, sensors[number]
         if len(ends):
-            scan_number = np.uint16(number // TRACED_EVERY % 65_535 + 1)
+            scan_number = np.uint16(number // TRACED_EVERY % np.iinfo(np.uint16).max + 1)
             trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, LOOP_REACH_M, scan_number)
     return ground
 

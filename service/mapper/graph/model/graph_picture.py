@@ -14,9 +14,7 @@ from service.mapper.loop_evidence import evidence, residuals
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import GraphPicture
 
-MAX_KEYFRAMES = 1000  # in a picture; of more every second, third ... is shown
-MAX_LOOPS = 500  # of each kind
-MAX_BORDERS = 200
+MAX_DRAWN = 1000  # key frames, and loops of each kind; of more every second, third ... is shown
 PICTURE_GAP_M = 5.0  # path without a key frame: removed ones, or another session
 PERIOD_NS = 2_000_000_000  # of the drive, between two pictures
 
@@ -43,7 +41,7 @@ def draw(
     borders    outlines of sub-maps, (K, 2) m each, map frame
     """
     xy = xy_map.astype(np.float32)
-    every = -(-len(xy) // MAX_KEYFRAMES)
+    every = -(-len(xy) // MAX_DRAWN)
     paths = []
     for number in np.unique(stretch[stretch >= 0]).tolist():
         members = np.flatnonzero(stretch == number)
@@ -55,7 +53,7 @@ def draw(
         paths,
         _ends(xy, accepted, known),
         _ends(xy, refused, known),
-        [border.astype(np.float32) for border in borders[-MAX_BORDERS:]],
+        [border.astype(np.float32) for border in borders[-MAX_DRAWN:]],
     )
 
 
@@ -82,8 +80,8 @@ def draw_saved(graph: SavedGraph) -> GraphPicture:
 def _ends(xy: npt.NDArray[np.float32], ends: Ints, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
     ends = ends.reshape(-1, 2)
     ends = ends[known[ends].all(axis=1)]
-    if len(ends) > MAX_LOOPS:
-        ends = ends[np.linspace(0, len(ends) - 1, MAX_LOOPS).round().astype(np.int64)]
+    if len(ends) > MAX_DRAWN:
+        ends = ends[np.linspace(0, len(ends) - 1, MAX_DRAWN).round().astype(np.int64)]
     return xy[ends]
 
 

@@ -92,11 +92,11 @@ class KeyframeList:
 
     def __init__(self, stored: SavedGraph | None = None) -> None:
         self.count = self.stored = 0
-        self._poses = np.zeros((64, 6))
-        self._numbers = np.zeros((64, 7))
-        self._covariance = np.zeros((64, 3, 3))
-        self._motion_covariance = np.zeros((64, 3, 3))
-        self._prediction_variance = np.zeros((64, 2))
+        self._poses = np.zeros((1, 6))
+        self._numbers = np.zeros((1, 7))
+        self._covariance = np.zeros((1, 3, 3))
+        self._motion_covariance = np.zeros((1, 3, 3))
+        self._prediction_variance = np.zeros((1, 2))
         self.unmeasured: set[int] = set()  # segments to which the motion was not measured
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []

@@ -5,6 +5,7 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
+from service.estimator.estimator import MIN_SIGMA
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
@@ -20,7 +21,7 @@ MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: limit of the variance adde
 # m^2, rad^2: added to the motion model's into a segment without a scan gap: the vehicle was not carried
 NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
 MAX_SCAN_GAP_S = 2.0  # a longer scan gap: the vehicle may have been carried
-MIN_EDGE_COVARIANCE = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: of a step without added noise
+MIN_EDGE_COVARIANCE = np.diag(np.square(MIN_SIGMA))  # of a step without added noise
 GAP_SHARE = 0.1  # of a path without key frames, as where old passes were removed: error of odometry
 POOR_MATCH_SHARE = 0.6  # of the drive's median inlier ratio: below, the match may be wrong
 MIN_VARIANCE_SHARE = 1e-12  # of the largest variance of a step: above rounding

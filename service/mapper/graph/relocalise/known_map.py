@@ -65,7 +65,7 @@ REFINE_WINDOW = (0.3, 0.03, 0.006)  # m, rad around a candidate; step in rad
 REFINING_POINTS = 150
 # m, m, rad of the first steps of a climb, and factor of the last ones.
 CLIMB_STEPS, MIN_CLIMB_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0
-ALONG_M, ALONG_STEP_M = 1.6, 0.1  # range along walls to each side of a place, and its steps
+ALONG_M = 1.6  # range along walls to each side of a place, in steps of a cell
 ALONG_SHARE = 0.9  # of the inlier ratio at the place, for a place beside it
 ON_MAP_RATIO = 0.5 * MAX_LOG_RATIO  # nats: a beam above it ends on a mapped object
 # Limit of the evidence of one wall or object, nats. Buildings have straight walls on new ground, too, so all
@@ -207,7 +207,7 @@ class KnownMap:
         turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
         known = of_pose[:2, :2] - turning
         axis = np.append(np.linalg.eigh(known)[1][:, 0], 0.0)
-        steps = np.arange(ALONG_STEP_M, ALONG_M + 0.5 * ALONG_STEP_M, ALONG_STEP_M)
+        steps = np.arange(CELL_M, ALONG_M + 0.5 * CELL_M, CELL_M)
         beside = [
             self._walls.align(seen.cloud, aligned.fit.pose + off_m * axis) for off_m in [*-steps, *steps]
         ]

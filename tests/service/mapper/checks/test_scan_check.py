@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.mapper.checks.sensor_checks import ODOMETRY_WAIT_NS, SPEED_NS, OdometryWait, ScanCheck
+from service.estimator.estimator import PAUSE_NS, SPEED_WINDOW_S
+from service.mapper.checks.sensor_checks import OdometryWait, ScanCheck
 
 S = 1_000_000_000
+SPEED_WINDOW_NS = round(SPEED_WINDOW_S * S)
 
 
 def scan(stamp_ns: int, arrived_ns: int, range_m: float = 1.0) -> LaserScan:
@@ -39,8 +41,8 @@ def test_after_a_pause_of_both_a_scan_waits_for_odometry_and_not_for_ever() -> N
     assert not wait.waits(4 * S, 3 * S)
     assert not wait.waits(9 * S, 8 * S)  # odometry alone is silent
     assert wait.waits(9 * S, 4 * S)
-    assert wait.waits(9 * S + ODOMETRY_WAIT_NS, 4 * S)
-    assert not wait.waits(9 * S + ODOMETRY_WAIT_NS + 1, 4 * S)
+    assert wait.waits(9 * S + PAUSE_NS, 4 * S)
+    assert not wait.waits(9 * S + PAUSE_NS + 1, 4 * S)
 
 
 def test_after_a_pause_of_both_the_speed_is_waited_for_too() -> None:
@@ -48,10 +50,10 @@ def test_after_a_pause_of_both_the_speed_is_waited_for_too() -> None:
     wait.add(1 * S)
     wait.add(20 * S)
     assert wait.waits(20 * S + 1, 2 * S)
-    wait.add(20 * S + SPEED_NS - 1)
-    assert wait.waits(20 * S + SPEED_NS, 2 * S)
-    wait.add(20 * S + SPEED_NS)
-    assert not wait.waits(20 * S + SPEED_NS + 1, 2 * S)
+    wait.add(20 * S + SPEED_WINDOW_NS - 1)
+    assert wait.waits(20 * S + SPEED_WINDOW_NS, 2 * S)
+    wait.add(20 * S + SPEED_WINDOW_NS)
+    assert not wait.waits(20 * S + SPEED_WINDOW_NS + 1, 2 * S)
     for stamp_s in (21, 22, 23, 24):
         wait.add(stamp_s * S)
     assert not wait.waits(25 * S, 21 * S)  # the laser alone was silent

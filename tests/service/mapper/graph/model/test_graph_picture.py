@@ -1,6 +1,6 @@
 import numpy as np
 
-from service.mapper.graph.model.graph_picture import MAX_KEYFRAMES, MAX_LOOPS, draw, draw_saved, stretches
+from service.mapper.graph.model.graph_picture import MAX_DRAWN, draw, draw_saved, stretches
 from service.mapper.loop_evidence import RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
@@ -8,13 +8,13 @@ NONE = np.empty((0, 2), np.int64)
 
 
 def test_a_long_path_is_thinned_and_keeps_its_end() -> None:
-    count = 10 * MAX_KEYFRAMES + 1
+    count = 10 * MAX_DRAWN + 1
     xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))
     loops = np.column_stack((np.arange(2000), np.arange(2000) + 3000))
     (path,) = (picture := draw(1, xy, np.zeros(count, np.int64), loops, NONE)).paths
-    assert MAX_KEYFRAMES / 2 < len(path) <= MAX_KEYFRAMES + 1
+    assert MAX_DRAWN / 2 < len(path) <= MAX_DRAWN + 1
     assert path[-1].tolist() == [count - 1, 0.0]
-    assert len(picture.accepted) == MAX_LOOPS
+    assert len(picture.accepted) == MAX_DRAWN
     assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
 
 
