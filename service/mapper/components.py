@@ -33,6 +33,11 @@ class Points(NamedTuple):
     usual_gap: int = 1  # beams from one return to the next, above 1 where not all are measured
 
     @property
+    def sensor_xy_m(self) -> npt.NDArray[np.float64]:
+        """(2,) m, the sensor in the base frame."""
+        return np.array([self.sensor_base.x_m, self.sensor_base.y_m])
+
+    @property
     def spacing_rad(self) -> float:
         """Angle from one return to the next."""
         return abs(self.scan.angle_step_rad) * self.usual_gap

@@ -30,13 +30,13 @@ class KnownPose:
         Evaluated with every scan: `carried` and `covariance_added` for a single pose.
         """
         step = self.pose_odom_base.inverse() @ motion.pose_odom_base
-        away = _adjoint_back(step)
+        away = adjoint_back(step)
         variances, axes = np.linalg.eigh(motion.covariance - away @ self.motion_covariance @ away.T)
         added = (axes * np.maximum(variances, 0.0)) @ axes.T
         return np.asarray(away @ self.covariance @ away.T + added)
 
 
-def _adjoint_back(step: SE2) -> Matrix:
+def adjoint_back(step: SE2) -> Matrix:
     """Adjoint of the inverse step, from floats: a quarter of the time of `carried` for a single pose."""
     c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
     return np.array(

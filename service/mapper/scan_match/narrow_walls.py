@@ -50,7 +50,7 @@ class NarrowWalls:
         self._tiles.cover_around((float(pose[0]), float(pose[1])), reach_m, self._cell_m, MOMENT_TILE_BITS)
         add_to_moments(
             points.xy_base,
-            _sensor_xy_m(points),
+            points.sensor_xy_m,
             points.range_sigma_m,
             normals,
             directed,
@@ -70,7 +70,7 @@ class NarrowWalls:
         normals = normals.copy()
         direct_by_moments(
             points.xy_base,
-            _sensor_xy_m(points),
+            points.sensor_xy_m,
             points.range_sigma_m,
             pose,
             self._grid(),
@@ -84,7 +84,3 @@ class NarrowWalls:
     def _grid(self) -> MomentGrid:
         (moments,) = self._tiles.pool.arrays
         return MomentGrid(self._tiles.index(), moments, self._cell_m)  # type: ignore[arg-type]
-
-
-def _sensor_xy_m(points: Points) -> Matrix:
-    return np.array([points.sensor_base.x_m, points.sensor_base.y_m])

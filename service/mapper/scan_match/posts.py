@@ -58,7 +58,7 @@ def posts_of(points: Points) -> Posts | None:
     count = len(points.xy_raw)
     if count < 3:
         return None
-    sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+    sensor = points.sensor_xy_m
     gap, step_rad = points.usual_gap, points.spacing_rad
     bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_POST_SHARE)
     is_possible, most_missing = may_be_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from service.geometry.poses import Floats
 from service.kernels.match import MatchSettings
 from service.kernels.range_bias import bias_information, subtract_bias
 from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
@@ -23,7 +23,7 @@ SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
 SAME_WALL_M = 0.05  # of travel: scans within one key frame distance match the same noise of the map
 
 
-def _prior() -> npt.NDArray[np.float64]:
+def _prior() -> Floats:
     """(NODES + 1, NODES + 1) 1/m^2, the offset last."""
     apart = np.arange(NODES)[:, None] - np.arange(NODES)
     prior = np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
@@ -36,9 +36,9 @@ def _prior() -> npt.NDArray[np.float64]:
 
 @dataclass(slots=True)
 class _Learnt:
-    curve_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(NODES))  # with the offset
+    curve_m: Floats = field(default_factory=lambda: np.zeros(NODES))  # with the offset
     offset_left_m: float = 0.0  # learnt, but not yet applied to curve and map
-    information: npt.NDArray[np.float64] = field(default_factory=_prior)
+    information: Floats = field(default_factory=_prior)
     travel_m: float = 0.0  # since the last update
 
 
@@ -48,7 +48,7 @@ class RangeBias:
     def __init__(self) -> None:
         self._learnt: dict[str, _Learnt] = {}
 
-    def curve_m(self, sensor: str) -> npt.NDArray[np.float64]:
+    def curve_m(self, sensor: str) -> Floats:
         """(NODES,) bias of ranges 0, NODE_M, 2 NODE_M, ..., m."""
         return self._learnt[sensor].curve_m if sensor in self._learnt else np.zeros(NODES)
 
@@ -58,19 +58,9 @@ class RangeBias:
         if learnt is None:  # not setdefault: the prior takes as long as half a scan
             learnt = self._learnt[points.scan.sensor] = _Learnt()
         xy_raw, xy_base = np.empty_like(points.xy_raw), np.empty_like(points.xy_base)
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
-        subtract_bias(points.xy_raw, sensor, learnt.curve_m, NODE_M, xy_raw)
-        subtract_bias(points.xy_base, sensor, learnt.curve_m, NODE_M, xy_base)
-        return Points(
-            xy_base,
-            xy_raw,
-            points.beam_time_s,
-            points.beam,
-            points.sensor_base,
-            points.scan,
-            points.range_sigma_m,
-            points.usual_gap,
-        )
+        subtract_bias(points.xy_raw, points.sensor_xy_m, learnt.curve_m, NODE_M, xy_raw)
+        subtract_bias(points.xy_base, points.sensor_xy_m, learnt.curve_m, NODE_M, xy_base)
+        return points._replace(xy_base=xy_base, xy_raw=xy_raw)
 
     def is_due(self, sensor: str, travel_m: float) -> bool:
         """Whether SAME_WALL_M was travelled since the last update; adds travel_m."""
@@ -81,8 +71,8 @@ class RangeBias:
     def learn(
         self,
         points: Points,
-        normals: npt.NDArray[np.float64],
-        pose: npt.NDArray[np.float64],
+        normals: Floats,
+        pose: Floats,
         submap: Submap,
         laser: int,
         settings: MatchSettings,
@@ -95,10 +85,18 @@ class RangeBias:
         learnt = self._learnt[points.scan.sensor]
         learnt.travel_m = 0.0
         information, weighted = np.empty((NODES + 1, NODES + 1)), np.empty(NODES + 1)
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         grid = submap.grid()
         bias_information(
-            points.xy_base, normals, pose, sensor, laser, grid, settings, NODE_M, information, weighted
+            points.xy_base,
+            normals,
+            pose,
+            points.sensor_xy_m,
+            laser,
+            grid,
+            settings,
+            NODE_M,
+            information,
+            weighted,
         )
         weighted -= information[:, NODES] * learnt.offset_left_m
         learnt.information += information / SCANS_WITH_SAME_ERRORS

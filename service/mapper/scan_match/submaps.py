@@ -7,6 +7,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.section import Section
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.static_score import (
@@ -91,13 +92,7 @@ class Submap:
         cell_m = self._config.cell_m / PARTS
         return SurfelGrid(self._fine_tiles.index(), surfels, field, cell_m)  # type: ignore[arg-type]
 
-    def weighed(
-        self,
-        points: Points,
-        normals: npt.NDArray[np.float64],
-        pose: npt.NDArray[np.float64],
-        grid: SurfelGrid,
-    ) -> npt.NDArray[np.float64]:
+    def weighed(self, points: Points, normals: Floats, pose: Floats, grid: SurfelGrid) -> Floats:
         """The normals of a scan to be matched from a pose (3,), weighed by the static score. grid: grid()."""
         if self._dynamic_filter.full_score == 0:
             return normals
@@ -106,36 +101,20 @@ class Submap:
         return weighed
 
     def contradicting(
-        self,
-        points: Points,
-        xy_base: npt.NDArray[np.float64],
-        normals: npt.NDArray[np.float64],
-        pose: npt.NDArray[np.float64],
+        self, points: Points, xy_base: Floats, normals: Floats, pose: Floats
     ) -> tuple[int, int]:
         """Points (N, 2) of a scan at a pose (3,) in free space, and behind walls on unknown ground."""
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         behind_m = self._dynamic_filter.behind_m
         in_free, behind = count_contradicting(
-            xy_base, sensor, normals, pose, self.grid(), self._observations(), behind_m
+            xy_base, points.sensor_xy_m, normals, pose, self.grid(), self._observations(), behind_m
         )
         return int(in_free), int(behind)
 
-    def static_residuals(
-        self,
-        xy_base: npt.NDArray[np.float64],
-        normals: npt.NDArray[np.float64],
-        pose: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float64]:
+    def static_residuals(self, xy_base: Floats, normals: Floats, pose: Floats) -> Floats:
         """As residuals, to static walls alone: those seen over STATIC_PATH_M of the path."""
         return self.residuals(xy_base, normals, pose, self._static_mark)
 
-    def residuals(
-        self,
-        xy_base: npt.NDArray[np.float64],
-        normals: npt.NDArray[np.float64],
-        pose: npt.NDArray[np.float64],
-        latest: int = MAX_MARK,
-    ) -> npt.NDArray[np.float64]:
+    def residuals(self, xy_base: Floats, normals: Floats, pose: Floats, latest: int = MAX_MARK) -> Floats:
         """(N,) m, residuals of points (N, 2) at a pose (3,) to walls; NaN without one.
 
         latest: mark of the path since which a wall must have been seen.
@@ -145,31 +124,26 @@ class Submap:
         static_residuals(xy_base, normals, pose, grid, observations, MIN_NORMAL_COSINE, latest, residual_m)
         return residual_m
 
-    def on_dynamic(
-        self, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.bool_]:
+    def on_dynamic(self, xy_base: Floats, pose: Floats) -> npt.NDArray[np.bool_]:
         """(N,) whether points are in cells not occupied over STATIC_PATH_M of the path."""
         is_dynamic = np.zeros(len(xy_base), np.bool_)
         find_dynamic(xy_base, pose, self.grid(), self._observations(), self._static_mark, is_dynamic)
         return is_dynamic
 
-    def beams_through_static(
-        self, points: Points, xy_base: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
-    ) -> int:
+    def beams_through_static(self, points: Points, xy_base: Floats, pose: Floats) -> int:
         """Number of beams that pass through static walls."""
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         grid, observations, behind_m = self.grid(), self._observations(), self._dynamic_filter.behind_m
         return int(
-            count_beams_through_walls(xy_base, sensor, pose, grid, observations, self._static_mark, behind_m)
+            count_beams_through_walls(
+                xy_base, points.sensor_xy_m, pose, grid, observations, self._static_mark, behind_m
+            )
         )
 
     @property
     def _static_mark(self) -> int:
         return _mark_at(self._path_m - STATIC_PATH_M)
 
-    def insert(
-        self, points: Points, normals: npt.NDArray[np.float64], posts: Posts | None, pose: SE2, laser: int
-    ) -> None:
+    def insert(self, points: Points, normals: Floats, posts: Posts | None, pose: SE2, laser: int) -> None:
         """laser: as in insert_surfels."""
         cell_m = self._config.cell_m
         near, reach_m = (pose.x_m, pose.y_m), reach_of(points.xy_base)
@@ -189,11 +163,17 @@ class Submap:
             post_normals = posts.normals(pose.theta_rad, np.ones(len(posts.point)))
             walls.append((np.repeat(posts.xy_base, 2, axis=0), post_normals))
         point_count = (SURFEL_SIGMA_M / points.range_sigma_m) ** 2
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         for surfels in (grid, self.fine_grid()):
             for xy, directions in walls:
                 insert_surfels(
-                    xy, directions, pose_vector, surfels, SURFEL_COUNT_LIMIT, point_count, sensor, laser
+                    xy,
+                    directions,
+                    pose_vector,
+                    surfels,
+                    SURFEL_COUNT_LIMIT,
+                    point_count,
+                    points.sensor_xy_m,
+                    laser,
                 )
         splat_likelihood(points.xy_base, pose_vector, grid, FIELD_SIGMA_M, SATURATED_LIKELIHOOD)
         self.scan_count += 1
@@ -203,13 +183,7 @@ class Submap:
         shorten_surfels(self.grid(), laser, step_m)
         shorten_surfels(self.fine_grid(), laser, step_m)
 
-    def _update_static_score(
-        self,
-        points: Points,
-        normals: npt.NDArray[np.float64],
-        pose: npt.NDArray[np.float64],
-        grid: SurfelGrid,
-    ) -> npt.NDArray[np.float64]:
+    def _update_static_score(self, points: Points, normals: Floats, pose: Floats, grid: SurfelGrid) -> Floats:
         """Update the static score by a key frame; returns its normals, with dynamic points at weight 0."""
         number = np.uint16(self.scan_count % np.iinfo(np.uint16).max + 1)  # 0: none
         ticks = np.int64(self._ticks_since(points.scan.stamp_ns))
@@ -217,9 +191,16 @@ class Submap:
         settings, observations = self._dynamic_filter, self._observations()
         mark = np.uint16(_mark_at(self._path_m))
         count_hits(points.xy_base, static, pose, grid, observations, settings, number, ticks, mark)
-        sensor = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
         remove_by_ray_cast(
-            points.xy_base, sensor, pose, grid, self.fine_grid(), observations, settings, number, ticks
+            points.xy_base,
+            points.sensor_xy_m,
+            pose,
+            grid,
+            self.fine_grid(),
+            observations,
+            settings,
+            number,
+            ticks,
         )
         return static
 
@@ -360,15 +341,11 @@ class SurfelSubmaps:
     def tile_count(self) -> int:
         return self._pool.used_count + self._fine_pool.used_count
 
-    def on_walls(self, points: Points) -> tuple[Points, npt.NDArray[np.float64]]:
+    def on_walls(self, points: Points) -> tuple[Points, Floats]:
         """The points, shifted along their walls to where their beams meet them, and (N, 3) normals."""
         sensor = points.sensor_base
         xy_base, normals = walls_of(
-            points.xy_base,
-            (sensor.x_m, sensor.y_m),
-            points.spacing_rad,
-            points.range_sigma_m,
-            GRAZING_WEIGHT,
+            points.xy_base, (sensor.x_m, sensor.y_m), points.spacing_rad, points.range_sigma_m, GRAZING_WEIGHT
         )
         xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm; rotation within the sweep neglected
         return points._replace(xy_base=xy_base, xy_raw=xy_raw), normals

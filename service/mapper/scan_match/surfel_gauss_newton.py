@@ -35,6 +35,7 @@ from service.mapper.judgement import (
     too_few,
     unmatched,
 )
+from service.mapper.known_pose import adjoint_back
 from service.mapper.matchers.window_search import (
     LOST_WINDOW,
     MIN_INLIER_GAIN,
@@ -331,7 +332,8 @@ class SurfelGaussNewton:
         near = self._align(attempt, attempt.prior.pose, aligned.submap, is_constrained=True)
         if near.is_contradicted or near.result.share > DOUBT_RATIO * aligned.result.share:
             return aligned
-        pulled = np.linalg.solve(attempt.prior.covariance, _off(near.result.pose, attempt.prior))
+        off = np.array(SE2(*attempt.prior.pose.tolist()).inverse() @ near.pose)
+        pulled = np.linalg.solve(attempt.prior.covariance, off)
         scan_cost = 0.5 * float(pulled @ np.linalg.pinv(near.result.information, hermitian=True) @ pulled)
         cost, cost_near = (
             student_cost(_chi2(result.pose, attempt.prior), STUDENT)
@@ -431,25 +433,11 @@ def _chi2(pose: Matrix, prior: Prior) -> float:
     return chi2_of(SE2(*pose.tolist()), prior)
 
 
-def _off(pose: Matrix, prior: Prior) -> Matrix:
-    """(3,) m, m, rad: a pose (3,) relative to the prediction, in its axes."""
-    away = SE2(*prior.pose.tolist()).inverse() @ SE2(*pose.tolist())
-    return np.array(away)
-
-
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
     """The prediction as a Prior; gap: covariance of a detached segment's start, propagated to here."""
     pose = predicted.pose_odom_base
     if gap is not None:
-        step = gap.pose.inverse() @ pose
-        c, s = math.cos(step.theta_rad), math.sin(step.theta_rad)
-        carry = np.array(
-            [
-                [c, s, s * step.x_m - c * step.y_m],
-                [-s, c, c * step.x_m + s * step.y_m],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        carry = adjoint_back(gap.pose.inverse() @ pose)
         predicted = predicted.with_added_covariance(carry @ gap.covariance @ carry.T)
     return Prior(
         np.array(pose),

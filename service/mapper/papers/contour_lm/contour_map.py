@@ -204,7 +204,7 @@ class ContourMap:
         if learning.forget_unseen:
             mark_unseen(level, learning.protect_count, self._cells)
             return
-        sensor_xy_m = np.array([points.sensor_base.x_m, points.sensor_base.y_m])
+        sensor_xy_m = points.sensor_xy_m
         mark_passed(
             points.xy_base,
             sensor_xy_m,

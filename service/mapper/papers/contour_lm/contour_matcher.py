@@ -123,7 +123,7 @@ class ContourLm:
         angle = np.empty(len(xy_base))
         estimate_orientations(
             xy_base,
-            np.array([points.sensor_base.x_m, points.sensor_base.y_m]),
+            points.sensor_xy_m,
             abs(points.scan.angle_step_rad),
             config.beams_each_side,
             config.half_length_m,
