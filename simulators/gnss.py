@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.frames import GnssFix
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import LocalFrame
 from service.geometry.se2 import SE2
 from simulators.truth import noise_of
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import LocalFrame
 from simulators.gnss import GnssModel, Receiver, Reflection
 
 ORIGIN = LocalFrame(60.161, 24.546, 51.7)

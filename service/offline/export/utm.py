@@ -6,7 +6,7 @@ series to the sixth order).
 
 import math
 
-from service.geometry.geodesy import A_M, E2, F
+from service.geometry.geo_reference import A_M, E2, F
 
 UTM_SCALE = 0.9996
 UTM_EAST_M = 500_000.0  # of the central meridian

@@ -4,8 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
 
 ORIGIN = LocalFrame(60.161, 24.546, 51.7)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.geometry.geodesy import LocalFrame, from_ecef, to_ecef
+from service.geometry.geo_reference import LocalFrame, from_ecef, to_ecef
 
 # GeographicLib, manual of CartConvert(1), examples
 CART_CONVERT = (33.3, 44.4, 6000.0), (3816209.60, 3737108.55, 3485109.57)

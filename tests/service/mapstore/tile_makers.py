@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
 from service.outputs import TileUpdate
 

@@ -1,7 +1,6 @@
 import math
 
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
 from service.runtime.gnss_health import GnssHealth
 

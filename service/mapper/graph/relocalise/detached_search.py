@@ -16,6 +16,15 @@ from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop, loop_of
 from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.model.point_clouds import PointCloud
+from service.mapper.graph.relocalise.expected_place import (
+    ODOMETRY_PROBABILITY_CONTINUOUS,
+    ODOMETRY_PROBABILITY_MEASURED,
+    ODOMETRY_PROBABILITY_UNMEASURED,
+    SEARCH_COVARIANCE,
+    OdometryPrior,
+    OperatorPose,
+    places_in,
+)
 from service.mapper.graph.relocalise.known_map import (
     MAX_QUERY,
     MIN_MARGIN_NATS,
@@ -25,15 +34,6 @@ from service.mapper.graph.relocalise.known_map import (
     fits,
     margin_of,
 )
-from service.mapper.graph.relocalise.odometry_prior import (
-    ODOMETRY_PROBABILITY_CONTINUOUS,
-    ODOMETRY_PROBABILITY_MEASURED,
-    ODOMETRY_PROBABILITY_UNMEASURED,
-    SEARCH_COVARIANCE,
-    OdometryPrior,
-    places_in,
-)
-from service.mapper.graph.relocalise.operator_pose import OperatorPose
 from service.mapper.graph.relocalise.place_search import (
     EXPECTED_WINDOW,
     REFINE_MARGIN_NATS,

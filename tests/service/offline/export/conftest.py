@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
 from service.mapstore.geo_file import write_geo
 from service.mapstore.picture import picture_of_grid

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.geometry.geodesy import A_M
+from service.geometry.geo_reference import A_M
 from service.offline.export.utm import to_utm, utm_zone
 
 # GeographicLib, manual of GeoConvert(1), example with 5 decimals, 1 m

@@ -11,8 +11,7 @@ import pytest
 
 from service.cli import main
 from service.errors import InputError, StorageError
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.edit.editing import graph_of
 from service.mapper.graph.model.pose_graph import to_g2o

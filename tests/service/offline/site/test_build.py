@@ -14,8 +14,7 @@ import pytest
 from service.cli import main
 from service.errors import InputError, UsageError
 from service.geometry import poses as se2
-from service.geometry.geo_reference import GeoReference
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.edit import merging
 from service.mapper.graph.edit.editing import only

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.frames import GnssFix
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import LocalFrame
 from service.geometry.poses import compose
 from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_track import FixTrack

@@ -7,7 +7,7 @@ from itertools import starmap
 import numpy as np
 import pytest
 
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import LocalFrame
 from service.mapper.graph.loops.loop_back_end import Result
 from simulators.gnss import GnssModel, Reflection
 from tests.service.mapper.graph.gnss.outdoors import (

@@ -8,7 +8,7 @@ import pytest
 from drivers.frames import GnssFix
 from drivers.xsens_mtig.protocol import MessageDecoder, encode
 from service.encoding import decode_frame, encode_frame
-from service.geometry.geodesy import LocalFrame
+from service.geometry.geo_reference import LocalFrame
 from service.geometry.se2 import SE2
 from service.mapper.graph.gnss.fix_track import FixTrack
 from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result

@@ -10,8 +10,8 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import loop_of
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
+from service.mapper.graph.relocalise.expected_place import OdometryPrior
 from service.mapper.graph.relocalise.known_map import MIN_MARGIN_NATS, UNEXPLAINED_SHARE, PlaceScore
-from service.mapper.graph.relocalise.odometry_prior import OdometryPrior
 from tests.service.mapper.graph.key_frames import APART_M, STOOD, append, room, rooms
 
 

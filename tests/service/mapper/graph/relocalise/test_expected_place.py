@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from service.geometry import poses as se2
 from service.mapper.graph.model.point_clouds import Fit
-from service.mapper.graph.relocalise.odometry_prior import (
+from service.mapper.graph.relocalise.expected_place import (
     ODOMETRY_PROBABILITY_UNMEASURED,
     SEARCH_COVARIANCE,
     OdometryPrior,
