@@ -21,16 +21,6 @@ class LosesTheSecond(InlineWorker):
         return Lost(None) if self.submitted == 2 else super().submit(batch)
 
 
-def test_results_come_in_the_order_of_their_batches():
-    jobs = BackgroundJobs(InlineWorker(Echo()))
-    assert not jobs.ready
-    for k in range(3):
-        jobs.submit(k)
-    assert (jobs.waiting, jobs.ready) == (3, True)
-    assert [jobs.take() for _ in range(3)] == [0, 1, 2]
-    assert jobs.waiting == 0
-
-
 def test_after_lost_work_no_batch_is_submitted():
     worker = LosesTheSecond(Echo())
     jobs = BackgroundJobs(worker)

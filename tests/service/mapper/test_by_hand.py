@@ -10,7 +10,7 @@ from service.mapper.by_hand import DRAWN_WALL, ERASED, ByHand, Drawing
 from service.mapper.components import AreaToErase, ScanToRender, WallToRender
 from service.mapper.graph.loops.stored_graph import among_scans, walls_of
 from service.mapper.maps.occupancy import cells_of_wall
-from service.mapper.saved_graph import SavedGraphError, from_arrays, packed_points, small_arrays
+from service.mapper.saved_graph import SavedGraphError
 from tests.service.mapstore.graphs import graph_of
 
 POSES = np.array([(0.0, 0.0, 0.0), (5.0, 0.0, 1.0), (10.0, 0.0, -2.0), (15.0, 0.0, 0.5)])
@@ -53,13 +53,6 @@ def test_an_area_erases_only_walls_drawn_before_it(drawn):
     (wall,) = walls_of(drawn.with_drawing(Drawing(ERASED, 4, over), POSES), POSES)
     columns = cells_of_wall(wall, 0.1)[:, 1]
     assert (columns.min(), columns.max()) == (100, 110)
-
-
-def test_edits_are_stored_with_the_graph(drawn):
-    graph = replace(graph_of(4), by_hand=drawn)
-    back = from_arrays(small_arrays(graph), [packed_points(graph, 0, 4)]).by_hand
-    for name, array in drawn.arrays().items():
-        np.testing.assert_array_equal(back.arrays()[name], array, err_msg=name)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from service.mapper.localisation import UNPROVEN
 from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import BeginIn, build_mapper, mapping_config
-from service.mapper.saved_graph import SavedGraphError, from_arrays, packed_points, small_arrays
+from service.mapper.saved_graph import SavedGraphError
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.offices import COARSE, mapped_office, outputs_at_once, through
 from tests.service.mapstore.graphs import graph_of
@@ -170,16 +170,6 @@ def test_a_profile_without_stored_maps_is_refused(first):
     config = mapping_config({"profile": "contour_lm"})
     with pytest.raises(ValueError, match="contour_lm cannot begin in a stored map"):
         build_mapper(config, {"front": SE2()}, begin_in=first[1])
-
-
-def test_a_graph_comes_back_from_its_arrays_to_a_millimetre(first):
-    graph = first[1].graph
-    half = len(graph) // 2
-    points = [packed_points(graph, 0, half), packed_points(graph, half, len(graph))]
-    back = from_arrays(small_arrays(graph), points)
-    np.testing.assert_allclose(back.xy_base, graph.xy_base, atol=0.00051)
-    np.testing.assert_allclose(back.normals, graph.normals, atol=0.00006)
-    np.testing.assert_array_equal(back.map, graph.map)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import wrap_angle
-from service.mapper.checks.stamp_check import StampCheck, StampChecks
+from service.mapper.checks.stamp_check import StampCheck
 
 OTHER_NS, NS = 40_000_000, 66_000_000  # periods
 
@@ -18,7 +18,7 @@ def heading_rad(t_s: float) -> float:
 
 
 def drive(
-    check: StampCheck | StampChecks,
+    check: StampCheck,
     late_s: float,
     from_s: float = 0.0,
     to_s: float = 20.0,
@@ -33,9 +33,7 @@ def drive(
     for stamp_ns, is_other in sorted(scans):
         t_s = stamp_ns * 1e-9 - (0.0 if is_other else late_s)
         heading = wrap_angle(of(t_s) + noise_rad * rng.standard_normal() + off_rad * (not is_other))
-        if isinstance(check, StampChecks):
-            check.add("front" if is_other else "rear", stamp_ns, heading)
-        elif is_other:
+        if is_other:
             check.add_other(stamp_ns, heading)
         else:
             check.add(stamp_ns, heading)

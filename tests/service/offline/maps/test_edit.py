@@ -21,6 +21,7 @@ from service.offline.maps.log import map_log
 from service.outputs import TileUpdate
 from tests.service.mapper.graph.loops.rings import CABINET, saved_of
 from tests.service.mapstore.tile_makers import tile
+from tests.service.offline.maps.bent_maps import graph_in
 
 SQUARE = [0.5, 0.5, 1.5, 0.5, 1.5, 1.5, 0.5, 1.5]
 
@@ -86,6 +87,7 @@ def test_an_erased_area_is_gone_and_all_else_is_as_it_was(ring, graph):
     assert cell(after.tiles, 4.3, -0.7) == -1
     edit(ring, "--optimize")  # drawn again, it stays gone
     assert cell(load_map(ring).tiles, 4.3, -0.7) == -1
+    np.testing.assert_allclose(graph_in(ring).map, after.graph.map, atol=1e-3)  # it was solved before
     assert cell(load_map(ring).tiles, 2.0, -1.0) > 65 or cell(load_map(ring).tiles, 2.0, -1.04) > 65
 
 

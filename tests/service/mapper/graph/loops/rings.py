@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from service.geometry import poses as se2
+from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
@@ -20,7 +21,7 @@ ROUND = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)  # key frames
 CABINET = np.array([(3.7, -0.9), (4.9, -0.9), (4.9, -0.4), (3.7, -0.4)])
 RENDERER = OccupancyTiles(OccupancyConfig(), 0.05).renderer
 TURN_ERROR_RADPM = 0.004
-FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 360, 361
+FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 180, 181
 
 
 def rectangle(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
@@ -108,11 +109,9 @@ def saved_of(rounds: float) -> SavedGraph:
     return saved
 
 
-def seam_m(graph: SavedGraph, truth: list[SE2]) -> np.ndarray:
-    """Offset of the second round from the first."""
-    off = []
-    for a in range(5, len(truth) - ROUND - 5, 5):
-        here = se2.between(graph.map[a], graph.map[a + ROUND])
-        true = truth[a].inverse() @ truth[a + ROUND]
-        off.append(np.hypot(here[0] - true.x_m, here[1] - true.y_m))
-    return np.array(off)
+def seam_m(poses: Floats, truth: list[SE2]) -> Floats:
+    """Offset of the second round from the first, by the poses (N, 3) of all key frames."""
+    first = np.arange(20, len(truth) - ROUND - 5, 5)
+    true = np.array(truth)
+    here, there = (se2.between(of[first], of[first + ROUND]) for of in (poses, true))
+    return np.hypot(*(here - there)[:, :2].T)

@@ -60,14 +60,14 @@ def pairs_of_both_rounds(graph: SavedGraph, off_m: float = 0.0) -> list[dict[str
 
 def test_pairs_close_a_ring_that_no_loop_has_closed_and_list_what_is_left_of_each(open_ring: LoopBackEnd):
     before = saved(back_end := open_ring)
-    assert seam_m(before, TRUTH).min() > 0.5
+    assert seam_m(before.map, TRUTH).min() > 0.5
     result, answer = edited(back_end, what="add-pair", pairs=pairs_of_both_rounds(before))
     assert answer.reply["done"].startswith("pairs 0 to 2; key frames moved by up to ")
     assert [pair["apart_mm"] < 50.0 for pair in answer.reply["pairs"]] == [True] * 3
     assert answer.reply["moved_m"] > 0.5
     assert result.newest
     assert result.rendered_map is not None
-    assert seam_m(saved(back_end), TRUTH).max() < 0.1
+    assert seam_m(saved(back_end).map, TRUTH).max() < 0.1
     _, answer = edited(back_end, what="remove-pair", pair=1)
     assert len(answer.reply["pairs"]) == 2
     at_s = SPOTS[0] / 10.0
