@@ -16,7 +16,7 @@ from tests.accuracy.sensors import WRONG
 from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels, drives, run
 from tests.soaked import in_soak
 
-SECONDS = 32.0
+SECONDS = 26.0
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
     [
         in_soak("office", "dead", 20.0, 11),
         in_soak("library", "dead after 20 s", 30.0, 11),
-        ("ring", "dead after 20 s", 40.0, 1),
+        ("ring", "dead after 20 s", 30.0, 1),
     ],
 )
 def test_dead_odometry_does_not_lose_the_pose(place: str, fault: str, seconds: float, seed: int) -> None:

@@ -134,7 +134,7 @@ def test_after_a_reset_the_map_begins_at_the_base_while_odom_goes_on(mapper: Map
 def drive(
     mapper: MappingSession, steps: range, x_m: Callable[[float], float], wheels: bool = True
 ) -> list[MapperOutput]:
-    """Scans of the room each 20 ms, seen from x_m of the time in s, with wheels in between."""
+    """Scans of the room each 20 ms of the steps, seen from x_m of the time in s, with wheels in between."""
     outputs = []
     for k in steps:
         stamp_ns = (k + 1) * 20_000_000
@@ -158,7 +158,7 @@ def test_the_motion_in_a_pause_is_known_after_it():
     mapper = real_mapper()
     drive(mapper, range(50), x_m)
     mapper.carry_out("pause")
-    assert drive(mapper, range(50, 5000), x_m) == []
+    assert drive(mapper, range(50, 5000, 10), x_m) == []
     mapper.carry_out("resume")
     after = drive(mapper, range(5000, 5050), x_m)
     assert {output.state for output in after} == {"ok"}

@@ -1,6 +1,5 @@
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +8,13 @@ import pytest
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan
 from service.estimator import estimator
 from service.geometry.se2 import SE2
-from service.mapper.components import GraphUpdate, PlaceUpdate, PossiblePlace, UnconfirmedPlace
+from service.mapper.components import GraphUpdate, PlaceUpdate, UnconfirmedPlace
 from service.mapper.known_pose import KnownPose
 from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.methods.shared import NoGraph
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
-from service.outputs import MapperOutput
-from tests.service.mapper.drives import MOUNTING, ROOM, drive, standing
+from tests.service.mapper.drives import MOUNTING, ROOM, drive, outputs_of, standing
 
 
 @pytest.mark.parametrize("profile", ["contour_lm", "submap_graph"])
@@ -64,80 +62,34 @@ def test_the_covariance_grows_from_that_of_the_graph_and_drift_is_not_ok():
     assert "uncertain by 1.00 m" in after.reason
 
 
-NOISE = np.random.default_rng(1).uniform(0.5, 15.0, 541).astype(np.float32)  # m, ranges of no room
-
-
-def carried_into_another_room(mapper: Mapper, noise_at: int | None = None) -> Iterator[MapperOutput]:
-    """Odometry reports a standstill. The outputs in the other room, where one scan may be noise."""
-    here = drive(ROOM, standing, 1.2)
-    other = [tuple(2.5 * v for v in wall) for wall in ROOM[:6]]
-    there = drive(other, lambda t: SE2(3.0, 3.0, 2.0), 1.2)
-    for frame in here.frames:
-        mapper.process(frame)
-    assert mapper.changed_tiles()
-    last_ns = max(frame.stamp_ns for frame in here.frames)
-    scans = [frame for frame in there.frames if isinstance(frame, LaserScan)]
-    for k, frame in enumerate(scans):
-        scan = replace(
-            frame,
-            stamp_ns=frame.stamp_ns - 10**9 + last_ns,
-            arrived_ns=frame.arrived_ns - 10**9 + last_ns,
-            range_m=NOISE if k == noise_at else frame.range_m,
-        )
-        output = mapper.process(scan)
-        assert output is not None
-        yield output
-
-
-def test_nothing_is_rendered_while_lost_and_a_detached_segment_is_mapped_apart():
-    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    outputs = carried_into_another_room(mapper)
-    first = next(outputs)
-    states = [first.state, *(output.state for output in outputs)]
-    assert states.count("lost") == len(states) > 10
-    assert mapper.changed_tiles() == []
-    local_map = mapper.components.local_map
-    assert local_map.detached is not None
-    assert local_map.detached.scan_count > 5
-    assert np.isfinite(first.covariance).all()
-
-
 class FindingGraph(NoGraph):
-    """Reports an unconfirmed place of a segment."""
+    """Reports an unconfirmed place of the segment that the first lost scan begins."""
 
-    pose_map_odom, covariance = SE2(5.0, -2.0, 0.7), np.diag([0.02, 0.02, 0.001])
-
-    def __init__(self, segment: int) -> None:
-        self.segment: int | None = segment
+    place = UnconfirmedPlace(1, SE2(5.0, -2.0, 0.7), KnownPose(SE2(), np.zeros((3, 3)), 1e-3 * np.eye(3)))
 
     def apply_result(self):
-        if self.segment is None:
-            return GraphUpdate({}, place=PlaceUpdate(possible=[PossiblePlace(1.0, 2.0, 310.0)]))
-        known = KnownPose(SE2(), np.zeros((3, 3)), self.covariance)
-        once = UnconfirmedPlace(self.segment, self.pose_map_odom, known)
-        return GraphUpdate({}, place=PlaceUpdate(unconfirmed_place=once))
+        return GraphUpdate({}, place=PlaceUpdate(unconfirmed_place=self.place))
 
 
-def test_an_unconfirmed_segment_gives_a_degraded_pose_and_is_not_rendered():
+def test_nothing_is_rendered_while_the_place_is_unknown_and_a_detached_segment_is_mapped_apart():
+    """Carried into another room, while odometry reports a standstill."""
     mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING})
-    graph = FindingGraph(segment=1)
-    mapper.components = replace(mapper.components, graph=graph)
-    outputs = carried_into_another_room(mapper, noise_at=40)
-    assert [next(outputs).state for _ in range(3)] == ["lost"] * 3
+    mapper.components = replace(mapper.components, graph=FindingGraph())
+    here = drive(ROOM, standing, 0.8)
+    outputs_of(mapper, here.frames)
+    assert mapper.changed_tiles()
+    other = [tuple(2.5 * v for v in wall) for wall in ROOM[:6]]
+    last_ns = here.frames[-1].stamp_ns
+    there = drive(other, lambda t: SE2(3.0, 3.0, 2.0), 1.2, last_ns, wheel_scale=None).frames
+    lost = outputs_of(mapper, there[:20])
+    assert {output.state for output in lost} == {"lost"}
+    assert np.isfinite(lost[0].covariance).all()
     mapper.apply_result()
-    for _ in range(37):  # longer than the shown map waits for the next scan
-        output = next(outputs)
+    for output in outputs_of(mapper, there[20:]):  # longer than the shown map waits for the next scan
         assert (output.state, output.reason) == ("degraded", UNCONFIRMED_PLACE)
-        assert output.pose_map_odom == graph.pose_map_odom
-        assert graph.covariance[2, 2] < output.covariance[2, 2] < 2.0 * graph.covariance[2, 2]
+        assert output.pose_map_odom == FindingGraph.place.pose_map_odom
     assert mapper.changed_tiles() == []
-    assert next(outputs).state == "lost"  # this scan matches nowhere, not in the segment either
-    graph.segment = None  # the place was wrong
-    mapper.apply_result()
-    withdrawn = next(outputs)
-    assert (withdrawn.state, withdrawn.pose_map_odom) == ("lost", SE2())
-    assert "the scans match the map about equally well at (1.0, 2.0) m (310 nats)" in withdrawn.reason
-    assert withdrawn.covariance[2, 2] != pytest.approx(output.covariance[2, 2])
+    assert mapper.components.local_map.detached.scan_count > 5
 
 
 def two_lasers(seconds: float = 1.6) -> list[Frame]:
@@ -160,39 +112,35 @@ def ahead(t_s: float) -> SE2:
     return SE2(0.4 * t_s, 0.0, 0.1 * t_s)
 
 
+def true_pose(stamp_ns: int) -> SE2:
+    """Seen from the first scan, which is one of the front laser."""
+    first_ns = 10**9 + 1_234_567
+    return ahead((first_ns - 10**9) * 1e-9).inverse() @ ahead((stamp_ns - 10**9) * 1e-9)
+
+
 def test_sweeps_of_two_lasers_overlap_and_every_one_is_mapped():
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
     frames = two_lasers()
-    outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
+    outputs = outputs_of(mapper, frames)
     assert mapper.counters["scans"] == sum(isinstance(frame, LaserScan) for frame in frames)
     stamps_ns = [output.stamp_ns for output in outputs]
     assert stamps_ns == sorted(set(stamps_ns))  # a pose for each, and no two at one moment
-    start = ahead((stamps_ns[0] - 10**9) * 1e-9)
-    off = [
-        (start.inverse() @ ahead((o.stamp_ns - 10**9) * 1e-9)).inverse() @ o.pose_map_base for o in outputs
-    ]
+    off = [true_pose(o.stamp_ns).inverse() @ o.pose_map_base for o in outputs]
     assert max(math.hypot(e.x_m, e.y_m) for e in off) < 0.01
     assert {output.state for output in outputs} == {"ok"}
 
 
-def rear_mounted_at(mounting: SE2) -> tuple[set[str], Mapper, float]:
-    """The last reasons, and the farthest pose, of the drive with a rear laser that is configured so."""
-    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING, "rear": mounting})
-    reasons, farthest_m, start = set(), 0.0, None
+def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_reported_by_how_much():
+    turned = REAR @ SE2(0.0, 0.0, math.radians(4.0))
+    mapper: Mapper = build_mapper(mapping_config(), {"front": MOUNTING, "rear": turned})
+    reasons, farthest_m = set(), 0.0
     for frame in two_lasers():
         if (output := mapper.process(frame)) is None:
             continue
-        true = ahead((output.stamp_ns - 10**9) * 1e-9)
-        start = start or true
-        off = (start.inverse() @ true).inverse() @ output.pose_map_base
-        farthest_m = max(farthest_m, math.hypot(off.x_m, off.y_m))
+        away = true_pose(output.stamp_ns).inverse() @ output.pose_map_base
+        farthest_m = max(farthest_m, math.hypot(away.x_m, away.y_m))
         if frame.sensor == "rear" and frame.stamp_ns > 2_560_000_000:
             reasons.add(output.reason)
-    return reasons, mapper, farthest_m
-
-
-def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_reported_by_how_much():
-    reasons, mapper, farthest_m = rear_mounted_at(REAR @ SE2(0.0, 0.0, math.radians(4.0)))
     (reason,) = reasons
     assert re.match(
         r"rear is off its configured mounting by -(3\.[89]|4\.[01]) deg, [+-]0\.0\d m ahead and "
@@ -240,8 +188,10 @@ def test_a_laser_whose_stamps_are_late_is_named_and_no_longer_mapped_beside_the_
     """Each turn would shift what it sees against the map of the other, to and fro."""
     mapper: Mapper = build_mapper(mapping_config(), BOTH)
     late_ns, seconds, alone_ns = 80_000_000, 7.5, 7_000_000_000
-    front = [f for f in drive(ROOM, swinging, seconds).frames if f.stamp_ns < alone_ns]
-    seen_late = drive(ROOM, lambda t_s: swinging(t_s - late_ns * 1e-9), seconds, mounting=REAR).frames
+    front = [f for f in drive(ROOM, swinging, seconds, every=2).frames if f.stamp_ns < alone_ns]
+    seen_late = drive(
+        ROOM, lambda t_s: swinging(t_s - late_ns * 1e-9), seconds, mounting=REAR, every=2
+    ).frames
     rear = [replace(frame, sensor="rear") for frame in seen_late if isinstance(frame, LaserScan)]
     reported: dict[str, set[tuple[str, str, str]]] = {"both": set(), "alone": set()}
     for frame in sorted([*front, *rear], key=lambda frame: (frame.arrived_ns, isinstance(frame, LaserScan))):

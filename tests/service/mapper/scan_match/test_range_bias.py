@@ -11,7 +11,7 @@ from service.mapper.scan_match.range_bias import NODE_M, NODES
 from simulators.trajectory import Limits
 from simulators.worlds import WORLDS
 from simulators.worlds.mall import mall
-from tests.simulated import LMS100_50HZ, Drive, Imu, Wheels, drives, run
+from tests.simulated import LMS100_50HZ, Drive, Wheels, drives, run
 
 RANGE_M = NODE_M * np.arange(NODES)
 
@@ -23,7 +23,7 @@ def wave_m(range_m: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def honest() -> Drive:
     """Two sides of the ring."""
-    return drives(WORLDS["ring"](), replace(LMS100_50HZ, rate_hz=12.5), 45.0, [1], Wheels(), Imu())[0]
+    return drives(WORLDS["ring"](), replace(LMS100_50HZ, rate_hz=12.5), 36.0, [1], Wheels())[0]
 
 
 def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> None:
@@ -46,7 +46,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
 def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_the_map() -> None:
     """30 mm in an office, of which the first metres are drawn with walls that much too far away."""
     laser = replace(LMS100_50HZ, rate_hz=12.5, model=replace(LMS100_50HZ.model, bias_m=0.03))
-    (made,) = drives(WORLDS["office"](), laser, 28.0, [1], Wheels(), Imu())
+    (made,) = drives(WORLDS["office"](), laser, 28.0, [1], Wheels())
     done = run(mapping_config(), made)
     curve_m = done.mapper.components.matcher.bias_m("front")
     np.testing.assert_allclose(curve_m[(RANGE_M >= 1.0) & (RANGE_M <= 4.0)], 0.03, atol=0.005)
@@ -56,7 +56,7 @@ def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_th
 def test_people_who_walk_along_teach_nothing_of_ranges() -> None:
     """Who walks ahead stands each time behind where he stood: ranges of 1 m would seem 5 cm too long."""
     world = mall(Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2))
-    (made,) = drives(world, replace(LMS100_50HZ, rate_hz=12.5), 25.0, [1], Wheels(), Imu())
+    (made,) = drives(world, replace(LMS100_50HZ, rate_hz=12.5), 25.0, [1], Wheels())
     done = run(mapping_config(), made)
     curve_m = done.mapper.components.matcher.bias_m("front")
     assert np.abs(curve_m[RANGE_M <= 8.0]).max() < 0.003

@@ -4,7 +4,6 @@ import io
 import json
 import math
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +18,7 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import StoredMap, load_map, save_map
 from service.offline.maps.remap import map_remap
 from service.outputs import OCCUPIED
-from simulators.world import make_world
-from simulators.worlds import WORLDS
-from simulators.worlds.office import START, office_plan
-from tests.service.mapper.offices import LASER, mapped_office
+from tests.service.mapper.offices import LASER, in_plan, mapped_office, office_with_box, pose_plan_map
 from tests.service.recording.sessions import T0_NS, write_file
 from tests.simulated import FORWARD, Wheels, drive
 
@@ -33,7 +29,7 @@ NOW_NS = 1_763_800_000_000_000_000
 
 def in_map(x_m: float, y_m: float) -> tuple[float, float]:
     """A place of the plan in the frame of the map."""
-    at = (START @ mapped_office()[0].world_first).inverse() @ SE2(x_m, y_m, 0.0)
+    at = pose_plan_map().inverse() @ SE2(x_m, y_m, 0.0)
     return at.x_m, at.y_m
 
 
@@ -55,11 +51,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
     """The same way again, past the bin."""
-    plan = office_plan()
-    plan.box(BIN, (BIN_M, BIN_M))
-    known = WORLDS["office"]()
-    world = make_world("office", plan, (), known.drive.seen_from(START.inverse()))
-    made = drive(replace(world, people=known.people, drive=known.drive), LASER, 14.0, 4, Wheels())
+    made = drive(office_with_box(BIN, (BIN_M, BIN_M)), LASER, 14.0, 4, Wheels())
     messages: list[Message] = [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS)]
     messages += [encode_frame(frame, T0_NS) for frame in made.frames]
     path = tmp_path_factory.mktemp("drives") / "later.mcap"
@@ -84,9 +76,7 @@ def cells_of(stored: StoredMap) -> dict[tuple[int, int], np.ndarray]:
 
 def is_in_area(xy_map: np.ndarray) -> np.ndarray:
     """In the plan the area is a rectangle."""
-    pose = START @ mapped_office()[0].world_first
-    c, s = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
-    x, y = (xy_map @ np.array([[c, s], [-s, c]]) + (pose.x_m, pose.y_m)).T
+    x, y = in_plan(xy_map).T
     (low_x, low_y), (high_x, high_y) = AREA_M[0], AREA_M[2]
     return (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
 
