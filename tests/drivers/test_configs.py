@@ -9,9 +9,11 @@ from pydantic import ValidationError
 
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.irobot_create.config import IrobotCreateConfig
+from drivers.latency import MAX_LATENCY_MS, MIN_LATENCY_MS
 from drivers.registry import SENSOR_KINDS
 from drivers.sick_lms100.config import Lms100Config
 from drivers.xsens_mtig.config import XsensMtigConfig
+from service.mapper.pipeline import MAX_BEHIND_NS
 
 EXAMPLES = Path(__file__).parents[2] / "config/sensors"
 LMS, UTM, LUX, MTIG, CREATE = "sick_lms100", "hokuyo_utm30lx", "ibeo_lux", "xsens_mtig", "irobot_create"
@@ -37,6 +39,8 @@ def test_the_example_says_every_default(kind: str):
     [
         *((kind, {"hots": "1.2.3.4"}, "hots") for kind in WIRES),
         *((kind, {"mounting": {"x": 1.0}}, "mounting") for kind in WIRES),
+        *((kind, {"latency_ms": MIN_LATENCY_MS - 1.0}, "greater than or equal to -50") for kind in WIRES),
+        *((kind, {"latency_ms": MAX_LATENCY_MS + 1.0}, "less than or equal to 200") for kind in WIRES),
         *((kind, {"range_min_m": 3.0, "range_max_m": 2.0}, "must be below") for kind in (LMS, UTM, LUX)),
         *((kind, {"first_angle_deg": 10.0, "last_angle_deg": 10.0}, "lie below") for kind in (LMS, UTM)),
         (LMS, {"scan_rate_hz": 100}, "must be 25 or 50, not 100"),
@@ -96,6 +100,11 @@ def test_what_a_device_cannot_do_is_refused_in_words(kind: str, changes: dict[st
 def test_utm30lx_is_asked_for_what_is_wanted_and_no_more(changes: dict[str, Any], command: str):
     utm: HokuyoUtm30lxConfig = config(UTM, **changes)
     assert utm.scan_command == command
+
+
+def test_a_scan_of_the_greatest_latency_is_mapped():
+    slowest_sweep_ms = 80.0  # of a LUX at 12.5 Hz
+    assert (MAX_LATENCY_MS + slowest_sweep_ms) * 1e6 <= MAX_BEHIND_NS
 
 
 def test_lux_takes_even_ticks():

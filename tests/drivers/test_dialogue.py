@@ -1,10 +1,7 @@
 from collections.abc import Generator
 from dataclasses import dataclass
 
-import pytest
-
 from drivers.dialogue import DialogueRunner, Pause
-from drivers.errors import DeviceError
 
 S = 1_000_000_000
 
@@ -72,18 +69,3 @@ def test_a_restart_closes_the_old_dialogue_and_begins_at_the_next_tick():
     runner.restart()
     assert (closed, runner.awaited, runner.begun) == ([True], None, False)
     assert runner.tick(1) == Ask("who", 100.0)
-
-
-def test_what_a_dialogue_raises_reaches_the_session():
-    def dialogue() -> Steps:
-        if (yield Ask("who")) is None:
-            raise DeviceError("deaf")
-        raise DeviceError("not you")
-
-    heard, unheard = DialogueRunner(dialogue), DialogueRunner(dialogue)
-    heard.tick(0)
-    with pytest.raises(DeviceError, match="not you"):
-        heard.answer("me", 1)
-    unheard.tick(0)
-    with pytest.raises(DeviceError, match="deaf"):
-        unheard.tick(S)

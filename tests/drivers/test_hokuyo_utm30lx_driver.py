@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.utm30lx import Room, config, talk
 from tests.drivers.virtual_time import Talk
+from tests.soaked import every_other
 
 USB, ETHERNET = Utm30lxSetup(), Utm30lxSetup(wire="ethernet", serial_number="H0123456", no_return_mm=65_533)
 HOST = "192.168.0.10"
@@ -164,19 +166,17 @@ def test_a_unit_that_nothing_else_frees_is_reset():
     assert t.session.counters["clock_resets"] == t.session.counters["time_sync_contradictory"] == 0
 
 
-@pytest.mark.parametrize(
-    "left_with",
-    [
-        b"ME0000108001000\n",
-        b"MD0000108001000\n",  # even the very stream we want, but not ours
-        b"TM0\n",
-        b"BM\n",
-        b"MD00001080",  # half a command
-        b"BM\nGD0000108001\n",
-    ],
+LEFT_WITH = (
+    b"ME0000108001000\n",
+    b"MD0000108001000\n",  # even the very stream we want, but not ours
+    b"TM0\n",
+    b"MD00001080",  # half a command
+    b"BM\nGD0000108001\n",
 )
-@pytest.mark.parametrize("cuts", [False, True])
-def test_a_usb_unit_left_in_any_state_by_a_dead_client_is_taken_over(left_with, cuts):
+
+
+@pytest.mark.parametrize(("cuts", "left_with"), every_other(product([False, True], LEFT_WITH)))
+def test_a_usb_unit_left_in_any_state_by_a_dead_client_is_taken_over(cuts, left_with):
     device = FakeUtm30lx(Room(), replace(USB, cuts_scan_on_quit=cuts))
     now_ns = 1_000_000_000_000
     device.connected(now_ns)

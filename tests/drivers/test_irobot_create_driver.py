@@ -44,8 +44,8 @@ def test_robot_is_started_and_streams_within_a_fifth_of_a_second():
 def test_pose_follows_the_truth_at_66_samples_a_second():
     wheels = Curve()
     table = bench(wheels, start_counts=(65_500, 40))
-    samples = table.run(30.0)
-    assert 30 * 66.6 - 15 < len(samples) <= 30 * 66.7
+    samples = table.run(15.0)
+    assert 15 * 66.6 - 15 < len(samples) <= 15 * 66.7
     position_m, heading_rad = errors_m_rad(wheels, samples)
     assert position_m < 0.01  # one count is 0.44 mm, of which one wheel may be ahead of the other
     assert heading_rad < 0.004
@@ -105,8 +105,8 @@ def test_damaged_bytes_cost_frames_and_no_distance():
 
     wheels = Curve()
     table = Bench(FakeCreate(wheels), IrobotCreateSession(CONFIG), spoil=spoil)
-    samples = table.run(30.0)
-    assert table.session.counters["checksum_failures"] > 50
+    samples = table.run(15.0)
+    assert table.session.counters["checksum_failures"] > 25
     assert errors_m_rad(wheels, samples)[0] < 0.01
     assert largest_step_m(samples) < 0.05
 
@@ -243,6 +243,7 @@ def test_robot_is_kept_awake_for_hours():
         session.receive_data(frame, now_ns + S // 20)
     assert sent.count(bytes([150, 1])) == 5
     assert sent.count(bytes([128])) == 1
+    assert {command.opcode for command in CommandDecoder().receive_data(bytes(sent))} <= HARMLESS
 
 
 def test_nothing_that_moves_is_ever_sent():
@@ -250,7 +251,7 @@ def test_nothing_that_moves_is_ever_sent():
         table = bench(Curve(), config)
         table.run(3.0)
         table.robot.reset(table.now_ns)
-        table.run(70.0)
+        table.run(5.0)
         heard = CommandDecoder().receive_data(bytes(table.sent) + table.session.shutdown_request())
         assert {command.opcode for command in heard} <= HARMLESS
         assert heard[-1].opcode in (Opcode.STOP, Opcode.START)

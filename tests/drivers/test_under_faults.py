@@ -2,34 +2,19 @@
 
 import itertools
 import re
-import threading
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.irobot_create.driver import session_maker as create_sessions
-from drivers.link import LinkHealth, Session, run_link
-from drivers.sick_lms100.driver import Lms100Session
-from drivers.transport import SerialTransport, TcpTransport, Transport
-from drivers.xsens_mtig.driver import XsensMtigSession
-from simulators.device import FakeDevice
-from simulators.irobot_create import FakeCreate
-from simulators.sick_lms100 import FakeLms100
-from simulators.wire import PtyWire, TcpWire
-from tests.drivers import irobot_bench, lms100, mtig
-from tests.drivers.faulty_devices import BENCHES, ZERO_NS, faulty, linked
+from tests.drivers.faulty_devices import BENCHES, ZERO_NS, linked
 from tests.drivers.virtual_link import VirtualLink
 from tests.drivers.virtual_time import SECOND_NS
-from tests.in_background import started
 from tests.soaked import in_soak
 
-PATIENCE_S = 60.0
 FAULT_AT_S = 4.0  # all devices stream by then
 RECOVERY_S = 7.0  # the longest is a silence timeout, then two refused connections
 RELEARNT_S = 3.5  # a clock that jumped, where the link stays
@@ -165,112 +150,3 @@ def test_a_robot_switched_off_and_on_behind_a_cable_that_stays_is_asked_again(na
     link.run(FAULT_AT_S + 1.0 + RECOVERY_S)
     assert len(link.run(WATCH_S)) == pytest.approx(WATCH_S * BENCHES[name].rate_hz, abs=2)
     assert link.connects == 1
-
-
-def test_a_seed_gives_the_same_bytes_and_the_same_frames_again():
-    lines = (
-        "kind: bit_flips, for_s: 1, every_s: 2, rate: 0.0005",
-        "kind: garbage, at_s: 1, for_s: 1, every_s: 3",
-        "kind: cut, at_s: 4, for_s: 0.5, every_s: 5",
-    )
-
-    def drive(seed: int) -> tuple[Any, ...]:
-        link = linked("lms100 cola_b", *lines, seed=seed)
-        link.run(15.0)
-        return link.sent, [frame.stamp_ns for frame in link.frames], link.counters, link.device.counters
-
-    once = drive(1)
-    assert drive(1) == once
-    assert drive(2)[0] != once[0]
-
-
-class Linked:
-    """run_link in a thread, and a condition that tells of frames."""
-
-    def __init__(self, open_transport: Callable[[], Transport], new_session: Callable[[], Session]) -> None:
-        self.health = LinkHealth("x")
-        self.frames: list[Any] = []
-        self._changed = threading.Condition()
-        self._stop = threading.Event()
-        arguments = (self.health, open_transport, new_session, self._take, self._stop)
-        self._running = started(partial(run_link, *arguments))
-
-    def _take(self, frame: Any) -> None:
-        with self._changed:
-            self.frames.append(frame)
-            self._changed.notify_all()
-
-    def wait(self, connects: int, more: int = 20) -> None:
-        """Until that many connections were made, and frames come on the last."""
-        with self._changed:
-            assert self._changed.wait_for(lambda: self.health.connects >= connects, PATIENCE_S), self.health
-            enough = len(self.frames) + more
-            assert self._changed.wait_for(lambda: len(self.frames) >= enough, PATIENCE_S), self.health
-
-    def close(self) -> None:
-        self._stop.set()
-        self._running.result(PATIENCE_S)
-
-
-@pytest.fixture
-def link() -> Iterator[Callable[..., Linked]]:
-    opened: list[Linked] = []
-
-    def start(open_transport: Callable[[], Transport], new_session: Callable[[], Session]) -> Linked:
-        opened.append(Linked(open_transport, new_session))
-        return opened[-1]
-
-    yield start
-    for one in opened:
-        one.close()
-
-
-@pytest.mark.parametrize(
-    ("fault", "error"),
-    [
-        ("kind: cut, at_s: 1.2, for_s: 0.3", "reset|refused|closed"),
-        ("kind: restart, at_s: 1.2, for_s: 0.3", "reset|refused|closed"),
-        ("kind: silence, at_s: 1.2, for_s: 1.5", "no scan for 0.5 s"),
-    ],
-)
-def test_lms100_comes_back_over_tcp(link: Callable[..., Linked], fault: str, error: str):
-    device = faulty(FakeLms100(lms100.Room()), fault, zero_ns=time.monotonic_ns())
-    config = lms100.config(silence_timeout_s=0.5)
-    with TcpWire(device) as address:
-        linked = link(lambda: TcpTransport(*address), lambda: Lms100Session(config))
-        linked.wait(connects=1)
-        linked.wait(connects=2)
-        linked.close()
-    assert linked.health.state == "streaming"
-    np.testing.assert_array_equal(linked.frames[-1].range_m[1:10], np.full(9, 3.0, np.float32))
-    errors = linked.health.last_error
-    assert any(word in errors for word in error.split("|")), errors
-
-
-@pytest.mark.parametrize(
-    ("name", "fault", "connects"),
-    [
-        ("create", "kind: cut, at_s: 1, for_s: 0.3", 2),
-        ("create", "kind: restart, at_s: 1, for_s: 0.3", 2),
-        ("create", "kind: restart, at_s: 1, for_s: 0.3, link_drops: false", 1),
-        ("create", "kind: silence, at_s: 1, for_s: 0.5", 1),
-        ("mtig", "kind: cut, at_s: 1, for_s: 0.3", 2),
-    ],
-)
-def test_device_comes_back_over_a_terminal(
-    link: Callable[..., Linked], tmp_path: Any, name: str, fault: str, connects: int
-):
-    makers: dict[str, tuple[FakeDevice, Callable[[], Session]]] = {
-        "create": (FakeCreate(irobot_bench.STANDING), create_sessions(irobot_bench.CONFIG)),
-        "mtig": (mtig.mtdata2(), lambda: XsensMtigSession(mtig.config())),
-    }
-    fake, new_session = makers[name]
-    device = faulty(fake, fault, zero_ns=time.monotonic_ns())
-    with PtyWire(device, tmp_path / "device") as path:
-        linked = link(lambda: SerialTransport(path, 115_200), new_session)
-        linked.wait(connects=1)
-        linked.wait(connects, more=150)  # 2 s, beyond what the fault takes
-        linked.close()
-    assert linked.health.state == "streaming"
-    assert linked.health.connects == connects
-    assert device.counters["cut"] + device.counters["restart"] + device.counters["silence"] == 1

@@ -9,8 +9,12 @@ from drivers.frames import GnssFix
 from simulators.device import TURNS_SKIPPED
 from tests.drivers.faulty_devices import BENCHES
 from tests.drivers.virtual_time import SECOND_NS, Talk
+from tests.soaked import in_soak
 
-BY_TURNS = [name for name in BENCHES if name != "create1"]  # that one speaks when it is asked
+SHORT = ("lms100 cola_a", "utm30lx usb", "lux", "mtig mtdata2", "create2")  # one of each kind
+BY_TURNS = [  # without create1, which speaks when it is asked
+    name if name in SHORT else in_soak(name) for name in BENCHES if name != "create1"
+]
 
 
 def _streaming(name: str) -> Talk:

@@ -102,13 +102,6 @@ def read_terminal(fd: int) -> bytes:
     return os.read(fd, 4096)
 
 
-def test_tcp_client_is_greeted_answered_and_sent_what_falls_due():
-    with TcpWire(Ticker()) as address, connect(address) as client:
-        client.sendall(b"abc")
-        data = read_until(lambda: client.recv(4096), lambda data: b"ABC" in data and data.count(b".") >= 10)
-    assert data.startswith(b"hello ")
-
-
 def test_due_times_are_kept_without_drift():
     ticker = Ticker()
     with TcpWire(ticker) as address, connect(address) as client:

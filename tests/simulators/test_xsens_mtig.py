@@ -9,7 +9,7 @@ from drivers.xsens_mtig.mtdata2 import (
 )
 from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
 from simulators.xsens_mtig import FakeMtiG
-from tests.drivers.mtig import MS, ZERO_NS, legacy, mtdata2
+from tests.drivers.mtig import ZERO_NS, legacy, mtdata2
 from tests.drivers.virtual_time import SECOND_NS
 
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
@@ -48,18 +48,6 @@ class Host:
 
 def refused(code: int) -> Message:
     return Message(Mid.ERROR, bytes((code,)))
-
-
-@BOTH
-def test_a_unit_measures_from_the_start_and_its_answer_waits_behind_data(make):
-    host = Host(make())
-    assert {m.mid for m in host.wait(0.5)} == {Mid.MTDATA if host.unit.settings.legacy else Mid.MTDATA2}
-    host.wait(0.003 + (-host.now_ns % (10 * MS)) * 1e-9)  # a sample is on the line
-    host.unit.receive_data(encode(Mid.GO_TO_CONFIG), host.now_ns)
-    mids = [m.mid for m in host.wait(0.5)]
-    assert mids[-1] == Mid.GO_TO_CONFIG + 1
-    assert 1 <= len(mids) <= 3
-    assert host.wait(1.0) == []
 
 
 # Requests of mtdevice.py -i, ethz-asl/ethzasl_xsens_driver, in its order; 4: a real MTi-G does not know them.
