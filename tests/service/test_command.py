@@ -119,6 +119,7 @@ def test_ctrl_c_unwinds_nothing_that_may_be_in_a_kernel(command: str):
     assert (ended.returncode, ended.stderr) == (130, b"")
 
 
+@pytest.mark.soak
 @pytest.mark.timeout(300)
 def test_what_an_interrupted_warm_up_has_compiled_is_used_by_the_next(
     tmp_path: Path, begin: Callable[[str], subprocess.Popen[bytes]]

@@ -157,22 +157,22 @@ def test_in_a_stored_map_the_error_is_void(tmp_path: Path):
     )
 
 
-def test_simulators_that_do_not_come_up_are_reported(tmp_path: Path):
-    wrong = DemoOptions(seconds=1.0, world="no such world", profile=None, seed=1, out=tmp_path)
-    with (
-        pytest.raises(CorridorError, match="the simulators ended before they were ready"),
-        demo.simulators(wrong, tmp_path / "truth.txt"),
-    ):
-        pass
-
-
-def test_faults_that_cannot_be_are_a_config_error(tmp_path: Path):
-    (tmp_path / "faults.yaml").write_text("faults:\n  - {device: roof, kind: cut}\n")
+@pytest.mark.parametrize(
+    ("code", "error", "words"),
+    [
+        (1, CorridorError, "the simulators ended before they were ready"),
+        (ConfigError.exit_code, ConfigError, "refused the file of faults"),
+    ],
+)
+def test_simulators_that_do_not_come_up_are_reported(
+    code: int, error: type[CorridorError], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """What they end with: tests/simulators/test_run.py."""
+    (ends := tmp_path / "python").write_text(f"#!/bin/sh\nexit {code}\n")
+    ends.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(ends))
     wrong = DemoOptions(1.0, None, None, 1, tmp_path, tmp_path / "faults.yaml")
-    with (
-        pytest.raises(ConfigError, match="refused the file of faults"),
-        demo.simulators(wrong, tmp_path / "truth.txt"),
-    ):
+    with pytest.raises(error, match=words), demo.simulators(wrong, tmp_path / "truth.txt"):
         pass
 
 

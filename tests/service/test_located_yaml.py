@@ -1,9 +1,10 @@
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.located_yaml import MAX_VALUES, Position, load
+from tests.soaked import examples
 
 
 def faults(text: str) -> list[str]:
@@ -121,6 +122,7 @@ def test_what_pyyaml_writes_is_read_back_or_refused(tree: dict[str, object]):
     assert document.value == tree or document.faults
 
 
+@settings(max_examples=examples(20))
 @given(st.text(max_size=40))
 def test_any_text_is_read_without_an_exception(text: str):
     for fault in load(text).faults:

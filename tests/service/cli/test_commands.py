@@ -109,9 +109,8 @@ def test_wrong_usage_exits_with_64_in_plain_words(
     assert said.err.endswith(f": {words}\n" if words else "\n")
 
 
-@pytest.mark.parametrize("wrong", [["drive"], ["simulate", "--world", "nowhere at all"]])
-def test_the_command_itself_ends_with_this_code_and_without_a_traceback(wrong: list[str]):
-    done = subprocess.run([CORRIDOR, *wrong], capture_output=True, text=True, timeout=60, check=False)
+def test_the_command_itself_ends_with_this_code_and_without_a_traceback():
+    done = subprocess.run([CORRIDOR, "drive"], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (UsageError.exit_code, "")
     assert done.stderr.startswith("usage: corridor")
     assert "Traceback" not in done.stderr
@@ -205,7 +204,7 @@ def test_a_reader_that_has_gone_is_no_crash(good: Path):
         assert b"Traceback" not in process.stderr.read()
 
 
-@pytest.mark.parametrize("command", [["--help"], ["--version"], ["check", "good"]])
+@pytest.mark.parametrize("command", [["--help"], ["check", "good"]])
 def test_a_result_that_cannot_be_written_is_a_storage_error(good: Path, command: list[str]):
     command = [str(good) if word == "good" else word for word in command]
     with Path("/dev/full").open("w") as full:
