@@ -43,7 +43,7 @@ def frames():
         wheels=Wheels(SCALE, TURN_SCALE),
         late_s=tuple(LATE_S.items()),
     )
-    return frames_of(Ride(to_both_sides(), 0, 1.0), vehicle, 45.0, 1)
+    return frames_of(Ride(to_both_sides(), 0, 1.0), vehicle, 36.0, 1)
 
 
 @pytest.fixture(scope="module")

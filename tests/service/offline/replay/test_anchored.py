@@ -22,7 +22,7 @@ from tests.accuracy.anchored import ANTENNA, LASER, STAND_S, YAW_RAD, fixes
 from tests.simulated import Drive, Wheels, drives
 
 T0_NS = 1_700_000_000_000_000_000
-SECONDS = 40.0
+SECONDS = 28.0
 RECEIVER = GnssModel(lasting_sigma_m=0.3, reported_sigma_m=0.5)
 CONFIG = f"""\
 vehicle: v
@@ -37,7 +37,7 @@ map: {{directory: m}}
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    """180 m."""
+    """126 m."""
     world, laser = streets(), replace(LASER, beams=271, step_deg=1.0, rate_hz=10.0)
     bare = drives(world, laser, SECONDS, [1], Wheels(), stand_s=STAND_S)[0]
     receiver = Receiver(RECEIVER, 1, world_yaw_rad=YAW_RAD)

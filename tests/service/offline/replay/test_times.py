@@ -23,6 +23,7 @@ from tests.service.timing.test_damaged_times import every, fields, offset, zero
 )
 def test_live_and_replay_give_the_same_poses_of_wrong_times(kind: str, damage: Any, tmp_path: Path):
     frames = damaged(kind, damage)
+    frames = frames[: len(frames) // 2]
     mapped: list[Mapped] = []
     session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"])
     loop = MappingLoop(

@@ -115,13 +115,13 @@ def searched(given: list[Drive], out: Path, trials: int, engine: Any = quadratic
 def test_a_search_finds_both_values_and_prunes_what_is_worse_than_the_median(
     drives_given: list[Drive], tmp_path: Path
 ):
-    outcome = searched(drives_given, tmp_path, 30)
+    outcome = searched(drives_given, tmp_path, 14)
     assert 0.01 < outcome.best["matcher.wall_sigma_m"] < 0.1
     assert 0.001 < outcome.best["motion_model.odometry_position_walk"] < 0.01
     trials = outcome.study.trials
     assert trials[0].params == outcome.present
     assert {trial.state.name for trial in trials} == {"COMPLETE", "PRUNED"}
-    assert len(trials) == 30
+    assert len(trials) == 14
     after = outcome.costs(is_held_out=True)
     assert after is not None
     assert after[1] < after[0]
