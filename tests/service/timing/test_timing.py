@@ -1,4 +1,4 @@
-"""Frames in, frames with the times that are used out; the mapper behind it is in test_damaged_times."""
+"""Frames in, frames with the times that are used out; the mapper behind it is in test_times.py."""
 
 import math
 from collections import Counter
