@@ -9,7 +9,7 @@ import pytest
 
 from tests.demo_run import DemoRun, run_demo
 from tests.system.installed import build_wheel, environment, install
-from tests.system.machine import FakeVehicle, LiveService, Subscriber
+from tests.system.machine import FakeVehicle, Subscriber
 
 DEMO_S = 7
 
@@ -38,15 +38,6 @@ def fake_vehicle(tmp_path: Path) -> Iterator[FakeVehicle]:
     vehicle.start()
     yield vehicle
     vehicle.stop()
-
-
-@pytest.fixture
-def live_service(fake_vehicle: FakeVehicle, tmp_path: Path) -> Iterator[LiveService]:
-    """It records the wires, too."""
-    service = LiveService(tmp_path, fake_vehicle.sensors(), raw=True, ros2={"enabled": True})
-    service.start()
-    yield service
-    service.close()
 
 
 @pytest.fixture

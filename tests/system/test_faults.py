@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.encoding import decode_diagnostics, decode_event, decode_frame, encode_pose
-from service.offline.replay.replay import ReplayOptions, replay
+from service.demo import interpolate
+from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
+from service.offline.export.export import export
+from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.recording.mcap_reader import Recording
 from tests.system.machine import FakeVehicle, LiveService, Subscriber
-from tests.system.test_live import errors_m
 
 FAULTS = Path(__file__).with_name("faults.yaml")
 SECONDS = 13.0
@@ -58,3 +59,22 @@ def test_a_drive_with_faults_stays_up_and_its_session_replays(
     recorded = [m.payload for m in recording.messages(["/pose"])]
     replayed = replay([session], ReplayOptions())
     assert [encode_pose(output, 0).payload for output in replayed.outputs] == recorded
+    write_replay(replayed, tmp_path / "replayed")
+    export(session, "tum", tmp_path / "live.tum")
+    live = (tmp_path / "live.tum").read_bytes()
+    assert (tmp_path / "replayed" / "trajectory_live.tum").read_bytes() == live
+
+
+def errors_m(recording: Recording, truth: Path) -> list[float]:
+    """Of the poses of a recording, on a drive of a metre at the least."""
+    poses = [decode_pose(message.payload) for message in recording.messages(["/pose"])]
+    offset_ns = int(recording.metadata["clock"]["utc_offset_ns"])
+    stamps_ns = np.array([pose.stamp_ns for pose in poses]) - offset_ns
+    true = interpolate(np.loadtxt(truth), stamps_ns)
+    assert np.hypot(*_offset(true[0], true[-1])) > 1.0  # it really drove
+    start = true[0].inverse()
+    return [np.hypot(*_offset(start @ t, p.pose)) for t, p in zip(true, poses, strict=True)]
+
+
+def _offset(a, b) -> tuple[float, float]:
+    return a.x_m - b.x_m, a.y_m - b.y_m
