@@ -47,7 +47,7 @@ MAX_SAMPLES = 200_000  # waiting for a scan; above, all between oldest and newes
 # Factor on the modelled variance, 30 sigma: no noise but a fault, equal in all samples. The odometry of fr079
 # reaches 580, that of csail 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
-GYRO_PAUSE_S = 0.05  # between two samples
+MAX_SILENT_S = 0.05  # between two samples of a source that works: 20 Hz and more
 ACCELERATION_S = 0.2  # time constant of an acceleration: a drive reaches its speed in some tenths of a second
 FADE_S = 1.0  # time constant of a speed that neither scans nor odometry confirm
 NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this path length
@@ -448,7 +448,7 @@ class Estimator:
                 return False
             turn = 0.5 * (rate + self._gyro_rate) * elapsed_s
             turned, missed = track.value[last].tolist()
-            if elapsed_s > GYRO_PAUSE_S:  # [8] the rotation in a pause is interpolated between two rates
+            if elapsed_s > MAX_SILENT_S:  # [8] the rotation in a pause is interpolated between two rates
                 missed += self._settings.turn_acceleration**2 * elapsed_s**3 / 12.0
             self._gyro.append(sample.stamp_ns, (turned + turn, missed))
         self._gyro_rate = rate

@@ -33,7 +33,7 @@ STEPS = 200  # the newest are used: 80 m and more
 # 180 deg shows before the pose is far off.
 MIN_STEPS = 3
 # Noise of a step by scan matching; by odometry, per root metre and per radian. The excess is estimated.
-MATCH_M, WALK_M, TURN_NOISE_M = 0.01, 0.02, 0.02
+MATCH_M, ODOMETRY_M = 0.01, 0.02
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # keeps unobservable directions invertible
 MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
 MAX_SCALE = 2.0  # or its inverse: beyond, odometry is unusable for this check
@@ -169,7 +169,7 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale
     jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
     path_length_m = np.hypot(driven[:, 0], driven[:, 1])
-    weight = 1.0 / (MATCH_M**2 + WALK_M**2 * path_length_m + (TURN_NOISE_M * turn) ** 2)
+    weight = 1.0 / (MATCH_M**2 + ODOMETRY_M**2 * path_length_m + (ODOMETRY_M * turn) ** 2)
     counts, excess = np.ones(len(steps)), 1.0
     unknown, covariance = np.zeros(4), np.eye(4)
     for _ in range(4):

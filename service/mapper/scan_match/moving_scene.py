@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.estimator.estimator import EstimatorConfig
+from service.estimator.estimator import MAX_SILENT_S, EstimatorConfig
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
@@ -45,7 +45,6 @@ PRIOR_NATS = 5.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
-MAX_SILENT_S = 0.05  # of working odometry, which arrives at 20 Hz or more
 NOTHING_MOVES = -1  # ns, before all stamps
 MIN_STEP_NS = 20_000_000  # between poses that give a velocity
 MAX_UNSEEN_S = 1.0  # between two scans: after a longer gap the velocity may differ, or the vehicle was moved

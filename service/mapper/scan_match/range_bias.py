@@ -17,9 +17,10 @@ SIGMA_M = 0.01  # prior of the curve
 OFFSET_SIGMA_M = 0.02  # prior of the constant part
 # A change of the offset is applied to the map above this size and so many sigmas: each time all walls move.
 OFFSET_STEP_M, OFFSET_SIGMAS = 0.001, 2.0
-# Offset, slope and curvature over 10 m are constrained to 0: they are equivalent to a scale of the map, and
-# in a corridor to motion. The offset is estimated separately, from the angles at which walls are seen.
-SMOOTH_NODES, SMOOTH_SIGMA_M = 21, 5e-4
+# Offset, slope and curvature over the nearer half of the curve are constrained to 0: they are equivalent to a
+# scale of the map, and in a corridor to motion. The offset is estimated separately, from the angles at which
+# walls are seen.
+SMOOTH_SIGMA_M = 5e-4
 SAME_WALL_M = 0.05  # of travel: scans within one key frame distance match the same noise of the map
 
 
@@ -27,8 +28,9 @@ def _prior() -> Floats:
     """(NODES + 1, NODES + 1) 1/m^2, the offset last."""
     apart = np.arange(NODES)[:, None] - np.arange(NODES)
     prior = np.linalg.inv(SIGMA_M**2 * (np.exp(-0.5 * apart**2) + 1e-4 * np.eye(NODES)))
-    smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTH_NODES), 3))
-    prior[:SMOOTH_NODES, :SMOOTH_NODES] += smooth @ smooth.T / SMOOTH_SIGMA_M**2
+    half = NODES // 2 + 1
+    smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, half), 3))
+    prior[:half, :half] += smooth @ smooth.T / SMOOTH_SIGMA_M**2
     information = np.diag(np.full(NODES + 1, OFFSET_SIGMA_M**-2))
     information[:NODES, :NODES] = prior
     return information

@@ -16,12 +16,11 @@ from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
-from service.mapper.saved_graph import USUAL_RANGE_SIGMA_M
+from service.mapper.saved_graph import POINT_STEP_M, USUAL_RANGE_SIGMA_M
 
 CELL_M = 0.10  # of the surfels of key frames
 CLOUD_COUNT_LIMIT = 50.0  # limit of the points counted in a surfel of key frames
 CLOUD_POOL_TILES = 4096
-SIGMA_STEP_M = 0.001  # resolution of sigma_m
 BLOCK_CELLS = 10.0  # edge of the blocks by which points are sorted: neighbouring normals share noise
 SETTINGS = MatchSettings(  # of Gauss-Newton on surfels
     range_sigma_m=USUAL_RANGE_SIGMA_M,
@@ -54,7 +53,7 @@ class PointCloud:
 
     xy: Floats  # (N, 2) m
     normals: Floats  # (N, 3) by estimate_normals
-    sigma_m: Floats  # (N,) range noise, in multiples of SIGMA_STEP_M
+    sigma_m: Floats  # (N,) range noise, in multiples of POINT_STEP_M
 
     def transformed(self, pose: Floats) -> "PointCloud":
         """The cloud in the frame in which its own frame has the pose (3,)."""
@@ -77,7 +76,7 @@ class PointCloud:
 
 def cloud_with_noise(xy: Floats, normals: Floats, range_sigma_m: float = USUAL_RANGE_SIGMA_M) -> PointCloud:
     """A cloud with one range noise."""
-    sigma_m = max(round(range_sigma_m / SIGMA_STEP_M), 1) * SIGMA_STEP_M
+    sigma_m = max(round(range_sigma_m / POINT_STEP_M), 1) * POINT_STEP_M
     return PointCloud(xy, normals, np.full(len(xy), sigma_m))
 
 
