@@ -114,9 +114,9 @@ RULES = (
         {"cloud_with_noise": lambda xy, normals, _: cloud_with_noise(xy, normals, LMS100.sigma_m)},
     ),
     Rule("unknown ground neutral", f"{GRAPH}.model.candidate_submap", {"LOOP_UNKNOWN_LIKELIHOOD": 0.0}),
-    Rule("points in free space count", f"{GRAPH}.loops.loop_search", {"MAX_AGAINST": 2.0}),
+    Rule("points in free space count", f"{GRAPH}.loops.loop_search", {"MIN_AGREEMENT_FAR": -2.0}),
     Rule("least inlier ratio", f"{GRAPH}.loops.loop_search", {"MIN_SHARE_ON_MAP": 0.0}),
-    Rule("contradicted loops disabled", f"{GRAPH}.loops.loop_set", {"CONTRADICTION_CHI2": math.inf}),
+    Rule("contradicted loops disabled", f"{GRAPH}.loops.loop_set", {"JUMP_CHI2": math.inf}),
     Rule(
         "tolerance that grows with the path",
         f"{GRAPH}.loops.loop_set",

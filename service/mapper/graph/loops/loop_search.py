@@ -20,13 +20,12 @@ from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop, far_from_loops, loop_of
 from service.mapper.graph.model.path_drift import PathDrift, lengths_from
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
+from service.mapper.judgement import MIN_AGREEMENT_FAR
 from service.mapper.loop_evidence import IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
 
 LOOP_WINDOW_M, WINDOW_RAD = 0.5, 0.06  # half a search window without drift: error of a poor match
-DRIFTS = (REACH_SIGMAS, 4.0)  # sigmas of drift of position and heading added to half a window
 MAX_WINDOW_M, MAX_WINDOW_RAD = 12.0, 1.6  # bounds the search time
 MIN_SHARE_ON_MAP = 0.45  # inlier ratio of a loop, by the drive's median: half of a place may have changed
-MAX_AGAINST = 0.12  # share of the points in free space of the place: doors closed, objects moved
 PASSES = 4  # the nearest ones, per search
 MAX_STRETCHES = 1000  # searched again at the finish, 10 s and more; of longer drives those without loops
 SUBMAPS_KEPT = 16
@@ -98,7 +97,7 @@ class LoopSearch:
             loop = loop_of(
                 submap.reference, reference, fit.pose, fit.information, fit.share, len(cloud.xy), against
             )
-            if not against < MAX_AGAINST:
+            if not 1.0 - against > MIN_AGREEMENT_FAR:  # of a poor fit NaN
                 refusals.add([loop], IN_FREE_SPACE if is_good else TOO_FEW_POINTS)
             elif not (is_across or self._drift.allows(loop)):
                 refusals.add([loop], TOO_FAR)
@@ -114,7 +113,7 @@ class LoopSearch:
         expected = se2.between(keyframes.map[submap.reference], keyframes.map[last])
         fit = submap.align(cloud, expected)
         is_near = math.dist(fit.pose[:2], expected[:2]) < LOOP_WINDOW_M
-        return self._is_good(fit) and is_near and submap.against(cloud, fit.pose) < MAX_AGAINST
+        return self._is_good(fit) and is_near and 1.0 - submap.against(cloud, fit.pose) > MIN_AGREEMENT_FAR
 
     def stretches(self) -> list[int]:
         """The last key frame of each stretch of the session to search at the finish."""
@@ -135,8 +134,8 @@ class LoopSearch:
         if window is not None:
             return np.full(count, window[0]), np.full(count, window[1])
         length_m = lengths_from(self._keyframes, self._loops.accepted, reference)
-        reach_m = np.minimum(LOOP_WINDOW_M + DRIFTS[0] * config.drift * length_m, MAX_WINDOW_M)
-        reach_rad = np.minimum(WINDOW_RAD + DRIFTS[1] * config.drift_radpm * length_m, MAX_WINDOW_RAD)
+        reach_m = np.minimum(LOOP_WINDOW_M + REACH_SIGMAS * config.drift * length_m, MAX_WINDOW_M)
+        reach_rad = np.minimum(WINDOW_RAD + REACH_SIGMAS * config.drift_radpm * length_m, MAX_WINDOW_RAD)
         return reach_m, reach_rad
 
     def _is_good(self, fit: Fit) -> bool:

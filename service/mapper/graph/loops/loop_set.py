@@ -13,12 +13,11 @@ from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import WITHIN_M, Loop, Refusals, agree, as_edges, disagreement
 from service.mapper.graph.model.path_drift import PathDrift
 from service.mapper.graph.model.pose_graph import edge_chi2
+from service.mapper.judgement import JUMP_CHI2
 from service.mapper.loop_evidence import BY_HAND, CONTRADICTED, NOT_SUPPORTED
 from service.mapper.saved_graph import SavedGraph
 
 AGREE_M, AGREE_RAD = 0.15, 0.03  # tolerance between two consistent loops, without drift
-CONTRADICTION_CHI2 = 30.0  # of three degrees of freedom, 1 in 700 000: gate of a loop after a solution
-NEWEST_LOOPS = 20  # number of loops evaluated
 MIN_RESIDUAL_CHI2 = 4.0  # of a loop: two sigmas
 # Path length after which loops that agree with the map lead to a solution: each alone is below the threshold,
 # but a drift that grows lap by lap is visible in all of them together.
@@ -82,7 +81,7 @@ class LoopSet:
 
     def disable_refuted(self) -> bool:
         """Disable loops beyond the chi-square gate at the newest solution; whether there was one."""
-        is_refuted = edge_chi2(as_edges(self.accepted), self._keyframes.map) > CONTRADICTION_CHI2
+        is_refuted = edge_chi2(as_edges(self.accepted), self._keyframes.map) > JUMP_CHI2
         go = [self.accepted[k] for k in np.flatnonzero(is_refuted)]
         self.accepted = [loop for loop in self.accepted if loop not in go]
         self._disabled += go
@@ -146,15 +145,14 @@ class SolutionDue:
         """Whether one of the newest loops deviates from the map by more than its uncertainty, or
         SOLVE_EVERY_M were driven since the newest solution.
         """
-        loops, path_length_m = loops[-NEWEST_LOOPS:], keyframes.path_length_m
+        path_length_m = keyframes.path_length_m
         if path_length_m[-1] - self._solved_m >= SOLVE_EVERY_M and any(
             path_length_m[loop.to] > self._solved_m for loop in loops
         ):
             return True
-        for loop, chi2 in zip(loops, edge_chi2(as_edges(loops), keyframes.map).tolist(), strict=True):
+        newest = [loop for loop in loops if path_length_m[loop.to] > path_length_m[-1] - WITHIN_M]
+        for loop, chi2 in zip(newest, edge_chi2(as_edges(newest), keyframes.map).tolist(), strict=True):
             off_m, off_rad = disagreement(keyframes, loop)
-            if path_length_m[loop.to] <= path_length_m[-1] - WITHIN_M:
-                continue
             if (
                 off_m > self._config.solve_at_m and chi2 > MIN_RESIDUAL_CHI2
             ) or off_rad > self._config.solve_at_rad:

@@ -12,6 +12,7 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges, PoseGraph
 from service.mapper.graph.model.pose_graph_solver import covariance_of
+from service.mapper.judgement import GAP_S
 from service.mapper.known_pose import KnownPose, covariance_added
 
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: least covariance of a step
@@ -20,7 +21,6 @@ LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
 MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: limit of the variance added where the match is poor
 # m^2, rad^2: added to the motion model's into a segment without a scan gap: the vehicle was not carried
 NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
-MAX_SCAN_GAP_S = 2.0  # a longer scan gap: the vehicle may have been carried
 MIN_EDGE_COVARIANCE = np.diag(np.square(MIN_SIGMA))  # of a step without added noise
 GAP_SHARE = 0.1  # of a path without key frames, as where old passes were removed: error of odometry
 POOR_MATCH_SHARE = 0.6  # of the drive's median inlier ratio: below, the match may be wrong
@@ -72,9 +72,7 @@ def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = 
     # An unmatched step has no wrong match.
     covariance += np.where((is_by_model & is_lost)[:, None, None], 0.0, _prediction_covariance(keyframes))
     covariance[is_into_segment] += NEW_SEGMENT_COVARIANCE
-    is_unmeasured = (keyframes.gap_s[1:] > MAX_SCAN_GAP_S) | np.isin(
-        keyframes.segment[1:], [*keyframes.unmeasured]
-    )
+    is_unmeasured = (keyframes.gap_s[1:] > GAP_S) | np.isin(keyframes.segment[1:], [*keyframes.unmeasured])
     covariance[is_into_segment & (is_unmeasured | ~is_by_model)] = UNKNOWN_COVARIANCE
     return edges
 

@@ -14,7 +14,6 @@ from service.mapper.components import PossiblePlace, UnconfirmedPlace
 from service.mapper.graph.model.candidate_submap import EVIDENCE_RANGE_M, SeenCloud, seen_cloud
 from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop, loop_of
-from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.model.point_clouds import PointCloud
 from service.mapper.graph.relocalise.expected_place import (
     ODOMETRY_PROBABILITY_CONTINUOUS,
@@ -42,6 +41,7 @@ from service.mapper.graph.relocalise.place_search import (
     is_same_place,
     is_same_pose,
 )
+from service.mapper.judgement import GAP_S
 from service.mapper.known_pose import KnownPose, covariance_added
 
 MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
@@ -395,7 +395,7 @@ class DetachedSearch:
         keyframes = self._keyframes
         first = int(np.flatnonzero(keyframes.segment == segment)[0])
         is_anywhere = not self._is_session_placed or segment in keyframes.unmeasured
-        if is_anywhere or keyframes.gap_s[first] > MAX_SCAN_GAP_S:
+        if is_anywhere or keyframes.gap_s[first] > GAP_S:
             return math.inf
         return MAX_ODOMETRY_ERROR_M + MAX_ODOMETRY_ERROR_SHARE * float(
             keyframes.path_length_m[reference] - keyframes.path_length_m[first]

@@ -14,6 +14,7 @@ from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop, loop_of
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
 from service.mapper.graph.relocalise.known_map import MAX_QUERY, REFINE_WINDOW, fits
+from service.mapper.graph.relocalise.place_search import EXPECTED_WINDOW
 from service.mapper.judgement import JUMP_CHI2, is_loose, sigmas_of
 
 ODOMETRY_PROBABILITY_UNMEASURED = 0.5  # that dead reckoning is right, after motion that no sensor measured
@@ -22,7 +23,7 @@ ODOMETRY_PROBABILITY_CONTINUOUS = 0.9999  # the same, without a scan gap: the ve
 # m, m, rad: error of a search result by distortion of the map.
 SEARCH_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
 SUBMAP_RADIUS_M, MAX_SUBMAP_KEYFRAMES = 6.0, 40  # key frames around the pose
-WINDOW, MAX_ATTEMPTS = (1.5, 0.35), 10  # m, rad around the pose; key frames tried
+MAX_ATTEMPTS = 10  # key frames tried
 
 
 def places_in(region: float) -> float:
@@ -156,9 +157,9 @@ class OperatorPose:
     def _loop_near(
         self, submap: CandidateSubmap, at: Floats, cloud: PointCloud, reference: int
     ) -> Loop | None:
-        """The loop of the points to a sub-map if they fit within WINDOW of a pose (3,) of the map."""
+        """The loop of the points to a sub-map if they fit within EXPECTED_WINDOW of a pose (3,)."""
         guess = se2.between(self._keyframes.map[submap.reference], at)
-        pose = submap.search(cloud, guess, *WINDOW, MIN_LOOP_SCORE)
+        pose = submap.search(cloud, guess, *EXPECTED_WINDOW, MIN_LOOP_SCORE)
         if pose is None:
             return None
         fit = submap.align(cloud, pose)

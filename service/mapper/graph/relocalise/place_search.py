@@ -25,7 +25,7 @@ REFINE_MARGIN_NATS = 100.0  # a place this far below the best is not refined
 PRUNE_MARGIN_NATS = 250.0  # this far below the best, the evidence is only an upper bound
 MAX_SLIDE_SOURCES, MAX_SLIDE_TARGETS = 8, 4  # places slid along walls per round, neighbours of each
 MAX_ROUNDS = 3  # of sliding; ends earlier once the best place stays
-EXPECTED_WINDOW = 1.5, 0.2  # m, rad: half the window about an expected pose
+EXPECTED_WINDOW = 1.5, 0.35  # m, rad: half the window about an expected pose
 Window = tuple[float, float]
 
 

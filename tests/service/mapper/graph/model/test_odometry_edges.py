@@ -86,7 +86,7 @@ def test_a_step_into_a_new_segment_is_unknown_and_back_it_starts_where_the_segme
     ("odd", "is_known"),
     [
         ({"gap_s": 1.5}, True),
-        ({"gap_s": 2.5}, False),
+        ({"gap_s": 3.0}, False),
         ({"gap_s": 1.5, "is_unmeasured": True}, False),
         ({"gap_s": 1.5, "motion_covariance": None}, False),
     ],

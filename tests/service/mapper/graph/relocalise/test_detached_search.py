@@ -7,8 +7,8 @@ import pytest
 
 from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
-from service.mapper.graph.model.odometry_edges import MAX_SCAN_GAP_S
 from service.mapper.graph.relocalise.detached_search import DetachedSearch
+from service.mapper.judgement import GAP_S
 from tests.service.mapper.graph.key_frames import STOOD, Walls, append, room, rooms
 
 JUNCTION = [  # of two bare corridors, 3 and 2 m wide
@@ -81,5 +81,5 @@ def test_after_driving_on_rooms_out_of_reach_are_not_searched(gap_s: float) -> N
     append(keyframes, room(0.0, with_pillar=False), STOOD, 1, noise, gap_s=gap_s)
     search = DetachedSearch(LoopsConfig(), keyframes)
     search.find(mapped)
-    assert len(search.possible) == (2 if gap_s > MAX_SCAN_GAP_S else 0)
-    assert (search.unconfirmed_place is None) == (gap_s > MAX_SCAN_GAP_S)
+    assert len(search.possible) == (2 if gap_s > GAP_S else 0)
+    assert (search.unconfirmed_place is None) == (gap_s > GAP_S)
