@@ -1,9 +1,8 @@
-"""Warm up, map a drive, print as JSON how many kernels numba compiled, and how many signatures each has.
+"""Warm up and map a drive twice, and print as JSON how many kernels numba compiled and what was loaded late.
 
-With the argument `live` as the live service: the graph's back end runs in another process, and a map that it
-rendered replaces the shown one; with `localizing` scans are also compared with it.
-
-In a process of its own, because other tests call kernels with other types.
+First as the live service: the graph's back end runs in another process, and a map that it rendered replaces
+the shown one; with the argument `localizing` scans are also compared with it. Then with all profiles and all
+in this process. In a process of its own, because other tests call kernels with other types.
 """
 
 import importlib
@@ -23,7 +22,7 @@ from service.mapper.background import DiscardingWorker, InlineWorker, NewWorker
 from service.mapper.components import RenderedMap, ScanToRender, WallToRender
 from service.mapper.map_changes import ChangeWatch
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapper.profiles import build_mapper, import_methods, mapping_config
+from service.mapper.profiles import MappingConfig, build_mapper, import_methods, mapping_config
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room
 from tests.service.mapper.maps.points import points_of
 
@@ -32,23 +31,33 @@ FOREIGN_KERNELS = ("raycast",)  # those of the simulators
 
 def main() -> None:
     ensure_cache_dir()
+    is_localizing = sys.argv[1:] == ["localizing"]
     with event.install_recorder("numba:compile") as compiled:
-        new_worker: NewWorker = InlineWorker
-        config = mapping_config()
-        if sys.argv[1:]:
-            new_worker = DiscardingWorker
-            config = mapping_config({"mode": "localization"} if sys.argv[1] == "localizing" else {})
-            warm_up(back_end_elsewhere=True)
-            before = set(compiled_or_loaded())
-        else:
-            import_methods()
-            warm_up()
-        mapper = build_mapper(config, {"front": MOUNTING}, new_worker=new_worker)
-        for frame in drive(ROOM, round_the_room, 2.0).frames:
-            mapper.process(frame)
-        mapper.changed_tiles()
-        if sys.argv[1:]:
-            replace_shown(is_localizing=sys.argv[1] == "localizing")
+        config = mapping_config({"mode": "localization"} if is_localizing else {})
+        warm_up(back_end_elsewhere=True)
+        before = set(compiled_or_loaded())
+        map_room(DiscardingWorker, config)
+        replace_shown(is_localizing)
+        live = {
+            "late": sorted(set(compiled_or_loaded()) - before),
+            "imported": [name for name in ("gtsam", "scipy.linalg") if name in sys.modules],
+            "solver": signatures().get("loops.align_surfels", 0),
+        }
+        import_methods()
+        warm_up()
+        map_room(InlineWorker, mapping_config())
+    print(json.dumps(live | {"compiled": len(compiled.buffer), "signatures": signatures()}))
+
+
+def map_room(new_worker: NewWorker, config: MappingConfig) -> None:
+    mapper = build_mapper(config, {"front": MOUNTING}, new_worker=new_worker)
+    for frame in drive(ROOM, round_the_room, 2.0).frames:
+        mapper.process(frame)
+    mapper.changed_tiles()
+
+
+def signatures() -> dict[str, int]:
+    """How many each kernel has of which code is loaded."""
     counts = {}
     for module in pkgutil.iter_modules(service.kernels.__path__):
         if module.name in FOREIGN_KERNELS:
@@ -56,10 +65,7 @@ def main() -> None:
         for name, kernel in vars(importlib.import_module(f"service.kernels.{module.name}")).items():
             if hasattr(kernel, "signatures") and kernel.py_func.__module__.endswith(module.name):
                 counts[f"{module.name}.{name}"] = len(kernel.signatures)
-    heavy = [name for name in ("gtsam", "scipy.linalg") if name in sys.modules]
-    late = sorted(set(compiled_or_loaded()) - before) if sys.argv[1:] else []
-    facts = {"compiled": len(compiled.buffer), "signatures": counts, "imported": heavy, "late": late}
-    print(json.dumps(facts))
+    return counts
 
 
 def replace_shown(is_localizing: bool) -> None:

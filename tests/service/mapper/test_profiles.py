@@ -228,14 +228,15 @@ def test_a_blank_scan_is_lost_where_the_prediction_is_loose() -> None:
 
 
 @pytest.mark.timeout(800)  # where the cache is cold, on a machine that does other things
-def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
-    child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels"]
+@pytest.mark.parametrize("what", ["mapping", in_soak("localizing")])
+def test_kernels_are_compiled_once_and_a_live_start_loads_all_but_solver_and_scipy(what: str) -> None:
+    child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels", what]
     for _ in range(2):  # the first fills the cache: what compiles counts the types of its callers, too
         ran = json.loads(subprocess.run(child, cwd=ROOT, check=True, capture_output=True, timeout=400).stdout)
         if ran["compiled"] == 0:
             break
     counts = ran["signatures"]
-    assert ran["compiled"] == 0
+    assert (ran["compiled"], ran["late"], ran["imported"], ran["solver"]) == (0, [], [], 0)
     assert len(counts) > 15
     of_two_kinds_of_cells = {  # bytes and float32
         "branch_and_bound.pool_levels",
@@ -246,15 +247,6 @@ def test_kernels_are_compiled_once_for_warm_up_and_all_that_follows() -> None:
     assert {
         name: count for name, count in counts.items() if count > 1 + (name in of_two_kinds_of_cells)
     } == {}
-
-
-@pytest.mark.parametrize("what", ["live", in_soak("localizing")])
-def test_a_live_start_loads_every_kernel_of_a_drive_and_neither_solver_nor_scipy(what: str) -> None:
-    child = [sys.executable, "-m", "tests.service.mapper.compiled_kernels", what]
-    ran = json.loads(subprocess.run(child, cwd=ROOT, check=True, capture_output=True, timeout=400).stdout)
-    assert ran["late"] == []
-    assert ran["imported"] == []
-    assert not ran["signatures"]["loops.align_surfels"]
 
 
 @pytest.mark.parametrize(
