@@ -1,6 +1,5 @@
 import json
 import socketserver
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,18 +9,15 @@ from service.config import load_config
 from service.errors import ConfigError, CorridorError, StorageError, UsageError
 from service.offline.setup.discovery import Found, Wire
 from service.offline.setup.new_config import render, write_new_config
+from simulators.irobot_create import FakeCreate
+from simulators.sick_lms100 import FakeLms100
+from simulators.wire import PtyWire, TcpWire
+from tests.drivers.irobot_bench import STANDING
+from tests.drivers.lms100 import Room
 from tests.in_background import started
-from tests.system.machine import FakeVehicle, free_port
+from tests.system.machine import free_port
 
 ASK_S = 60.0  # a fake device on a busy machine; the first answer ends it
-
-
-@pytest.fixture
-def vehicle(tmp_path: Path) -> Iterator[FakeVehicle]:
-    fake = FakeVehicle(tmp_path)
-    fake.start()
-    yield fake
-    fake.stop()
 
 
 class WebServer(socketserver.BaseRequestHandler):
@@ -30,34 +26,30 @@ class WebServer(socketserver.BaseRequestHandler):
         self.request.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
 
 
-@pytest.fixture
-def web_server() -> Iterator[int]:
-    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), WebServer) as server:
-        serving = started(server.serve_forever)
-        yield server.server_address[1]
-        server.shutdown()
-        serving.result()
-
-
-@pytest.mark.timeout(200)
 def test_what_answers_is_in_the_config_and_what_does_not_is_named(
-    vehicle: FakeVehicle, web_server: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     out = tmp_path / "vehicle.yaml"
-    laser, page = f"127.0.0.1:{vehicle.port}", f"sick_lms100=127.0.0.1:{web_server}"
-    wires = [laser, str(vehicle.terminal), page]
-    arguments = ["init", *wires, "--out", str(out), "--data", str(tmp_path / "data"), "--json"]
-    assert main([*arguments, "--seconds", str(ASK_S)]) == 0
+    with (
+        TcpWire(FakeLms100(Room())) as (_, port),
+        PtyWire(FakeCreate(STANDING)) as device,
+        socketserver.ThreadingTCPServer(("127.0.0.1", 0), WebServer) as web,
+    ):
+        serving, page = started(web.serve_forever), web.server_address[1]
+        wires = [f"127.0.0.1:{port}", device, f"sick_lms100=127.0.0.1:{page}"]
+        arguments = ["init", *wires, "--out", str(out), "--data", str(tmp_path / "data"), "--json"]
+        try:
+            assert main([*arguments, "--seconds", str(ASK_S)]) == 0
+        finally:
+            web.shutdown()
+            serving.result()
     facts = json.loads(capsys.readouterr().out)
-    assert facts["sensors"]["lms"]["wire"] == laser
+    assert facts["sensors"]["lms"]["wire"] == wires[0]
     assert facts["sensors"]["lms"]["identity"]["serial"] == "18090362"
-    assert list(facts["silent"]) == [f"127.0.0.1:{web_server}"]
+    assert list(facts["silent"]) == [f"127.0.0.1:{page}"]
     config = load_config(out)
-    assert (config.sensors["lms"].type, config.sensors["lms"].port) == ("sick_lms100", vehicle.port)
-    assert (config.sensors["base"].type, config.sensors["base"].device) == (
-        "irobot_create",
-        str(vehicle.terminal),
-    )
+    assert (config.sensors["lms"].type, config.sensors["lms"].port) == ("sick_lms100", port)
+    assert (config.sensors["base"].type, config.sensors["base"].device) == ("irobot_create", device)
     assert config.sinks["map"].directory == tmp_path / "data" / "maps"
     assert "# MEASURE: base frame" in config.text
     assert "serial 18090362" in config.text
