@@ -81,7 +81,7 @@ def random_case(seed: int, dtype: type, sparse: bool = True):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_every_candidate_is_scored_as_by_hand(dtype) -> None:
-    for seed in range(4):
+    for seed in range(2):
         field, corner, layer, xy, window = random_case(seed, dtype)
         sums = score_window(xy, layer, window)
         np.testing.assert_allclose(sums, by_hand(xy, field, corner, window), rtol=1e-5, atol=1e-4)

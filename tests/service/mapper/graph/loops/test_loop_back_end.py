@@ -15,11 +15,10 @@ from service.mapper.graph.model.graph_picture import PICTURE_GAP_M
 from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.mapper.graph.model.loops import Loop
 from tests.service.mapper.graph.loops import rings
-from tests.service.mapper.graph.loops.rings import LENGTH_M, ROUND, STEP_M, key_frames
+from tests.service.mapper.graph.loops.rings import LENGTH_M, ROUND, STEP_M, key_frames, ring
 
 BATCH = 7
-Ring = tuple[list[KeyFrame], list[SE2]]  # and the truth
-Fed = tuple[bytes, list[Result]]
+FRAMES, TRUTH = ring()
 
 
 def fed(frames: list[KeyFrame], config: LoopsConfig | None = None) -> LoopBackEnd:
@@ -29,14 +28,10 @@ def fed(frames: list[KeyFrame], config: LoopsConfig | None = None) -> LoopBackEn
     return back_end
 
 
-@pytest.fixture
-def ring() -> Ring:
-    return rings.ring()
-
-
-@pytest.fixture
-def ring_fed() -> Fed:
-    return rings.fed_ring()
+def loaded() -> tuple[LoopBackEnd, list[Result]]:
+    """A copy of the back end that all of the ring was given to, and its results."""
+    back_end, results = rings.fed_ring()
+    return pickle.loads(back_end), results
 
 
 def errors_m(corrections: Sequence[Correction], truth: list[SE2]) -> np.ndarray:
@@ -48,21 +43,20 @@ def seam_m(corrections: Sequence[Correction], truth: list[SE2]) -> np.ndarray:
     return rings.seam_m(np.array([c.pose_map_base for c in corrections]), truth)
 
 
-def test_a_ring_is_closed_and_the_path_corrected(ring: Ring, ring_fed: Fed):
-    frames, truth = ring
-    back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
-    drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in frames]
-    assert seam_m(drifted, truth).min() > 0.5
-    assert results[len(frames) // (2 * BATCH)].loops == 0
+def test_a_ring_is_closed_and_the_path_corrected():
+    back_end, results = loaded()
+    drifted = [Correction(f.stamp_ns, f.pose_odom_base, f.pose_odom_base) for f in FRAMES]
+    assert seam_m(drifted, TRUTH).min() > 0.5
+    assert results[len(FRAMES) // (2 * BATCH)].loops == 0
     corrected_live = next(r for r in results if r.newest)
     assert corrected_live.loops >= 3
     assert corrected_live.rendered_map is not None
     finished = back_end.work(Batch([], is_last=True))
-    assert seam_m(finished.all, truth).max() < 0.02
-    assert np.median(errors_m(finished.all, truth)) < 0.3 * np.median(errors_m(drifted, truth))
+    assert seam_m(finished.all, TRUTH).max() < 0.02
+    assert np.median(errors_m(finished.all, TRUTH)) < 0.3 * np.median(errors_m(drifted, TRUTH))
     assert finished.disabled == 0
-    assert finished.g2o.count("VERTEX_SE2") == len(frames)
-    assert finished.g2o.count("EDGE_SE2") >= len(frames) - 1 + finished.loops
+    assert finished.g2o.count("VERTEX_SE2") == len(FRAMES)
+    assert finished.g2o.count("EDGE_SE2") >= len(FRAMES) - 1 + finished.loops
 
 
 def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: pytest.MonkeyPatch):
@@ -85,9 +79,9 @@ def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: 
     assert longest_m < PICTURE_GAP_M
 
 
-def test_localisation_drops_nothing_of_the_stored_map(ring_fed: Fed):
+def test_localisation_drops_nothing_of_the_stored_map():
     """However often a spot is passed: passes of the session go, and then nothing would be known there."""
-    stored = pickle.loads(ring_fed[0]).work(Batch([], is_last=True)).saved
+    stored = loaded()[0].work(Batch([], is_last=True)).saved
     assert stored is not None
     back_end = LoopBackEnd(LoopsConfig(keep_passes=2), None, stored, is_localizing=True)
     frames, _ = key_frames(2.2, seed=1)
@@ -112,18 +106,18 @@ def test_a_lap_that_ends_where_it_began_is_closed_where_the_path_is_known(is_kno
     assert bool(end_m < 0.03) is is_known, end_m
 
 
-def test_a_contradicted_false_loop_is_disabled(ring: Ring, ring_fed: Fed):
-    truth, back_end = ring[1], pickle.loads(ring_fed[0])
+def test_a_contradicted_false_loop_is_disabled():
+    back_end, _ = loaded()
     false = Loop(10, 80, np.array([0.0, 0.3, 0.0]), np.diag([1e-4, 1e-4, 1e-5]), 0.9)
     back_end.loops.accepted.append(false)
     finished = back_end.work(Batch([], is_last=True))
     assert finished.disabled >= 1
     assert false not in back_end.loops.accepted
-    assert seam_m(finished.all, truth).max() < 0.02
+    assert seam_m(finished.all, TRUTH).max() < 0.02
 
 
-def test_undo_restores_the_path_before_the_newest_loops(ring_fed: Fed):
-    back_end, results = pickle.loads(ring_fed[0]), ring_fed[1]
+def test_undo_restores_the_path_before_the_newest_loops():
+    back_end, results = loaded()
     before = results[-1].loops
     undone = [back_end.work(Batch([], "undo")) for _ in range(before)]
     *_, result = (one for one in undone if one.newest)
@@ -133,19 +127,18 @@ def test_undo_restores_the_path_before_the_newest_loops(ring_fed: Fed):
 
 
 @pytest.mark.parametrize("says_so", [True, False])
-def test_after_a_poor_match_the_search_window_is_larger(ring: Ring, says_so: bool):
+def test_after_a_poor_match_the_search_window_is_larger(says_so: bool):
     """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
-    frames, truth = ring
-    kink = len(frames) // 2
-    before = frames[kink - 1].pose_odom_base
+    kink = len(FRAMES) // 2
+    before = FRAMES[kink - 1].pose_odom_base
     turned = [
         replace(frame, pose_odom_base=before @ SE2(0.0, 0.0, 0.35) @ before.inverse() @ frame.pose_odom_base)
-        for frame in frames[kink:]
+        for frame in FRAMES[kink:]
     ]
     if says_so:
         turned[0] = replace(turned[0], score=0.5 * turned[0].score)
-    finished = fed([*frames[:kink], *turned]).work(Batch([], is_last=True))
-    assert bool(seam_m(finished.all, truth).max() < 0.05) is says_so
+    finished = fed([*FRAMES[:kink], *turned]).work(Batch([], is_last=True))
+    assert bool(seam_m(finished.all, TRUTH).max() < 0.05) is says_so
 
 
 def moved(frame: KeyFrame, by: SE2, segment: int, later_ns: int) -> KeyFrame:
@@ -165,8 +158,8 @@ def segment_after(known: list[KeyFrame], frames: list[KeyFrame]) -> list[KeyFram
     return [moved(frame, ELSEWHERE, 1, later_ns) for frame in frames]
 
 
-def test_a_segment_found_twice_four_metres_apart_is_joined(ring: Ring):
-    known = ring[0][:SIDE]
+def test_a_segment_found_twice_four_metres_apart_is_joined():
+    known = FRAMES[:SIDE]
     again = segment_after(known, known[5:-5])
     back_end = LoopBackEnd(LoopsConfig(), None)
     back_end.work(Batch(known))
@@ -187,9 +180,9 @@ def test_a_segment_found_twice_four_metres_apart_is_joined(ring: Ring):
         assert abs(away.theta_rad) < 0.01
 
 
-def test_a_segment_seen_from_one_place_only_is_not_joined(ring: Ring):
+def test_a_segment_seen_from_one_place_only_is_not_joined():
     """From one viewpoint a room looks like any other of its kind."""
-    known = ring[0][:SIDE]
+    known = FRAMES[:SIDE]
     back_end = LoopBackEnd(LoopsConfig(), None)
     back_end.work(Batch(known))
     for k, frame in enumerate(segment_after(known, known[10:11] * 6)):
