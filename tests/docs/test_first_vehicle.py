@@ -85,10 +85,9 @@ def test_the_page_leads_from_the_wires_to_a_map_for_nav2(vehicle, tmp_path, caps
         command = [here.get(word, word) for word in words]
         code = main(command)
         said = capsys.readouterr()
-        if words[0] == "doctor":  # it may find fault with this machine, not with the devices
-            assert not [
-                line for line in said.out.splitlines() if line.startswith(("FAULT  front", "FAULT  base"))
-            ]
+        if words[0] == "doctor":  # on a busy machine it finds fault, with the rates of the devices, too
+            streaming = [line.split()[:2] for line in said.out.splitlines() if " streams: " in line]
+            assert streaming == [["ok", "front"], ["ok", "base"]]
         else:
             assert code == 0, f"{command}: {said.out}{said.err}"
         if words[0] == "init":
