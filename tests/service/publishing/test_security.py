@@ -68,6 +68,7 @@ def test_a_viewer_reads_and_commands_nothing(service, client_of, requested):
         assert f"{ROOT}/cmd/pause" not in answers(viewer, key)
     viewer.put(f"{ROOT}/initialpose", b"\0\1\0\0")
     assert answers(viewer, f"{ROOT}/health")  # what it put before has passed, if it passes
+    service.close()  # and is judged
     assert requested == []
     assert service.pose_refused == ""
 
