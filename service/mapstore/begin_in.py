@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import ConfigError, InputError
-from service.mapper.graph.loops.stored_graph import walls_of
+from service.mapper.drawn_by_hand import walls_of
 from service.mapper.maps.occupancy import rendered_of
 from service.mapper.profiles import BeginIn, MappingConfig, begins_in_stored
 from service.mapstore.files import StoredMap, load_map

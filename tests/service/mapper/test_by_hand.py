@@ -8,7 +8,7 @@ import pytest
 from service.geometry import poses as se2
 from service.mapper.by_hand import DRAWN_WALL, ERASED, ByHand, Drawing
 from service.mapper.components import AreaToErase, ScanToRender, WallToRender
-from service.mapper.graph.loops.stored_graph import among_scans, walls_of
+from service.mapper.drawn_by_hand import among_scans, walls_of
 from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.saved_graph import SavedGraphError
 from tests.service.mapstore.graphs import graph_of

@@ -16,6 +16,7 @@ from service.mapper.graph.loops.live_edits import AppliedEdit, LiveEdits, keyfra
 from service.mapper.graph.loops.loop_search import LoopSearch
 from service.mapper.graph.loops.loop_set import LoopSet, SolutionDue
 from service.mapper.graph.loops.old_passes import OldPasses, Renumbering
+from service.mapper.graph.loops.picture_schedule import PictureSchedule
 from service.mapper.graph.loops.stored_graph import (
     Placement,
     anchor_loop,
@@ -24,7 +25,6 @@ from service.mapper.graph.loops.stored_graph import (
     saved_graph,
     to_render,
 )
-from service.mapper.graph.model.graph_picture import PictureSchedule
 from service.mapper.graph.model.keyframe_list import KeyFrame, KeyframeList, LoopsConfig, thinned
 from service.mapper.graph.model.loops import Loop, as_edges
 from service.mapper.graph.model.odometry_edges import edges_in_hindsight, known_pose, odometry_edges

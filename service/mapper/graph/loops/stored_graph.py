@@ -1,6 +1,6 @@
 """Stored graphs: conversion of the back end's state, and a session on a fixed stored map."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -8,8 +8,8 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
-from service.mapper.by_hand import DRAWN_WALL, ERASED, ERASED_TO_FREE, ByHand, Drawing
-from service.mapper.components import AreaToErase, Placed, ScanToRender, ToRender, WallToRender
+from service.mapper.components import Placed, ScanToRender, ToRender
+from service.mapper.drawn_by_hand import among_scans
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop, Refusals, as_edges, loop_arrays
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph, Sightings
@@ -176,38 +176,3 @@ class Placement:
             return False
         self.state = "unknown"
         return True
-
-
-def walls_of(by_hand: ByHand, map_poses: Floats) -> list[WallToRender]:
-    """Walls with the key frames at map_poses, (N, 3), each with the areas erased after it."""
-    drawings = by_hand.drawings(map_poses)
-    return [
-        WallToRender(
-            drawing.corners_map, [later.corners_map for later in drawings[k:] if later.kind != DRAWN_WALL]
-        )
-        for k, drawing in enumerate(drawings)
-        if drawing.kind == DRAWN_WALL
-    ]
-
-
-def among_scans(
-    scans: Iterable[tuple[int, ScanToRender]], by_hand: ByHand, map_poses: Floats
-) -> Iterator[ToRender]:
-    """Scans, erased areas and walls in rendering order.
-
-    scans       with the indices of their key frames, ascending; an area follows the scans it was erased from
-    map_poses   (N, 3) of the key frames
-    Walls come last. Areas of kind ERASED_AS_SEEN are omitted: their points are removed from the scans.
-    """
-    areas = [d for d in by_hand.drawings(map_poses) if d.kind in (ERASED, ERASED_TO_FREE)]
-    areas.sort(key=lambda drawing: drawing.until)
-    for k, scan in scans:
-        while areas and areas[0].until <= k:
-            yield _area(areas.pop(0))
-        yield scan
-    yield from map(_area, areas)
-    yield from walls_of(by_hand, map_poses)
-
-
-def _area(drawing: Drawing) -> AreaToErase:
-    return AreaToErase(drawing.corners_map, drawing.kind == ERASED_TO_FREE)
