@@ -80,6 +80,11 @@ class ConsistentCovariance:
         if self._packed is not None:
             widen_pose(views_of(self._packed), gap)
 
+    def add_segment_noise(self, noise: Matrix) -> None:
+        """As Measurement.segment_noise."""
+        if self._packed is not None:
+            views_of(self._packed).covariance[MAP_BLOCK, MAP_BLOCK] += noise
+
     def settle(self, share: float) -> None:
         """As MotionModel.settle."""
         if self._packed is not None:

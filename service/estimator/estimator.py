@@ -24,6 +24,7 @@ from service.kernels.filter_state import (
     BIAS,
     LAG,
     LOCAL_BLOCK,
+    MAP_BLOCK,
     NUMBERS,
     SCALE,
     STAMPS,
@@ -301,6 +302,9 @@ class Estimator:
             state.path.span[:] = 0  # matched elsewhere: this jump is no motion
             widen_pose(state, measured.gap)
             self._consistent.widen(measured.gap)
+        if measured is not None and measured.segment_noise is not None:
+            state.covariance[MAP_BLOCK, MAP_BLOCK] += measured.segment_noise
+            self._consistent.add_segment_noise(measured.segment_noise)
         if measured is not None and self._elapsed_s > 0.0:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:

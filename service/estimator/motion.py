@@ -49,6 +49,8 @@ class Prediction(Motion):
     is_unconfirmed_stop: bool = False
     increment: OdometryIncrement | None = None  # odometry and gyro alone; None: odometry was silent
     samples_dropped: int = 0  # since the last prediction: too many waited for it
+    # (3, 3) base axes: of the motion of the detached segment, since it began; None: it stands still
+    segment_covariance: Matrix | None = None
     # (beam_time_s, xy_raw, xy_base): deskew a sweep by the measured motion, as deskew_sweep in
     # service/kernels/sweep.py; None: by the twist alone. Valid until the next prediction.
     deskew: Callable[[Matrix, Matrix, Matrix], None] | None = None
@@ -86,6 +88,8 @@ class Measurement(NamedTuple):
     prior_weight      weight of the prediction in the match; below 1 it was far off
     gap               (3, 3) covariance to add to the prediction, base axes, where the scan was matched to
                       another segment of the map than the scans before; None: the same segment
+    segment_noise     (3, 3) covariance, base axes, by which the segment may have moved since the scan before,
+                      where nothing else measured the motion; None: it stands still
     is_joined         False: pose and covariance are those of the scan alone; the motion model fuses them with
                       its prediction
     """
@@ -95,6 +99,7 @@ class Measurement(NamedTuple):
     information: Matrix
     prior_weight: float = 1.0
     gap: Matrix | None = None
+    segment_noise: Matrix | None = None
     is_joined: bool = True
 
 

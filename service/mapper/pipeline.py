@@ -27,6 +27,7 @@ from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.occupancy import draw_standing
 from service.mapper.saved_graph import KeptGraph, SavedGraph
+from service.mapper.segment_motion import SegmentMotion
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 
 MAX_BEHIND_NS = 300_000_000  # of a sweep's start before the newest pose: latency and a slow laser
@@ -71,6 +72,7 @@ class Mapper(Generic[ReadableMap]):
         self._scan_ns: dict[str, int] = {}  # stamp of the newest one, by laser
         self._sample_ns: dict[type[Frame], int] = {}  # stamp of the newest accepted one, by type
         self._state = Verdict("ok", NO_REASON)  # of the newest mapped scan
+        self._segment_motion = SegmentMotion()
         self.geo_reference = geo_reference  # None: not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
         self._checks = SensorChecks(self.counters)
@@ -216,9 +218,10 @@ class Mapper(Generic[ReadableMap]):
         prior = self._checks.comparison_prior(scan.sensor, at_ns, predicted)
         if prior is not None:
             return self._compared(points, at_ns, prior)
-        is_unmeasured = is_motion_unmeasured(predicted)
+        predicted, segment_s = self._segment_motion.predicted(at_ns, predicted)
+        is_unmeasured = is_motion_unmeasured(predicted) or segment_s > 0.0
         if is_unmeasured and s.graph.finds_segments and isinstance(s.local_map, Detachable):
-            s.local_map.detach(predicted.pause_s)
+            s.local_map.detach(max(predicted.pause_s, segment_s))
         match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
         reason = of_laser(scan.sensor, match.reason)
         match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)
@@ -226,6 +229,7 @@ class Mapper(Generic[ReadableMap]):
         checked = self._checks.judge(match, at_ns, s.motion_model.fault)
         if isinstance(checked, Verdict):
             return self._output(scan, at_ns, match.motion, checked, match.inlier_ratio)
+        self._segment_motion.matched(at_ns, predicted, checked.state != "lost")
         match = self._insert(checked, at_ns, predicted, is_unmeasured)
         watch.lap("insert")
         self._state = Verdict(match.state, match.reason)

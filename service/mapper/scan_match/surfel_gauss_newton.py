@@ -26,6 +26,7 @@ from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
     MAX_UNMEASURED_S,
+    RECOVERY_HINT,
     Evidence,
     JudgementConfig,
     begun,
@@ -67,6 +68,13 @@ USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
 # Factor on the usual inlier ratio, below which other initial poses are tried. Factor on the ratio far from
 # the prediction, below which a match near it may have been left for more inliers alone; [33].
 DOUBT_RATIO = 0.9
+
+
+SEGMENT_MAY_MOVE = Reason(
+    "unmeasured_way",
+    "the scans contradict the map, and against what they show the vehicle does not go on as before: it has "
+    f"braked, or people walk along with it, which only odometry could tell. {RECOVERY_HINT}",
+)
 
 
 class SurfelMatcherConfig(JudgementConfig):
@@ -111,6 +119,7 @@ class SurfelGaussNewton:
         self._began: _Gap | None = None  # the gap of a segment that would begin with this scan
         self._detached: Submap | None = None  # the segment of `gap`
         self._confirmation = Confirmation()  # of a match of the segment with the map
+        self._segment_covariance = np.zeros((3, 3))  # of its motion, as far as the motion model has it
 
     def bias_m(self, sensor: str) -> Matrix:
         """(NODES,) range bias of a laser, m; see RangeBias."""
@@ -125,6 +134,7 @@ class SurfelGaussNewton:
         if local_map.detached is None:
             self._gap = None
             self._detached = None
+            self._segment_covariance = np.zeros((3, 3))
         elif local_map.detached is not self._detached:  # a new segment at the predicted pose
             self._detached = local_map.detached
             self._gap = self._began
@@ -171,7 +181,9 @@ class SurfelGaussNewton:
 
     def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
         if local_map.pause_s:
-            return self._on_segment(attempt, local_map, _unmeasured(local_map.pause_s), 0.0, False)
+            is_silent = attempt.predicted.segment_covariance is None
+            reason = _unmeasured(local_map.pause_s) if is_silent else SEGMENT_MAY_MOVE
+            return self._on_segment(attempt, local_map, reason, 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
             return self._as_match(static, attempt, static.state, static.reason)
         aligned = self._more_likely(self._align(attempt, attempt.prior.pose, submap), attempt)
@@ -209,7 +221,13 @@ class SurfelGaussNewton:
         if detached.state == "lost" or self._scene.is_displaced(attempt, detached):
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
         reason = reason.reworded(f"{reason}; a detached segment begins here until its place is found")
-        return self._as_match(detached, attempt, "lost", reason)
+        match = self._as_match(detached, attempt, "lost", reason)
+        moved = predicted.segment_covariance
+        if not local_map.pause_s or moved is None or match.measured is None:
+            return match
+        # Until the graph has joined the segment, no scan is matched to the map with this in its prior.
+        noise, self._segment_covariance = moved - self._segment_covariance, moved
+        return match._replace(measured=match.measured._replace(segment_noise=noise))
 
     def _is_found(self, aligned: Aligned, attempt: Attempt) -> bool:
         """Whether a scan from a detached segment is accepted as matched to the map again.
@@ -434,11 +452,16 @@ def _chi2(pose: Matrix, prior: Prior) -> float:
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
-    """The prediction as a Prior; gap: covariance of a detached segment's start, propagated to here."""
+    """The prediction as a Prior; gap: covariance of a detached segment's start, propagated to here, and that
+    of the segment's own motion.
+    """
     pose = predicted.pose_odom_base
     if gap is not None:
         carry = adjoint_back(gap.pose.inverse() @ pose)
-        predicted = predicted.with_added_covariance(carry @ gap.covariance @ carry.T)
+        added = carry @ gap.covariance @ carry.T
+        if predicted.segment_covariance is not None:
+            added += predicted.segment_covariance
+        predicted = predicted.with_added_covariance(added)
     return Prior(
         np.array(pose),
         np.array(predicted.twist_base),

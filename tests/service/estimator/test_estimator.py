@@ -161,6 +161,24 @@ def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
     np.testing.assert_allclose(local, covariance, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.parametrize("is_scan_alone", [False, True])
+def test_the_motion_of_a_segment_is_an_error_of_the_pose_but_none_against_the_segment(
+    is_scan_alone: bool,
+) -> None:
+    models = Estimator(EstimatorConfig()), Estimator(EstimatorConfig())
+    noise, motions = np.diag([4.0, 1.0, 0.1]), []
+    for model, of_segment in zip(models, (None, noise), strict=True):
+        if not is_scan_alone:
+            driven(model, 1000)
+        for stamp_ms in (1000, 1040, 1080):
+            prior = model.predict(stamp_ms * MS)
+            measured = Measurement(prior.pose_odom_base, TIGHT, np.linalg.inv(TIGHT))
+            motions.append(model.correct(measured._replace(segment_noise=of_segment)))
+    np.testing.assert_allclose(motions[-1].covariance - motions[2].covariance, 3.0 * noise, rtol=1e-3, atol=0.02)
+    block = slice(LOCAL, LOCAL + 3)
+    np.testing.assert_array_equal(*(model.filter.covariance[block, block] for model in models))
+
+
 def test_the_first_speed_is_not_that_of_two_samples_of_a_burst() -> None:
     model = Estimator(EstimatorConfig())
     for stamp_ms in (0, 20, 40, 60, 80, 100, 100.1, 100.2):

@@ -102,6 +102,16 @@ def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     assert verdict.worst_m < 0.05
 
 
+@pytest.mark.parametrize("for_s", [1.0, in_soak(6.0)])
+def test_a_laser_alone_is_not_placed_where_people_who_walk_along_began(for_s: float) -> None:
+    """A corridor looks the same a metre farther on."""
+    of = staged(Case("escort_alone", "ring", 1, 0.875, share=0.55, for_s=for_s))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[o.stamp_ns] for o in outputs], of.from_ns, of.to_ns)
+    assert verdict.worst_m > 0.9  # without another sensor they carry the pose with them
+    assert verdict.ok_off == 0
+
+
 @pytest.mark.parametrize("seed", [1, in_soak(11)])
 def test_a_train_that_hides_the_walls_does_not_carry_a_detached_map_with_it(seed: int) -> None:
     """It turns a corner beside the vehicle; the scans contradict the map until it is past."""
