@@ -174,7 +174,8 @@ def test_the_motion_of_a_segment_is_an_error_of_the_pose_but_none_against_the_se
             prior = model.predict(stamp_ms * MS)
             measured = Measurement(prior.pose_odom_base, TIGHT, np.linalg.inv(TIGHT))
             motions.append(model.correct(measured._replace(segment_noise=of_segment)))
-    np.testing.assert_allclose(motions[-1].covariance - motions[2].covariance, 3.0 * noise, rtol=1e-3, atol=0.02)
+    added = motions[-1].covariance - motions[2].covariance
+    np.testing.assert_allclose(added, 3.0 * noise, rtol=1e-3, atol=0.02)
     block = slice(LOCAL, LOCAL + 3)
     np.testing.assert_array_equal(*(model.filter.covariance[block, block] for model in models))
 
