@@ -87,7 +87,6 @@ class MappedScan(NamedTuple):
     match: Match
     change: MapChange
     covariance: npt.NDArray[np.float64]  # (3, 3) of the pose against the local map, base axes
-    prior: npt.NDArray[np.float64]  # (3, 3) the same of the prediction
     elapsed_s: float = 0.0  # since the scan before
     is_motion_unmeasured: bool = False  # no sensor measured the motion since the scan before
 

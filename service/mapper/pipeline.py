@@ -247,7 +247,7 @@ class Mapper(Generic[ReadableMap]):
         covariance = prior if match.measured is None else match.measured.covariance
         elapsed_s = predicted.elapsed_s
         pose_map_odom = s.graph.add(
-            MappedScan(at_ns, static, match, change, covariance, prior, elapsed_s, is_unmeasured)
+            MappedScan(at_ns, static, match, change, covariance, elapsed_s, is_unmeasured)
         )
         is_shown = match.state != "lost" and self._localisation.is_found and not self.is_localizing
         match = self._localisation.judged(match, change, pose_map_odom, at_ns, prior)

@@ -97,11 +97,6 @@ RULES = (
     Rule("limit of drift", f"{GRAPH}.model.path_drift", {"MAX_DRIFT_CHI2": math.inf}),
     Rule("unmatched steps as the motion model says", frame=unmatched_unknown),
     Rule(
-        "more variance for steps with a low inlier ratio",
-        f"{GRAPH}.model.odometry_edges",
-        {"MAX_PREDICTION_VARIANCE": (0.0, 0.0)},
-    ),
-    Rule(
         "errors that points of one cell share",
         "service.mapper.graph.model.point_clouds.SurfelSet",
         {"align_with_shared_errors": SurfelSet.align},

@@ -37,7 +37,6 @@ from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.model.background_graph import BackgroundGraph, add_counts
 from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.mapper.graph.relocalise.detached_search import MAX_STATIONARY
-from service.mapper.judgement import sigmas_of
 from service.mapper.saved_graph import KeepGraph, SavedGraph
 
 # Between key frames of a detached segment, also at standstill. After MAX_STATIONARY from one spot each
@@ -92,7 +91,6 @@ class LoopClosing(BackgroundGraph[Result]):
         self._last_ns = 0
         self._stationary_pose: SE2 | None = None  # of the first key frame at standstill
         self._stationary_count = 0  # number of key frames after it at standstill
-        self._prediction_variance = (0.0, 0.0)  # since the last key frame, as of KeyFrame
         self._gap_s = 0.0 if stored is None else math.inf  # longest scan gap since the last key frame
         self._is_unmeasured = False  # motion since the newest known place was not measured
         self._path_length_m = 0.0  # since the last batch
@@ -109,11 +107,6 @@ class LoopClosing(BackgroundGraph[Result]):
         pose, self._segment = scan.match.motion.pose_odom_base, scan.change.segment
         self._gap_s = max(self._gap_s, scan.elapsed_s)
         self._is_unmeasured |= scan.is_motion_unmeasured
-        sigma_m, sigma_rad = sigmas_of(scan.prior)
-        self._prediction_variance = (
-            self._prediction_variance[0] + sigma_m**2,
-            self._prediction_variance[1] + sigma_rad**2,
-        )
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.segment > 0)
         self._is_detached = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._stationary_count - MAX_STATIONARY, 0), MAX_DOUBLED)
@@ -126,11 +119,9 @@ class LoopClosing(BackgroundGraph[Result]):
             self._stationary_count += 1
             if self._is_step(pose, self._stationary_pose):
                 self._stationary_pose, self._stationary_count = pose, 0
-            self._new_keyframes.append(
-                _key_frame(scan, self._gap_s, self._is_unmeasured, self._prediction_variance)
-            )
+            self._new_keyframes.append(_key_frame(scan, self._gap_s, self._is_unmeasured))
             self._keyframes += 1
-            self._gap_s, self._prediction_variance = 0.0, (0.0, 0.0)
+            self._gap_s = 0.0
         self._fixes.add_scan(scan.stamp_ns, pose, self._keyframes - 1)
         if is_keyframe and (
             self._path_length_m >= self._config.search_every_m or (is_detached and not self.waiting)
@@ -282,9 +273,7 @@ class LoopClosing(BackgroundGraph[Result]):
         return last is None or pose.is_step_from(last, config.keyframe_distance_m, config.keyframe_turn_rad)
 
 
-def _key_frame(
-    scan: MappedScan, gap_s: float, is_unmeasured: bool, prediction_variance: tuple[float, float]
-) -> KeyFrame:
+def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
     points, match = scan.points, scan.match
     return KeyFrame(
         stamp_ns=scan.stamp_ns,
@@ -300,5 +289,4 @@ def _key_frame(
         gap_s=gap_s,
         motion_covariance=match.motion.covariance,
         is_unmeasured=is_unmeasured,
-        prediction_variance=prediction_variance,
     )

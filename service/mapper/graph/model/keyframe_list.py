@@ -57,8 +57,6 @@ class KeyFrame:
     gap_s: float = math.inf  # longest scan gap since the key frame before
     motion_covariance: Floats | None = None  # (3, 3) against the first scan, base axes; None: not known
     is_unmeasured: bool = False  # motion since the newest known place was not measured
-    # m^2, rad^2: sum over the predictions since the key frame before; bounds the error of a wrong match
-    prediction_variance: tuple[float, float] = (math.inf, math.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +69,7 @@ class ThinnedScan:
 
 
 # of KeyframeList, one row per key frame
-ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance", "_prediction_variance")
+ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance")
 
 
 def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
@@ -96,7 +94,6 @@ class KeyframeList:
         self._numbers = np.zeros((1, 7))
         self._covariance = np.zeros((1, 3, 3))
         self._motion_covariance = np.zeros((1, 3, 3))
-        self._prediction_variance = np.zeros((1, 2))
         self.unmeasured: set[int] = set()  # segments to which the motion was not measured
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
@@ -121,7 +118,6 @@ class KeyframeList:
         ).astype(np.float64)
         self._covariance = stored.covariance.copy()
         self._motion_covariance = np.full_like(stored.covariance, np.nan)
-        self._prediction_variance = np.full((len(stored), 2), np.inf)
         self.stamps_ns = stored.stamp_ns.tolist()
         ends = np.cumsum(stored.point_count)[:-1]
         self.thinned = [
@@ -196,11 +192,6 @@ class KeyframeList:
         """(N, 3, 3) covariance of its pose against the first scan of its session; NaN if not known."""
         return self._motion_covariance[: self.count]
 
-    @property
-    def prediction_variance(self) -> Floats:
-        """(N, 2) m^2, rad^2, as of KeyFrame."""
-        return self._prediction_variance[: self.count]
-
     def place_of(self, frame: KeyFrame) -> Floats:
         """(3,) pose of a new key frame in the map, by odometry since the newest one of its segment; if it
         begins a segment, since the newest one.
@@ -241,7 +232,6 @@ class KeyframeList:
         self._covariance[k] = frame.covariance
         known = frame.motion_covariance
         self._motion_covariance[k] = np.nan if known is None else known
-        self._prediction_variance[k] = frame.prediction_variance
         if frame.is_unmeasured:
             self.unmeasured.add(frame.segment)
         self.stamps_ns.append(frame.stamp_ns)

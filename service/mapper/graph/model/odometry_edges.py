@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from service.estimator.estimator import MIN_SIGMA
 from service.geometry import poses as se2
-from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE, Edges, PoseGraph
@@ -18,12 +17,10 @@ from service.mapper.known_pose import KnownPose, covariance_added
 STEP_FLOOR = np.diag([0.003**2, 0.003**2, 0.0007**2])  # m^2, rad^2: least covariance of a step
 # m^2, rad^2: of an unmatched step without a motion model
 LOST_COVARIANCE = np.diag([1.0, 1.0, 0.5])
-MAX_PREDICTION_VARIANCE = (0.09, 0.09)  # m^2, rad^2: limit of the variance added where the match is poor
 # m^2, rad^2: added to the motion model's into a segment without a scan gap: the vehicle was not carried
 NEW_SEGMENT_COVARIANCE = np.diag([1.0, 1.0, 0.01])
 MIN_EDGE_COVARIANCE = np.diag(np.square(MIN_SIGMA))  # of a step without added noise
 GAP_SHARE = 0.1  # of a path without key frames, as where old passes were removed: error of odometry
-POOR_MATCH_SHARE = 0.6  # of the drive's median inlier ratio: below, the match may be wrong
 MIN_VARIANCE_SHARE = 1e-12  # of the largest variance of a step: above rounding
 
 
@@ -33,44 +30,23 @@ def lost_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
     return lost[1:] | lost[:-1]
 
 
-def poor_match_steps(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
-    """(N - 1,) steps with a key frame of low inlier ratio at one end."""
-    doubtful = _are_poor_matches(keyframes)
-    return doubtful[1:] | doubtful[:-1]
-
-
-def _are_poor_matches(keyframes: KeyframeList) -> npt.NDArray[np.bool_]:
-    score = keyframes.score
-    doubtful: npt.NDArray[np.bool_] = score < POOR_MATCH_SHARE * np.median(score)
-    return doubtful
-
-
-def _prediction_covariance(keyframes: KeyframeList) -> Floats:
-    """(N - 1, 3, 3) added to steps with a poor match, as if only predicted."""
-    each = _are_poor_matches(keyframes)[:, None] * np.minimum(
-        keyframes.prediction_variance, MAX_PREDICTION_VARIANCE
-    )
-    step = np.maximum(each[1:], each[:-1])
-    return np.asarray(np.eye(3) * step[:, [0, 0, 1], None])
-
-
 def odometry_edges(keyframes: KeyframeList, step_m: float, is_by_motion: bool = False) -> Edges:
     """Edges from each key frame to the next.
 
     step_m         path length after which a key frame is due
-    is_by_motion   use the covariance of the motion model for all steps, where it is known and the match is
-                   good; for unmatched steps it is always used
+    is_by_motion   use the covariance of the motion model for all steps where it is known; for unmatched
+                   steps it is always used
     """
     edges, is_into_segment = matched_steps(keyframes, step_m)
-    covariance, is_lost = edges.covariance, lost_steps(keyframes)
+    covariance = edges.covariance
     then, now = keyframes.motion_covariance[edges.of], keyframes.motion_covariance[edges.to]
-    is_by_model = np.isfinite(then + now).all(axis=(1, 2)) & (is_lost | is_into_segment | is_by_motion)
+    is_by_model = np.isfinite(then + now).all(axis=(1, 2)) & (
+        lost_steps(keyframes) | is_into_segment | is_by_motion
+    )
     covariance[is_by_model] = covariance_added(
         then[is_by_model], now[is_by_model], edges.measured[is_by_model]
     )
     covariance[is_by_model] += MIN_EDGE_COVARIANCE if is_by_motion else STEP_FLOOR
-    # An unmatched step has no wrong match.
-    covariance += np.where((is_by_model & is_lost)[:, None, None], 0.0, _prediction_covariance(keyframes))
     covariance[is_into_segment] += NEW_SEGMENT_COVARIANCE
     is_unmeasured = (keyframes.gap_s[1:] > GAP_S) | np.isin(keyframes.segment[1:], [*keyframes.unmeasured])
     covariance[is_into_segment & (is_unmeasured | ~is_by_model)] = UNKNOWN_COVARIANCE

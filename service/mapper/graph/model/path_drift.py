@@ -14,7 +14,6 @@ from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.model.odometry_edges import (
     lost_steps,
     odometry_edges,
-    poor_match_steps,
 )
 from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE
 from service.mapper.known_pose import carried
@@ -28,7 +27,7 @@ UNMODELLED_SHARE = 0.003
 # A single loop is accepted if it agrees with odometry of this uncertainty: a wrong one would move the map by
 # no more than the drift, and places that look alike are more than 3.5 sigma apart.
 NEAR_SIGMA_M = 0.3
-LOST_M, POOR_MATCH_M = 60.0, 30.0  # path length added for such a step in loop search
+LOST_M = 60.0  # path length added for an unmatched step in loop search
 LOOP_M = 1.0  # path length added for passing a loop
 
 
@@ -109,8 +108,6 @@ def lengths_from(keyframes: KeyframeList, loops: Sequence[Loop], k: int) -> Floa
     length_m = np.empty(len(path_length_m))
     of = np.array([loop.of for loop in loops], np.int64)
     to = np.array([loop.to for loop in loops], np.int64)
-    step_m = (
-        np.diff(path_length_m) + POOR_MATCH_M * poor_match_steps(keyframes) + LOST_M * lost_steps(keyframes)
-    )
+    step_m = np.diff(path_length_m) + LOST_M * lost_steps(keyframes)
     path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
     return length_m

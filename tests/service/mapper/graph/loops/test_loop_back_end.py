@@ -126,21 +126,6 @@ def test_undo_restores_the_path_before_the_newest_loops():
     assert newest.pose_map_base.x_m == pytest.approx(newest.pose_odom_base.x_m, abs=1e-3)
 
 
-@pytest.mark.parametrize("says_so", [True, False])
-def test_after_a_poor_match_the_search_window_is_larger(says_so: bool):
-    """A match half-way was 20 degrees off, as after wheels that froze in a turn."""
-    kink = len(FRAMES) // 2
-    before = FRAMES[kink - 1].pose_odom_base
-    turned = [
-        replace(frame, pose_odom_base=before @ SE2(0.0, 0.0, 0.35) @ before.inverse() @ frame.pose_odom_base)
-        for frame in FRAMES[kink:]
-    ]
-    if says_so:
-        turned[0] = replace(turned[0], score=0.5 * turned[0].score)
-    finished = fed([*FRAMES[:kink], *turned]).work(Batch([], is_last=True))
-    assert bool(seam_m(finished.all, TRUTH).max() < 0.05) is says_so
-
-
 def moved(frame: KeyFrame, by: SE2, segment: int, later_ns: int) -> KeyFrame:
     """The same key frame, in the odom of a segment that began elsewhere."""
     return replace(

@@ -10,7 +10,6 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.odometry_edges import (
     LOST_COVARIANCE,
-    MAX_PREDICTION_VARIANCE,
     MIN_EDGE_COVARIANCE,
     NEW_SEGMENT_COVARIANCE,
     STEP_FLOOR,
@@ -47,13 +46,6 @@ def check(found: Edges, into: Floats, out_of: Floats) -> None:
 
 def test_without_a_motion_model_lost_steps_have_a_wide_covariance() -> None:
     check(edges(is_lost=True, motion_covariance=None), LOST_COVARIANCE, LOST_COVARIANCE)
-
-
-@pytest.mark.parametrize(("score", "added"), [(0.55, 0.0), (0.53, 1.0)])
-def test_steps_at_a_key_frame_with_a_low_inlier_ratio_are_uncertain(score: float, added: float) -> None:
-    """The others lie on it with 0.9, and 60 % of that is 0.54."""
-    doubted = SOUND + added * np.diag([MAX_PREDICTION_VARIANCE[0], *MAX_PREDICTION_VARIANCE])
-    check(edges(score=score), doubted, doubted)
 
 
 @pytest.mark.parametrize("usual_m", [STEP_M, 4.0 * STEP_M], ids=["", "of a thinned log"])
@@ -97,15 +89,3 @@ def test_a_step_into_a_segment_without_a_scan_gap_has_the_covariance_of_dead_rec
     found = edges(by_motion=by_motion, segment=1, **odd).covariance[ODD - 1]
     expected = NEW_SEGMENT_COVARIANCE if is_known else UNKNOWN_COVARIANCE
     np.testing.assert_allclose(found, expected, atol=2e-5)
-
-
-@pytest.mark.parametrize("is_lost", [False, True])
-def test_a_poor_match_is_uncertain_beside_the_motion_model_too(is_lost: bool) -> None:
-    """An unmatched step has no wrong match: it has the covariance of odometry alone."""
-    odd = {"by_motion": True, "is_lost": is_lost, "motion_covariance": 1e-6 * ODD * np.eye(3)}
-    added = edges(score=0.5, **odd).covariance - edges(score=0.9, **odd).covariance
-    expected = np.zeros((COUNT - 1, 3, 3))
-    expected[[ODD - 1, ODD]] = (
-        0.0 if is_lost else np.diag([MAX_PREDICTION_VARIANCE[0], *MAX_PREDICTION_VARIANCE])
-    )
-    np.testing.assert_allclose(added, expected, atol=1e-12)

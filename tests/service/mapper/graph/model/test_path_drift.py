@@ -28,18 +28,14 @@ def straight(
     lost: int | None = None,
     variance: np.ndarray = VARIANCE,
     beside: Sequence[int] = (),
-    doubtful: int | None = None,
 ) -> PathDrift:
-    """Ten metres ahead, with equal steps; key frames `beside` are another segment, and `doubtful` ones have a
-    low inlier ratio.
-    """
+    """Ten metres ahead, with equal steps; key frames `beside` are another segment."""
     back_end = LoopBackEnd(LoopsConfig(), None)
     frames = [
         key_frame(
             k * 10**8,
             SE2(STEP_M * k),
             segment=int(k in beside),
-            score=0.4 if k == doubtful else 0.9,
             is_lost=k == lost,
             covariance=np.diag([1e-4, 1e-4, 1e-6]),
             motion_covariance=variance * k if is_known else None,
@@ -72,9 +68,7 @@ AT_21_M, AT_19_M = (STEP_M * (STEPS - k) for k in (21, 19))  # from there to the
         # A scan that was matched wrong leaves the covariance as small as it was: 2 % of the path.
         ({"variance": 1e-4 * VARIANCE}, loop(10.2, 0.0, 0.0), True),
         ({"variance": 1e-4 * VARIANCE}, loop(10.4, 0.0, 0.0), False),
-        # A turn onto new ground may be matched 0.3 rad off, with the covariance of a good match.
         ({}, loop(10.0, 0.0, 0.6), False),
-        ({"doubtful": 30}, loop(10.0, 0.0, 0.6), True),
     ],
 )
 def test_a_loop_is_allowed_within_the_drift_of_the_path(path: dict[str, Any], end: Loop, is_allowed: bool):

@@ -118,9 +118,7 @@ def graph_of(closed: list[ClosedSubmap]) -> LandmarkGraph:
             change = (
                 CountedChange(is_keyframe=True, closed=one) if is_last else CountedChange(is_keyframe=True)
             )
-            graph.add(
-                MappedScan(scan.stamp_ns, points, Match(motion, points, 1.0), change, np.eye(3), np.eye(3))
-            )
+            graph.add(MappedScan(scan.stamp_ns, points, Match(motion, points, 1.0), change, np.eye(3)))
         graph.apply_result()
     return graph
 
