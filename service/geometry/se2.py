@@ -35,11 +35,7 @@ class SE2(NamedTuple):
     def inverse(self) -> "SE2":
         """pose_b_a of a pose_a_b."""
         c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
-        return SE2(
-            -c * self.x_m - s * self.y_m,
-            s * self.x_m - c * self.y_m,
-            wrap_angle(-self.theta_rad),
-        )
+        return SE2(-c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, wrap_angle(-self.theta_rad))
 
     def is_step_from(self, last: "SE2", distance_m: float, turn_rad: float) -> bool:
         """Whether it lies that far from another pose, or is turned by that much."""

@@ -118,11 +118,9 @@ class ByHand:
         number = np.cumsum(is_kept) - 1
         left = map_poses[is_kept]
         before = np.concatenate(([0], np.cumsum(is_kept)))
-        remade = replace(
-            ByHand(),
-            pair_ends=number[self.pair_ends],
-            pair_xy=self.pair_xy,
-        ).without_pairs(np.flatnonzero(~is_kept[self.pair_ends].all(axis=1)).tolist())
+        remade = replace(ByHand(), pair_ends=number[self.pair_ends], pair_xy=self.pair_xy).without_pairs(
+            np.flatnonzero(~is_kept[self.pair_ends].all(axis=1)).tolist()
+        )
         for drawing in self.drawings(map_poses):
             remade = remade.with_drawing(drawing._replace(until=int(before[drawing.until])), left)
         return remade

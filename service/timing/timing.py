@@ -17,12 +17,7 @@ MAX_SAMPLES = 200_000  # before the first scan
 LONG_BEFORE_NS = 5_000_000_000  # the first scan: then a topic has ended
 MIN_MESSAGES_LIVE = 100  # of a topic, before the share that is dropped is a warning
 
-KINDS: dict[type[Frame], str] = {
-    LaserScan: "scan",
-    ImuSample: "imu",
-    OdometrySample: "odom",
-    GnssFix: "fix",
-}
+KINDS: dict[type[Frame], str] = {LaserScan: "scan", ImuSample: "imu", OdometrySample: "odom", GnssFix: "fix"}
 _COUNTED = {
     (True, FAR): "scans_dropped_stamp",
     (True, LATE): "scans_dropped_late",

@@ -35,10 +35,7 @@ class DeskewByTwist:
     """
 
     def __init__(
-        self,
-        config: BeamsConfig,
-        mountings: Mapping[str, SE2],
-        outline_m: Sequence[tuple[float, float]] = (),
+        self, config: BeamsConfig, mountings: Mapping[str, SE2], outline_m: Sequence[tuple[float, float]] = ()
     ) -> None:
         self._config = config
         self._outline_m = np.array(outline_m, np.float64).reshape(-1, 2)

@@ -23,15 +23,7 @@ def align(
     """
     pose, settings = start.copy(), LmSettings(iterations)
     align_points(
-        xy,
-        weights,
-        *prior,
-        field,
-        settings,
-        iterations,
-        settings.first_damping,
-        pose,
-        np.empty((3, 3)),
+        xy, weights, *prior, field, settings, iterations, settings.first_damping, pose, np.empty((3, 3))
     )
     return pose
 

@@ -109,11 +109,7 @@ class JudgedMatching:
         self._before: tuple[Points, SE2] | None = None  # the previous lost scan and its predicted pose
 
     def match(
-        self,
-        points: Points,
-        predicted: Prediction,
-        local_map: SomeKnownMap,
-        aligner: Aligner[SomeKnownMap],
+        self, points: Points, predicted: Prediction, local_map: SomeKnownMap, aligner: Aligner[SomeKnownMap]
     ) -> Match:
         if reason := too_few(points):
             self._is_lost = True
@@ -133,11 +129,7 @@ class JudgedMatching:
         return match
 
     def _placed(
-        self,
-        points: Points,
-        predicted: Prediction,
-        local_map: SomeKnownMap,
-        aligner: Aligner[SomeKnownMap],
+        self, points: Points, predicted: Prediction, local_map: SomeKnownMap, aligner: Aligner[SomeKnownMap]
     ) -> Match:
         aligned = aligner.align(points, predicted, local_map, is_found=False)
         verdict = self._judged(aligned, predicted, local_map)

@@ -74,11 +74,7 @@ class Confirmation:
 
 
 def search_around(
-    xy_base: Floats,
-    pose: SE2,
-    reach: tuple[float, float],
-    layer: LikelihoodLayer,
-    step_rad: float = STEP_RAD,
+    xy_base: Floats, pose: SE2, reach: tuple[float, float], layer: LikelihoodLayer, step_rad: float = STEP_RAD
 ) -> SE2 | None:
     """The pose of the window at which the points have the highest likelihood.
 

@@ -23,9 +23,7 @@ DESKEW_BY_MOTION = ComponentKind(
 )
 NO_GRAPH = ComponentKind("no_graph", NoSettings, lambda _, __: NoGraph())
 OCCUPANCY_TILES = ComponentKind(
-    "occupancy_tiles",
-    OccupancyConfig,
-    lambda config, around: OccupancyTiles(config, around.cell_m),
+    "occupancy_tiles", OccupancyConfig, lambda config, around: OccupancyTiles(config, around.cell_m)
 )
 
 

@@ -24,10 +24,5 @@ class DynamicFilterConfig(Section):
 
     def settings(self) -> StaticScoreSettings:
         return StaticScoreSettings(
-            ticks_in(self.enough_s),
-            ticks_in(FREE_S),
-            MIN_NEW_WEIGHT,
-            MAX_GAIN,
-            self.behind_m,
-            BEAM_STEP,
+            ticks_in(self.enough_s), ticks_in(FREE_S), MIN_NEW_WEIGHT, MAX_GAIN, self.behind_m, BEAM_STEP
         )

@@ -12,13 +12,7 @@ from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.match import (
-    MIN_PRIOR_WEIGHT,
-    MatchResult,
-    Prior,
-    match_scan,
-    student_cost,
-)
+from service.kernels.match import MIN_PRIOR_WEIGHT, MatchResult, Prior, match_scan, student_cost
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.graph.model.point_clouds import SETTINGS
@@ -463,8 +457,5 @@ def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
             added += predicted.segment_covariance
         predicted = predicted.with_added_covariance(added)
     return Prior(
-        np.array(pose),
-        np.array(predicted.twist_base),
-        predicted.local_covariance,
-        predicted.twist_gain,
+        np.array(pose), np.array(predicted.twist_base), predicted.local_covariance, predicted.twist_gain
     )

@@ -76,11 +76,7 @@ class CandidateSubmap:
     """
 
     def __init__(
-        self,
-        keyframes: KeyframeList,
-        members: Iterable[int],
-        reference: int,
-        poses: Floats | None = None,
+        self, keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
     ) -> None:
         poses = keyframes.odom if poses is None else poses
         self.reference = reference
@@ -91,8 +87,7 @@ class CandidateSubmap:
         self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
         self._sensors = [
             se2.points_from(
-                se2.between(poses[reference], poses[k]),
-                np.array(keyframes.thinned[k].sensor_xy_m),
+                se2.between(poses[reference], poses[k]), np.array(keyframes.thinned[k].sensor_xy_m)
             )
             for k in self.members
         ]

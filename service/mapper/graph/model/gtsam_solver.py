@@ -85,11 +85,7 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
         bearing_rad, range_m, of_both = bearing_range(xy, covariance)
         factors.add(
             gtsam.BearingRangeFactor2D(
-                seer,
-                pose_count + landmark,
-                gtsam.Rot2(bearing_rad),
-                range_m,
-                noise(of_both, width),
+                seer, pose_count + landmark, gtsam.Rot2(bearing_rad), range_m, noise(of_both, width)
             )
         )
     return factors, values

@@ -11,10 +11,7 @@ from service.geometry.poses import Floats
 from service.kernels.loops import path_lengths
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.odometry_edges import (
-    lost_steps,
-    odometry_edges,
-)
+from service.mapper.graph.model.odometry_edges import lost_steps, odometry_edges
 from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE
 from service.mapper.known_pose import carried
 

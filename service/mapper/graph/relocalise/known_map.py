@@ -43,13 +43,7 @@ from service.mapper.graph.model.candidate_submap import (
     seen_by,
 )
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.point_clouds import (
-    CELL_M,
-    Fit,
-    PointCloud,
-    SurfelSet,
-    joined,
-)
+from service.mapper.graph.model.point_clouds import CELL_M, Fit, PointCloud, SurfelSet, joined
 from service.mapper.matchers.window_search import thinned, window_around
 
 COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, each with one candidate

@@ -20,10 +20,7 @@ SURFEL_GAUSS_NEWTON = ComponentKind(
     reads=SurfelSubmaps,
 )
 SURFEL_SUBMAPS = ComponentKind(
-    "surfel_submaps",
-    SubmapsConfig,
-    lambda config, _: SurfelSubmaps(config),
-    makes=SurfelSubmaps,
+    "surfel_submaps", SubmapsConfig, lambda config, _: SurfelSubmaps(config), makes=SurfelSubmaps
 )
 LOOP_CLOSING = ComponentKind(
     "loop_closing",

@@ -1,12 +1,7 @@
 """Tang et al. 2014: ICP narrows the window, exhaustive search on a likelihood map in patches decides."""
 
 from service.mapper.components import ComponentKind, Method
-from service.mapper.methods.shared import (
-    DESKEW_BY_TWIST,
-    ESTIMATOR,
-    NO_GRAPH,
-    OCCUPANCY_TILES,
-)
+from service.mapper.methods.shared import DESKEW_BY_TWIST, ESTIMATOR, NO_GRAPH, OCCUPANCY_TILES
 from service.mapper.papers.imle.icp_then_search import IcpThenSearch, IcpThenSearchConfig
 from service.mapper.papers.imle.monte_carlo import MonteCarloConfig, MonteCarloSearch
 from service.mapper.papers.imle.patch_map import PatchMap, PatchMapConfig
@@ -19,10 +14,7 @@ PATCH_MAP = ComponentKind(
     makes=PatchMap,
 )
 ICP_THEN_SEARCH = ComponentKind(
-    "icp_then_search",
-    IcpThenSearchConfig,
-    lambda config, _: IcpThenSearch(config),
-    reads=PatchMap,
+    "icp_then_search", IcpThenSearchConfig, lambda config, _: IcpThenSearch(config), reads=PatchMap
 )
 ICP_SCAN_TO_SCAN = ComponentKind(
     "icp_scan_to_scan", IcpScanToScanConfig, lambda config, _: IcpScanToScan(config), reads=PatchMap

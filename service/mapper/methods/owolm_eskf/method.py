@@ -10,10 +10,7 @@ INERTIAL_MOTION = ComponentKind(
     "inertial_motion", InertialMotionConfig, lambda config, _: InertialMotion(config)
 )
 BRUTE_SEARCH = ComponentKind(
-    "brute_search",
-    BruteSearchConfig,
-    lambda config, _: BruteSearch(config),
-    reads=OrthogonalMap,
+    "brute_search", BruteSearchConfig, lambda config, _: BruteSearch(config), reads=OrthogonalMap
 )
 ORTHOGONAL_MAP = ComponentKind(
     "orthogonal_map", OrthogonalMapConfig, lambda config, _: OrthogonalMap(config), makes=OrthogonalMap

@@ -79,12 +79,7 @@ class ContourLm:
         self._config = config
         self._matching = JudgedMatching(config)
         self._lm = LmSettings(
-            MAX_TRIALS,
-            config.settled_m,
-            config.settled_rad,
-            config.first_damping,
-            MAX_DAMPING,
-            DAMPED_FLOOR,
+            MAX_TRIALS, config.settled_m, config.settled_rad, config.first_damping, MAX_DAMPING, DAMPED_FLOOR
         )
         self._floor = diagonal(config.floor_position_m, config.floor_heading_rad)
 

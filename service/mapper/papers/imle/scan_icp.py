@@ -60,12 +60,7 @@ class ScanIcp:
         stride = max(1, round(len(points.xy_base) / config.points))
         newer = np.ascontiguousarray(points.xy_base[::stride])
         result = icp_point_to_point(
-            newer,
-            older,
-            np.array(guess),
-            config.pair_m,
-            config.iterations,
-            config.settled,
+            newer, older, np.array(guess), config.pair_m, config.iterations, config.settled
         )
         if result.paired < max(config.least_inlier_ratio * len(newer), 3):
             return None

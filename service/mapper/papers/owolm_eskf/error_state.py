@@ -97,12 +97,7 @@ class ErrorStateFilter:
         self._gather(self._step, self._noise_per_s * time_s)
 
     def move(
-        self,
-        step: SE2,
-        time_s: float,
-        twist: tuple[float, float, float],
-        sigmas: Array,
-        is_measured: bool,
+        self, step: SE2, time_s: float, twist: tuple[float, float, float], sigmas: Array, is_measured: bool
     ) -> None:
         """Propagate by one step from odometry or the last speed, while the IMU is silent.
 

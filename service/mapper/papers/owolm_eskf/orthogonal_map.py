@@ -15,13 +15,7 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.blurred_segments import NO_SEGMENT, segments_along
 from service.kernels.likelihood import LikelihoodField
 from service.kernels.likelihood_search import LikelihoodLayer
-from service.kernels.orthogonal_weights import (
-    FULL,
-    MAXIMUM,
-    NOISY_OR,
-    WeightedLayer,
-    insert_weighted,
-)
+from service.kernels.orthogonal_weights import FULL, MAXIMUM, NOISY_OR, WeightedLayer, insert_weighted
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import MapChange, Match, Overlap, Points
 from service.mapper.maps.known_ground import KnownGround

@@ -53,10 +53,7 @@ class LandmarkGraph(BackgroundGraph[Result]):
     """Graph."""
 
     def __init__(
-        self,
-        config: LandmarkGraphConfig,
-        renderer: MapRenderer | None,
-        new_worker: NewWorker,
+        self, config: LandmarkGraphConfig, renderer: MapRenderer | None, new_worker: NewWorker
     ) -> None:
         super().__init__(LandmarkBackEnd(config, renderer), new_worker)
         self._key_odom: dict[int, SE2] = {}  # by stamp of each key scan: pose by the mapper
