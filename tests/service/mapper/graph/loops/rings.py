@@ -21,7 +21,7 @@ ROUND = round(2.0 * (LENGTH_M + WIDTH_M) / STEP_M)  # key frames
 CABINET = np.array([(3.7, -0.9), (4.9, -0.9), (4.9, -0.4), (3.7, -0.4)])
 RENDERER = OccupancyTiles(OccupancyConfig(), 0.05).renderer
 TURN_ERROR_RADPM = 0.004
-FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 180, 181
+FIRST_RAD, STEP_RAD, BEAMS = -2.2, 4.4 / 360, 361
 
 
 def rectangle(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
