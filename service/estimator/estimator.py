@@ -15,7 +15,7 @@ from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
 from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
 from service.estimator.motion import Matrix, Measurement, Motion, OdometryIncrement, Prediction, scan_alone
-from service.estimator.standstill import Standstill, is_repeated
+from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import add_scale_error, predict_motion, take_match, transfer_into_map
@@ -397,13 +397,12 @@ class Estimator:
             return False
         if last is not None:
             track = self._odometry.track
-            if is_repeated(value[:3], track.value[last, :3]):
+            if value[:3] == tuple(track.value[last, :3]):
                 if self._has_begun and self._still.is_uninformative(
                     sample.stamp_ns, track, self.filter, self._elapsed_s
                 ):
                     self._is_unconfirmed_stop = self._still.is_unconfirmed_stop
                     return True
-                value = (*track.value[last, :3].tolist(), *value[3:])  # without what rounding adds
             else:
                 # The motion while odometry was stuck is unknown.
                 is_dead = self._still.is_stuck or self._still.is_unconfirmed_stop

@@ -1,7 +1,7 @@
 """Odometry that repeats a pose: the vehicle stands, or the encoder or its driver has failed; [30].
 
-By its model a dead encoder measures standstill more precisely than any other source. The same pose, to a
-micrometre, is used only from odometry that has moved before, and after a stop that a vehicle can make or that
+By its model a dead encoder measures standstill more precisely than any other source. The same pose, to the
+last bit, is used only from odometry that has moved before, and after a stop that a vehicle can make or that
 scans confirm. Odometry that stood while the vehicle moved is used again once its pose changes.
 """
 
@@ -16,19 +16,12 @@ from service.geometry.se2 import wrap_angle
 from service.kernels.filter_state import TWIST, Filter
 from service.kernels.tracks import Track
 
-REPEATED_M, REPEATED_RAD = 1e-6, 1e-6  # no encoder resolves less; filters and frame changes round by it
 # Speed at standstill, 1 sigma; a vehicle that moves is faster by so many sigmas.
 STANDSTILL_SIGMA, MOVING_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
 MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0  # of a vehicle that stops by itself
 # Odometry that stands so long, or so far, while the vehicle moves is stuck.
 STUCK_NS, STUCK_M, STUCK_RAD = 1_000_000_000, 0.1, 0.1
 MISSED_SCANS = 5  # and more than STUCK_NS: the laser is silent
-
-
-def is_repeated(pose: tuple[float, float, float], last: npt.NDArray[np.float64]) -> bool:
-    """Whether a sample repeats the last pose (3,), but for rounding by what computed it."""
-    x_m, y_m, theta_rad = (pose - last).tolist()
-    return math.hypot(x_m, y_m) < REPEATED_M and abs(theta_rad) < REPEATED_RAD
 
 
 @dataclass(frozen=True, slots=True)
