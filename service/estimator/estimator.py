@@ -397,12 +397,13 @@ class Estimator:
             return False
         if last is not None:
             track = self._odometry.track
-            if value[:3] == tuple(track.value[last, :3]):
+            if self._still.is_repeated(value[:3], track.value[last, :3], self.filter):
                 if self._has_begun and self._still.is_uninformative(
                     sample.stamp_ns, track, self.filter, self._elapsed_s
                 ):
                     self._is_unconfirmed_stop = self._still.is_unconfirmed_stop
                     return True
+                value = (*track.value[last, :3].tolist(), *value[3:])  # without what rounding added
             else:
                 # The motion while odometry was stuck is unknown.
                 is_dead = self._still.is_stuck or self._still.is_unconfirmed_stop

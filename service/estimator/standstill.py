@@ -1,8 +1,8 @@
 """Odometry that repeats a pose: the vehicle stands, or the encoder or its driver has failed; [30].
 
-By its model a dead encoder measures standstill more precisely than any other source. The same pose, to the
-last bit, is used only from odometry that has moved before, and after a stop that a vehicle can make or that
-scans confirm. Odometry that stood while the vehicle moved is used again once its pose changes.
+By its model a dead encoder measures standstill more precisely than any other source. The same pose is used
+only from odometry that has moved before, and after a stop that a vehicle can make or that scans confirm.
+Odometry that stood while the vehicle moved is used again once its pose changes.
 """
 
 import math
@@ -16,6 +16,7 @@ from service.geometry.se2 import wrap_angle
 from service.kernels.filter_state import TWIST, Filter
 from service.kernels.tracks import Track
 
+ROUNDING_M, ROUNDING_RAD = 1e-9, 1e-9  # by filters and changes of frame, within some 1000 km of the origin
 # Speed at standstill, 1 sigma; a vehicle that moves is faster by so many sigmas.
 STANDSTILL_SIGMA, MOVING_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
 MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0  # of a vehicle that stops by itself
@@ -37,13 +38,25 @@ class _ImpossibleStop:
 
 @dataclass(slots=True)
 class Standstill:
-    """Call `is_uninformative` with each sample that repeats a pose; another pose begins a new Standstill."""
+    """Call `is_uninformative` with each sample that `is_repeated`; another pose begins a new Standstill."""
 
     has_moved: bool = False  # at least once
     is_stuck: bool = False  # odometry stands while the vehicle moves
     is_unconfirmed_stop: bool = False  # odometry stopped faster than a vehicle brakes; no scan confirms it
     _since_ns: int | None = None  # stamp of the first repeated sample
     _stop: _ImpossibleStop | None = None  # until a scan confirms it
+
+    def is_repeated(
+        self, pose: tuple[float, float, float], last: npt.NDArray[np.float64], state: Filter
+    ) -> bool:
+        """Whether a sample repeats the last pose (3,): to the last bit, or but for rounding while the vehicle
+        moves.
+        """
+        x_m, y_m, theta_rad = (pose - last).tolist()
+        if x_m == y_m == theta_rad == 0.0:
+            return True
+        is_rounded = math.hypot(x_m, y_m) < ROUNDING_M and abs(theta_rad) < ROUNDING_RAD
+        return is_rounded and (self.is_stuck or _is_moving(state))
 
     def is_uninformative(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
         """Whether such a sample is no evidence of standstill.

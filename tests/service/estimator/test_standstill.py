@@ -22,17 +22,29 @@ def way_m_at(stamp_ms: int, stands_ms: tuple[int, int]) -> float:
 
 
 @pytest.mark.parametrize(
-    "dies_ms", [0, DEAD_MS, 6500, None], ids=["never lived", "driving", "standing", "lives"]
+    ("dies_ms", "rounding_m", "most_m"),
+    [
+        pytest.param(0, 0.0, 0.08, id="never lived"),
+        pytest.param(DEAD_MS, 0.0, 0.08, id="driving"),
+        pytest.param(6500, 0.0, 0.5, id="standing"),
+        pytest.param(None, 0.0, 0.08, id="lives"),
+        pytest.param(DEAD_MS, 1e-10, 0.08, id="driving, rounds"),
+        pytest.param(6500, 1e-10, 1.0, id="standing, rounds"),
+        pytest.param(None, 1e-10, 0.08, id="lives, rounds"),
+    ],
 )
-def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(dies_ms: int | None) -> None:
+def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(
+    dies_ms: int | None, rounding_m: float, most_m: float
+) -> None:
     """It reports standstill to 0.2 mm, where scans measure the motion to 15 mm; true from 6.5 to 8 s."""
     model, random, stands_ms = Estimator(EstimatorConfig()), np.random.default_rng(5), (6000, 8000)
-    off_m, faults, counted_m = [], [], 0.0
+    rounding, off_m, faults, counted_m = np.random.default_rng(6), [], [], 0.0
     for stamp_ms in range(0, 12_001, 20):
         way_m = way_m_at(stamp_ms, stands_ms)
         if dies_ms is None or stamp_ms <= dies_ms:
             counted_m = way_m
-        assert model.add(odometry(stamp_ms, SE2(counted_m, 0.0, 0.0)))
+        said_m = counted_m + rounding_m * rounding.uniform(-1.0, 1.0)
+        assert model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
         if stamp_ms % 100 == 0:
             model.predict(stamp_ms * MS)
             seen = SE2(way_m + random.normal(0.0, 0.015), 0.0, 0.0)
@@ -40,7 +52,7 @@ def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(dies_ms: int 
             off_m.append(abs(found.x_m - way_m))
             faults.append(model.fault)
     # The one that dies unnoticed is detected by the scans that contradict it.
-    assert max(off_m) < (0.5 if dies_ms == 6500 else 0.08)
+    assert max(off_m) < most_m
     assert faults[-1].startswith("odometry contradicts the scans (it says the same pose again") is (
         dies_ms is not None
     )
