@@ -15,7 +15,6 @@ from service.kernels.likelihood import LikelihoodField
 from service.kernels.match import MIN_PRIOR_WEIGHT, MatchResult, Prior, match_scan, student_cost
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
-from service.mapper.graph.model.point_clouds import SETTINGS
 from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
@@ -45,6 +44,7 @@ from service.mapper.scan_match.moving_scene import MovingScene, SteadyMotion
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.scan_match.range_bias import SAME_WALL_M, RangeBias
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
+from service.mapper.surfel_alignment import ALIGNMENT
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
@@ -91,7 +91,7 @@ class SurfelGaussNewton:
 
     def __init__(self, config: SurfelMatcherConfig) -> None:
         self._config = config
-        self._settings = SETTINGS._replace(
+        self._settings = ALIGNMENT._replace(
             surfel_sigma_m=SURFEL_SIGMA_M,
             wall_sigma_m=config.wall_sigma_m,
             cauchy_m=config.cauchy_m,
@@ -100,7 +100,7 @@ class SurfelGaussNewton:
             coarse_m=COARSE_M,
             coarse_rad=COARSE_RAD,
             coarse_beams=COARSE_BEAMS,
-            coarse_iterations=SETTINGS.iterations,
+            coarse_iterations=ALIGNMENT.iterations,
             near=NEAR,
         )
         self._bias = RangeBias()

@@ -11,39 +11,17 @@ from service.geometry import poses as se2
 from service.geometry.grid import tiles_of
 from service.geometry.poses import Floats
 from service.kernels import surfels
-from service.kernels.filter_state import STUDENT
 from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
 from service.kernels.surfels import SurfelGrid, insert_surfels
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.saved_graph import POINT_STEP_M, USUAL_RANGE_SIGMA_M
+from service.mapper.surfel_alignment import ALIGNMENT
 
 CELL_M = 0.10  # of the surfels of key frames
 CLOUD_COUNT_LIMIT = 50.0  # limit of the points counted in a surfel of key frames
 CLOUD_POOL_TILES = 4096
 BLOCK_CELLS = 10.0  # edge of the blocks by which points are sorted: neighbouring normals share noise
-SETTINGS = MatchSettings(  # of Gauss-Newton on surfels
-    range_sigma_m=USUAL_RANGE_SIGMA_M,
-    surfel_sigma_m=USUAL_RANGE_SIGMA_M,
-    wall_sigma_m=0.006,
-    repeats=1.0,
-    chance_chi2=0.0,
-    information_chance_chi2=0.0,
-    cauchy_m=0.10,
-    least_normal_cosine=surfels.MIN_NORMAL_COSINE,
-    iterations=15,
-    deskew_rounds=0,
-    inlier_m=0.10,  # largest distance of an inlier from its surfel
-    coarse_sigma=1.0,  # not read without coarse_iterations
-    coarse_m=0.0,
-    coarse_rad=0.0,
-    coarse_beams=0,
-    coarse_iterations=0,
-    near=1.0,
-    settled_m=0.0005,  # a smaller step ends the alignment
-    settled_rad=0.0001,
-    degrees_of_freedom=STUDENT,
-)
 NO_FIELD: npt.NDArray[np.float32] = np.zeros((CLOUD_POOL_TILES, 1, 1), np.float32)  # not read here
 
 
@@ -127,12 +105,12 @@ class SurfelSet:
 
     def align(self, cloud: PointCloud, pose: Floats, chance_chi2: float = 0.0) -> Fit:
         """Another cloud aligned with the surfels, from a nearby pose. chance_chi2: see scan_information."""
-        return self._fit(cloud, pose, SETTINGS._replace(chance_chi2=chance_chi2))
+        return self._fit(cloud, pose, ALIGNMENT._replace(chance_chi2=chance_chi2))
 
     def align_with_shared_errors(self, cloud: PointCloud, pose: Floats, chance_chi2: float) -> Fit:
         """As align, for a cloud of several key frames: points in one cell share the errors of its wall."""
         fit = self.align(cloud, pose, chance_chi2)
-        as_it_lies = SETTINGS._replace(chance_chi2=chance_chi2, iterations=0)
+        as_it_lies = ALIGNMENT._replace(chance_chi2=chance_chi2, iterations=0)
         return replace(fit, information=self._fit(cloud.by_cell(fit.pose), fit.pose, as_it_lies).information)
 
     def _fit(self, cloud: PointCloud, pose: Floats, settings: MatchSettings) -> Fit:
