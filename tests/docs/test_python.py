@@ -30,7 +30,6 @@ ELSEWHERE = {  # pages whose programs have a test of their own
     **{f"docs/recipes/{name}.md": "tests/docs/test_api.py" for name in RECIPES},
     "docs/commands.md": "tests/service/publishing/test_commands_doc.py",
     "docs/security.md": "tests/service/publishing/test_security.py",
-    "docs/subscribing.md": "tests/service/publishing/test_subscribing_doc.py",
 }
 HERE = {"README.md", "docs/recording.md"}
 

@@ -1,8 +1,8 @@
-"""The program that docs/subscribing.md offers, as it stands there, in processes of its own."""
+"""mirror.py, the program that docs/subscribing.md offers, in processes of its own."""
 
 import hashlib
 import json
-import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -17,7 +17,7 @@ from tests.in_background import in_background
 from tests.service.mapstore.tile_makers import tile
 from tests.waiting import wait_until
 
-DOC = Path(__file__).parents[3] / "docs" / "subscribing.md"
+HERE = Path(__file__).parent
 
 # Joins, says so, follows until stdin says which version is the last, and prints what it holds then.
 JOINER = """
@@ -45,8 +45,7 @@ with connect(sys.argv[1]) as session:
 
 @pytest.fixture
 def programs(tmp_path) -> Path:
-    (code,) = re.findall(r"```python\n(.*?)```", DOC.read_text(), flags=re.DOTALL)
-    (tmp_path / "mirror.py").write_text(code)
+    shutil.copy(HERE / "mirror.py", tmp_path)
     (tmp_path / "joiner.py").write_text(JOINER)
     return tmp_path
 
