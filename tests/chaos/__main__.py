@@ -1,9 +1,9 @@
-"""The fault campaign: `python -m tests.chaos [--only ROW] [--docs]`.
+"""The fault campaign: `python -m tests.chaos [--only ROW]`.
 
 A drive of five fake devices and the service in real time for each row, judged against the truth: map, state,
 recovery, what was lost.
-Results are kept in build/chaos.json; `--docs` writes them, those of earlier calls too, into
-docs/reliability.md. Exits 1 where a row is not as expected.
+Results are kept in build/chaos.json; build/chaos.md is their table, those of earlier calls too. Exits 1 where
+a row is not as expected.
 """
 
 import argparse
@@ -17,8 +17,7 @@ from pathlib import Path
 from service.compile.cache import ensure_cache_dir
 
 ROOT = Path(__file__).parents[2]
-KEPT, PAGE = ROOT / "build" / "chaos.json", ROOT / "docs" / "reliability.md"
-BEGIN, END = "<!-- make chaos: begin -->", "<!-- make chaos: end -->"
+KEPT, TABLE = ROOT / "build" / "chaos.json", ROOT / "build" / "chaos.md"
 
 
 def main() -> int:
@@ -30,7 +29,6 @@ def main() -> int:
     parser.add_argument("--only", action="append", default=[], help="a row; a wrong one lists them")
     parser.add_argument("--kills", type=int, default=200, help="of the service (default 200)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--docs", action="store_true", help="write the table of docs/reliability.md")
     options = parser.parse_args()
     table = rows(options.seed, options.kills)
     if unknown := set(options.only) - table.keys():
@@ -50,9 +48,8 @@ def main() -> int:
         failed += bool(result.get("missed"))
         _keep(name, result)
         print(f"{name} ({time.monotonic() - began_s:.0f} s): {_measured(result)}", flush=True)
-    if options.docs:
-        kept = json.loads(KEPT.read_text())
-        _write_page([kept[name] for name in table if name in kept])
+    kept = json.loads(KEPT.read_text())
+    _write_table([kept[name] for name in table if name in kept])
     print(f"{failed} not as expected; seed {options.seed}")
     return int(failed > 0)
 
@@ -83,12 +80,10 @@ def _measured(result: dict[str, object]) -> str:
     return "; ".join(filter(None, words))
 
 
-def _write_page(results: list[dict[str, object]]) -> None:
+def _write_table(results: list[dict[str, object]]) -> None:
     lines = ["| fault | expected | measured |", "|---|---|---|"]
     lines += [f"| {one['fault']} | {one['expected']} | {_measured(one)} |" for one in results]
-    before, _, rest = PAGE.read_text().partition(BEGIN)
-    after = rest.partition(END)[2]
-    PAGE.write_text("\n".join([before + BEGIN, *lines, END + after]))
+    TABLE.write_text("\n".join([*lines, ""]))
 
 
 if __name__ == "__main__":
