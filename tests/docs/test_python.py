@@ -10,8 +10,6 @@ from service.encoding import encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from tests.docs.blocks import ROOT, written_in
-from tests.drivers.faulty_devices import linked
-from tests.service.offline.replay.test_raw import record
 from tests.service.publishing.conftest import (
     client,
     open_client,
@@ -31,7 +29,7 @@ ELSEWHERE = {  # pages whose programs have a test of their own
     "docs/commands.md": "tests/service/publishing/test_commands_doc.py",
     "docs/security.md": "tests/service/publishing/test_security.py",
 }
-HERE = {"README.md", "docs/recording.md"}
+HERE = {"README.md"}
 
 
 def program_of(page):
@@ -61,18 +59,3 @@ def test_the_subscriber_prints_poses_for_as_long_as_they_come(publisher, client,
             assert reader.poll() is None
         finally:
             reader.kill()
-
-
-def test_a_recorded_wire_makes_the_frames_of_then(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    link = linked("lms100 cola_a", "kind: drop, at_s: 2, for_s: 0.2, share: 0.5")
-    link.run(3.0)
-    record(tmp_path / "recorded", {"front": link}).rename(tmp_path / "veh1_20261121T101500Z_0001.mcap")
-    names: dict[str, object] = {}
-    exec(compile(program_of("docs/recording.md"), "docs/recording.md", "exec"), names)
-    frames = names["frames"]
-    assert isinstance(frames, list)
-    assert len(frames) > 50
-    for frame, then in zip(frames, link.passed_on, strict=True):
-        assert frame.stamp_ns == then.stamp_ns
-        np.testing.assert_array_equal(frame.range_m, then.range_m)
