@@ -28,16 +28,20 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
+from service.kernels.wall_groups import group_by_wall
 from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
 from service.mapper.scan_match.submaps import Submap
 from service.outputs import NO_REASON, Reason, State
+
+Mask = npt.NDArray[np.bool_]
 
 # Over which both paths are compared, whichever is shorter; a window without moving returns is static again.
 WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
 USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 OUTLIER_SHARE = 0.1  # of the returns, on no static wall; more while part of the scene moves
+DECISIVE_SHARE = 0.5  # of the information about some direction
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
 # observed, and where none are.
@@ -117,10 +121,15 @@ class Reckoning:
     def clear(self) -> None:
         self._steps.clear()
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether odometry does not measure the motion."""
+        return self._silent_s > MAX_SILENT_S
+
     def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
         """Add a scan and its matched pose; returns the conflict where the two paths disagree."""
         self._silent_s = self._silent_s + predicted.elapsed_s if predicted.increment is None else 0.0
-        if self._silent_s > MAX_SILENT_S or not self._steps:
+        if self.is_silent or not self._steps:
             self.restart(stamp_ns, matched)
             return None
         steps, step = self._steps, predicted.increment or _by_speed(predicted)
@@ -263,13 +272,13 @@ class MovingScene:
         if attempt.predicted.elapsed_s > MAX_UNSEEN_S:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
             return aligned
-        if conflict is None and aligned.result.share > 1.0 - OUTLIER_SHARE:
+        if conflict is None and not self._reckoning.is_silent and aligned.result.share > 1.0 - OUTLIER_SHARE:
             self._has_moved = False
             return aligned
-        is_seen_moving = _dynamic_share(aligned) >= OUTLIER_SHARE
+        is_seen_moving = self._is_seen_moving(aligned, attempt)
         # Motion is visible in two consecutive scans; in one alone some returns are off the map by chance.
-        is_moving, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
-        if conflict is None and not is_moving:
+        moves, self._has_moved = is_seen_moving and self._has_moved, is_seen_moving
+        if conflict is None and not moves:
             return aligned
         prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
         static, share = self._align_static(attempt, prior, aligned.submap)
@@ -279,8 +288,8 @@ class MovingScene:
             return aligned
         else:
             nats = self._inertia_nats(attempt, aligned)
-            is_moving = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
-        nats += PRIOR_NATS if is_moving else -PRIOR_NATS
+            moves = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
+        nats += PRIOR_NATS if moves else -PRIOR_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
         if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
@@ -343,8 +352,8 @@ class MovingScene:
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all points."""
-        residual_m = submap.static_residuals(attempt.points.xy_base, attempt.normals, prior.pose)
-        is_static = np.isfinite(residual_m)
+        is_moving, is_static = _classified(attempt, submap, attempt.points.xy_base, prior.pose)
+        is_static &= ~is_moving
         normals = attempt.normals.copy()
         normals[~is_static, 2] = 0.0
         static = attempt._replace(normals=normals, prior=prior)
@@ -361,9 +370,9 @@ class MovingScene:
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """The static match with Student's weight of the prediction, and its moving returns marked."""
-        is_moving = static.submap.on_dynamic(static.xy_base, static.result.pose)
+        is_moving, _is_static = _classified(attempt, static.submap, static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
-        if moving_share >= OUTLIER_SHARE or self._is_drifting(static, attempt):
+        if self._is_seen_moving(static, attempt) or self._is_drifting(static, attempt):
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON
@@ -380,6 +389,24 @@ class MovingScene:
         result = static.result._replace(prior_weight=weight)
         return static._replace(result=result, state=state, reason=reason, is_moving=is_moving)
 
+    def _is_seen_moving(self, aligned: Aligned, attempt: Attempt) -> bool:
+        """Whether enough returns move to displace a match: of the returns, or without odometry of the
+        information that they give about some direction. In a bare corridor few decide how far it goes along.
+        """
+        of = aligned.submap, aligned.xy_base, aligned.result.pose
+        if aligned.submap.on_dynamic(*of[1:]).mean() >= OUTLIER_SHARE:
+            return True
+        if not self._reckoning.is_silent:
+            return False
+        is_moving, _is_static = _classified(attempt, *of)
+        if is_moving.sum() < BEAMS_TOGETHER:
+            return False
+        xy, (nx, ny, weight) = attempt.points.xy_base, attempt.normals.T
+        rows = np.sqrt(weight)[:, None] * np.column_stack((nx, ny, xy[:, 0] * ny - xy[:, 1] * nx))
+        moving = rows[is_moving]
+        shares = np.linalg.eigvals(np.linalg.pinv(rows.T @ rows) @ (moving.T @ moving))
+        return float(shares.real.max()) >= DECISIVE_SHARE
+
     def _is_drifting(self, static: Aligned, attempt: Attempt) -> bool:
         """Whether matches of entire scans drift from the static path.
 
@@ -393,8 +420,23 @@ class MovingScene:
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
 
 
-def _is_on_wall(residual_m: Matrix) -> npt.NDArray[np.bool_]:
-    is_on: npt.NDArray[np.bool_] = np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M
+def _classified(attempt: Attempt, submap: Submap, xy_base: Matrix, pose: Matrix) -> tuple[Mask, Mask]:
+    """(N,) whether each return moves, and whether it lies near a static wall.
+
+    It moves in a free or recently occupied cell off static walls, and where more returns of the same wall or
+    object do than are static: the ends of a floor line lie on walls.
+    """
+    is_static = np.isfinite(submap.static_residuals(xy_base, attempt.normals, pose))
+    is_moving = submap.on_dynamic(xy_base, pose) & ~is_static
+    group = np.empty(len(xy_base), np.int64)
+    sigma_m = np.full(len(xy_base), attempt.points.range_sigma_m)
+    group_by_wall(attempt.points.xy_base, attempt.normals, sigma_m, group)
+    moves = np.bincount(group, weights=is_moving) > np.bincount(group, weights=is_static)
+    return is_moving | moves[group], is_static
+
+
+def _is_on_wall(residual_m: Matrix) -> Mask:
+    is_on: Mask = np.abs(np.nan_to_num(residual_m, nan=np.inf)) < ON_WALL_M
     return is_on
 
 
@@ -409,11 +451,6 @@ def _share_on_walls_only_at(one: Aligned, other: Aligned, attempt: Attempt) -> f
 def _is_witnessed(predicted: Prediction) -> bool:
     """Whether odometry measured the step from a recent scan."""
     return predicted.increment is not None and predicted.elapsed_s <= MAX_UNSEEN_S
-
-
-def _dynamic_share(aligned: Aligned) -> float:
-    """Share of the returns in free or recently occupied cells."""
-    return float(aligned.submap.on_dynamic(aligned.xy_base, aligned.result.pose).mean())
 
 
 def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:

@@ -95,6 +95,12 @@ def test_a_line_on_the_floor_does_not_hold_the_vehicle(world: str, for_s: float,
     assert verdict.lost_percent == 0.0
 
 
+def test_a_ramp_does_not_hold_a_laser_alone_by_its_ends_on_the_walls() -> None:
+    verdict, *_ = judged(Case("ramp_alone", "ring", 11, 1 / 30))
+    assert verdict.ok_off == verdict.ok_beyond == 0
+    assert verdict.worst_m < 0.3
+
+
 def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     verdict, _, returns = judged(Case("escort", "ring", for_s=4.0, share=0.5))
     assert returns >= 0.5
