@@ -221,15 +221,15 @@ class Staged:
     returns: float  # share of the returns that the scene changes
 
 
-def staged(case: Case) -> Staged:
-    """Same case, same frames."""
+def staged(case: Case, after_s: float = AFTER_S) -> Staged:
+    """Same case, same frames, until so long after the scene."""
     for_s = seconds_of(case)
     plain = driven(WORLDS[case.world](), case.moment, case.speed_mps, BEFORE_S + for_s + AFTER_S)
     world = begun_at(plain, heading_rad(case.seed))
     from_s = world.drive.duration_s - plain.drive.duration_s + BEFORE_S
     still = Stage(case, world, from_s, from_s + for_s, imu=Imu() if case.has_imu else None)
     stage = SCENES[case.scene].change(still)
-    seconds = STAND_S + stage.to_s + AFTER_S
+    seconds = STAND_S + stage.to_s + after_s
     made = drive(stage.world, stage.laser, seconds, case.seed, stage.wheels, stage.imu, STAND_S)
     from_ns, to_ns = (round((STAND_S + at_s) * 1e9) for at_s in (stage.from_s, stage.to_s))
     if stage.tamper is not None:
