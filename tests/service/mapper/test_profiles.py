@@ -41,7 +41,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture(scope="module")
 def room_drive() -> Drive:
-    return drive(ROOM, round_the_room, 8.0)
+    return drive(ROOM, round_the_room, 5.0)
 
 
 def digest(output: MapperOutput) -> tuple:

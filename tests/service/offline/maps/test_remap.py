@@ -48,21 +48,20 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory) -> Path:
+def recorded(path: Path, seconds: float) -> Path:
     """The same way again, past the bin."""
-    made = drive(office_with_box(BIN, (BIN_M, BIN_M)), LASER, 14.0, 4, Wheels())
+    made = drive(office_with_box(BIN, (BIN_M, BIN_M)), LASER, seconds, 4, Wheels())
     messages: list[Message] = [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS)]
     messages += [encode_frame(frame, T0_NS) for frame in made.frames]
-    path = tmp_path_factory.mktemp("drives") / "later.mcap"
     write_file(path, sorted(messages, key=lambda message: message.log_ns))
     return path
 
 
 @pytest.fixture(scope="module")
-def remapped(folder, recording) -> tuple[StoredMap, dict, StoredMap]:
+def remapped(folder, tmp_path_factory) -> tuple[StoredMap, dict, StoredMap]:
     """By the command: the map before, what it said, and the map after."""
     before, said = load_map(folder), io.StringIO()
+    recording = recorded(tmp_path_factory.mktemp("drives") / "later.mcap", 14.0)
     area = [f"{length_m:.9f}" for length_m in lengths(*AREA_M)]
     command = ["map", "remap", str(folder), str(recording), "--area", *area, "--who", "ada", "--json"]
     with redirect_stdout(said):
@@ -122,8 +121,8 @@ def test_of_the_graph_only_points_in_the_area_went_and_key_frames_came(remapped)
     assert len(after.graph.loop_ends) == len(before.graph.loop_ends) + 2  # what holds the drive to the map
 
 
-def test_an_area_that_is_none_or_that_the_drive_did_not_see_is_refused_and_nothing_changes(folder, recording):
-    before = load_map(folder).number
+def test_an_area_that_is_none_or_that_the_drive_did_not_see_is_refused_and_nothing_changes(folder, tmp_path):
+    before, recording = load_map(folder).number, recorded(tmp_path / "later.mcap", 2.0)
     with pytest.raises(InputError, match="saw nothing of the area"):
         map_remap(folder, [recording], lengths((30, 30), (31, 30), (31, 31)), "ada", NOW_NS)
     with pytest.raises(UsageError, match="enclose no area"):  # before the drive is read
