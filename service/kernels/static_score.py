@@ -407,14 +407,17 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations,
     return in_free, behind
 
 
-@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Observations, float, int, Float64_1D)
-def static_residuals(xy_base, normals, pose, grid, observations, least_cosine, latest, residual_m):
+@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Observations, float, int, int, Float64_1D)
+def static_residuals(
+    xy_base, normals, pose, grid, observations, least_cosine, latest, latest_arrived, residual_m
+):
     """Distances of points from walls that exist since a path mark or before.
 
     Arguments as in count_contradicting, and
 
     least_cosine  float            as in find_surfels
     latest        int              mark
+    latest_arrived int             the same, of walls in cells that were free before
     residual_m    (N,)   float64   out: along the wall's normal; NaN without such a wall
     """
     slots = grid.tiles.slots
@@ -448,7 +451,8 @@ def static_residuals(xy_base, normals, pose, grid, observations, least_cosine, l
                 cosine = grid.surfels[slot, v, u, side, NORMAL_X] * nx
                 cosine += grid.surfels[slot, v, u, side, NORMAL_Y] * ny
                 if cosine >= least_cosine:
-                    is_static = exists_since(slots, first_row, first_column, observations, r, q, side, latest)
+                    mark = latest_arrived if observations.since[slot, v, u, side] >= ENTERED_FREE else latest
+                    is_static = exists_since(slots, first_row, first_column, observations, r, q, side, mark)
         if is_static:
             residual_m[i] = found[i, 2] * (xy[i, 0] - found[i, 0]) + found[i, 3] * (xy[i, 1] - found[i, 1])
 

@@ -50,7 +50,9 @@ FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on it is 1
 NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a segment that begins at the pose
 MAX_MISSES = 3  # then another segment is begun
-STATIC_PATH_M = 1.0  # what is seen over so much of the path is static: no object moves along for longer
+# What is seen over so much of the path is static: no object moves along for longer. In a cell that was free
+# before it may be one of several objects that follow each other.
+STATIC_PATH_M, ARRIVED_PATH_M = 1.0, 3.0
 MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below ENTERED_FREE
 
 
@@ -111,17 +113,19 @@ class Submap:
         return int(in_free), int(behind)
 
     def static_residuals(self, xy_base: Floats, normals: Floats, pose: Floats) -> Floats:
-        """As residuals, to static walls alone: those seen over STATIC_PATH_M of the path."""
-        return self.residuals(xy_base, normals, pose, self._static_mark)
+        """As residuals, to static walls: those seen over STATIC_PATH_M of the path, or ARRIVED_PATH_M."""
+        arrived = _mark_at(self._path_m - ARRIVED_PATH_M)
+        return self._residuals(xy_base, normals, pose, self._static_mark, arrived)
 
-    def residuals(self, xy_base: Floats, normals: Floats, pose: Floats, latest: int = MAX_MARK) -> Floats:
-        """(N,) m, residuals of points (N, 2) at a pose (3,) to walls; NaN without one.
+    def residuals(self, xy_base: Floats, normals: Floats, pose: Floats) -> Floats:
+        """(N,) m, residuals of points (N, 2) at a pose (3,) to walls; NaN without one."""
+        return self._residuals(xy_base, normals, pose, MAX_MARK, MAX_MARK)
 
-        latest: mark of the path since which a wall must have been seen.
-        """
+    def _residuals(self, xy_base: Floats, normals: Floats, pose: Floats, *latest: int) -> Floats:
+        """latest: marks of the path as in the kernel."""
         residual_m = np.empty(len(xy_base))
         grid, observations = self.grid(), self._observations()
-        static_residuals(xy_base, normals, pose, grid, observations, MIN_NORMAL_COSINE, latest, residual_m)
+        static_residuals(xy_base, normals, pose, grid, observations, MIN_NORMAL_COSINE, *latest, residual_m)
         return residual_m
 
     def on_dynamic(self, xy_base: Floats, pose: Floats) -> npt.NDArray[np.bool_]:

@@ -152,9 +152,13 @@ def test_what_comes_into_free_space_has_to_stay_before_it_is_taken() -> None:
     assert weights == [0.0, 0.0, 0.0, 1.0, 1.0]
 
 
-def residuals(place: CandidateSubmap, xy: np.ndarray, normals: np.ndarray, latest: int) -> np.ndarray:
+def residuals(
+    place: CandidateSubmap, xy: np.ndarray, normals: np.ndarray, latest: int, latest_arrived: int
+) -> np.ndarray:
     residual_m = np.empty(len(xy))
-    static_residuals(xy, normals, POSE, place.grid, place.observations, 0.6, latest, residual_m)
+    static_residuals(
+        xy, normals, POSE, place.grid, place.observations, 0.6, latest, latest_arrived, residual_m
+    )
     return residual_m
 
 
@@ -169,9 +173,9 @@ def test_a_wall_is_static_from_the_mark_at_which_it_was_first_seen() -> None:
     xy, normals = wall(2.0)
     for mark in range(5, 15):
         place.see(xy, normals, mark=mark)
-    assert np.isnan(residuals(place, xy, normals, 4)).all()
+    assert np.isnan(residuals(place, xy, normals, 4, 99)).all()
     near = xy - np.array([0.03, 0.0])
-    np.testing.assert_allclose(residuals(place, near, normals, 5), 0.03, atol=0.005)
+    np.testing.assert_allclose(residuals(place, near, normals, 5, 0), 0.03, atol=0.005)
 
 
 def test_points_in_known_free_space_have_moved_and_new_ground_has_not() -> None:
@@ -197,6 +201,8 @@ def test_an_object_in_free_space_is_dynamic_until_it_stayed_over_enough_of_the_p
     assert place.scores(near[0]).min() > 0
     assert moved(place, near[0], 29).all()
     assert not moved(place, near[0], 30).any()
+    assert np.isnan(residuals(place, *near, 99, 29)).all()
+    assert np.isfinite(residuals(place, *near, 0, 30)).all()
 
 
 def test_beams_that_end_behind_a_static_wall_pass_through_it() -> None:

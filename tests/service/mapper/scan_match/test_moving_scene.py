@@ -106,6 +106,13 @@ def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     assert verdict.worst_m < 0.05
 
 
+def test_people_who_overtake_one_after_another_are_no_static_walls() -> None:
+    """Each comes to where another one was a second before; the walls beside them look alike all along."""
+    verdict, *_ = judged(Case("overtaking", "ring", 1, 0.125))
+    assert verdict.ok_off == 0
+    assert verdict.worst_m < 0.05
+
+
 @pytest.mark.parametrize("for_s", [1.0, in_soak(6.0)])
 def test_a_laser_alone_is_not_placed_where_people_who_walk_along_began(for_s: float) -> None:
     """A corridor looks the same a metre farther on."""
