@@ -113,11 +113,6 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"fine_grid": Submap.grid},
     ),
     (
-        "held near the prediction where the map alone draws it away ([33])",
-        f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
-        {"_more_likely": lambda _, aligned, attempt: aligned},
-    ),
-    (
         "part of the scene moves where odometry and static walls agree ([35])",
         f"{METHOD}.moving_scene.MovingScene",
         {"match": lambda *_: None, "judge": lambda _, aligned, attempt: aligned, "explain": lambda *_: None},

@@ -12,7 +12,7 @@ from service.geometry.se2 import SE2
 from service.kernels.deskew import Returns
 from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import LikelihoodField
-from service.kernels.match import MIN_PRIOR_WEIGHT, MatchResult, Prior, match_scan, student_cost
+from service.kernels.match import MIN_PRIOR_WEIGHT, MatchResult, Prior, match_scan
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
 from service.mapper.judgement import (
@@ -59,9 +59,7 @@ MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
 GAUSSIAN = 1e9  # degrees of freedom of a Gaussian error
 LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
-# Factor on the usual inlier ratio, below which other initial poses are tried. Factor on the ratio far from
-# the prediction, below which a match near it may have been left for more inliers alone; [33].
-DOUBT_RATIO = 0.9
+DOUBT_RATIO = 0.9  # factor on the usual inlier ratio, below which other initial poses are tried
 
 
 SEGMENT_MAY_MOVE = Reason(
@@ -180,7 +178,7 @@ class SurfelGaussNewton:
             return self._on_segment(attempt, local_map, reason, 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
             return self._as_match(static, attempt, static.state, static.reason)
-        aligned = self._more_likely(self._align(attempt, attempt.prior.pose, submap), attempt)
+        aligned = self._align(attempt, attempt.prior.pose, submap)
         aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             aligned = self._scene.judge(aligned, attempt)
@@ -272,7 +270,7 @@ class SurfelGaussNewton:
     ) -> Aligned:
         """The match on a sub-map from the initial pose `start`, and its judgement.
 
-        is_constrained: the prior is Gaussian, and contradictions by the map are evaluated.
+        is_constrained: the prior is Gaussian.
         """
         points, predicted = attempt.points, attempt.predicted
         xy_base, normals = points.xy_base.copy(), attempt.normals
@@ -303,12 +301,10 @@ class SurfelGaussNewton:
             xy_base,
         )
         xy_base = xy_base[: len(points.xy_base)]
-        evidence = self._evidence(result, xy_base, attempt, submap, is_constrained)
+        evidence = self._evidence(result, xy_base, attempt, submap)
         return Aligned(result, xy_base, submap, *judge(evidence, self._config), evidence)
 
-    def _evidence(
-        self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap, is_checked: bool
-    ) -> Evidence:
+    def _evidence(self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
         is_far = (
             attempt.predicted.pause_s > GAP_S  # not measured: the vehicle may have been carried
@@ -317,7 +313,7 @@ class SurfelGaussNewton:
         )
         in_free, behind = 0, 0
         doubt_ratio = max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio)
-        if is_checked or is_far or result.share < doubt_ratio:
+        if is_far or result.share < doubt_ratio:
             in_free, behind = submap.contradicting(attempt.points, xy_base, attempt.normals, result.pose)
         return Evidence(
             used=result.used,
@@ -331,27 +327,6 @@ class SurfelGaussNewton:
             is_in_doubt=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
         )
-
-    def _more_likely(self, aligned: Aligned, attempt: Attempt) -> Aligned:
-        """The more likely of a match far from the prediction and the match near it; [33].
-
-        Returns on unknown ground cost as much as contradicting ones. A scan with many of them would be
-        attracted to the map where walls look alike. A match near the prediction with about as many inliers
-        excludes this cause.
-        """
-        if aligned.result.prior_weight >= MIN_PRIOR_WEIGHT:
-            return aligned
-        near = self._align(attempt, attempt.prior.pose, aligned.submap, is_constrained=True)
-        if near.is_contradicted or near.result.share > DOUBT_RATIO * aligned.result.share:
-            return aligned
-        off = np.array(SE2(*attempt.prior.pose.tolist()).inverse() @ near.pose)
-        pulled = np.linalg.solve(attempt.prior.covariance, off)
-        scan_cost = 0.5 * float(pulled @ np.linalg.pinv(near.result.information, hermitian=True) @ pulled)
-        cost, cost_near = (
-            student_cost(_chi2(result.pose, attempt.prior), STUDENT)
-            for result in (aligned.result, near.result)
-        )
-        return near if cost_near + scan_cost < cost else aligned
 
     def _matched_at_constant_velocity(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """The match from the pose at constant velocity, if it has clearly more inliers: odometry may be dead.

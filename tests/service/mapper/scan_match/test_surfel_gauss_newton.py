@@ -178,27 +178,6 @@ def test_the_points_come_back_deskewed_with_the_matched_twist() -> None:
     np.testing.assert_allclose(result.points.xy_base, still.xy_base, atol=0.004)
 
 
-def corridor_of(
-    first_m: float, last_m: float, beams: int, sigma_m: float, rng: np.random.Generator
-) -> Points:
-    """Both walls of a corridor along x."""
-    x_m = np.linspace(first_m, last_m, beams)
-    walls = [np.column_stack((x_m, np.full(beams, 1.0))), np.column_stack((x_m[::-1], np.full(beams, -1.0)))]
-    points = points_of(np.vstack(walls) + rng.normal(0.0, sigma_m, (2 * beams, 2)))
-    return points._replace(range_sigma_m=sigma_m)
-
-
-@pytest.mark.parametrize("seed", [12, 14])
-def test_walls_that_look_alike_draw_no_scan_into_the_map(seed: int) -> None:
-    """Most of the scan is of new ground, and more of it would lie on the map's walls farther ahead."""
-    rng = np.random.default_rng(seed)
-    chain, ahead = SurfelSubmaps(SubmapsConfig()), corridor_of(0.8, 12.0, 110, 0.04, rng)
-    chain.insert(ahead, match_at(SE2(), ahead, submap=0))
-    near = new_matcher().match(corridor_of(-4.0, 1.5, 260, 0.012, rng), predicted(SE2(), sigma=0.1), chain)
-    assert near.state != "lost"
-    assert abs(near.motion.pose_odom_base.x_m) < 0.05
-
-
 def test_a_compared_scan_of_new_ground_is_not_drawn_onto_walls_that_look_alike() -> None:
     """The map knows one end of a corridor, the scan the other: moved along it, all of it lies on the map."""
     known, seen = (
