@@ -31,7 +31,7 @@ from service.kernels.match import Prior, student_cost
 from service.kernels.wall_groups import group_by_wall
 from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
-from service.mapper.scan_match.submaps import Submap
+from service.mapper.scan_match.submaps import STATIC_PATH_M, Submap
 from service.outputs import NO_REASON, Reason, State
 
 Mask = npt.NDArray[np.bool_]
@@ -41,6 +41,7 @@ WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
 USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 OUTLIER_SHARE = 0.1  # of the returns, on no static wall; more while part of the scene moves
+PERSON_M = 0.6  # largest extent of an object that may walk by
 DECISIVE_SHARE = 0.5  # of the information about some direction
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
@@ -245,6 +246,7 @@ class MovingScene:
         # Since the last observation of motion: accumulated steps from the static match to that of the entire
         # scan, and path length.
         self._drift, self._path_length_m = SE2(), 0.0
+        self._moving_path_m = 0.0  # by odometry, since part of the scene began to move
 
     def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
         """The match of the static returns while part of the scene moves.
@@ -252,7 +254,10 @@ class MovingScene:
         None: the scene is static again, or its static part contradicts odometry.
         """
         if attempt.stamp_ns > self._moves_until_ns:
+            self._moving_path_m = 0.0
             return None
+        if not self._reckoning.is_silent:
+            self._moving_path_m += attempt.predicted.travel_m
         static, _share = self._align_static(attempt, attempt.prior, submap)
         if static.result.used < MIN_CONFIRMING or is_loose(sigmas_of(static.result.covariance)):
             self._moves_until_ns = NOTHING_MOVES
@@ -352,7 +357,9 @@ class MovingScene:
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all points."""
-        is_moving, is_static = _classified(attempt, submap, attempt.points.xy_base, prior.pose)
+        is_moving, is_static = _classified(
+            attempt, submap, attempt.points.xy_base, prior.pose, self._moving_path_m
+        )
         is_static &= ~is_moving
         normals = attempt.normals.copy()
         normals[~is_static, 2] = 0.0
@@ -420,18 +427,30 @@ class MovingScene:
         return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
 
 
-def _classified(attempt: Attempt, submap: Submap, xy_base: Matrix, pose: Matrix) -> tuple[Mask, Mask]:
+def _classified(
+    attempt: Attempt, submap: Submap, xy_base: Matrix, pose: Matrix, moving_path_m: float = 0.0
+) -> tuple[Mask, Mask]:
     """(N,) whether each return moves, and whether it lies near a static wall.
 
     It moves in a free or recently occupied cell off static walls, and where more returns of the same wall or
     object do than are static: the ends of a floor line lie on walls.
+
+    moving_path_m   path by odometry since part of the scene began to move: what is as small as a person is
+                    static only if it was there before; a laser alone may have nothing else to go by
     """
     is_static = np.isfinite(submap.static_residuals(xy_base, attempt.normals, pose))
     is_moving = submap.on_dynamic(xy_base, pose) & ~is_static
     group = np.empty(len(xy_base), np.int64)
     sigma_m = np.full(len(xy_base), attempt.points.range_sigma_m)
-    group_by_wall(attempt.points.xy_base, attempt.normals, sigma_m, group)
+    count = group_by_wall(attempt.points.xy_base, attempt.normals, sigma_m, group)
     moves = np.bincount(group, weights=is_moving) > np.bincount(group, weights=is_static)
+    if moving_path_m > 0.0:
+        lowest, highest = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+        np.minimum.at(lowest, group, xy_base)
+        np.maximum.at(highest, group, xy_base)
+        is_small = (np.hypot(*(highest - lowest).T) < PERSON_M)[group]
+        before = submap.static_residuals(xy_base, attempt.normals, pose, STATIC_PATH_M + moving_path_m)
+        is_static &= ~is_small | np.isfinite(before)
     return is_moving | moves[group], is_static
 
 

@@ -112,10 +112,12 @@ class Submap:
         )
         return int(in_free), int(behind)
 
-    def static_residuals(self, xy_base: Floats, normals: Floats, pose: Floats) -> Floats:
-        """As residuals, to static walls: those seen over STATIC_PATH_M of the path, or ARRIVED_PATH_M."""
-        arrived = _mark_at(self._path_m - ARRIVED_PATH_M)
-        return self._residuals(xy_base, normals, pose, self._static_mark, arrived)
+    def static_residuals(
+        self, xy_base: Floats, normals: Floats, pose: Floats, path_m: float = STATIC_PATH_M
+    ) -> Floats:
+        """As residuals, to static walls: those seen over so much of the path, or ARRIVED_PATH_M."""
+        arrived = _mark_at(self._path_m - max(ARRIVED_PATH_M, path_m))
+        return self._residuals(xy_base, normals, pose, _mark_at(self._path_m - path_m), arrived)
 
     def residuals(self, xy_base: Floats, normals: Floats, pose: Floats) -> Floats:
         """(N,) m, residuals of points (N, 2) at a pose (3,) to walls; NaN without one."""

@@ -106,11 +106,16 @@ def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
     assert verdict.worst_m < 0.05
 
 
-def test_people_who_overtake_one_after_another_are_no_static_walls() -> None:
+@pytest.mark.parametrize(
+    ("seed", "moment", "speed_mps", "share"), [(1, 0.125, 1.0, 0.33), (6, 0.7 / 3, 1.5, 0.55)]
+)
+def test_people_who_overtake_one_after_another_are_no_static_walls(
+    seed: int, moment: float, speed_mps: float, share: float
+) -> None:
     """Each comes to where another one was a second before; the walls beside them look alike all along."""
-    verdict, *_ = judged(Case("overtaking", "ring", 1, 0.125))
+    verdict, *_ = judged(Case("overtaking", "ring", seed, moment, speed_mps, share))
     assert verdict.ok_off == 0
-    assert verdict.worst_m < 0.05
+    assert verdict.worst_m < 0.1
 
 
 @pytest.mark.parametrize("for_s", [1.0, in_soak(6.0)])
