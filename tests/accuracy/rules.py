@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock, patch
+from unittest.mock import patch
 
 from service.kernels.deskew import deskew_points
 from service.kernels.filter_state import PackedFilter, views_of
@@ -27,7 +27,6 @@ from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ
 
 METHOD = "service.mapper.scan_match"
-NEVER_KNOWN = Mock(pose_at=lambda stamp_ns: None)  # in place of a SteadyMotion
 
 
 def normals_of_points_as_they_are(*arguments: Any) -> None:
@@ -89,8 +88,8 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "match tried where the vehicle would be had it gone on",
-        f"{METHOD}.surfel_gauss_newton",
-        {"SteadyMotion": lambda: NEVER_KNOWN},
+        f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
+        {"_matched_at_constant_velocity": lambda _, aligned, attempt: aligned},
     ),
     (
         "returns missing by chance are no gaps beside posts",
