@@ -400,14 +400,13 @@ class MovingScene:
         """Whether enough returns move to displace a match: of the returns, or without odometry of the
         information that they give about some direction. In a bare corridor few decide how far it goes along.
         """
-        of = aligned.submap, aligned.xy_base, aligned.result.pose
-        if aligned.submap.on_dynamic(*of[1:]).mean() >= OUTLIER_SHARE:
+        xy_base, pose = aligned.xy_base, aligned.result.pose
+        is_dynamic = aligned.submap.on_dynamic(xy_base, pose)
+        if is_dynamic.mean() >= OUTLIER_SHARE:
             return True
-        if not self._reckoning.is_silent:
+        if not self._reckoning.is_silent or is_dynamic.sum() < BEAMS_TOGETHER:
             return False
-        is_moving, _is_static = _classified(attempt, *of)
-        if is_moving.sum() < BEAMS_TOGETHER:
-            return False
+        is_moving, _is_static = _classified(attempt, aligned.submap, xy_base, pose)
         xy, (nx, ny, weight) = attempt.points.xy_base, attempt.normals.T
         rows = np.sqrt(weight)[:, None] * np.column_stack((nx, ny, xy[:, 0] * ny - xy[:, 1] * nx))
         moving = rows[is_moving]
