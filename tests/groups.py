@@ -25,7 +25,7 @@ LOOK_S = 0.5
 MAX_SILENCE_S = 900.0  # of a group; no test may take as long
 # Set, each of some hundred processes would compile every file again: a third of their processor time.
 WITHOUT_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-EXPECTED = "some seven minutes on two cores, ten on slow ones"
+EXPECTED = "some five minutes on two cores, ten on slow ones"
 MACHINES = ("tests/docs", "tests/system")  # services with all their devices, in real time
 DOCTOR = "tests/service/offline/doctor"
 REMAP = "tests/service/offline/maps/test_remap.py"
