@@ -12,13 +12,15 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.static_score import (
     Observations,
+    count_hits,
+    remove_by_ray_cast,
+    weigh_static_score,
+)
+from service.kernels.static_walls import (
     count_beams_through_walls,
     count_contradicting,
-    count_hits,
     find_dynamic,
-    remove_by_ray_cast,
     static_residuals,
-    weigh_static_score,
 )
 from service.kernels.surfels import (
     COLUMNS,

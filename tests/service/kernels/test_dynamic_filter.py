@@ -6,13 +6,11 @@ from service.kernels import tiles
 from service.kernels.static_score import (
     Observations,
     StaticScoreSettings,
-    count_beams_through_walls,
     count_hits,
-    find_dynamic,
     remove_by_ray_cast,
-    static_residuals,
     weigh_static_score,
 )
+from service.kernels.static_walls import count_beams_through_walls, find_dynamic, static_residuals
 from service.kernels.surfels import PARTS, TILE_BITS, TILE_MASK, SurfelGrid, insert_surfels
 from tests.service.kernels.grids import empty_grid
 from tests.service.kernels.inner import from_python
