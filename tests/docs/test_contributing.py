@@ -70,7 +70,8 @@ def test_a_config_with_all_three_is_valid(tree: Path):
 
 
 def test_the_tests_of_the_example_pass(tree: Path):
-    run(tree, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
+    scratch = f"--basetemp={tree / 'scratch'}"
+    run(tree, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", scratch, "tests")
 
 
 def test_the_examples_keep_the_rules_of_the_tree(tree: Path):
