@@ -86,7 +86,7 @@ class Running:
         command = [sys.executable, "-X", "faulthandler", "-m", "pytest"]
         command += ["-q", "-rs", "-p", "tests.failures_at_once", "-m", "not soak and not bench"]
         command += ["--durations=25"]  # its slowest tests stand at the end of its words
-        # One folder for all, as by default, is cleared by each at its end, which fails where two do it at once.
+        # By default all groups share one folder; two that clear it at the same time at their ends fail.
         command += [f"--basetemp={scratch / group.name}"]
         self.process = subprocess.Popen(
             ["nice", "-n", str(group.niceness), *command, "-p", "no:cacheprovider", *group.arguments],
