@@ -1,9 +1,6 @@
-"""The blocks of docs/api.md and of docs/recipes are run in the order of the page, on a small drive."""
+"""The blocks of docs/api.md and own_laser.md are run in the order of the page, on a small drive."""
 
-import csv
 import re
-import shutil
-import sys
 import threading
 from collections.abc import Iterator
 
@@ -13,12 +10,10 @@ import pytest
 import corridor
 from drivers.frames import LaserScan, OdometrySample
 from service.api import subscription
-from service.cli import main
 from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from tests.docs.blocks import ROOT, written_in
-from tests.docs.test_shell import commands_of
 from tests.in_background import in_background
 from tests.service.api.rooms import driven, recorded
 from tests.service.mapstore.tile_makers import tile
@@ -26,7 +21,6 @@ from tests.service.publishing.conftest import open_publisher, publisher, store
 
 __all__ = ["open_publisher", "publisher", "store"]  # fixtures
 ENDPOINT = "tcp/127.0.0.1:7447"
-FOR_ROS = "ros2"  # which is not installed here
 
 
 def run(page: str, replace: tuple[str, str] = ("", "")) -> dict[str, object]:
@@ -121,47 +115,3 @@ def test_a_laser_from_a_csv_is_mapped(folder, capsys):
     true = driven().truth[scans[-1].stamp_ns]
     np.testing.assert_allclose(path[-1, 1:], (true.x_m, true.y_m, true.theta_rad), atol=0.02)
     assert corridor.Map.load(folder / "map").version == 1
-
-
-def test_the_live_plot_shows_poses_as_they_come(folder, served, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["live_plot.py", served])
-    names = run("docs/recipes/live_plot.md")
-    line = names["line"]
-    assert set(zip(*line.get_data(), strict=True)) == {(1.0, 2.0)}  # type: ignore[attr-defined]
-    (block,) = [block for block in written_in("python") if block.page == "docs/recipes/live_plot.md"]
-    assert len([line for line in block.text.splitlines() if line.strip()]) <= 20
-
-
-def test_a_folder_becomes_a_table_with_a_line_for_each_recording(folder):
-    (folder / "drives").mkdir()
-    shutil.move(folder / "session.mcap", folder / "drives" / "a.mcap")
-    (folder / "drives" / "b.mcap").write_bytes(b"nothing")
-    run("docs/recipes/batch.md")
-    with open(folder / "drives.csv", newline="") as file:
-        good, bad = csv.DictReader(file)
-    assert (good["recording"], good["scans"], good["fault"]) == ("a.mcap", "50", "")
-    assert float(good["length_m"]) == pytest.approx(1.9, abs=0.4)
-    assert bad["scans"] == ""
-    assert "b.mcap" in bad["fault"]
-    assert (folder / "results" / "a" / "summary.json").exists()
-
-
-def test_the_map_goes_to_nav2_and_to_a_gis(folder, capsys):
-    page = "docs/recipes/map_elsewhere.md"
-    names = run(page)
-    result = names["result"]
-    assert isinstance(result, corridor.Result)
-    exported = 0
-    for block in (block for block in written_in("sh") if block.page == page):
-        for command, *arguments in commands_of(block.text):
-            if command != FOR_ROS:
-                assert main(arguments) == 0, capsys.readouterr().err
-                exported += 1
-            else:
-                assert (folder / arguments[-1].removeprefix("map:=")).exists()
-    assert exported == 4
-    assert {"site.png", "site.pgw", "site.tif", "site.dxf", "trajectory.csv"} <= {
-        path.name for path in folder.iterdir()
-    }
-    walls = np.loadtxt(folder / "walls.csv", delimiter=",")
-    assert len(walls) == (result.map.cells > 65).sum()

@@ -323,9 +323,9 @@ def test_the_example_names_every_parameter_with_its_default(profile: str) -> Non
     assert example == {key: defaults[key] for key in ("profile", "cell_m", "settings")}
 
 
-@pytest.mark.parametrize("profile", METHODS.keys() - {"corridor"})
-def test_each_setting_of_a_papers_profile_has_its_meaning_beside_it(profile: str) -> None:
-    shared = ("deskew", "free_space")  # docs/mapping.md describes them, and all settings of `corridor`
+@pytest.mark.parametrize("profile", METHODS)
+def test_each_setting_has_its_meaning_beside_it(profile: str) -> None:
+    shared = () if profile == "corridor" else ("deskew", "free_space")  # corridor.yaml describes them
     section, without = "", []
     for line in (ROOT / f"config/profiles/{profile}.yaml").read_text().splitlines():
         if heading := re.fullmatch(r"  (\w+):", line):
@@ -335,12 +335,8 @@ def test_each_setting_of_a_papers_profile_has_its_meaning_beside_it(profile: str
     assert without == []
 
 
-def test_there_are_at_most_forty_settings_each_with_advice() -> None:
-    parameters = (ROOT / "docs/mapping.md").read_text().split("## Parameters")[1]
-    rows = [re.split(r" *\| *", line)[1:-1] for line in parameters.splitlines() if line.startswith("| `")]
-    settings = list(leaves(mapping_config().settings.model_dump()))
-    assert len(settings) <= 40
-    assert sorted(name.strip("`") for name, _, _, when in rows if when) == sorted(settings)
+def test_there_are_at_most_forty_settings() -> None:
+    assert len(list(leaves(mapping_config().settings.model_dump()))) <= 40
 
 
 def leaves(settings: dict[str, Any], path: str = "") -> Iterator[str]:
