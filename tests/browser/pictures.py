@@ -43,8 +43,7 @@ from service.web.config import WebConfig
 from service.web.server import About, WebServer
 from simulators.truth import LMS100, UTM30LX, Ride
 from simulators.worlds import build_world
-from tests.browser.conftest import DESKTOP, PHONE, ROOT, Page, open_view
-from tests.browser.measure import chromium
+from tests.browser.conftest import DESKTOP, HEADLESS, PHONE, ROOT, Page, open_view, start_chromium
 from tests.browser.scene import event, statuses
 from tests.browser.test_edit import choose_places
 from tests.in_background import in_background, started
@@ -67,6 +66,17 @@ VERBS = [
     *("pause", "resume", "save_map", "reset_map", "load_map", "switch_profile"),
     *("start_recording", "stop_recording", "mark", "set_pose", "edit_map", "set_mode"),
 ]
+
+
+@contextmanager
+def chromium() -> Iterator[Page]:
+    driver = start_chromium(HEADLESS)
+    try:
+        page = Page(driver)
+        page.resize(DESKTOP)
+        yield page
+    finally:
+        driver.quit()
 
 
 class Office(NamedTuple):
