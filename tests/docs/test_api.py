@@ -1,4 +1,4 @@
-"""The blocks of docs/api.md and own_laser.md are run in the order of the page, on a small drive."""
+"""The blocks of docs/api.md are run in the order of the page, on a small drive."""
 
 import re
 import threading
@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 import corridor
-from drivers.frames import LaserScan, OdometrySample
 from service.api import subscription
 from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput
 from tests.docs.blocks import ROOT, written_in
 from tests.in_background import in_background
-from tests.service.api.rooms import driven, recorded
+from tests.service.api.rooms import recorded
 from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import open_publisher, publisher, store
 
@@ -97,21 +96,3 @@ def test_each_public_name_stands_in_the_table_once():
     assert sorted(names) == sorted(corridor.__all__)
     undocumented = [name for name in names if not (getattr(corridor, name).__doc__ or "").strip()]
     assert not undocumented
-
-
-def test_a_laser_from_a_csv_is_mapped(folder, capsys):
-    scans = [frame for frame in driven().frames if isinstance(frame, LaserScan)]
-    wheels = [frame for frame in driven().frames if isinstance(frame, OdometrySample)]
-    rows = [(scan.stamp_ns / 1e9, *scan.range_m) for scan in scans]
-    np.savetxt(folder / "scans.csv", rows, delimiter=",")
-    np.savetxt(
-        folder / "odometry.csv",
-        [(w.stamp_ns / 1e9, w.x_m, w.y_m, w.theta_rad) for w in wheels],
-        delimiter=",",
-    )
-    run("docs/recipes/own_laser.md", ("PERIOD_NS = 100_000_000", "PERIOD_NS = 20_000_000"))
-    assert capsys.readouterr().out == "50 scans mapped;\n"
-    path = np.loadtxt(folder / "trajectory.csv", delimiter=",")
-    true = driven().truth[scans[-1].stamp_ns]
-    np.testing.assert_allclose(path[-1, 1:], (true.x_m, true.y_m, true.theta_rad), atol=0.02)
-    assert corridor.Map.load(folder / "map").version == 1

@@ -24,7 +24,6 @@ __all__ = ["client", "open_client", "open_publisher", "open_session", "publisher
 
 ELSEWHERE = {  # pages whose programs have a test of their own
     "docs/api.md": "tests/docs/test_api.py",
-    "docs/recipes/own_laser.md": "tests/docs/test_api.py",
     "docs/commands.md": "tests/service/publishing/test_commands_doc.py",
     "docs/security.md": "tests/service/publishing/test_security.py",
 }
