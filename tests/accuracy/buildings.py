@@ -11,7 +11,7 @@ from simulators.world import World
 from simulators.worlds import WORLDS
 from simulators.worlds.corridors import corridor100
 from simulators.worlds.mall import mall
-from tests.accuracy.driving import Errors, Trip, errors_of, ok_and_wrong, ok_and_wrong_row
+from tests.accuracy.driving import Trip, errors_of, ok_and_wrong_row
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, UTM30LX_40HZ
 
@@ -60,15 +60,12 @@ def buildings(seeds: Sequence[int]) -> Section:
 def laser_alone(seeds: Sequence[int]) -> Section:
     rows = []
     for name, (world, bound_mm) in ALONE.items():
-        errors, wrong = Errors(), []
-        for made, done in Trip(world, LMS100_50HZ, wheels=None).runs(seeds):
-            errors.add(made, done)
-            wrong.append(ok_and_wrong(done))
+        errors = errors_of(Trip(world, LMS100_50HZ, wheels=None), seeds)
         rows += [
             Row("", f"{name}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
             Row("", f"{name}: live, as is", errors.as_is_mm, "mm", digits=1),
             Row("", f"{name}: scans lost", errors.lost_percent, "%", digits=1),
-            ok_and_wrong_row(name, wrong),
+            ok_and_wrong_row(name, errors.wrong_ok),
         ]
     return Section(
         "A laser alone",

@@ -105,6 +105,7 @@ class Errors:
     end_deg: list[float] = field(default_factory=list)
     lost_percent: list[float] = field(default_factory=list)
     scan_ms: list[float] = field(default_factory=list)  # p50
+    wrong_ok: list[float] = field(default_factory=list)  # scans, see ok_and_wrong
 
     def add(self, made: Drive, done: Run) -> None:
         end_m, end_rad = done.end_error
@@ -117,6 +118,7 @@ class Errors:
         self.end_deg.append(math.degrees(end_rad))
         self.lost_percent.append(100.0 * lost_share(done))
         self.scan_ms.append(float(np.median(done.scan_ms)))
+        self.wrong_ok.append(ok_and_wrong(done))
 
 
 def errors_of(trip: Trip, seeds: Sequence[int], config: MappingConfig | None = None) -> Errors:

@@ -1,8 +1,9 @@
 """What fails on a vehicle at night: silent sensors, a hung laser, a lift and carry, stamps that cannot be."""
 
 import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from drivers.frames import Frame, LaserScan
 from service.mapper.profiles import mapping_config
+from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.scene_judge import NORMED, SIGMAS, WRONG_M, normed
 from tests.accuracy.trials import ghost_cells
@@ -28,7 +30,8 @@ KNOWN_SHARE, KNOWN_M = 0.5, 0.1
 EACH = 10  # scan of those before
 OTHER_NOISE = 100  # added to a seed: the same drive once more
 ONTO_NEW = "lifted, carried on for 5 s with everything off"
-Fault = Callable[[Drive, int], Drive]
+# what is done to a drive at a time, ns, and how long it lasts, ns
+Faults = Mapping[str, tuple[Callable[[Drive, int], Drive], int]]
 
 
 @dataclass
@@ -109,22 +112,9 @@ def outages(seeds: Sequence[int]) -> Section:
     rows = []
     for name in ("office", "library"):
         world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
-        seconds = world.drive.duration_s
-        made, again = drives(world, LMS100_50HZ, seconds, [seeds[0], seeds[0] + OTHER_NOISE], Wheels())
-        faults = _faults(again, seeds[0])
-        outcomes = {what: Outcome() for what in faults}
-        for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
-            at_ns = round((0.1 + 0.7 * share) * seconds * 1e9)
-            until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
-            clean = ghost_cells(world, until, run_session(mapping_config(), until))
-            for what, fault in faults.items():
-                faulty = fault(until, at_ns)
-                done = run_session(mapping_config(), faulty)
-                after_ns = at_ns + (0 if what.startswith("one stamp") else OUTAGE_NS)
-                ghosts = ghost_cells(world, faulty, done) - clean
-                outcomes[what].add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
-                gc.collect()
-        for what, outcome in outcomes.items():
+        both = [seeds[0], seeds[0] + OTHER_NOISE]
+        made, again = drives(world, LMS100_50HZ, world.drive.duration_s, both, Wheels())
+        for what, outcome in _outcomes(world, made, _faults(again, seeds[0])).items():
             rows += outcome.rows(f"{name}, {what}", has_to_be_found=what != ONTO_NEW)
     return Section(
         "Outages",
@@ -145,19 +135,11 @@ def outages_alone(seeds: Sequence[int]) -> Section:
     for name in ("office", "library"):
         world = begun_at(WORLDS[name](), heading_rad(seeds[0]))
         (made,) = drives(world, LMS100_50HZ, world.drive.duration_s, [seeds[0]], None)
-        outcomes = {outage_ns: Outcome() for outage_ns in ALONE_NS}
-        for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
-            at_ns = round((0.1 + 0.7 * share) * world.drive.duration_s * 1e9)
-            until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
-            clean = ghost_cells(world, until, run_session(mapping_config(), until))
-            for outage_ns, outcome in outcomes.items():
-                faulty = laser_silent(until, at_ns, outage_ns)
-                done = run_session(mapping_config(), faulty)
-                after_ns, ghosts = at_ns + outage_ns, ghost_cells(world, faulty, done) - clean
-                outcome.add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
-                gc.collect()
-        for outage_ns, outcome in outcomes.items():
-            rows += outcome.rows(f"{name}, silent for {outage_ns * 1e-9:.0f} s", has_to_be_found=False)
+        faults: Faults = {
+            f"silent for {ns * 1e-9:.0f} s": (partial(laser_silent, for_ns=ns), ns) for ns in ALONE_NS
+        }
+        for what, outcome in _outcomes(world, made, faults).items():
+            rows += outcome.rows(f"{name}, {what}", has_to_be_found=False)
     return Section(
         "Outages of a laser alone",
         f"As above, without odometry and IMU: nobody measures the way while the laser is silent. {MOMENTS} "
@@ -168,7 +150,23 @@ def outages_alone(seeds: Sequence[int]) -> Section:
     )
 
 
-def _faults(again: Drive, seed: int) -> dict[str, Fault]:
+def _outcomes(world: World, made: Drive, faults: Faults) -> dict[str, Outcome]:
+    """Of each fault at each moment of a drive."""
+    outcomes = {what: Outcome() for what in faults}
+    for share in (np.arange(MOMENTS) + 0.5) / MOMENTS:
+        at_ns = round((0.1 + 0.7 * share) * world.drive.duration_s * 1e9)
+        until = _until(made, at_ns + OUTAGE_NS + AFTER_NS)
+        clean = ghost_cells(world, until, run_session(mapping_config(), until))
+        for what, (fault, lasts_ns) in faults.items():
+            faulty, after_ns = fault(until, at_ns), at_ns + lasts_ns
+            done = run_session(mapping_config(), faulty)
+            ghosts = ghost_cells(world, faulty, done) - clean
+            outcomes[what].add(done, after_ns, ghosts, is_on_known_ground(faulty, at_ns, after_ns))
+            gc.collect()
+    return outcomes
+
+
+def _faults(again: Drive, seed: int) -> Faults:
     """again: the same drive with other noise."""
     places = np.random.default_rng(seed)
 
@@ -176,14 +174,15 @@ def _faults(again: Drive, seed: int) -> dict[str, Fault]:
         to_ns = round(places.uniform(0.1, 0.7) * at_ns)
         return carried_back(made, again, at_ns, OUTAGE_NS, to_ns, AFTER_NS)
 
-    return {
+    last = {
         "laser and odometry silent for 5 s, driven on": lambda made, at_ns: silent(made, at_ns, OUTAGE_NS),
         "laser silent for 5 s": lambda made, at_ns: laser_silent(made, at_ns, OUTAGE_NS),
         "one scan repeated for 5 s": _hung,
         "lifted, carried back within 5 s with everything off": back,
         ONTO_NEW: lambda made, at_ns: carried_on(made, at_ns, OUTAGE_NS),
-        "one stamp 5 s ahead": lambda made, at_ns: _ahead(made, at_ns, OUTAGE_NS),
-        "one stamp 1000 s ahead": lambda made, at_ns: _ahead(made, at_ns, 1_000_000_000_000),
+    }
+    return {what: (fault, OUTAGE_NS) for what, fault in last.items()} | {
+        f"one stamp {by_s} s ahead": (partial(_ahead, by_ns=by_s * 10**9), 0) for by_s in (5, 1000)
     }
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.mapper.profiles import MappingConfig, mapping_config
+from service.mapper.profiles import mapping_config
 from simulators.truth import IBEO_LUX, LaserModel
 from simulators.worlds import WORLDS
-from tests.accuracy.driving import Errors, Trip, ok_and_wrong, ok_and_wrong_row
+from tests.accuracy.driving import Trip, errors_of, ok_and_wrong_row
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Imu, Laser, Wheels, run
 
@@ -57,15 +57,12 @@ def slow_mirrors(seeds: Sequence[int]) -> Section:
 def lux_alone(seeds: Sequence[int]) -> Section:
     rows = []
     for place, bound_mm in (("glass_corridor", 50.0), ("corridor100", None), ("office", None)):
-        errors, wrong = Errors(), []
-        for made, done in Trip(WORLDS[place], LUX_AHEAD, wheels=GOOD_WHEELS, imu=Imu()).runs(seeds):
-            errors.add(made, done)
-            wrong.append(ok_and_wrong(done))
+        errors = errors_of(Trip(WORLDS[place], LUX_AHEAD, wheels=GOOD_WHEELS, imu=Imu()), seeds)
         rows += [
             Row("", f"{place}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
             Row("", f"{place}: live, as is", errors.as_is_mm, "mm", digits=1),
             Row("", f"{place}: heading, RMS", errors.heading_deg, "deg"),
-            ok_and_wrong_row(place, wrong),
+            ok_and_wrong_row(place, errors.wrong_ok),
         ]
     return Section(
         "A LUX alone",
@@ -125,15 +122,11 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
 def _rows(
     what: str, trip: Trip, seeds: Sequence[int], settings: dict[str, object] | None = None
 ) -> list[Row]:
-    errors, wrong = Errors(), []
-    config: MappingConfig = mapping_config(settings or {})
-    for made, done in trip.runs(seeds, config):
-        errors.add(made, done)
-        wrong.append(ok_and_wrong(done))
+    errors = errors_of(trip, seeds, mapping_config(settings or {}))
     return [
         Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", digits=1),
         Row("", f"{what}: scans lost", errors.lost_percent, "%", digits=1),
-        ok_and_wrong_row(what, wrong),
+        ok_and_wrong_row(what, errors.wrong_ok),
     ]
 
 
