@@ -1,9 +1,9 @@
 """Checks of every session: silence, only malformed messages, impossible stamps."""
 
 from collections import Counter
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
-from drivers.errors import ProtocolError
+from drivers.errors import ProtocolError, TransportError
 
 LOOK_NS = 200_000_000  # between two calls of `look` at most this counts as silence: the host may have stalled
 
@@ -136,3 +136,52 @@ class MalformedRun:
 
     def good(self) -> None:
         self._in_a_row = 0
+
+
+class KnownOffset(Protocol):
+    """A device's clock in host time."""
+
+    @property
+    def offset_ns(self) -> int | None: ...
+    @property
+    def offset_sigma_ns(self) -> int | None: ...
+
+
+class WatchedSession:
+    """Base of a session that ends where no usable frame comes; see drivers.link.Session.
+
+    what               its frames in counters and errors, plural: scans
+    malformed_limit    this many malformed messages in a row are tolerated
+    """
+
+    _clock: KnownOffset | None = None
+
+    def __init__(self, what: str, counters: Counter[str], malformed_limit: int) -> None:
+        self.outbox = bytearray()
+        self.counters = counters
+        self.identity: dict[str, str] = {}
+        self.status = ""
+        self._what = what
+        self._silence = SilenceWatch()
+        self._malformed = MalformedRun(counters, what, malformed_limit)
+        self._gate = StampGate(counters, what, self._silence)
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        return None if self._clock is None else self._clock.offset_ns
+
+    @property
+    def clock_sigma_ns(self) -> int | None:
+        return None if self._clock is None else self._clock.offset_sigma_ns
+
+    def _count(self, **totals: int) -> None:
+        """Counters of the whole session that others keep; those of 0 are left out."""
+        for name, total in totals.items():
+            if total:
+                self.counters[name] = total
+
+    def _end_where_silent(self, now_ns: int, limit_s: float, waiting: bool, otherwise: str) -> None:
+        """At every tick. Raises TransportError after limit_s; otherwise: its words where nothing came."""
+        self._silence.look(now_ns, waiting)
+        if self._silence.exceeds(limit_s):
+            raise TransportError(self._silence.what_came(self._what, limit_s) or otherwise)

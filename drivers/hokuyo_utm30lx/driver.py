@@ -5,8 +5,6 @@ while ros-drivers/urg_node takes it for the moment the mirror looked straight ba
 ScanClock makes host time of it; from there the first beam requested is some steps away.
 """
 
-from collections import Counter
-
 import numpy as np
 import numpy.typing as npt
 
@@ -27,7 +25,7 @@ from drivers.hokuyo_utm30lx.protocol import (
 )
 from drivers.hokuyo_utm30lx.scan_clock import ScanClock
 from drivers.hokuyo_utm30lx.scans import NO_ECHO, Scan, ScanRequest, read_scan
-from drivers.watch import DAMAGED, SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import DAMAGED, SAME_STAMP, DropReason, WatchedSession
 
 FIRST_SCAN_TIMEOUT_S = 10.0  # the motor may have to come to speed
 MALFORMED_LIMIT = 40  # scans in a row
@@ -41,33 +39,23 @@ OTHER_REQUEST = DropReason(
 Rows = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]  # (N,) range in m, (N,) or (0,) intensity
 
 
-class HokuyoUtm30lxSession:
+class HokuyoUtm30lxSession(WatchedSession):
     """The life of one connection; see drivers.link.Session."""
+
+    _clock: ScanClock | None = None
 
     def __init__(self, config: HokuyoUtm30lxConfig) -> None:
         self._config = config
         self._decoder = ReplyDecoder()
         self._dialogue = UtmDialogue(config)
+        super().__init__("scans", self._dialogue.counters, MALFORMED_LIMIT)
         self._runner: DialogueRunner[Ask, Answer] = DialogueRunner(self._dialogue.run)
-        self._silence = SilenceWatch()
-        self._clock: ScanClock | None = None
         self._last_ms: int | None = None
         self._verifying = ""
         self._no_distance = no_distance()  # by code, of the connected laser
-        self.outbox = bytearray(b"\n")  # ends a command that an earlier client left incomplete
-        self.counters: Counter[str] = self._dialogue.counters
-        self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans", self._silence)
-        self.identity: dict[str, str] = self._dialogue.identity
+        self.outbox += b"\n"  # ends a command that an earlier client left incomplete
+        self.identity = self._dialogue.identity
         self.status = self._dialogue.phase
-
-    @property
-    def clock_offset_ns(self) -> int | None:
-        return None if self._clock is None else self._clock.offset_ns
-
-    @property
-    def clock_sigma_ns(self) -> int | None:
-        return None if self._clock is None else self._clock.offset_sigma_ns
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
@@ -85,21 +73,18 @@ class HokuyoUtm30lxSession:
                 self.counters["answers_not_asked_for"] += 1
         unreadable = self._decoder.unreadable_blocks - self.counters["replies_unreadable"]
         self._silence.dropped(DAMAGED, unreadable)
-        self._count("bytes_skipped", self._decoder.skipped_bytes)
-        self._count("replies_unreadable", self._decoder.unreadable_blocks)
+        self._count(
+            bytes_skipped=self._decoder.skipped_bytes, replies_unreadable=self._decoder.unreadable_blocks
+        )
         self._set_status()
         return scans
 
     def tick(self, now_ns: int) -> None:
         if (requested := self._runner.tick(now_ns)) is not None:
             self.outbox += requested.command.encode("ascii") + b"\n"
-        self._silence.look(now_ns, waiting=self._dialogue.request is not None)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last_ms is None else self._config.silence_timeout_s
-        if self._silence.exceeds(limit_s):
-            raise TransportError(
-                self._silence.what_came("scans", limit_s)
-                or f"no scan for {limit_s:g} s; did it lose power or reboot?"
-            )
+        nothing = f"no scan for {limit_s:g} s; did it lose power or reboot?"
+        self._end_where_silent(now_ns, limit_s, self._dialogue.request is not None, nothing)
         self._set_status()
 
     def shutdown_request(self) -> bytes:
@@ -120,10 +105,6 @@ class HokuyoUtm30lxSession:
         if self._config.stamp_moment == "rear":
             return geometry.front_step - geometry.steps_per_turn / 2
         return 0.0
-
-    def _count(self, name: str, total: int) -> None:
-        if total:
-            self.counters[name] = total
 
     def _set_status(self) -> None:
         if self._last_ms is None:
@@ -183,9 +164,11 @@ class HokuyoUtm30lxSession:
         resets = clock.resets
         moment_ns = clock.stamp(scan.stamp_ms, arrived_ns)
         self._last_ms = scan.stamp_ms
-        self._count("clock_resets", clock.resets)
-        self._count("time_sync_contradictory", clock.contradictions)
-        self._count("scans_stamped_too_close", clock.too_close)
+        self._count(
+            clock_resets=clock.resets,
+            time_sync_contradictory=clock.contradictions,
+            scans_stamped_too_close=clock.too_close,
+        )
         step_ns = clock.period_ns / (1 + request.skip) / geometry.steps_per_turn
         first_beam_ns = (geometry.first_beam_step(request) - self._stamped_step(geometry)) * step_ns
         stamp_ns = moment_ns + round(first_beam_ns) - round(self._config.latency_ms * 1e6)

@@ -7,7 +7,6 @@ are left out: the clock is being set, and what they show may not be what the con
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -35,7 +34,7 @@ from drivers.ibeo_lux.messages import (
 from drivers.ibeo_lux.protocol import FOREIGN_SCANS, DataType, Decoder, Message, encode, ntp_difference_ns
 from drivers.ibeo_lux.reduction import LayerReduction, sound_points
 from drivers.rates import same_rate
-from drivers.watch import OUTSIDE, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import OUTSIDE, WatchedSession
 
 FIRST_SCAN_TIMEOUT_S = 20.0  # a recorded dialogue has its first scan 5 s after Start
 REPORT_SHOWN_NS = 15_000_000_000  # what the device last reported, or did, so long ago stays in the status
@@ -64,17 +63,19 @@ COUNTED_TYPES: dict[int, str] = {
 }
 
 
-class IbeoLuxSession:
+class IbeoLuxSession(WatchedSession):
     """The life of one connection; see drivers.link.Session. The device's clock is set to `unix_ns`."""
+
+    _clock: DeviceClock
 
     def __init__(self, config: IbeoLuxConfig, unix_ns: Callable[[], int]) -> None:
         self._config = config
         self._decoder = Decoder()
         self._dialogue = IbeoLuxDialogue(config, unix_ns)
+        super().__init__("scans", self._dialogue.counters, MALFORMED_LIMIT)
         self._dialogue.explain_faults = lambda: ", ".join(self._errors_shown())
         self._runner: DialogueRunner[Ask, Reply] = DialogueRunner(self._dialogue.run)
         self._now_ns: int | None = None
-        self._silence = SilenceWatch()
         self._latency_ns = round(config.latency_ms * 1e6)
         self._clock = DeviceClock(self._latency_ns)
         self._clock_stands = False  # the newest scan has the time of the one before
@@ -85,21 +86,9 @@ class IbeoLuxSession:
         self._was_as_configured = False
         self._errors: dict[str, int] = {}  # words -> when last reported
         self._warnings: dict[str, int] = {}
-        self.outbox = bytearray()
-        self.counters: Counter[str] = self._dialogue.counters
-        self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans", self._silence)
-        self.identity: dict[str, str] = self._dialogue.identity
+        self.identity = self._dialogue.identity
         self.status = self._dialogue.phase
         self._reduction = LayerReduction(config, self.counters)
-
-    @property
-    def clock_offset_ns(self) -> int | None:
-        return self._clock.offset_ns
-
-    @property
-    def clock_sigma_ns(self) -> int | None:
-        return self._clock.offset_sigma_ns
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         self._now_ns = arrived_ns if self._now_ns is None else max(self._now_ns, arrived_ns)
@@ -115,13 +104,11 @@ class IbeoLuxSession:
                     self._take_errors(message, arrived_ns)
                 case other:
                     self._pass_over(other)
-        for name, total in (
-            ("bytes_skipped", self._decoder.skipped_bytes),
-            ("bad_headers", self._decoder.bad_headers),
-            ("messages_cut", self._decoder.cut_messages),
-        ):
-            if total:
-                self.counters[name] = total
+        self._count(
+            bytes_skipped=self._decoder.skipped_bytes,
+            bad_headers=self._decoder.bad_headers,
+            messages_cut=self._decoder.cut_messages,
+        )
         self._set_status()
         return frames
 
@@ -285,8 +272,7 @@ class IbeoLuxSession:
             self.counters["scans_stamped_by_arrival"] += 1
         else:
             self._clock.observe(scan, period_ns, arrived_ns)
-        if self._clock.resets:
-            self.counters["clock_resets"] = self._clock.resets
+        self._count(clock_resets=self._clock.resets)
         self._check_against_config(scan, period_ns)
         if not self._is_side_wanted(scan):
             self._silence.heard()  # its frame is not used, but it is valid

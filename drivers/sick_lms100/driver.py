@@ -11,7 +11,6 @@ beam.
 """
 
 import math
-from collections import Counter
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +34,7 @@ from drivers.sick_lms100.telegrams import (
     exact_step_deg,
     read_scan,
 )
-from drivers.watch import OUTSIDE, SAME_STAMP, DropReason, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import OUTSIDE, SAME_STAMP, DropReason, WatchedSession
 
 _NO_DISTANCE = no_distance(*(LOW_CODES.get(code, "reserved_code") for code in range(FIRST_RANGE_CODE)))
 FIRST_SCAN_TIMEOUT_S = 45.0  # after a change of the scan rate data flow again after some 30 s
@@ -57,16 +56,18 @@ Echoes = list[tuple[Channel, Channel | None]]  # distance and remission of each 
 Rows = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]  # (N,) range in m, (N,) or (0,) intensity
 
 
-class Lms100Session:
+class Lms100Session(WatchedSession):
     """The life of one connection; see drivers.link.Session."""
+
+    _clock: ClockMap
 
     def __init__(self, config: Lms100Config) -> None:
         self._config = config
         self._limits = config.limits
         self._decoder = Decoder(DIALECTS.get(config.dialect))
         self._dialogue = Lms100Dialogue(config)
+        super().__init__("scans", self._dialogue.counters, MALFORMED_LIMIT)
         self._runner: DialogueRunner[Ask, Telegram] = DialogueRunner(self._dialogue.run)
-        self._silence = SilenceWatch()
         self._clock = ClockMap(1_000.0, CLOCK_MODULUS, round(config.latency_ms * 1e6))
         self._sweep_measured: tuple[int, int] | None = None  # frequency and last angle of _least_sending_us
         self._least_sending_us = 0  # from the zero index to the sending, of all scans of that sweep
@@ -75,20 +76,8 @@ class Lms100Session:
         self._other_in_a_row = 0
         self._other_scans = ""  # how they differ from the config
         self._was_as_configured = False
-        self.outbox = bytearray()
-        self.counters: Counter[str] = self._dialogue.counters
-        self._malformed = MalformedRun(self.counters, "scans", MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, "scans", self._silence)
-        self.identity: dict[str, str] = self._dialogue.identity
+        self.identity = self._dialogue.identity
         self.status = self._dialogue.phase
-
-    @property
-    def clock_offset_ns(self) -> int | None:
-        return self._clock.offset_ns
-
-    @property
-    def clock_sigma_ns(self) -> int | None:
-        return self._clock.offset_sigma_ns
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[LaserScan]:
         scans = []
@@ -100,8 +89,7 @@ class Lms100Session:
                     scans.append(scan)
             else:
                 self._take_answer(telegram, arrived_ns)
-        self._count("bytes_skipped", self._decoder.skipped_bytes)
-        self._count("checksum_errors", self._decoder.bad_checksums)
+        self._count(bytes_skipped=self._decoder.skipped_bytes, checksum_errors=self._decoder.bad_checksums)
         self._set_status()
         return scans
 
@@ -109,13 +97,9 @@ class Lms100Session:
         if (requested := self._runner.tick(now_ns)) is not None:
             self.outbox += encode(requested.request)
         self._choose_dialect()
-        self._silence.look(now_ns, waiting=self._dialogue.subscribed)
         limit_s = FIRST_SCAN_TIMEOUT_S if self._last is None else self._config.silence_timeout_s
-        if self._silence.exceeds(limit_s):
-            raise TransportError(
-                self._silence.what_came("scans", limit_s)
-                or f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
-            )
+        nothing = f"no scan for {limit_s:g} s; is the device in standby, rebooting or is the cable out?"
+        self._end_where_silent(now_ns, limit_s, self._dialogue.subscribed, nothing)
         self._set_status()
 
     def shutdown_request(self) -> bytes:
@@ -138,10 +122,6 @@ class Lms100Session:
     def _choose_dialect(self) -> None:
         if self._dialogue.dialect is not None:
             self._decoder.dialect = self._dialogue.dialect
-
-    def _count(self, name: str, total: int) -> None:
-        if total:
-            self.counters[name] = total
 
     def _set_status(self) -> None:
         if self._last is None:
@@ -235,7 +215,7 @@ class Lms100Session:
     def _frame(self, scan: ScanTelegram, echoes: Echoes, arrived_ns: int) -> LaserScan | None:
         geometry = echoes[0][0]
         self._clock.observe(scan.sent_us, arrived_ns)
-        self._count("clock_resets", self._clock.resets)
+        self._count(clock_resets=self._clock.resets)
         shift_us = self._first_beam_before_zero_us(scan, geometry)
         stamp_ns = self._clock.to_host_ns((scan.start_us - shift_us) % CLOCK_MODULUS)
         beam_interval_ns = self._beam_interval_ns(scan, geometry)

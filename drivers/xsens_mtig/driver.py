@@ -1,11 +1,9 @@
 """Session with one MTi-G, MTi-G-700 or MTi-G-710: its dialogue, and its data into frames. No I/O."""
 
-from collections import Counter
-
 from drivers.dialogue import DialogueRunner
-from drivers.errors import ProtocolError, TransportError
+from drivers.errors import ProtocolError
 from drivers.frames import Frame, ImuSample
-from drivers.watch import DAMAGED, DropReason, MalformedRun, SilenceWatch
+from drivers.watch import DAMAGED, DropReason, MalformedRun, WatchedSession
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
 from drivers.xsens_mtig.health import DeviceHealth
@@ -28,7 +26,7 @@ OTHER_PROTOCOL = DropReason(
 )
 
 
-class XsensMtigSession:
+class XsensMtigSession(WatchedSession):
     """The life of one connection; see drivers.link.Session. Yields an ImuSample per inertial message and a
     GnssFix per solution of the receiver.
     """
@@ -37,27 +35,17 @@ class XsensMtigSession:
         self._config = config
         self._decoder = MessageDecoder()
         self._dialogue = MtigDialogue(config)
+        super().__init__("samples", self._dialogue.counters, MALFORMED_LIMIT)
+        self._malformed = MalformedRun(self.counters, "messages", MALFORMED_LIMIT)
         self._runner: DialogueRunner[Ask, Message] = DialogueRunner(self._dialogue.run)
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
         self._byte_ns = 0.0  # on the line; over USB none
-        self._silence = SilenceWatch()
         self._stream: Mtdata2Stream | LegacyStream | None = None
         self._streaming = False
-        self.outbox = bytearray()
-        self.counters: Counter[str] = self._dialogue.counters
-        self._malformed = MalformedRun(self.counters, "messages", MALFORMED_LIMIT)
-        self.identity: dict[str, str] = self._dialogue.identity
+        self.identity = self._dialogue.identity
         self.status = self._dialogue.phase
         self._health = DeviceHealth(self.counters)
-
-    @property
-    def clock_offset_ns(self) -> int | None:
-        return None if self._stream is None else self._stream.offset_ns
-
-    @property
-    def clock_sigma_ns(self) -> int | None:
-        return None if self._stream is None else self._stream.offset_sigma_ns
 
     @property
     def utc_minus_host_ns(self) -> int | None:
@@ -77,13 +65,9 @@ class XsensMtigSession:
             self._take_all(self._decoder.give_up_waiting(), now_ns, old=True)
         if (requested := self._runner.tick(now_ns)) is not None:
             self.outbox += encode(requested.mid, requested.data)
-        self._silence.look(now_ns, waiting=self._dialogue.measuring)
         limit_s = self._config.silence_timeout_s if self._streaming else FIRST_SAMPLE_TIMEOUT_S
-        if self._silence.exceeds(limit_s):
-            raise TransportError(
-                self._silence.what_came("samples", limit_s)
-                or f"no sample for {limit_s:g} s; did it lose power, or is the cable out?"
-            )
+        nothing = f"no sample for {limit_s:g} s; did it lose power, or is the cable out?"
+        self._end_where_silent(now_ns, limit_s, self._dialogue.measuring, nothing)
         self._set_status(now_ns)
 
     def shutdown_request(self) -> bytes:
@@ -108,12 +92,7 @@ class XsensMtigSession:
                 case _:
                     self._take_answer(message, arrived_ns)
         self._silence.dropped(DAMAGED, self._decoder.bad_checksums - self.counters["checksum_errors"])
-        for name, total in (
-            ("bytes_skipped", self._decoder.skipped_bytes),
-            ("checksum_errors", self._decoder.bad_checksums),
-        ):
-            if total:
-                self.counters[name] = total
+        self._count(bytes_skipped=self._decoder.skipped_bytes, checksum_errors=self._decoder.bad_checksums)
         return frames
 
     def _take_answer(self, message: Message, now_ns: int) -> None:
@@ -144,11 +123,11 @@ class XsensMtigSession:
         self._byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
         self._silence.heard()
         if dialogue.legacy is None:
-            self._stream = Mtdata2Stream(
+            self._clock = self._stream = Mtdata2Stream(
                 self._config, self.counters, self._health, self._silence, dialogue.output
             )
         else:
-            self._stream = LegacyStream(
+            self._clock = self._stream = LegacyStream(
                 self._config, self.counters, self._health, self._silence, dialogue.legacy
             )
 

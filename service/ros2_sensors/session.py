@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from drivers.clock import ClockMap
-from drivers.errors import ProtocolError, TransportError
+from drivers.errors import ProtocolError
 from drivers.frames import Frame, LaserScan
-from drivers.watch import NOT_FINITE, MalformedRun, SilenceWatch, StampGate
+from drivers.watch import NOT_FINITE, WatchedSession
 from service.encoding import decode_frame, frame_id
 from service.errors import InputError
 from service.ros2_sensors.config import Ros2SensorConfig
@@ -28,34 +28,22 @@ def pack(payload: bytes) -> bytes:
     return _LENGTH.pack(len(payload)) + payload
 
 
-class Ros2Session:
+class Ros2Session(WatchedSession):
     """One subscription's life.
 
     message_type   ROS 2 name
     what           its messages in counters, plural
     """
 
+    _clock: ClockMap
+
     def __init__(self, config: Ros2SensorConfig, message_type: str, what: str) -> None:
+        super().__init__(what, Counter(), MALFORMED_LIMIT)
         self._config = config
         self._type = message_type
-        self._what = what
         self._unread = bytearray()
         self._clock = ClockMap(1.0, latency_ns=round(config.latency_ms * 1e6))
-        self._silence = SilenceWatch()
-        self.outbox = bytearray()
-        self.counters: Counter[str] = Counter()
-        self.identity: dict[str, str] = {}
         self.status = f"waiting for {config.topic}"
-        self._malformed = MalformedRun(self.counters, what, MALFORMED_LIMIT)
-        self._gate = StampGate(self.counters, what, self._silence)
-
-    @property
-    def clock_offset_ns(self) -> int | None:
-        return self._clock.offset_ns
-
-    @property
-    def clock_sigma_ns(self) -> int | None:
-        return self._clock.offset_sigma_ns
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[Frame]:
         self._unread += data
@@ -63,14 +51,12 @@ class Ros2Session:
         return [frame for frame in read if frame is not None]
 
     def tick(self, now_ns: int) -> None:
-        self._silence.look(now_ns, waiting=True)
         limit_s = self._config.silence_timeout_s if self.identity else FIRST_MESSAGE_TIMEOUT_S
-        if self._silence.exceeds(limit_s):
-            raise TransportError(
-                self._silence.what_came(self._what, limit_s)
-                or f"no {self._type} on {self._config.topic} for {limit_s:g} s; does a node publish it with "
-                f"rmw_zenoh_cpp, on domain {self._config.domain}, at the router {self._config.router}?"
-            )
+        nothing = (
+            f"no {self._type} on {self._config.topic} for {limit_s:g} s; does a node publish it with "
+            f"rmw_zenoh_cpp, on domain {self._config.domain}, at the router {self._config.router}?"
+        )
+        self._end_where_silent(now_ns, limit_s, True, nothing)
 
     def shutdown_request(self) -> bytes:
         return b""
@@ -103,8 +89,7 @@ class Ros2Session:
             self._silence.dropped(NOT_FINITE)
             return None
         self._clock.observe(frame.stamp_ns + _lasts_ns(frame), arrived_ns)
-        if self._clock.resets:
-            self.counters["clock_resets"] = self._clock.resets
+        self._count(clock_resets=self._clock.resets)
         stamp_ns = self._clock.to_host_ns(frame.stamp_ns)
         if not self._gate.passes(stamp_ns, arrived_ns):
             return None
