@@ -98,33 +98,29 @@ class Unpluggable(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """Of a sweep: beam i is cast at first_ray_ns + i * interval_ns, at first_angle_rad + i * step_rad."""
+
+    first_ray_ns: int
+    interval_ns: int
+    first_angle_rad: float
+    step_rad: float
+    count: int
+
+
 class SweepSource(Protocol):
     """What a laser sees: the truth, with this laser's own errors on it."""
 
-    def sweep(
-        self,
-        first_ray_ns: int,
-        beam_interval_ns: int,
-        first_angle_rad: float,
-        angle_step_rad: float,
-        beam_count: int,
-    ) -> Sweep:
-        """Cast beam i at first_ray_ns + i * beam_interval_ns from where the vehicle is at that moment."""
+    def sweep(self, beams: Beams) -> Sweep:
+        """Each beam is cast from where the vehicle is at its moment."""
         ...
 
 
 class LayeredSweepSource(Protocol):
     """What a laser of several layers sees, each layer with noise of its own."""
 
-    def sweep_layers(
-        self,
-        layer_count: int,
-        first_ray_ns: int,
-        beam_interval_ns: int,
-        first_angle_rad: float,
-        angle_step_rad: float,
-        beam_count: int,
-    ) -> list[Sweep]:
+    def sweep_layers(self, layer_count: int, beams: Beams) -> list[Sweep]:
         """As SweepSource.sweep, one sweep each layer; layers are close together and meet the same walls."""
         ...
 

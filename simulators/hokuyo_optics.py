@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.hokuyo_utm30lx.scans import MAX_ECHOES, NO_ECHO, Ints, Scan, ScanRequest
-from simulators.device import Sweep, SweepSource
+from simulators.device import Beams, Sweep, SweepSource
 from simulators.hokuyo_setup import Replies
 
 NEAR_LIMIT_CODE = 4
@@ -27,14 +27,14 @@ class Optics:
     def measure(self, request: ScanRequest, step_0_ns: int, step_ns: float, stamp_ms: int) -> Scan:
         """One sweep; step_0_ns is when the mirror passes step 0, host ns."""
         step_rad = 2.0 * math.pi / self._replies.steps_per_turn
-        sweep = self._source.sweep(
+        beams = Beams(
             step_0_ns + round(request.first_step * step_ns),
             round(step_ns),
             (request.first_step - self._replies.front_step) * step_rad,
             step_rad,
             request.last_step - request.first_step + 1,
         )
-        distance_mm, intensity = self._code(sweep)
+        distance_mm, intensity = self._code(self._source.sweep(beams))
         if request.multi_echo:
             distance_mm, intensity = self._further_echoes(distance_mm, intensity)
         distance_mm, intensity = self._clustered(distance_mm, intensity, max(request.cluster, 1))

@@ -35,7 +35,7 @@ from drivers.ibeo_lux.messages import (
     write_scan,
 )
 from drivers.ibeo_lux.protocol import NTP_MODULUS, DataType, Decoder, Message, encode
-from simulators.device import TURNS_SKIPPED, LayeredSweepSource, turns_to_skip
+from simulators.device import TURNS_SKIPPED, Beams, LayeredSweepSource, turns_to_skip
 from simulators.lux_optics import FOCUSED_SECTORS, LuxOptics, is_shot
 
 DEVICE_ID = 7
@@ -274,14 +274,11 @@ class FakeIbeoLux:
         ray_ticks = FOCUSED_SECTORS[0][1] if focused else SHOT_TICKS
         ray_count = (start - end) // ray_ticks + 1
         radians_per_tick = 2.0 * math.pi / TICKS_PER_TURN
-        sweeps = self._source.sweep_layers(
-            LAYERS_OF_A_SHOT,
-            begins_ns,
-            round(self._period_ns() * ray_ticks / TICKS_PER_TURN),
-            start * radians_per_tick,
-            -ray_ticks * radians_per_tick,
-            ray_count,
+        interval_ns = round(self._period_ns() * ray_ticks / TICKS_PER_TURN)
+        rays = Beams(
+            begins_ns, interval_ns, start * radians_per_tick, -ray_ticks * radians_per_tick, ray_count
         )
+        sweeps = self._source.sweep_layers(LAYERS_OF_A_SHOT, rays)
         angle_ticks = start - ray_ticks * np.arange(ray_count)
         shot = np.flatnonzero(is_shot(angle_ticks, start)) if focused else np.arange(ray_count)
         rear = bool(self._number(index) % 2)

@@ -39,7 +39,7 @@ from drivers.sick_lms100.telegrams import (
     write_calendar,
     write_scan,
 )
-from simulators.device import TURNS_SKIPPED, SweepSource, turns_to_skip
+from simulators.device import TURNS_SKIPPED, Beams, SweepSource, turns_to_skip
 from simulators.sick_optics import channels_of
 from simulators.sick_setup import TRAITS, Lms100Setup
 
@@ -253,13 +253,14 @@ class FakeLms100:
         first_ray_ns = begins_ns + round(
             self._period_ns() * (first_e4deg - self._model.first_e4deg) / FULL_TURN_E4DEG
         )
-        sweep = self._source.sweep(
+        beams = Beams(
             first_ray_ns,
             round(beam_interval_ns),
             float(np.radians(first_e4deg / 10_000 - 90.0)),
             float(np.radians(exact_step_deg(step_e4deg))),
             beam_count,
         )
+        sweep = self._source.sweep(beams)
         after_sweep = self.setup.zero_index_after_sweep
         after_sweep = self._traits.zero_index_after_sweep if after_sweep is None else after_sweep
         zero_ns = leaves_ns - ZERO_TO_SENDING_NS if after_sweep else begins_ns

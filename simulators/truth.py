@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.geometry.se2 import SE2
-from simulators.device import Sweep
+from simulators.device import Beams, Sweep
 from simulators.disturbances import Knock, Slip, rolled
 from simulators.trajectory import Floats
 from simulators.world import PERSON_REFLECTIVITY, World
@@ -143,50 +143,27 @@ class LaserTruth:
         self._seed = seed
         self._knocks = knocks
 
-    def sweep(
-        self,
-        first_ray_ns: int,
-        beam_interval_ns: int,
-        first_angle_rad: float,
-        angle_step_rad: float,
-        beam_count: int,
-    ) -> Sweep:
-        """Cast beam i at first_ray_ns + i * beam_interval_ns from where the vehicle is at that moment."""
-        view = self.view(first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count)
-        return self.measure(view, self._seed)
+    def sweep(self, beams: Beams) -> Sweep:
+        """Each beam is cast from where the vehicle is at its moment."""
+        return self.measure(self.view(beams), self._seed)
 
-    def sweep_layers(
-        self,
-        layer_count: int,
-        first_ray_ns: int,
-        beam_interval_ns: int,
-        first_angle_rad: float,
-        angle_step_rad: float,
-        beam_count: int,
-    ) -> list[Sweep]:
+    def sweep_layers(self, layer_count: int, beams: Beams) -> list[Sweep]:
         """The same walls measured once each layer, with noise of its own."""
-        view = self.view(first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count)
+        view = self.view(beams)
         return [self.measure(view, seed_of(self._seed, f"layer {k}")) for k in range(layer_count)]
 
-    def view(
-        self,
-        first_ray_ns: int,
-        beam_interval_ns: int,
-        first_angle_rad: float,
-        angle_step_rad: float,
-        beam_count: int,
-    ) -> View:
+    def view(self, beams: Beams) -> View:
         """What there is to see in a sweep; the costly part, and the same for every seed."""
-        since_first_s = np.arange(beam_count, dtype=np.float64) * (beam_interval_ns * 1e-9)
-        rays = self._rays(first_ray_ns, since_first_s, first_angle_rad, angle_step_rad)
-        first_s = self._ride.drive_s(first_ray_ns)
+        since_first_s = np.arange(beams.count, dtype=np.float64) * (beams.interval_ns * 1e-9)
+        rays = self._rays(beams.first_ray_ns, since_first_s, beams.first_angle_rad, beams.step_rad)
+        first_s = self._ride.drive_s(beams.first_ray_ns)
         world, span_s = self._ride.world, max(float(since_first_s[-1]), 1e-3)
         moving = Moving(world.discs(first_s, span_s), world.faces(first_s, span_s, self._sensor))
         rim = np.array([0.0, 0.0, self._model.divergence_rad / 2, 0.0])
         range_m, hit = self._cast(np.vstack([rays, rays + rim, rays - rim]), moving)
-        true_m, surface = range_m[:beam_count].copy(), hit[:beam_count]
+        true_m, surface = range_m[: beams.count].copy(), hit[: beams.count]
         cosine, reflectivity = self._surfaces(rays, true_m, surface, moving)
-        moment = first_ray_ns - self._ride.start_ns
+        moment = beams.first_ray_ns - self._ride.start_ns
         on_wall = np.flatnonzero((surface >= 0) & (surface < len(world.segments)))
         cabinet_beam = on_wall[world.cabinet[surface[on_wall]]]
         steps = self._steps(rays, hit.reshape(3, -1), moving)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from service.errors import StorageError
 from service.geometry.se2 import SE2
-from simulators.device import TURNS_SKIPPED, CountsTurns, FakeDevice, ManyClients
+from simulators.device import TURNS_SKIPPED, Beams, CountsTurns, FakeDevice, ManyClients
 from simulators.fault_file import Fault
 from simulators.faults import Faulty
 from simulators.registry import DEVICE_KINDS
@@ -67,7 +67,7 @@ def parse_devices(texts: Sequence[str]) -> list[DeviceSpec]:
 
 def warm_up(world: World) -> None:
     """Compile the kernels, or fetch them from the cache."""
-    LaserTruth(Ride(world, 0), "warm-up", SE2(), LMS100, 0).sweep(0, 27_778, -1.0, 0.01, 200)
+    LaserTruth(Ride(world, 0), "warm-up", SE2(), LMS100, 0).sweep(Beams(0, 27_778, -1.0, 0.01, 200))
 
 
 class FakeVehicle:

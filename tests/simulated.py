@@ -19,6 +19,7 @@ from service.mapper.mapping_session import MappingSession
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
+from simulators.device import Beams
 from simulators.disturbances import GyroFault, Knock, Slip
 from simulators.trajectory import THETA, Spin, X, Y, plan_drive
 from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
@@ -209,7 +210,7 @@ def scans(ride: Ride, laser: Laser, seconds: float, seeds: Sequence[int]) -> lis
 def scans_at(source: LaserTruth, laser: Laser, stamp_ns: int, seeds: Sequence[int]) -> Iterator[LaserScan]:
     """That of each seed."""
     first_rad, step_rad = math.radians(laser.first_deg), math.radians(laser.step_deg)
-    view = source.view(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams)
+    view = source.view(Beams(stamp_ns, laser.beam_ns, first_rad, step_rad, laser.beams))
     for seed in seeds:
         yield LaserScan(
             sensor=laser.name,

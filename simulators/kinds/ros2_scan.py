@@ -10,6 +10,7 @@ from drivers.frames import LaserScan
 from drivers.mounting import OffsetM, TurnDeg
 from service.encoding import LASER_SCAN
 from service.geometry.se2 import SE2
+from simulators.device import Beams
 from simulators.device_kind import DeviceKind
 from simulators.kinds.ros2_node import NodeOptions, serve
 from simulators.ros2_node import FakeNode, NodeSetup
@@ -38,7 +39,7 @@ def build(name: str, options: ScanOptions, ride: Ride, seed: int) -> ZenohWire:
 
     def measure(at_ns: int) -> LaserScan:
         first_rad, step_rad = math.radians(FIRST_DEG), math.radians(STEP_DEG)
-        sweep = source.sweep(at_ns, beam_ns, first_rad, step_rad, BEAMS)
+        sweep = source.sweep(Beams(at_ns, beam_ns, first_rad, step_rad, BEAMS))
         return LaserScan(
             sensor=name,
             stamp_ns=at_ns,

@@ -8,6 +8,7 @@ from math import radians
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from simulators.device import Beams
 from simulators.disturbances import (
     GyroFault,
     Knock,
@@ -265,8 +266,9 @@ def returns_share(still: Stage, stage: Stage) -> float:
         for one in (still, stage):
             laser, ride = one.laser, Ride(one.world, 0, 0.0)
             source = LaserTruth(ride, laser.name, laser.mounting, laser.model, 0, laser.knocks)
-            sweep = round(at_s * 1e9), laser.beam_ns, radians(laser.first_deg), radians(laser.step_deg)
-            ranges.append(source.view(*sweep, laser.beams).true_m)
+            first_rad, step_rad = radians(laser.first_deg), radians(laser.step_deg)
+            beams = Beams(round(at_s * 1e9), laser.beam_ns, first_rad, step_rad, laser.beams)
+            ranges.append(source.view(beams).true_m)
         seen = np.isfinite(ranges[1])
         shares.append(float(np.mean(ranges[0][seen] != ranges[1][seen])) if seen.any() else 0.0)
     return float(np.mean(shares))

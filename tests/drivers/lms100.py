@@ -19,11 +19,11 @@ class Room:
     def __init__(self):
         self.first_rays_ns = []
 
-    def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
-        self.first_rays_ns.append(first_ray_ns)
-        range_m = np.full(beam_count, 3.0, np.float32)
+    def sweep(self, beams):
+        self.first_rays_ns.append(beams.first_ray_ns)
+        range_m = np.full(beams.count, 3.0, np.float32)
         range_m[::10] = np.nan
-        return Sweep(range_m, np.full(beam_count, 0.5, np.float32))
+        return Sweep(range_m, np.full(beams.count, 0.5, np.float32))
 
 
 def config(**changes):

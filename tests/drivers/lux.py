@@ -21,12 +21,12 @@ class Room:
     def __init__(self):
         self.first_rays_ns = []
 
-    def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
-        self.first_rays_ns.append(first_ray_ns)
-        return Sweep(np.full(beam_count, 20.0, np.float32), np.full(beam_count, 0.5, np.float32))
+    def sweep(self, beams):
+        self.first_rays_ns.append(beams.first_ray_ns)
+        return Sweep(np.full(beams.count, 20.0, np.float32), np.full(beams.count, 0.5, np.float32))
 
-    def sweep_layers(self, layer_count, *requested):
-        return [self.sweep(*requested)] * layer_count
+    def sweep_layers(self, layer_count, beams):
+        return [self.sweep(beams)] * layer_count
 
 
 def config(**changes):

@@ -67,10 +67,10 @@ def test_cluster_skip_and_field_of_view_are_asked_for_and_understood():
 class Panes:
     """Beam 0 sees nothing, beam 1 one echo at 2 m."""
 
-    def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
-        range_m = np.full(beam_count, 2.0, np.float32)
+    def sweep(self, beams):
+        range_m = np.full(beams.count, 2.0, np.float32)
         range_m[0] = np.nan
-        return Sweep(range_m, np.full(beam_count, 0.5, np.float32))
+        return Sweep(range_m, np.full(beams.count, 0.5, np.float32))
 
 
 def frame_of(rows_mm, rows_intensity=None, **changes):

@@ -19,13 +19,13 @@ class Room:
 
     @property
     def first_rays_ns(self):
-        return [first_ray_ns for first_ray_ns, *_ in self.requested]
+        return [beams.first_ray_ns for beams in self.requested]
 
-    def sweep(self, first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count):
-        self.requested.append((first_ray_ns, beam_interval_ns, first_angle_rad, angle_step_rad, beam_count))
-        range_m = (1.0 + np.arange(beam_count) * 1e-3).astype(np.float32)
+    def sweep(self, beams):
+        self.requested.append(beams)
+        range_m = (1.0 + np.arange(beams.count) * 1e-3).astype(np.float32)
         range_m[::10] = np.nan
-        return Sweep(range_m, np.linspace(0.1, 1.0, beam_count, dtype=np.float32))
+        return Sweep(range_m, np.linspace(0.1, 1.0, beams.count, dtype=np.float32))
 
 
 def config(**changes):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simulators.device import Sweep
+from simulators.device import Beams, Sweep
 from simulators.hokuyo_optics import FULL_INTENSITY
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
@@ -25,22 +25,15 @@ class Room:
     def __init__(self, seed: int) -> None:
         self._noise = np.random.default_rng(seed)
 
-    def sweep(
-        self,
-        first_ray_ns: int,
-        beam_interval_ns: int,
-        first_angle_rad: float,
-        angle_step_rad: float,
-        beam_count: int,
-    ) -> Sweep:
+    def sweep(self, beams: Beams) -> Sweep:
         """The laser stands, so the moment does not matter. A brighter echo the further ahead."""
-        angle_rad = first_angle_rad + angle_step_rad * np.arange(beam_count)
+        angle_rad = beams.first_angle_rad + beams.step_rad * np.arange(beams.count)
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         along_m = np.where(cosine >= 0.0, WALLS_M["ahead"], WALLS_M["behind"])
         across_m = np.where(sine >= 0.0, WALLS_M["left"], WALLS_M["right"])
         with np.errstate(divide="ignore"):
             range_m = np.minimum(along_m / np.abs(cosine), across_m / np.abs(sine))
-        range_m += np.clip(self._noise.normal(0.0, SIGMA_M, beam_count), -4 * SIGMA_M, 4 * SIGMA_M)
+        range_m += np.clip(self._noise.normal(0.0, SIGMA_M, beams.count), -4 * SIGMA_M, 4 * SIGMA_M)
         silent = (angle_rad > SILENT_RAD[0]) & (angle_rad < SILENT_RAD[1])
         return Sweep(
             np.where(silent, math.nan, range_m).astype(np.float32),

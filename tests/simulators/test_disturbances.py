@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
+from simulators.device import Beams
 from simulators.disturbances import (
     Knock,
     Slip,
@@ -35,7 +36,7 @@ def world() -> World:
 
 def range_m(world: World, time_s: float, angle_deg: float, *knocks: Knock, sensor: str = "front") -> float:
     source = LaserTruth(Ride(world, 0, 0.0), sensor, SE2(), PERFECT, 1, knocks)
-    ranges = source.sweep(round(time_s * 1e9), 1, math.radians(angle_deg), 0.0, 3).range_m
+    ranges = source.sweep(Beams(round(time_s * 1e9), 1, math.radians(angle_deg), 0.0, 3)).range_m
     return float(ranges[0])
 
 

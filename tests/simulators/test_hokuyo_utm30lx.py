@@ -180,10 +180,8 @@ def test_stream_runs_at_40_hz_and_a_scan_leaves_when_its_sweep_is_over():
 
 def test_what_cannot_be_measured_has_a_code():
     class Odd:
-        def sweep(self, *requested):
-            return replace(
-                Room().sweep(*requested), range_m=np.array([np.nan, 0.01, 70.0, 5.0] * 100, np.float32)
-            )
+        def sweep(self, beams):
+            return replace(Room().sweep(beams), range_m=np.array([np.nan, 0.01, 70.0, 5.0] * 100, np.float32))
 
     for setup, none in ((USB, 1), (replace(ETHERNET, no_return_mm=65_533), 65_533)):
         bench = Bench(setup, Odd())

@@ -9,7 +9,7 @@ import zenoh
 from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.encoding import IMU, LASER_SCAN, ODOMETRY, decode_frame
 from service.geometry.se2 import SE2
-from simulators.device import FakeDevice
+from simulators.device import Beams, FakeDevice
 from simulators.registry import DEVICE_KINDS
 from simulators.truth import LMS100, LaserTruth, Ride
 from simulators.vehicle import parse_device
@@ -48,7 +48,9 @@ def test_scans_are_those_of_the_laser_at_the_moment_of_their_stamp(ride: Ride):
     assert isinstance(second, LaserScan)
     assert second.stamp_ns - first.stamp_ns == 50_000_000
     source = LaserTruth(ride, "it", SE2(0.3, 0.0, 0.0), LMS100, 1)
-    sweep = source.sweep(START_NS, first.beam_interval_ns, -math.radians(135.0), math.radians(0.5), 541)
+    sweep = source.sweep(
+        Beams(START_NS, first.beam_interval_ns, -math.radians(135.0), math.radians(0.5), 541)
+    )
     inside = (sweep.range_m >= first.range_min_m) & (sweep.range_m < first.range_max_m)
     assert np.array_equal(first.range_m[inside], sweep.range_m[inside])
     assert inside.sum() > 400

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from simulators.device import Sweep
+from simulators.device import Beams, Sweep
 from simulators.trajectory import Follow, Limits, Pause, Spin, plan_drive
 from simulators.truth import LMS100, LaserModel, LaserTruth, Ride, WheelModel, WheelTruth
 from simulators.world import Plan, World, make_world, walk
@@ -35,7 +35,7 @@ def laser(
 
 
 def sweep_at(source: LaserTruth, time_s: float) -> Sweep:
-    return source.sweep(START_NS + round(time_s * 1e9), BEAM_NS, FIRST_RAD, STEP_RAD, BEAMS)
+    return source.sweep(Beams(START_NS + round(time_s * 1e9), BEAM_NS, FIRST_RAD, STEP_RAD, BEAMS))
 
 
 def test_spinning_vehicle_sees_the_wall_bent_as_the_formula_says():
@@ -56,7 +56,7 @@ def test_driving_vehicle_nears_the_wall_from_beam_to_beam():
     source = laser(
         room([Follow([(3, 0)])], limits=Limits(acceleration_mps2=0.5)), mounting=SE2(0.2, 0.1, 0.0)
     )
-    ahead = source.sweep(START_NS + 10**9, 10**6, 0.0, 0.0, 50).range_m
+    ahead = source.sweep(Beams(START_NS + 10**9, 10**6, 0.0, 0.0, 50)).range_m
     time_s = 1.0 + np.arange(50) * 1e-3
     np.testing.assert_allclose(ahead, 5.0 - 0.2 - 0.25 * time_s**2, atol=1e-3)
 
@@ -64,9 +64,9 @@ def test_driving_vehicle_nears_the_wall_from_beam_to_beam():
 def test_person_walks_on_during_a_sweep():
     stroll = walk([(3.0, -2.0), (3.0, 2.0)], 20.0, speed_mps=1.0, pause_s=0.0)
     source = laser(room(people=[stroll]))
-    side = source.sweep(START_NS + 1_999_000_000, 10**6, 0.0, 0.0, 3)
+    side = source.sweep(Beams(START_NS + 1_999_000_000, 10**6, 0.0, 0.0, 3))
     np.testing.assert_allclose(side.range_m, 2.75, atol=1e-4)
-    gone = source.sweep(START_NS + 3 * 10**9, 10**6, 0.0, 0.0, 3)
+    gone = source.sweep(Beams(START_NS + 3 * 10**9, 10**6, 0.0, 0.0, 3))
     np.testing.assert_allclose(gone.range_m, 5.0, atol=1e-4)
 
 
@@ -76,7 +76,7 @@ def test_glass_is_seen_squarely_and_what_is_behind_it_elsewhere():
     plan.line((3, -5), (3, 5), glass=True)
     source = laser(room(plan=plan))
     degrees = np.array([0.0, 5.0, 15.0, -30.0])
-    seen_m = [float(source.sweep(START_NS, 0, math.radians(a), 0.0, 1).range_m[0]) for a in degrees]
+    seen_m = [float(source.sweep(Beams(START_NS, 0, math.radians(a), 0.0, 1)).range_m[0]) for a in degrees]
     through_m = np.where(np.abs(degrees) < 10.0, 3.0, 5.0) / np.cos(np.radians(degrees))
     np.testing.assert_allclose(seen_m, through_m, atol=1e-4)
 
@@ -85,7 +85,7 @@ def test_most_beams_on_a_glass_cabinet_are_lost_and_many_come_from_behind():  # 
     plan = Plan()
     plan.line((3, -5), (3, 5), cabinet=True, reflectivity=0.9)
     source = laser(room(plan=plan))
-    range_m = np.array([source.sweep(START_NS + k, 0, 0.0, 0.0, 100).range_m for k in range(100)])
+    range_m = np.array([source.sweep(Beams(START_NS + k, 0, 0.0, 0.0, 100)).range_m for k in range(100)])
     assert np.isnan(range_m).mean() == pytest.approx(0.7, abs=0.02)
     behind = range_m > 3.05
     assert behind.mean() == pytest.approx(0.2, abs=0.02)
@@ -143,9 +143,9 @@ def test_dark_grazing_and_far_walls_give_no_return():
     plan.line((0.5, 3), (19.5, 3.1), reflectivity=0.5)  # grazing at its far end
     source = laser(room(plan=plan), LMS100)
     aims = [math.atan2(-1.5, 15), math.atan2(1.5, 15), 0.0, math.atan2(3.1, 19.3), math.atan2(3, 2)]
-    range_m = np.array([source.sweep(START_NS, BEAM_NS, aim, 0.0, 20).range_m for aim in aims])
+    range_m = np.array([source.sweep(Beams(START_NS, BEAM_NS, aim, 0.0, 20)).range_m for aim in aims])
     assert np.isnan(range_m).all(axis=1).tolist() == [True, False, True, True, False]
-    assert (source.sweep(START_NS, BEAM_NS, aims[0], 0.0, 20).intensity == 0).all()
+    assert (source.sweep(Beams(START_NS, BEAM_NS, aims[0], 0.0, 20)).intensity == 0).all()
 
 
 def test_wheel_error_has_the_scale_and_spread_of_the_model():

@@ -6,6 +6,7 @@ import pytest
 
 from service.errors import StorageError
 from service.geometry.se2 import SE2
+from simulators.device import Beams
 from simulators.sick_lms100 import FakeLms100
 from simulators.trajectory import Follow, plan_drive
 from simulators.truth import LMS100, LaserTruth, Ride, seed_of
@@ -112,7 +113,7 @@ def test_same_seed_gives_the_same_bytes_whenever_they_are_fetched(world: World):
 
 def test_laser_sits_where_its_options_say(world: World):
     sources = [LaserTruth(Ride(world, 0), "front", pose, LMS100, 1) for pose in (SE2(), SE2(1.0, 0, math.pi))]
-    ahead, behind = (source.sweep(0, 27_778, 0.0, 0.0, 50).range_m.mean() for source in sources)
+    ahead, behind = (source.sweep(Beams(0, 27_778, 0.0, 0.0, 50)).range_m.mean() for source in sources)
     assert ahead == pytest.approx(5.0, abs=0.01)
     assert behind == pytest.approx(6.0, abs=0.01)
 
