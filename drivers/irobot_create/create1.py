@@ -6,13 +6,10 @@ query list, and the requested wheel speeds (41, 42) decide where inside its mill
 lies.
 """
 
-import logging
-from collections import Counter
-
 from drivers.errors import ProtocolError, TransportError
 from drivers.frames import OdometrySample
 from drivers.irobot_create.config import GIVE_UP_NS, RETRY_START_NS, IrobotCreateConfig
-from drivers.irobot_create.health import CHARGING, HEALTH_IDS, RobotHealth
+from drivers.irobot_create.health import CHARGING, HEALTH_IDS
 from drivers.irobot_create.odometry import DeadReckoning, TwistWindow, inside_truncated
 from drivers.irobot_create.protocol import (
     BANNER_END_NS,
@@ -20,14 +17,11 @@ from drivers.irobot_create.protocol import (
     Opcode,
     PacketId,
     TextCollector,
-    banner_identity,
     data_bytes,
     decode_values,
     encode_query,
-    is_banner,
 )
-
-log = logging.getLogger(__name__)
+from drivers.irobot_create.robot import RobotSession
 
 # An answer has neither length nor checksum: the mode at both ends is its guard.
 QUERY_IDS = (
@@ -49,38 +43,27 @@ READING_VARIANCE_RAD2 = DEGREE_RAD**2 / 12.0  # uniform inside a degree
 STREAK = 3  # refused answers in a row that mean the start is to be repeated
 
 
-class Create1Session:
+class Create1Session(RobotSession):
     """One connection's life; see drivers.link.Session. An OdometrySample per answer.
 
     A stamp is the middle between the earliest moment the question can have been heard and the latest the
-    answer can have been sent (Cristian, "Probabilistic clock synchronization", 1989). The pose never jumps.
+    answer can have been sent (Cristian, "Probabilistic clock synchronization", 1989).
     """
 
     clock_offset_ns: int | None = None
     clock_sigma_ns: int | None = None
+    _button = "power"
 
     def __init__(self, config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> None:
-        self._config = config
-        self.outbox = bytearray()
-        self.counters: Counter[str] = Counter()
-        self.status = "waking the robot"
-        self.identity: dict[str, str] = {"model": config.model}
-        self._health = RobotHealth(self.counters)
-        self._odometry = odometry or DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
-        self._twist = TwistWindow(TWIST_READINGS)
+        super().__init__(config, odometry, TwistWindow(TWIST_READINGS))
         self._text = TextCollector()
         self._answer = bytearray()
         self._answer_bytes = data_bytes(QUERY_IDS)
-        self._byte_ns = 10e9 / config.baud
         self._requested_ns: int | None = None  # None: no question is open
         self._ask_at_ns = 0
-        self._start_at_ns: int | None = None
-        self._last_heard_ns: int | None = None
         self._last_mps: tuple[float, float] | None = None  # requested left and right; None before an answer
         self._path_length_lost = True  # of the time before this session
         self._refused_in_a_row = 0
-        self._in_banner_until_ns = 0
-        self._bytes_heard = 0
 
     def shutdown_request(self) -> bytes:
         return bytes([Opcode.START])  # Passive: the robot may charge and sleep
@@ -89,7 +72,9 @@ class Create1Session:
         if self._last_heard_ns is None:
             self._last_heard_ns = self._start_at_ns = now_ns
         if now_ns - self._last_heard_ns > GIVE_UP_NS:
-            raise TransportError(self._explain_silence())
+            answers = self.counters["answers_received"]
+            stopped = f"no valid answer for {GIVE_UP_NS / 1e9:.0f} s after {answers}" if answers else ""
+            raise TransportError(self._explain_silence(stopped, "valid answer"))
         if self._requested_ns is not None and now_ns - self._requested_ns > ANSWER_NS:
             self._give_up_answer(now_ns)
         if self._start_at_ns is not None and now_ns >= self._start_at_ns:
@@ -152,16 +137,8 @@ class Create1Session:
 
     def _read_text(self, arrived_ns: int) -> None:
         for line in self._text.lines:
-            self.counters["text_lines"] += 1
-            log.debug("%s says: %s", self._config.name, line)
-            if is_banner(line):
-                if arrived_ns > self._in_banner_until_ns and self._last_mps is not None:
-                    self.counters["robot_resets"] += 1
-                self._in_banner_until_ns = arrived_ns + BANNER_END_NS
-                self.identity |= banner_identity(line)
-                self._last_heard_ns = arrived_ns
-                self._start_at_ns = self._ask_at_ns = arrived_ns + BANNER_END_NS
-                self.status = "the robot was reset; waiting for the end of its banner"
+            if self._take_line(line, arrived_ns, self._last_mps is not None):
+                self._ask_at_ns = arrived_ns + BANNER_END_NS
         self._text.lines.clear()
 
     def _accepted(self, answer: bytes, arrived_ns: int) -> dict[int, int] | None:
@@ -225,21 +202,4 @@ class Create1Session:
             (path_length_m - 0.5 * base_m * turn_rad) * self._config.left_scale,
             (path_length_m + 0.5 * base_m * turn_rad) * self._config.right_scale,
             READING_VARIANCE_RAD2 if turn_rad else 0.0,
-        )
-
-    def _explain_silence(self) -> str:
-        seconds = GIVE_UP_NS / 1e9
-        if answers := self.counters["answers_received"]:
-            return (
-                f"no valid answer for {seconds:.0f} s after {answers}; fell asleep, "
-                "was switched off or unplugged? press its power button, or wire BRC to RTS or DTR"
-            )
-        if self._bytes_heard:
-            return (
-                f"{self._bytes_heard} bytes came but no valid answer for {seconds:.0f} s; is "
-                f"{self._config.baud} the robot's baud rate, and is another program reading this port?"
-            )
-        return (
-            f"no answer to Start (128) in {seconds:.0f} s; is the robot asleep or off? press its power "
-            f"button, or wire BRC to RTS or DTR; else look at cable and baud rate ({self._config.baud})"
         )

@@ -4,7 +4,6 @@ Read-only: no command for wheels, brushes or lamps is ever sent, and the robot s
 """
 
 import logging
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,21 +12,19 @@ from drivers.frames import OdometrySample
 from drivers.irobot_create.config import GIVE_UP_NS, RETRY_START_NS, IrobotCreateConfig
 from drivers.irobot_create.create1 import Create1Session
 from drivers.irobot_create.frame_clock import FrameClock
-from drivers.irobot_create.health import HEALTH_IDS, EncoderFaults, RobotHealth
+from drivers.irobot_create.health import HEALTH_IDS, EncoderFaults
 from drivers.irobot_create.odometry import FASTEST_MPS, DeadReckoning, TwistWindow, counts_between
 from drivers.irobot_create.protocol import (
-    BANNER_END_NS,
     FRAME_PERIOD_NS,
     MODE_SWITCH_NS,
     Opcode,
     PacketId,
     StreamDecoder,
     StreamFrame,
-    banner_identity,
     encode_stream_request,
     frame_bytes,
-    is_banner,
 )
+from drivers.irobot_create.robot import RobotSession
 from drivers.link import Session
 
 log = logging.getLogger(__name__)
@@ -52,41 +49,28 @@ class Reading:
     stamp_ns: int
 
 
-class IrobotCreateSession:
+class IrobotCreateSession(RobotSession):
     """One connection's life; see drivers.link.Session.
 
-    Yields an OdometrySample per stream frame, 66.7 a second. The pose never jumps: what is unknown or
-    implausible is left out of it, and added to its covariance instead.
+    Yields an OdometrySample per stream frame, 66.7 a second.
     """
 
     def __init__(self, config: IrobotCreateConfig, odometry: DeadReckoning | None = None) -> None:
-        self._config = config
-        self.outbox = bytearray()
-        self.counters: Counter[str] = Counter()
-        self.status = "waking the robot"
-        self.identity: dict[str, str] = {"model": config.model}
+        super().__init__(config, odometry, TwistWindow())
         self._decoder = StreamDecoder(STREAM_IDS)
-        self._health = RobotHealth(self.counters)
         self._encoder_faults = EncoderFaults()
-        self._odometry = odometry or DeadReckoning(config.wheel_base_m, config.travel_variance_m2_per_m)
-        self._twist = TwistWindow()
-        self._byte_ns = 10e9 / config.baud
         self._frame_bytes = frame_bytes(STREAM_IDS)
         self._clock = FrameClock(round(self._frame_bytes * self._byte_ns + config.latency_ms * 1e6))
         self._read: Reading | None = None  # the last plausible one; None: not read since the last reset
         self._doubtful: Reading | None = None  # too far from that; the next one tells which of them was right
         self._heard_ns: int | None = None
         self._backdated = False  # the read at hand: its bytes had the time to come one after the other
-        self._last_heard_ns: int | None = None  # frame or banner; None before the first tick
         self._was_silent = False  # for a second or more, and no reading came since
         self._started_ns: int | None = None  # 128 was sent
-        self._start_at_ns: int | None = None
         self._request_at_ns: int | None = None
         self._keep_alive_at_ns = 0
         self._stream_from_ns: int | None = None  # frames before this are of an older stream; None: all are
-        self._in_banner_until_ns = 0
         self._mode_learned = False
-        self._bytes_heard = 0
 
     @property
     def clock_offset_ns(self) -> int | None:
@@ -105,7 +89,9 @@ class IrobotCreateSession:
             self._keep_alive_at_ns = now_ns + KEEP_ALIVE_NS
         silence_ns = now_ns - self._last_heard_ns
         if silence_ns > GIVE_UP_NS:
-            raise TransportError(self._explain_silence())
+            frames = self.counters["frames_received"]
+            stopped = f"silent for {GIVE_UP_NS / 1e9:.0f} s after {frames} frames" if frames else ""
+            raise TransportError(self._explain_silence(stopped, "stream frame"))
         if self._start_at_ns is None and silence_ns > RETRY_START_NS:
             self.status = "no stream; starting the robot again"
             self.counters["silences"] += 1
@@ -149,18 +135,9 @@ class IrobotCreateSession:
 
     def _read_text(self, arrived_ns: int) -> None:
         for line in self._decoder.lines:
-            self.counters["text_lines"] += 1
-            log.debug("%s says: %s", self._config.name, line)
-            if not is_banner(line):
-                continue
-            self.identity |= banner_identity(line)
-            if arrived_ns > self._in_banner_until_ns and self.counters["frames_received"]:
-                self.counters["robot_resets"] += 1
-            self._in_banner_until_ns = self._start_at_ns = arrived_ns + BANNER_END_NS
-            self._request_at_ns = self._stream_from_ns = None
-            self._last_heard_ns = arrived_ns
-            self._read = self._doubtful = None
-            self.status = "the robot was reset; waiting for the end of its banner"
+            if self._take_line(line, arrived_ns, self.counters["frames_received"] > 0):
+                self._request_at_ns = self._stream_from_ns = None
+                self._read = self._doubtful = None
         self._decoder.lines.clear()
 
     def _to_sample(self, frame: StreamFrame, arrived_ns: int) -> OdometrySample | None:
@@ -250,23 +227,6 @@ class IrobotCreateSession:
                 reach_m,
                 f"; {faults} jumps since the last such line" if faults > 1 else "",
             )
-
-    def _explain_silence(self) -> str:
-        seconds = GIVE_UP_NS / 1e9
-        if self.counters["frames_received"]:
-            return (
-                f"silent for {seconds:.0f} s after {self.counters['frames_received']} frames; fell asleep, "
-                "was switched off or unplugged? press its Clean button, or wire BRC to RTS or DTR"
-            )
-        if self._bytes_heard:
-            return (
-                f"{self._bytes_heard} bytes but no stream frame in {seconds:.0f} s; is {self._config.baud} "
-                f"the robot's baud rate, is it a {self._config.model}, is another program reading this port?"
-            )
-        return (
-            f"no answer to Start (128) in {seconds:.0f} s; is the robot asleep or off? press its Clean "
-            f"button, or wire BRC to RTS or DTR; else look at cable and baud rate ({self._config.baud})"
-        )
 
 
 def _reach_m(since: Reading, arrived_ns: int) -> float:
