@@ -54,6 +54,7 @@ class Case:
     share: float = 0.33  # of the returns, from people or a train
     for_s: float | None = None  # how long it lasts; None: as the scene has it
     has_imu: bool = True
+    laser: Laser = LMS100_25HZ
 
     def __str__(self) -> str:
         return (
@@ -70,7 +71,7 @@ class Stage:
     world: World
     from_s: float  # of the drive
     to_s: float
-    laser: Laser = LMS100_25HZ
+    laser: Laser
     wheels: Wheels | None = GOOD_WHEELS
     imu: Imu | None = field(default_factory=Imu)
     tamper: Callable[[Drive, int, int], Drive] | None = None  # at_ns, for_ns
@@ -228,7 +229,7 @@ def staged(case: Case, after_s: float = AFTER_S) -> Staged:
     plain = driven(WORLDS[case.world](), case.moment, case.speed_mps, BEFORE_S + for_s + AFTER_S)
     world = begun_at(plain, heading_rad(case.seed))
     from_s = world.drive.duration_s - plain.drive.duration_s + BEFORE_S
-    still = Stage(case, world, from_s, from_s + for_s, imu=Imu() if case.has_imu else None)
+    still = Stage(case, world, from_s, from_s + for_s, case.laser, imu=Imu() if case.has_imu else None)
     stage = SCENES[case.scene].change(still)
     seconds = STAND_S + stage.to_s + after_s
     made = drive(stage.world, stage.laser, seconds, case.seed, stage.wheels, stage.imu, STAND_S)

@@ -42,11 +42,11 @@ USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, b
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 OUTLIER_SHARE = 0.1  # of the returns, on no static wall; more while part of the scene moves
 PERSON_M = 0.6  # largest extent of an object that may walk by
-DECISIVE_SHARE = 0.5  # of the information about some direction
+DECISIVE_SHARE = 0.5  # of the returns, or of the information about some direction
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
-# observed, and where none are.
-PRIOR_NATS = 5.0
+# observed, and where none are; minus those where returns decide that are neither known to move nor static.
+PRIOR_NATS, NEW_PRIOR_NATS = 5.0, 3.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
@@ -259,7 +259,8 @@ class MovingScene:
         if not self._reckoning.is_silent:
             self._moving_path_m += attempt.predicted.travel_m
         static, _share = self._align_static(attempt, attempt.prior, submap)
-        if static.result.used < MIN_CONFIRMING or is_loose(sigmas_of(static.result.covariance)):
+        is_unconfirmed = self._reckoning.is_silent and static.result.used < MIN_CONFIRMING
+        if is_unconfirmed or is_loose(sigmas_of(static.result.covariance)):
             self._moves_until_ns = NOTHING_MOVES
             return None
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
@@ -289,12 +290,13 @@ class MovingScene:
         static, share = self._align_static(attempt, prior, aligned.submap)
         if share >= MIN_STATIC_SHARE and (conflict is None or not conflict.is_turned):
             nats = self._evidence_nats(attempt, static, aligned)
+            nats += PRIOR_NATS if moves else _prior_nats(aligned, attempt)
         elif conflict is None:
             return aligned
         else:
             nats = self._inertia_nats(attempt, aligned)
-            moves = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
-        nats += PRIOR_NATS if moves else -PRIOR_NATS
+            is_off_walls = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
+            nats += PRIOR_NATS if is_off_walls else -PRIOR_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
         if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
@@ -407,11 +409,7 @@ class MovingScene:
         if not self._reckoning.is_silent or is_dynamic.sum() < BEAMS_TOGETHER:
             return False
         is_moving, _is_static = _classified(attempt, aligned.submap, xy_base, pose)
-        xy, (nx, ny, weight) = attempt.points.xy_base, attempt.normals.T
-        rows = np.sqrt(weight)[:, None] * np.column_stack((nx, ny, xy[:, 0] * ny - xy[:, 1] * nx))
-        moving = rows[is_moving]
-        shares = np.linalg.eigvals(np.linalg.pinv(rows.T @ rows) @ (moving.T @ moving))
-        return float(shares.real.max()) >= DECISIVE_SHARE
+        return _decisive_share(is_moving, attempt) >= DECISIVE_SHARE
 
     def _is_drifting(self, static: Aligned, attempt: Attempt) -> bool:
         """Whether matches of entire scans drift from the static path.
@@ -451,6 +449,29 @@ def _classified(
         before = submap.static_residuals(xy_base, attempt.normals, pose, STATIC_PATH_M + moving_path_m)
         is_static &= ~is_small | np.isfinite(before)
     return is_moving | moves[group], is_static
+
+
+def _prior_nats(aligned: Aligned, attempt: Attempt) -> float:
+    """Log-odds that part of the scene moves where a conflict, but no motion, was observed.
+
+    Where most returns are known to be static and the others decide how far the vehicle went, as in a corridor
+    behind people, that is no measurement by what is known to be static.
+    """
+    is_moving, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
+    if is_static.mean() >= DECISIVE_SHARE:
+        if _decisive_share(is_moving, attempt) >= DECISIVE_SHARE:
+            return PRIOR_NATS
+        if _decisive_share(~is_static, attempt) >= DECISIVE_SHARE:
+            return -NEW_PRIOR_NATS
+    return -PRIOR_NATS
+
+
+def _decisive_share(some: Mask, attempt: Attempt) -> float:
+    """Largest share that some of the returns (N,) have in the information about a direction."""
+    xy, (nx, ny, weight) = attempt.points.xy_base, attempt.normals.T
+    rows = np.sqrt(weight)[:, None] * np.column_stack((nx, ny, xy[:, 0] * ny - xy[:, 1] * nx))
+    shares = np.linalg.eigvals(np.linalg.pinv(rows.T @ rows) @ (rows[some].T @ rows[some]))
+    return float(shares.real.max())
 
 
 def _is_on_wall(residual_m: Matrix) -> Mask:
