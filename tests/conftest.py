@@ -124,8 +124,10 @@ def no_thread_stays() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def logging_as_before() -> Iterator[None]:
-    """Commands configure the root logger: the next test sees neither its level nor a closed stream."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
+    """Commands configure these loggers: the next test sees neither their level nor a closed stream."""
+    root, drivers = logging.getLogger(), logging.getLogger("drivers")
+    handlers, level, of_drivers = root.handlers[:], root.level, drivers.level
     yield
-    root.handlers[:], root.level = handlers, level
+    root.handlers[:] = handlers
+    root.setLevel(level)
+    drivers.setLevel(of_drivers)  # doctor and init raise it
