@@ -27,6 +27,7 @@ from simulators.world import World
 from simulators.worlds import WORLDS
 from tests.accuracy.buildings import FAST_MALL, LMS100_25HZ, MALL_PATH_LENGTH_M, seconds_for
 from tests.papers.report import Row, Section
+from tests.service.mapper.graph.relocalise.evidence_margin import evidence_margin
 from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ, Laser, Wheels, begun_at, drive, heading_rad
 
@@ -254,7 +255,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
 def is_reported(detached: DetachedSearch, true: Floats) -> bool:
     """Whether the true place is one of two that are reported, and neither is clearly likelier."""
     is_reported = any(math.hypot(at.x_m - true[0], at.y_m - true[1]) < RIGHT_M for at in detached.possible)
-    return is_reported and abs(detached.evidence_margin(true)) < MIN_MARGIN_NATS
+    return is_reported and abs(evidence_margin(detached, true)) < MIN_MARGIN_NATS
 
 
 def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
@@ -292,7 +293,7 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
             found_s = 1e-9 * (output.stamp_ns - frames[0].stamp_ns)
     detached = back_ends[0].detached_search
     is_alike = not is_placed and is_reported(detached, true)
-    elsewhere = not is_placed and not is_alike and detached.evidence_margin(true) <= 0.0
+    elsewhere = not is_placed and not is_alike and evidence_margin(detached, true) <= 0.0
     mapper.graph.close()
     is_right = is_placed and not is_wrong
     return Look(is_right, is_wrong, was_wrong_ok, is_alike, elsewhere, found_s, longest_s, 1e3 * off_m)

@@ -92,7 +92,6 @@ class DetachedSearch:
         self._is_session_placed = True  # False: the session has no place in the stored map
         self.possible: list[PossiblePlace] = []  # of the newest segment, as in PlaceUpdate
         self._query: SeenCloud | None = None  # of the newest search
-        self._places: list[CandidatePose] = []  # its results
 
     def make_ready(self, known: npt.NDArray[np.int64]) -> None:
         """Build the search structures before the first search. known (K,) as of find."""
@@ -271,8 +270,7 @@ class DetachedSearch:
             lambda one: not self._is_session_placed or _could_win(one, prior),
             lambda pose: math.dist(pose[:2], at_m) <= reach_m,
         )
-        self._places = [self._candidate(known, reference, one, seen.cloud, prior) for one in found]
-        return self._places
+        return [self._candidate(known, reference, one, seen.cloud, prior) for one in found]
 
     def _prior_of(
         self, reference: int, known: npt.NDArray[np.int64], last: int, reach_m: float
@@ -293,18 +291,6 @@ class DetachedSearch:
         if int(keyframes.segment[reference]) in keyframes.unmeasured:
             probability = ODOMETRY_PROBABILITY_UNMEASURED
         return OdometryPrior(pose, covariance_added(then, now, step), region, probability)
-
-    def evidence_margin(self, pose_map: Floats) -> float:
-        """Nats by which the evidence of a pose (3,) in the map exceeds every other place of the newest
-        search; inf if it found none, nan before the first. At the true pose a value below 0 means an
-        ambiguous query.
-        """
-        if self._query is None or self._known_map is None:
-            return math.nan
-        seen, known_map = self._query, self._known_map
-        here = known_map.refine(seen, known_map.align(seen, pose_map)).score
-        others = [p.score.evidence for p in self._places if not is_same_place(p.pose, pose_map)]
-        return here.evidence - max(others, default=-math.inf)
 
     def best_of(
         self, found: list[CandidatePose], prior: OdometryPrior | None = None
