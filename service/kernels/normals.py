@@ -23,7 +23,7 @@ ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
 # Beside an edge, where the window around a point contains two walls: a window on one side of the point.
 MIN_SIDE = 2  # points in it besides the point itself
 MIN_REACH_M = 0.12  # shorter windows fit on the side of a door
-MIN_WIDTH_M = 0.6  # of a run with edges; a narrower one is a round object: a post, a trunk or a person
+ROUND_OBJECT_M = 0.6  # width of a run up to which it is a round object: a post, a trunk or a person
 MAX_SPACING_M = 0.1  # of its points: any three sparse points, each on another wall, form a plane
 MIN_COS_BESIDE_EDGE = 0.5  # of the incidence: points between two walls lie along the beams
 MAX_CLEAN_SCATTER = 1.0  # largest scatter across, over the expected
@@ -89,7 +89,7 @@ def estimate_normals(xy_base, sensor_xy_m, angle_step_rad, range_sigma_m, grazin
         nx, ny, weight, _, aside_m = plane_at(
             xy_base, sensor_xy_m, range_m[i], sums, i, low, high, square_m2, grazing_weight
         )
-        is_edge = reach * spacing_m > MIN_REACH_M and (end - first[i]) * spacing_m > MIN_WIDTH_M
+        is_edge = reach * spacing_m > MIN_REACH_M and (end - first[i]) * spacing_m > ROUND_OBJECT_M
         if weight == ROUGH_WEIGHT and is_edge:
             ex, ey, of_side, aside_of_side = plane_beside_edge(
                 xy_base, sensor_xy_m, range_m[i], sums, i, first[i], end, reach, square_m2, grazing_weight

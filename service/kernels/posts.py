@@ -1,4 +1,4 @@
-"""A fast test whether a scan can consist mostly of posts."""
+"""Runs of neighbouring returns of one surface, among which posts are searched."""
 
 import math
 
@@ -6,8 +6,6 @@ import numpy as np
 
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
-
-SLACK = 1e-9  # relative, for sums in a different order
 
 
 @inner_kernel
@@ -33,40 +31,32 @@ def missing_by_chance(range_m, beam, gap, least_step_m):
     return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if present > 0 else range_m.shape[0]
 
 
-@kernel(Float64_2D, Int32_1D, int, Float64_1D, float, float, float, float)
-def may_be_posts(xy, beam, gap, sensor_xy, step_rad, most_width_m, least_step_m, least_share):
-    """Whether points in narrow runs are at least `least_share` of all; and the longest chance gap.
+@kernel(Float64_2D, Int32_1D, int, Float64_1D, float)
+def runs_of(xy, beam, gap, sensor_xy, least_step_m):
+    """Runs of neighbouring points: a run ends where more returns are missing than chance explains, or where
+    the range steps.
 
-    A run ends where more returns are missing than chance explains, or where the range steps. Rounding can
-    only split runs, which makes them narrower: the result may be falsely True, never falsely False.
-
-    xy             (N, 2) float64   m, in order of the beams
+    xy             (N, 2) float64   m, in order of the beams; N > 0
     beam           (N,)   int32     index of the beam in the scan
     gap            int              beams from one return to the next, see usual_gap
     sensor_xy      (2,)   float64   m, the sensor in the frame of xy
-    step_rad       float            from one return to the next
-    most_width_m   float            of a narrow run
     least_step_m   float            range step at which a run ends
-    least_share    float            0 to 1
+    Returns (range of each point (N,) float64, m; first point of each run and N (R + 1,) int64; whether
+    returns are missing before each run (R,) bool).
     """
     count = xy.shape[0]
     range_m = np.empty(count)
     for i in range(count):
         range_m[i] = math.hypot(xy[i, 0] - sensor_xy[0], xy[i, 1] - sensor_xy[1])
-    most_missing = missing_by_chance(range_m, beam, gap, least_step_m)
-    narrow = begin = 0
-    sum_m = 0.0
-    for i in range(count + 1):
-        is_end = i == count
-        if i > 0 and not is_end:
-            is_end = beam[i] - beam[i - 1] > gap * (most_missing + 1)
-            is_end = is_end or abs(range_m[i] - range_m[i - 1]) > least_step_m * (1.0 - SLACK)
-        if is_end:
-            steps = (beam[i - 1] - beam[begin]) / gap + 1.0
-            if steps * step_rad * sum_m <= most_width_m * (i - begin) * (1.0 + SLACK):
-                narrow += i - begin
-            begin = i
-            sum_m = 0.0
-        if i < count:
-            sum_m += range_m[i]
-    return narrow >= least_share * count, most_missing
+    most_apart = gap * (missing_by_chance(range_m, beam, gap, least_step_m) + 1)
+    first = np.empty(count + 1, np.int64)
+    is_apart = np.empty(count, np.bool_)
+    runs = 0
+    for i in range(count):
+        apart = i > 0 and beam[i] - beam[i - 1] > most_apart
+        if i == 0 or apart or abs(range_m[i] - range_m[i - 1]) > least_step_m:
+            first[runs] = i
+            is_apart[runs] = apart
+            runs += 1
+    first[runs] = count
+    return range_m, first[: runs + 1], is_apart[:runs]

@@ -92,11 +92,6 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"_matched_at_constant_velocity": lambda _, aligned, attempt: aligned},
     ),
     (
-        "returns missing by chance are no gaps beside posts",
-        f"{METHOD}.posts",
-        {"may_be_posts": lambda *_: (True, 0)},
-    ),
-    (
         "points moved along their walls ([24])",
         "service.mapper.walls",
         {"estimate_normals": normals_of_points_as_they_are},

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.kernels.posts import may_be_posts
+from service.kernels.normals import ROUND_OBJECT_M
+from service.kernels.posts import runs_of
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
 
 # Share of the points on posts: 0.73 and more in a wood. With fewer posts, walls fix the pose better.
 MIN_POST_SHARE = 0.7
-MAX_WIDTH_M = 0.6  # of a post
 MIN_STEP_M = 0.3  # least range step from a post to its background
 CENTROID = math.pi / 4.0  # in radii: distance of the centroid of the visible points in front of the centre
 ROUND_M = 0.02  # deviation of a post from a circle
@@ -52,33 +52,24 @@ class Posts:
 def posts_of(points: Points) -> Posts | None:
     """The posts that a scan sees completely; None where fewer than MIN_POST_SHARE of its points are on posts.
 
-    A post is a run of consecutive points, at most MAX_WIDTH_M wide, with a farther background on both sides.
-    Half its width is its radius. Returns missing by chance do not end a run.
+    A post is a run of consecutive points, at most ROUND_OBJECT_M wide, with a farther background on both
+    sides. Half its width is its radius. Returns missing by chance do not end a run.
     """
     count = len(points.xy_raw)
     if count < 3:
         return None
     sensor = points.sensor_xy_m
     gap, step_rad = points.usual_gap, points.spacing_rad
-    bounds = (MAX_WIDTH_M, MIN_STEP_M, MIN_POST_SHARE)
-    is_possible, most_missing = may_be_posts(points.xy_raw, points.beam, gap, sensor, step_rad, *bounds)
-    if not is_possible:
-        return None  # a test that is twenty times as fast and rejects nearly every scan
-    away = points.xy_raw - sensor
-    range_m = np.hypot(away[:, 0], away[:, 1])
-    is_apart = np.diff(points.beam) > gap * (most_missing + 1)
-    is_break = is_apart | (np.abs(np.diff(range_m)) > MIN_STEP_M)
-    begin = np.concatenate(([0], np.flatnonzero(is_break) + 1))
-    end = np.concatenate((begin[1:], [count]))
-    mean_m = np.add.reduceat(range_m, begin) / (end - begin)
-    spacing_m = step_rad * mean_m
+    range_m, first, is_apart = runs_of(points.xy_raw, points.beam, gap, sensor, MIN_STEP_M)
+    begin, end = first[:-1], first[1:]
+    spacing_m = step_rad * (np.add.reduceat(range_m, begin) / (end - begin))
     width_m = ((points.beam[end - 1] - points.beam[begin]) / gap + 1.0) * spacing_m
-    is_narrow = width_m <= MAX_WIDTH_M
+    is_narrow = width_m <= ROUND_OBJECT_M
     if (end - begin)[is_narrow].sum() < MIN_POST_SHARE * count:
         return None
     # on each side: the adjacent point is farther away, or there is none in range
-    before = (begin > 0) & ~is_apart[begin - 1]
-    after = (end < count) & ~is_apart[np.minimum(end, count - 1) - 1]
+    before = (begin > 0) & ~is_apart
+    after = np.append(before[1:], False)
     is_before = ~before | (range_m[begin - 1] > range_m[begin] + MIN_STEP_M)
     is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + MIN_STEP_M)
     is_inside = (points.beam[begin] >= gap) & (points.beam[end - 1] < len(points.scan.range_m) - gap)
