@@ -51,7 +51,6 @@ class MatchSettings(NamedTuple):
     cauchy_m: float
     least_normal_cosine: float
     iterations: int
-    deskew_rounds: int
     inlier_m: float
     coarse_sigma: float
     coarse_m: float
@@ -269,7 +268,7 @@ def align_on_surfels(problem, target, tolerance_factor, doubt_inlier_ratio, alig
     weight = 1.0
     last = pose.copy()
     for k in range(settings.iterations + 1):
-        if moves and 0 < k <= settings.deskew_rounds:
+        if moves and k > 0:
             learn_twist(prior, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, evaluated)

@@ -15,7 +15,6 @@ ALIGNMENT = MatchSettings(
     cauchy_m=0.10,
     least_normal_cosine=MIN_NORMAL_COSINE,
     iterations=15,
-    deskew_rounds=0,
     inlier_m=0.10,  # largest distance of an inlier from its surfel
     coarse_sigma=1.0,  # not read without coarse_iterations
     coarse_m=0.0,

@@ -49,7 +49,6 @@ from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
-DESKEW_ROUNDS = 8
 NEAR = 10.0  # factor on the step that ends the alignment with full cells, before half cells refine the pose
 COARSE_SIGMA, COARSE_BEAMS = 0.3, 180  # sigma of 1 - likelihood
 COARSE_M, COARSE_RAD = 0.1, 0.05  # resolution of the coarse map: a cell, and a cell at 2 m
@@ -93,7 +92,6 @@ class SurfelGaussNewton:
             surfel_sigma_m=SURFEL_SIGMA_M,
             wall_sigma_m=config.wall_sigma_m,
             cauchy_m=config.cauchy_m,
-            deskew_rounds=DESKEW_ROUNDS,
             coarse_sigma=COARSE_SIGMA,
             coarse_m=COARSE_M,
             coarse_rad=COARSE_RAD,

@@ -31,7 +31,6 @@ SETTINGS = MatchSettings(
     cauchy_m=0.1,
     least_normal_cosine=0.6,
     iterations=15,
-    deskew_rounds=3,
     inlier_m=0.1,
     coarse_sigma=0.3,
     coarse_m=0.1,
