@@ -24,6 +24,8 @@ from service.kernels.scan_information import scan_information
 from service.kernels.surfel_equations import surfel_cost, surfel_normal_equations
 from service.kernels.surfels import SurfelCache, SurfelGrid, clear_cache, empty_cache, find_surfels_cached
 
+NEAR = 10.0  # factor on the step that ends the alignment with full cells, before half cells refine the pose
+COARSE_SIGMA, COARSE_BEAMS = 0.3, 180  # sigma of 1 - likelihood
 MAX_HALVINGS = 4  # of a step that raises the cost; [12]
 MIN_FINE_SHARE = 0.8  # inliers of half cells over those of full cells; below it the full cells decide; [32]
 MIN_FINE_POINTS = 2.0  # points of this laser that a surfel of half cells stands for at least; [32]
@@ -52,12 +54,6 @@ class MatchSettings(NamedTuple):
     least_normal_cosine: float
     iterations: int
     inlier_m: float
-    coarse_sigma: float
-    coarse_m: float
-    coarse_rad: float
-    coarse_beams: int
-    coarse_iterations: int
-    near: float
     settled_m: float
     settled_rad: float
     degrees_of_freedom: float
@@ -336,23 +332,24 @@ def align_from_starts(problem, target, doubt_inlier_ratio, alignment):
     """
     settings, prior, grid = problem.settings, problem.prior, target.grid
     start, predicted_xy = alignment.pose.copy(), alignment.xy_base.copy()
-    best = align_on_surfels(problem, target, settings.near, doubt_inlier_ratio, alignment)
+    best = align_on_surfels(problem, target, NEAR, doubt_inlier_ratio, alignment)
     if best.inliers >= doubt_inlier_ratio * best.used:
         return best
+    coarse_rad = grid.cell_m / 2.0  # a cell at 2 m
     loose = prior.covariance.copy()
-    loose[0, 0] += settings.coarse_m * settings.coarse_m
-    loose[1, 1] += settings.coarse_m * settings.coarse_m
-    loose[2, 2] += settings.coarse_rad * settings.coarse_rad
+    loose[0, 0] += grid.cell_m * grid.cell_m
+    loose[1, 1] += grid.cell_m * grid.cell_m
+    loose[2, 2] += coarse_rad * coarse_rad
     coarse_information = np.zeros((3, 3))
     information_at(loose, prior.pose[2], coarse_information)
     field = LikelihoodField(grid.tiles, grid.field, grid.cell_m)
-    coarse = LmSettings(settings.coarse_iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
+    coarse = LmSettings(settings.iterations, 1e-3, 1e-4, 1e-3, 1e3, 0.0)
     trial = new_alignment(start, predicted_xy)
     for side in (0.0, 1.0, -1.0):
         copy_matrix(predicted_xy, trial.xy_base)
         copy_vector(start, trial.pose)
         trial.pose[2] += 2.0 * side * math.sqrt(prior.covariance[2, 2])
-        thin, weights = thin_evenly(trial.xy_base, settings.coarse_beams, settings.coarse_sigma)
+        thin, weights = thin_evenly(trial.xy_base, COARSE_BEAMS, COARSE_SIGMA)
         align_points(
             thin,
             weights,
@@ -365,7 +362,7 @@ def align_from_starts(problem, target, doubt_inlier_ratio, alignment):
             trial.pose,
             trial.information,
         )
-        fit = align_on_surfels(problem, target, settings.near, math.inf, trial)
+        fit = align_on_surfels(problem, target, NEAR, math.inf, trial)
         if fit.cost < best.cost:
             best = fit
             copy_alignment(trial, alignment)

@@ -82,11 +82,6 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"FAULT_NOISE": math.inf},
     ),
     (
-        "coarse start held to the prediction by no more than it tells apart",
-        f"{METHOD}.surfel_gauss_newton",
-        {"COARSE_M": 0.0, "COARSE_RAD": 0.0},
-    ),
-    (
         "match tried where the vehicle would be had it gone on",
         f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
         {"_matched_at_constant_velocity": lambda _, aligned, attempt: aligned},

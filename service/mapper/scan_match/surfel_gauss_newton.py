@@ -49,9 +49,6 @@ from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]
 
-NEAR = 10.0  # factor on the step that ends the alignment with full cells, before half cells refine the pose
-COARSE_SIGMA, COARSE_BEAMS = 0.3, 180  # sigma of 1 - likelihood
-COARSE_M, COARSE_RAD = 0.1, 0.05  # resolution of the coarse map: a cell, and a cell at 2 m
 CHANCE_M = 1.0  # of travel, over which chance information along an open direction accumulates
 MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
@@ -92,12 +89,6 @@ class SurfelGaussNewton:
             surfel_sigma_m=SURFEL_SIGMA_M,
             wall_sigma_m=config.wall_sigma_m,
             cauchy_m=config.cauchy_m,
-            coarse_sigma=COARSE_SIGMA,
-            coarse_m=COARSE_M,
-            coarse_rad=COARSE_RAD,
-            coarse_beams=COARSE_BEAMS,
-            coarse_iterations=ALIGNMENT.iterations,
-            near=NEAR,
         )
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser
