@@ -23,13 +23,11 @@ from service.kernels.normals import (
     ROUGH_WEIGHT,
     THICK_SIGMAS,
     WALL_M,
+    small_eigenvector,
 )
-from service.kernels.surfels import REACH_CELLS
+from service.kernels.surfels import REACH_CELLS, TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, slot_at, take_slot
 
-MOMENT_TILE_BITS = 4
-MOMENT_TILE_CELLS = 1 << MOMENT_TILE_BITS
-MOMENT_TILE_MASK = MOMENT_TILE_CELLS - 1
 # Key frames alternate between the halves: the noise of their normals is independent.
 HALVES = 2
 # Columns of a half: weights, 1 / noise^2 each; mean from the centre of the cell, m; weighted squares
@@ -45,7 +43,7 @@ RESTART_POINTS = 12.0  # a cell with so many points that is no plane is cleared
 class MomentGrid(NamedTuple):
     """Moments of one sub-map.
 
-    tiles     TileIndex                             tiles of MOMENT_TILE_CELLS a side
+    tiles     TileIndex                             tiles of TILE_CELLS a side
     moments   (capacity, T, T, HALVES, MOMENTS)  float32
     cell_m    float
     """
@@ -61,20 +59,9 @@ def normal_of(xx, xy, yy, noise_xx, noise_xy, noise_yy, weight):
 
     Also returns the squares across it, their expectation by noise, and the squares along it.
     """
-    half = 0.5 * (xx - noise_xx - yy + noise_yy)
-    off = xy - noise_xy
-    root = math.hypot(half, off)
-    if half >= 0.0:  # eigenvector of the small eigenvalue, in the form without cancellation
-        nx = -off
-        ny = half + root
-    else:
-        nx = half - root
-        ny = off
-    length = math.sqrt(nx * nx + ny * ny)
-    if length == 0.0:
+    nx, ny = small_eigenvector(0.5 * (xx - noise_xx - yy + noise_yy), xy - noise_xy)
+    if nx == 0.0 and ny == 0.0:
         return 1.0, 0.0, xx, 0.0, 0.0
-    nx /= length
-    ny /= length
     across = nx * nx * xx + 2.0 * nx * ny * xy + ny * ny * yy
     expected = nx * nx * noise_xx + 2.0 * nx * ny * noise_xy + ny * ny * noise_yy + weight * WALL_M * WALL_M
     along = ny * ny * (xx - noise_xx) - 2.0 * nx * ny * (xy - noise_xy) + nx * nx * (yy - noise_yy)
@@ -118,12 +105,12 @@ def add_to_moments(xy_base, sensor_xy_m, range_sigma_m, normals, directed, pose,
         y = pose[1] + s * xy_base[i, 0] + c * xy_base[i, 1]
         column = math.floor(x * cells_per_m)
         row = math.floor(y * cells_per_m)
-        slot = np.int64(find_tile(grid.tiles, row >> MOMENT_TILE_BITS, column >> MOMENT_TILE_BITS))
+        slot = np.int64(find_tile(grid.tiles, row >> TILE_BITS, column >> TILE_BITS))
         if slot == NO_TILE:
-            slot, used_before = take_slot(grid.tiles, row >> MOMENT_TILE_BITS, column >> MOMENT_TILE_BITS)
+            slot, used_before = take_slot(grid.tiles, row >> TILE_BITS, column >> TILE_BITS)
             if used_before:
                 moments[slot] = np.float32(0.0)
-        cell = moments[slot, row & MOMENT_TILE_MASK, column & MOMENT_TILE_MASK, half]
+        cell = moments[slot, row & TILE_MASK, column & TILE_MASK, half]
         dx = x - (column + 0.5) * cell_m - cell[MOMENT_MEAN_X]
         dy = y - (row + 0.5) * cell_m - cell[MOMENT_MEAN_Y]
         before = cell[WEIGHT]
@@ -232,12 +219,12 @@ def pool_cells(grid, half, x, y, ux, uy, noise_m2, only_planes, pooled):
         for u in range(-1, 2):
             slot = slot_at(
                 slots,
-                ((row + v) >> MOMENT_TILE_BITS) - first_row,
-                ((column + u) >> MOMENT_TILE_BITS) - first_column,
+                ((row + v) >> TILE_BITS) - first_row,
+                ((column + u) >> TILE_BITS) - first_column,
             )
             if slot == NO_TILE:
                 continue
-            cell = moments[slot, (row + v) & MOMENT_TILE_MASK, (column + u) & MOMENT_TILE_MASK, half]
+            cell = moments[slot, (row + v) & TILE_MASK, (column + u) & TILE_MASK, half]
             if cell[WEIGHT] == 0.0:
                 continue
             mx = u * cell_m + cell[MOMENT_MEAN_X] - dx  # relative to the point: no cancellation

@@ -210,6 +210,23 @@ def plane_beside_edge(xy_base, sensor_xy_m, range_m, sums, i, first, end, reach,
 
 
 @inner_kernel
+def small_eigenvector(half, off):
+    """Unit eigenvector (2,) of the small eigenvalue of a symmetric 2 x 2 matrix; 0, 0 where both are equal.
+
+    half   half of its first diagonal entry less the second
+    off    entry off the diagonal
+    """
+    root = math.hypot(half, off)
+    x, y = -off, half + root
+    if half < 0.0:  # the same direction, in the form without cancellation
+        x, y = half - root, off
+    length = math.sqrt(x * x + y * y)
+    if length == 0.0:
+        return 0.0, 0.0
+    return x / length, y / length
+
+
+@inner_kernel
 def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazing_weight):
     """Unit normal (2,) of point i by the points low to high - 1, its weight, their scatter across over the
     expected, and the shift of point i along the wall, m; see estimate_normals.
@@ -241,16 +258,8 @@ def plane_at(xy_base, sensor_xy_m, range_m, sums, i, low, high, square_m2, grazi
         noise = (n - 4) * square_m2
         tilt = b - own * x * y - noise * nx * ny
         lean = half - 0.5 * own * (x * x - y * y) - 0.5 * noise * (nx * nx - ny * ny)
-        if lean >= 0.0:  # eigenvector of the small eigenvalue, in the form without cancellation
-            ex = -tilt
-            ey = lean + math.hypot(lean, tilt)
-        else:
-            ex = lean - math.hypot(lean, tilt)
-            ey = tilt
-        length = math.sqrt(ex * ex + ey * ey)
-        if length > 0.0:
-            ex /= length
-            ey /= length
+        ex, ey = small_eigenvector(lean, tilt)
+        if ex != 0.0 or ey != 0.0:
             cosine = ex * nx + ey * ny
             sine = nx * ey - ny * ex  # of the beam, to the left of the normal
             if cosine < 0.0:

@@ -5,27 +5,24 @@ import numpy.typing as npt
 
 from service.kernels.cell_moments import (
     HALVES,
-    MOMENT_TILE_BITS,
-    MOMENT_TILE_CELLS,
     MOMENTS,
     MomentGrid,
     add_to_moments,
     direct_by_moments,
 )
 from service.kernels.normals import ROUGH_WEIGHT
+from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import Points
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
 
 Matrix = npt.NDArray[np.float64]
 
-NARROW_WALL_POOL_TILES = 65_536  # 1.2 GB of address space: a laser with 200 m of range all around
 FOR_THE_MAP, FOR_THE_MATCH = range(HALVES)  # halves for surfels and for scans to be matched
 
 
-def narrow_wall_pool() -> TilePool:
-    """Pool for all sub-maps of a session."""
-    shape = (MOMENT_TILE_CELLS, MOMENT_TILE_CELLS, HALVES, MOMENTS)
-    return TilePool((Layer(shape, np.float32),), NARROW_WALL_POOL_TILES)
+def narrow_wall_pool(capacity: int) -> TilePool:
+    """Pool for all sub-maps of a session, of so many tiles."""
+    return TilePool((Layer((TILE_CELLS, TILE_CELLS, HALVES, MOMENTS), np.float32),), capacity)
 
 
 class NarrowWalls:
@@ -47,7 +44,7 @@ class NarrowWalls:
         half = self._next_half.get(points.scan.sensor, 0)
         self._next_half[points.scan.sensor] = (half + 1) % HALVES
         reach_m = reach_of(points.xy_base)
-        self._tiles.cover_around((float(pose[0]), float(pose[1])), reach_m, self._cell_m, MOMENT_TILE_BITS)
+        self._tiles.cover_around((float(pose[0]), float(pose[1])), reach_m, self._cell_m, TILE_BITS)
         add_to_moments(
             points.xy_base,
             points.sensor_xy_m,

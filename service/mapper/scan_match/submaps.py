@@ -47,7 +47,7 @@ SURFEL_COUNT_LIMIT = 1000.0  # points of one laser that a surfel averages over, 
 SURFEL_SIGMA_M = 0.01  # unit in which surfels count points; no pose depends on it
 FIELD_SIGMA_M = 0.15  # of a point in the coarse field: wide enough to attract a start that is off by a cell
 SATURATED_LIKELIHOOD = 0.95  # likelihood of a cell above which more points are skipped
-SUBMAP_POOL_TILES = 16_384  # 750 MB of address space; a sub-map in a large hall touches a few hundred tiles
+SUBMAP_POOL_TILES = 16_384  # 1.3 GB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
 GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on it is 1
 NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a segment that begins at the pose
@@ -276,7 +276,7 @@ class SurfelSubmaps:
         no_field = Layer((1, 1), np.float32)
         fine = Layer((TILE_CELLS, TILE_CELLS, 2, COLUMNS), np.float32)
         self._fine_pool = TilePool((fine, no_field), FINE_POOL_TILES)
-        self._narrow_pool = narrow_wall_pool()
+        self._narrow_pool = narrow_wall_pool(SUBMAP_POOL_TILES)
         self._next_number = 0
         self._pair: list[Submap] = []
         self._detached: Submap | None = None

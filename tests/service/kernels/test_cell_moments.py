@@ -4,13 +4,13 @@ import numpy as np
 
 from service.kernels.cell_moments import (
     HALVES,
-    MOMENT_TILE_CELLS,
     MOMENTS,
     MomentGrid,
     add_to_moments,
     direct_by_moments,
 )
 from service.kernels.normals import ROUGH_WEIGHT
+from service.kernels.surfels import TILE_CELLS
 from tests.service.kernels.grids import empty_tiles
 
 SIGMA_M = 0.012
@@ -20,7 +20,7 @@ FACE_X_M = 6.04  # of a wall across the beams, from y = 1.00 to 1.25: the far si
 
 def empty_moments(tiles_each_way: int = 8) -> MomentGrid:
     tiles = empty_tiles(tiles_each_way)
-    shape = (len(tiles.free), MOMENT_TILE_CELLS, MOMENT_TILE_CELLS, HALVES, MOMENTS)
+    shape = (len(tiles.free), TILE_CELLS, TILE_CELLS, HALVES, MOMENTS)
     return MomentGrid(tiles, np.zeros(shape, np.float32), 0.1)
 
 
