@@ -18,7 +18,13 @@ from service.estimator.motion import Matrix, Measurement, Motion, OdometryIncrem
 from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.estimator import add_scale_error, predict_motion, take_match, transfer_into_map
+from service.kernels.estimator import (
+    MAX_SILENT_S,
+    add_scale_error,
+    predict_motion,
+    take_match,
+    transfer_into_map,
+)
 from service.kernels.filter_state import (
     ACCELERATION,
     BIAS,
@@ -48,7 +54,6 @@ MAX_SAMPLES = 200_000  # waiting for a scan; above, all between oldest and newes
 # Factor on the modelled variance, 30 sigma: no noise but a fault, equal in all samples. The odometry of fr079
 # reaches 580, that of csail 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
-MAX_SILENT_S = 0.05  # between two samples of a source that works: 20 Hz and more
 ACCELERATION_S = 0.2  # time constant of an acceleration: a drive reaches its speed in some tenths of a second
 FADE_S = 1.0  # time constant of a speed that neither scans nor odometry confirm
 NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this path length
@@ -57,7 +62,6 @@ DROPPED_TOGETHER = 64  # samples: a search for the oldest that is needed costs a
 PAUSE_NS = 1_000_000_000  # of odometry; shorter pauses are bridged without notice
 SPEED_WINDOW_S = 0.05  # to each side of a stamp, over which odometry gives a speed
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
-MIN_ELAPSED_S = 0.05  # stamps of a burst may be closer together than the samples were taken
 WARNING_INTERVAL_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry
 MIN_SIGMA = (1e-4, 1e-4, 1e-5)  # m, m, rad of the first pose against its own map
@@ -427,7 +431,7 @@ class Estimator:
         elapsed_s = (sample.stamp_ns - int(self._odometry.track.stamp_ns[last])) * 1e-9
         jump_m = math.hypot(sample.x_m - x_m, sample.y_m - y_m)
         jump_rad = abs(wrap_angle(sample.theta_rad - theta_rad))
-        within_s = max(elapsed_s, MIN_ELAPSED_S)
+        within_s = max(elapsed_s, MAX_SILENT_S)  # stamps of a burst are closer together than its samples
         if jump_m <= MAX_SPEED_MPS * within_s and jump_rad <= MAX_TURN_RADPS * within_s:
             return False
         if sample.stamp_ns >= self._jump_reported_ns:

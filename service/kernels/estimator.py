@@ -47,7 +47,7 @@ from service.kernels.tracks import (
 )
 
 GYRO_SCALE = 0.005  # error of the gyro's scale
-GRACE_NS = 50_000_000  # odometry may begin this long after the last scan
+MAX_SILENT_S = 0.05  # between two samples of a source that works: 20 Hz and more
 # Added to a step in which odometry stands, so that scans that see a motion outweigh it; [30].
 STANDING_M, STANDING_RAD = 0.003, 0.002
 MEAN_S = 0.5  # time constant of the mean twist that the scale error is multiplied by; [25]
@@ -266,7 +266,8 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
     """The gyro's rotation in rad and its variance into turn (2,); False where it was silent."""
     first = gyro.span[0]
     end = gyro.span[1]
-    if end - first < 2 or gyro.stamp_ns[end - 1] <= last_ns or gyro.stamp_ns[first] > last_ns + GRACE_NS:
+    late_ns = last_ns + np.int64(MAX_SILENT_S * 1e9)
+    if end - first < 2 or gyro.stamp_ns[end - 1] <= last_ns or gyro.stamp_ns[first] > late_ns:
         return False
     dt = (stamp_ns - last_ns) * 1e-9
     turn[0] = gyro_angle_at(gyro, stamp_ns) - gyro_angle_at(gyro, last_ns)
@@ -290,7 +291,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
     if (
         end - first < 2
         or odometry.stamp_ns[end - 1] <= last_ns + min(lag_ns, 0)
-        or odometry.stamp_ns[first] > last_ns + lag_ns + GRACE_NS
+        or odometry.stamp_ns[first] > last_ns + lag_ns + np.int64(MAX_SILENT_S * 1e9)
     ):
         state.last_odom[7] = 0.0
         return False

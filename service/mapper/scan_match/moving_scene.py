@@ -21,11 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.estimator.estimator import MAX_SILENT_S, EstimatorConfig
+from service.estimator.estimator import EstimatorConfig
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.beam_likelihood import WALL_SIGMA_M
+from service.kernels.estimator import MAX_SILENT_S
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior, student_cost
 from service.kernels.wall_groups import group_by_wall
