@@ -44,6 +44,16 @@ def adjoint(pose: Poses) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def rotated(matrix: Floats, theta_rad: float) -> Floats:
+    """A covariance or information (3, 3) of x, y, theta, given in axes turned by theta_rad, in the axes that
+    these are turned against.
+    """
+    c, s = math.cos(theta_rad), math.sin(theta_rad)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned: Floats = turn @ matrix @ turn.T
+    return turned
+
+
 def points_from(pose: Poses, xy: Floats) -> Floats:
     """Points given in the frames of the poses, in the frame the poses are given in; (..., 3), (..., 2)."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])

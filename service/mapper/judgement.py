@@ -27,8 +27,7 @@ MIN_AGREEMENT_FAR = 0.85  # where the match is far from the prediction
 MIN_KNOWN = 0.02  # share of the returns on the map, and at least MIN_RETURNS: fewer are no evidence
 CHANCE_SIGMAS = 2.0  # tolerance for contradicting returns, of their binomial spread
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: gate of a match against the prediction, of a loop
-GAP_S = 2.5  # without a scan: then a loose prediction is a gap of the path, and the vehicle may be carried
-MAX_BLANK_S = GAP_S  # without a scan that has returns: then the pose is lost
+GAP_S = 2.5  # without a scan: a loose prediction is a gap of the path; without a scan with returns: lost
 UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 100.0, math.pi  # a larger sigma is reported as not known
 MAX_UNMEASURED_S = 4.0  # without a measurement of motion: long enough to carry the vehicle elsewhere
 RECOVERY_HINT = "Drive back to mapped ground, or set the pose"  # what to do when the vehicle is lost
@@ -171,7 +170,7 @@ def judge_blank(few: Reason, prior: tuple[float, float], blank_s: float) -> tupl
     prior    (m, rad) sigma of the prediction against the map
     blank_s  since the newest scan with enough returns
     """
-    state: State = "lost" if is_loose(prior) or blank_s > MAX_BLANK_S else "degraded"
+    state: State = "lost" if is_loose(prior) or blank_s > GAP_S else "degraded"
     most = TIGHT_SIGMA_M, TIGHT_SIGMA_RAD
     words = f"{few} The pose follows the prediction for {blank_s:.2f} s, {_uncertain(prior, most)}"
     return state, few.reworded(words)

@@ -17,14 +17,14 @@ CONDITIONS = {
     "degraded": (
         f"inlier ratio is below {LIMITS.degraded_ratio:.2f}",
         f"fewer than {judgement.MIN_CONFIRMING} beams returned",
-        f"or fewer than {judgement.MIN_RETURNS} for at most {judgement.MAX_BLANK_S:.1f} s",
+        f"or fewer than {judgement.MIN_RETURNS} for at most {judgement.GAP_S:.1f} s",
         f"worse than {judgement.MAX_SIGMA_M:.2f} m or {math.degrees(judgement.MAX_SIGMA_RAD):.0f} deg",
         f"fixes a direction worse than {LIMITS.degraded_sigma_m:.2f} m",
         f"worse than {judgement.MAX_DRIFT_M:.1f} m or {math.degrees(judgement.MAX_DRIFT_RAD):.0f} deg",
     ),
     "lost": (
         f"fewer than {judgement.MIN_RETURNS} beams returned",
-        f"no scan had more for {judgement.MAX_BLANK_S:.1f} s",
+        f"no scan had more for {judgement.GAP_S:.1f} s",
         f"known worse than {judgement.TIGHT_SIGMA_M:.1f} m or {judgement.TIGHT_SIGMA_RAD:.1f} rad",
         f"agreement is below {judgement.MIN_AGREEMENT:.1f}",
         f"inlier ratio is below {LIMITS.lost_ratio:.2f}",

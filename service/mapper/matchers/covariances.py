@@ -1,10 +1,8 @@
 """Covariances (3, 3) of x, y, theta."""
 
-import math
-
 import numpy as np
 
-from service.geometry.poses import Floats
+from service.geometry.poses import Floats, rotated
 
 
 def diagonal(position_m: float, heading_rad: float) -> Floats:
@@ -19,7 +17,4 @@ def inverse(matrix: Floats) -> Floats:
 
 def in_base_axes(covariance_map: Floats, theta_rad: float) -> Floats:
     """A covariance in map axes, transformed to the axes of a base at heading theta_rad."""
-    c, s = math.cos(theta_rad), math.sin(theta_rad)
-    base_from_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    turned: Floats = base_from_map @ covariance_map @ base_from_map.T
-    return turned
+    return rotated(covariance_map, -theta_rad)

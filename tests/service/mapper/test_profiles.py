@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.geometry.se2 import SE2
 from service.mapper.components import ComponentKind, Method, NoSettings
-from service.mapper.judgement import MAX_BLANK_S, TIGHT_SIGMA_M, judge_blank
+from service.mapper.judgement import GAP_S, TIGHT_SIGMA_M, judge_blank
 from service.mapper.profiles import METHODS, mapping_config
 from service.outputs import MapperOutput, Reason
 from tests.service.mapper.drives import (
@@ -204,7 +204,7 @@ def test_a_laser_that_stays_blank_is_lost_once_too_long_without_returns() -> Non
     stamps = sorted(whole.truth)
     outputs = outputs_of(mapper_of(), without_returns(whole.frames, set(stamps[25:])))
     blank_s = [(o.stamp_ns - stamps[24]) * 1e-9 for o in outputs if o.state == "lost"]
-    assert blank_s[0] == pytest.approx(MAX_BLANK_S, abs=0.03)
+    assert blank_s[0] == pytest.approx(GAP_S, abs=0.03)
     assert {o.state for o in outputs[25 : -len(blank_s)]} == {"degraded"}
 
 

@@ -46,10 +46,8 @@ def loop_of(
     against: float = math.nan,
 ) -> Loop:
     """A loop by a fit. information: (3, 3) in the axes of `of`, singular along directions without walls."""
-    covariance = np.linalg.inv(information + OPEN_INFORMATION)
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Loop(of, to, pose, turn @ covariance @ turn.T + FLOOR, share, points, against)
+    covariance = np.asarray(np.linalg.inv(information + OPEN_INFORMATION), np.float64)
+    return Loop(of, to, pose, se2.rotated(covariance, -pose[2]) + FLOOR, share, points, against)
 
 
 def far_from_loops(at_m: Floats, tied_m: Floats, within_m: float) -> Floats:

@@ -365,9 +365,7 @@ class DetachedSearch:
             return CandidatePose(fit.pose, score, None, nats)
         poses = self._keyframes.map
         of = int(known[np.argmin(np.hypot(*(poses[known, :2] - fit.pose[:2]).T))])
-        c, s = math.cos(poses[of, 2]), math.sin(poses[of, 2])
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        information = turn @ fit.information @ turn.T
+        information = se2.rotated(fit.information, -poses[of, 2])
         measured = se2.between(poses[of], fit.pose)
         loop = loop_of(of, reference, measured, information, score.on_map, len(cloud.xy), score.against)
         return CandidatePose(fit.pose, score, loop, nats)

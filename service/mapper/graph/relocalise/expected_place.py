@@ -75,9 +75,7 @@ class OdometryPrior:
 
     def joined(self, fit: Fit) -> Fit:
         """A fit on the map, fused with dead reckoning."""
-        c, s = math.cos(self.pose[2]), math.sin(self.pose[2])
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        prior_information = np.linalg.inv(turn @ self._of_find() @ turn.T)
+        prior_information = np.linalg.inv(se2.rotated(self._of_find(), self.pose[2]))
         off = self.pose - fit.pose
         off[2] = wrap_angle(float(off[2]))
         information = fit.information + prior_information
