@@ -1,14 +1,11 @@
 """A pretended ROS 2 node with an inertial unit as a type of device: options, and how it comes to its wire."""
 
-import math
-
 import numpy as np
 from pydantic import Field
 
 from drivers.frames import ImuSample
-from drivers.mounting import OffsetM, TurnDeg
 from service.encoding import IMU
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, MountedOptions
 from simulators.inertial import ImuMounting, InertialTruth
 from simulators.kinds.ros2_node import NodeOptions, serve
 from simulators.ros2_node import FakeNode, NodeSetup
@@ -16,17 +13,14 @@ from simulators.truth import Ride
 from simulators.zenoh_wire import ZenohWire
 
 
-class ImuOptions(NodeOptions):
+class ImuOptions(NodeOptions, MountedOptions):
     """What may stand behind `ros2_imu:`."""
 
     rate_hz: float = Field(default=100.0, gt=0.0, le=400.0)
-    x_m: OffsetM = 0.0  # mounting in the base frame
-    y_m: OffsetM = 0.0
-    yaw_deg: TurnDeg = 0.0
 
 
 def build(name: str, options: ImuOptions, ride: Ride, seed: int) -> ZenohWire:
-    mounting = ImuMounting(options.x_m, options.y_m, math.radians(options.yaw_deg))
+    mounting = ImuMounting(options.x_m, options.y_m, options.yaw_rad)
     source = InertialTruth(ride, name, mounting, seed=seed)
 
     def measure(at_ns: int) -> ImuSample:

@@ -1,39 +1,31 @@
 """A pretended ROS 2 node with a laser as a type of device: its options, and how it comes to its wire."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
 
 from drivers.frames import LaserScan
-from drivers.mounting import OffsetM, TurnDeg
 from service.encoding import LASER_SCAN
-from service.geometry.se2 import SE2
 from simulators.device import Beams
-from simulators.device_kind import DeviceKind
+from simulators.device_kind import DeviceKind, LaserOptions
 from simulators.kinds.ros2_node import NodeOptions, serve
 from simulators.ros2_node import FakeNode, NodeSetup
-from simulators.truth import LMS100, LaserTruth, Ride
+from simulators.truth import LMS100, Ride
 from simulators.zenoh_wire import ZenohWire
 
 BEAMS, FIRST_DEG, STEP_DEG = 541, -135.0, 0.5
 RANGE_MIN_M, RANGE_MAX_M = 0.05, 20.0
 
 
-class ScanOptions(NodeOptions):
+class ScanOptions(NodeOptions, LaserOptions):
     """What may stand behind `ros2_scan:`."""
 
     rate_hz: float = Field(default=25.0, gt=0.0, le=100.0)
-    x_m: OffsetM = 0.20  # mounting in the base frame, as in config/vehicle.yaml
-    y_m: OffsetM = 0.0
-    yaw_deg: TurnDeg = 0.0
-    sigma_m: float = Field(default=LMS100.sigma_m, ge=0.0)
 
 
 def build(name: str, options: ScanOptions, ride: Ride, seed: int) -> ZenohWire:
-    mounting = SE2(options.x_m, options.y_m, math.radians(options.yaw_deg))
-    source = LaserTruth(ride, name, mounting, replace(LMS100, sigma_m=options.sigma_m), seed)
+    source = options.source(ride, name, LMS100, seed)
     period_ns = round(1e9 / options.rate_hz)
     beam_ns = round(period_ns * STEP_DEG / 360.0)
 

@@ -5,25 +5,20 @@ from pathlib import Path
 
 from pydantic import Field, field_validator
 
-from drivers.mounting import OffsetM, TurnDeg
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
-from simulators.device_kind import DeviceKind, DeviceOptions
+from simulators.device_kind import DeviceKind, MountedOptions
 from simulators.inertial import Datum, ImuMounting, InertialTruth
 from simulators.truth import Ride
 from simulators.wire import PtyWire
 from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 
 
-class MtigOptions(DeviceOptions):
+class MtigOptions(MountedOptions):
     """What may stand behind `xsens_mtig:`."""
 
     personality: Personality = "mtdata2"  # MTi-G-710; legacy: MTi-G
     link: Path | None = None  # a symbolic link to the terminal, a name that stays
     baud: int = 115_200  # stored in the unit; the pace of its line
-    x_m: OffsetM = 0.0  # mounting in the base frame
-    y_m: OffsetM = 0.0
-    yaw_deg: TurnDeg = 0.0
-    clock_drift_ppm: float = 40.0
     product: str = Field(
         default="", pattern="^(MTi[A-Za-z0-9-]*)?$", max_length=20
     )  # MTi-30-2A5G4: no receiver
@@ -46,7 +41,7 @@ def build(name: str, options: MtigOptions, ride: Ride, seed: int) -> PtyWire:
     source = InertialTruth(
         ride,
         name,
-        ImuMounting(options.x_m, options.y_m, math.radians(options.yaw_deg)),
+        ImuMounting(options.x_m, options.y_m, options.yaw_rad),
         seed=seed,
         datum=Datum(
             options.latitude_deg, options.longitude_deg, options.height_m, math.radians(options.heading_deg)

@@ -1,4 +1,3 @@
-import math
 import socket
 from pathlib import Path
 
@@ -7,6 +6,7 @@ import pytest
 from service.errors import StorageError
 from service.geometry.se2 import SE2
 from simulators.device import Beams
+from simulators.device_kind import LaserOptions
 from simulators.sick_lms100 import FakeLms100
 from simulators.trajectory import Follow, plan_drive
 from simulators.truth import LMS100, LaserTruth, Ride, seed_of
@@ -31,7 +31,7 @@ MOUNTED = ("sick_lms100", "hokuyo_utm30lx", "ibeo_lux", "xsens_mtig")
     [
         ("sick_lms100", "expected NAME=TYPE"),
         ("front=sick", "TYPE one of sick_lms100, hokuyo_utm30lx, irobot_create"),
-        ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes model, ident, host, port, x_m"),
+        ("front=sick_lms100:colour=red", "colour: .*; sick_lms100 takes x_m, .*host, port, .*model"),
         ("front=sick_lms100:port=high", "port: .*integer"),
         *((f"front={kind}:x_m=50.1", "x_m: .*less than or equal to 50") for kind in MOUNTED),
         *((f"front={kind}:yaw_deg=-361", "yaw_deg: .*greater than or equal to -360") for kind in MOUNTED),
@@ -111,11 +111,12 @@ def test_same_seed_gives_the_same_bytes_whenever_they_are_fetched(world: World):
     assert telegrams(world, 2, often) != telegrams(world, 1, often)
 
 
-def test_laser_sits_where_its_options_say(world: World):
-    sources = [LaserTruth(Ride(world, 0), "front", pose, LMS100, 1) for pose in (SE2(), SE2(1.0, 0, math.pi))]
+def test_laser_sits_and_errs_as_its_options_say(world: World):
+    both = LaserOptions(x_m=0.0), LaserOptions(x_m=1.0, yaw_deg=180.0, bias_m=0.1)
+    sources = [options.source(Ride(world, 0), "front", LMS100, 1) for options in both]
     ahead, behind = (source.sweep(Beams(0, 27_778, 0.0, 0.0, 50)).range_m.mean() for source in sources)
     assert ahead == pytest.approx(5.0, abs=0.01)
-    assert behind == pytest.approx(6.0, abs=0.01)
+    assert behind == pytest.approx(6.1, abs=0.01)
 
 
 @pytest.mark.parametrize(
