@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from service.estimator.estimator import EstimatorConfig
 from service.estimator.motion import OdometryIncrement, Prediction
-from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
+from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.estimator import MAX_SILENT_S
@@ -48,7 +48,7 @@ BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measuremen
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
 # observed, and where none are; minus those where returns decide that are neither known to move nor static.
 PRIOR_NATS, NEW_PRIOR_NATS = 5.0, 3.0
-MIN_STATIC_SHARE = 0.2  # of the returns on static walls; below it only inertia counts
+MIN_STATIC_SHARE = 0.2  # of the returns on static walls, at either pose; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
 NOTHING_MOVES = -1  # ns, before all stamps
@@ -105,7 +105,6 @@ class Conflict:
 
     pose: SE2
     covariance: Matrix
-    is_turned: bool  # the headings differ: caused by late stamps, not by people who walk along
 
 
 class Reckoning:
@@ -181,7 +180,7 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:
         return None
     covariance = np.diag([way_m2, way_m2, turn_rad2])
-    return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)
+    return Conflict(begin.matched @ reckoned, covariance)
 
 
 def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
@@ -268,7 +267,7 @@ class MovingScene:
         if conflict is None:
             return self._accepted(static, attempt)
         by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
-        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS < 0.0:
+        if self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS < 0.0:
             self._moves_until_ns = NOTHING_MOVES
             return None
         return self._start(by_odometry, attempt)
@@ -289,7 +288,8 @@ class MovingScene:
             return aligned
         prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
         static, share = self._align_static(attempt, prior, aligned.submap)
-        if share >= MIN_STATIC_SHARE and (conflict is None or not conflict.is_turned):
+        _, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
+        if max(share, is_static.mean()) >= MIN_STATIC_SHARE:
             nats = self._evidence_nats(attempt, static, aligned)
             nats += PRIOR_NATS if moves else _prior_nats(aligned, attempt)
         elif conflict is None:
@@ -360,10 +360,7 @@ class MovingScene:
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all points."""
-        is_moving, is_static = _classified(
-            attempt, submap, attempt.points.xy_base, prior.pose, self._moving_path_m
-        )
-        is_static &= ~is_moving
+        _, is_static = _classified(attempt, submap, attempt.points.xy_base, prior.pose, self._moving_path_m)
         normals = attempt.normals.copy()
         normals[~is_static, 2] = 0.0
         static = attempt._replace(normals=normals, prior=prior)
@@ -428,7 +425,7 @@ class MovingScene:
 def _classified(
     attempt: Attempt, submap: Submap, xy_base: Matrix, pose: Matrix, moving_path_m: float = 0.0
 ) -> tuple[Mask, Mask]:
-    """(N,) whether each return moves, and whether it lies near a static wall.
+    """(N,) whether each return moves, and whether it lies near a static wall and does not move.
 
     It moves in a free or recently occupied cell off static walls, and where more returns of the same wall or
     object do than are static: the ends of a floor line lie on walls.
@@ -449,7 +446,8 @@ def _classified(
         is_small = (np.hypot(*(highest - lowest).T) < PERSON_M)[group]
         before = submap.static_residuals(xy_base, attempt.normals, pose, STATIC_PATH_M + moving_path_m)
         is_static &= ~is_small | np.isfinite(before)
-    return is_moving | moves[group], is_static
+    is_moving |= moves[group]
+    return is_moving, is_static & ~is_moving
 
 
 def _prior_nats(aligned: Aligned, attempt: Attempt) -> float:

@@ -14,7 +14,7 @@ from service.outputs import State
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import Verdict, judge
 from tests.accuracy.scenes import mapped
-from tests.accuracy.sensors import MIRRORS
+from tests.accuracy.sensors import LUX_AHEAD, MIRRORS
 from tests.soaked import in_soak
 
 STEP_M, STEP_NS = 0.04, 40_000_000
@@ -127,6 +127,13 @@ def test_people_ahead_do_not_measure_how_far_a_corridor_goes() -> None:
     verdict, *_ = judged(Case("ahead", "ring", 3, 0.03, 0.3, laser=MIRRORS["360 deg, 12 m, 8 Hz"]))
     assert verdict.ok_off == 0
     assert verdict.worst_m < 0.1
+
+
+def test_a_laser_that_is_knocked_keeps_its_place_by_static_walls() -> None:
+    """All of a scan lies on them, turned by 5 deg against the gyro: nothing in the scene moves."""
+    verdict, *_ = judged(Case("knocked", "office", 4, 0.5, laser=LUX_AHEAD))
+    assert verdict.ok_off == verdict.ok_beyond == 0
+    assert verdict.worst_m < 0.2
 
 
 @pytest.mark.parametrize("for_s", [1.0, in_soak(6.0)])
