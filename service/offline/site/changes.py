@@ -6,23 +6,23 @@ sensor's. A wall that both saw within NEAR_CELLS of each other is the same one.
 """
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.counted import counted
 from service.geometry.polygons import Cells
-from service.kernels.occupancy import GRID_TILE_CELLS
+from service.kernels.occupancy import GRID_TILE_BITS, GRID_TILE_CELLS, GRID_TILE_MASK
 from service.mapper.by_hand import ByHand
 from service.mapper.components import RenderedMap
 from service.mapper.graph.loops.stored_graph import to_render
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.pose_graph import groups_of
-from service.mapper.maps.occupancy import EVIDENCE, OccupancyRenderer
+from service.mapper.maps.occupancy import EVIDENCE, NO_CELLS, OccupancyRenderer
 from service.mapper.saved_graph import SavedGraph
 
 FREE_RANGE_M = 10.0  # farther away a beam along a wall passes cells of the wall between two of its points
@@ -37,10 +37,9 @@ PLACE_M, MIN_CELLS_OF_PLACE = 4.0, 20  # walls that both saw there make it one t
 CHANGED_SHARE, OTHER_SHARE = 0.05, 0.25
 MIN_LOG_ODDS = math.log(1000.0)  # that it is another place
 _ROW = 1 << 32  # of the key of a cell: row * _ROW + column
-Keys = npt.NDArray[np.int64]
 Tile = tuple[int, int]  # row and column
 Tiles = dict[Tile, npt.NDArray[np.int8]]  # evidence
-_NO_KEYS: Keys = np.zeros(0, np.int64)
+_UNSEEN = np.zeros((GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8)
 
 
 def seen_by(graph: SavedGraph, cell_m: float) -> RenderedMap:
@@ -69,14 +68,14 @@ class Change:
 class Comparison:
     """A session against the newest state that those before saw, by the places of PLACE_M that both saw.
 
-    gone, new   keys of the cells that changed, of each changed place
+    gone, new   (K, 2) the cells that changed, of each changed place
     """
 
     places: int
     places_gone: int
     places_new: int
-    gone: list[Keys]
-    new: list[Keys]
+    gone: list[Cells]
+    new: list[Cells]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -116,20 +115,17 @@ class Layers:
     def compare(self, seen: RenderedMap) -> Comparison:
         now = _tiles(seen)
         around = {(row + i, column + j) for row, column in now for i in (-1, 0, 1) for j in (-1, 0, 1)}
-        before = {tile: self._evidence[tile] for tile in sorted(around) if tile in self._evidence}
-        gone, new = _changed(before, now), _changed(now, before)
-        stood, stands = (_keys_where(tiles, lambda cells: cells >= OCCUPIED) for tiles in (before, now))
-        common = self._places(stood[_is_near(stood, stands)], MIN_CELLS_OF_PLACE)
-        gone_at, new_at = (
-            self._places(np.concatenate([_NO_KEYS, *groups]), MIN_CELLS) for groups in (gone, new)
-        )
+        stood = _Grid({tile: self._evidence[tile] for tile in sorted(around) if tile in self._evidence})
+        stands = _Grid(now)
+        gone, new = _changed(stood, stands), _changed(stands, stood)
+        common = self._places([stood.walls[stands.is_near(stood.walls, OCCUPIED)]], MIN_CELLS_OF_PLACE)
+        gone_at, new_at = self._places(gone, MIN_CELLS), self._places(new, MIN_CELLS)
         return Comparison(len(common | gone_at | new_at), len(gone_at), len(new_at), gone, new)
 
     def add(self, session: int, seen: RenderedMap, compared: Comparison) -> None:
         """compared   of this session, now"""
         for is_new, groups in ((False, compared.gone), (True, compared.new)):
-            for keys in groups:
-                cells = _cells_of(keys)
+            for cells in groups:
                 spans = np.array([self._sessions[tile][:, row, column] for tile, row, column in _at(cells)])
                 span = int(spans[:, 0].min()), int(spans[:, 1].max())
                 self.changes.append(Change(cells, is_new, span, session))
@@ -154,62 +150,79 @@ class Layers:
                     drawn[tile][row, column] = self._evidence[tile][row, column]
         return replace(shown, evidence=evidence)
 
-    def _places(self, keys: Keys, least: int) -> set[tuple[int, ...]]:
-        """Places that have so many of the cells."""
-        places = Counter(map(tuple, (_cells_of(keys) // self._place_cells).tolist()))
-        return {place for place, count in places.items() if count >= least}
+    def _places(self, groups: Sequence[Cells], least: int) -> set[int]:
+        """Keys of the places that have so many of the cells."""
+        places, counts = np.unique(
+            _keys_of(np.concatenate([NO_CELLS, *groups]) // self._place_cells), return_counts=True
+        )
+        return set(places[counts >= least].tolist())
 
 
-def _changed(stood: Tiles, free: Tiles) -> list[Keys]:
+class _Grid:
+    """Evidence in tiles, looked up by cells.
+
+    walls   (N, 2) the occupied cells
+    """
+
+    def __init__(self, tiles: Tiles) -> None:
+        tiles = tiles or {(0, 0): _UNSEEN}
+        tile_at = np.array([*tiles], np.int64)
+        self._first = tile_at.min(axis=0) - 1
+        self._number = np.zeros(tile_at.max(axis=0) - self._first + 2, np.int64)  # 0: no tile
+        self._number[tuple((tile_at - self._first).T)] = np.arange(1, len(tile_at) + 1)
+        self._evidence = np.stack([_UNSEEN, *tiles.values()])
+        tile, in_tile = np.divmod(np.flatnonzero(self._evidence >= OCCUPIED), GRID_TILE_CELLS**2)
+        row_column = np.column_stack(np.divmod(in_tile, GRID_TILE_CELLS))
+        self.walls: Cells = (tile_at[tile - 1] << GRID_TILE_BITS) + row_column
+
+    def at(self, cells: Cells) -> npt.NDArray[np.int8]:
+        """(N,) evidence of cells (N, 2); 0 where nothing was seen."""
+        row, column = ((cells >> GRID_TILE_BITS) - self._first).clip(0, np.array(self._number.shape) - 1).T
+        evidence: npt.NDArray[np.int8] = self._evidence[
+            self._number[row, column], *(cells & GRID_TILE_MASK).T
+        ]
+        return evidence
+
+    def is_near(self, cells: Cells, least: int) -> npt.NDArray[np.bool_]:
+        """(N,) of cells (N, 2), whether there is such evidence within NEAR_CELLS."""
+        far = np.arange(len(cells))
+        for step in _steps(NEAR_CELLS):
+            far = far[self.at(cells[far] + step) < least]
+        near = np.ones(len(cells), np.bool_)
+        near[far] = False
+        return near
+
+
+def _changed(stood: _Grid, free: _Grid) -> list[Cells]:
     """Groups of cells that are occupied in the one and free in the other, which saw nothing near."""
-    both = [tile for tile in stood if tile in free]
-    is_changed = {tile: (stood[tile] >= OCCUPIED) & (free[tile] <= FREE) for tile in both}
-    keys = _keys_where(is_changed, lambda cells: cells)
-    keys = keys[~_is_near(keys, _keys_where(free, lambda cells: cells > 0))]
-    passed = _keys_where(free, lambda cells: cells < 0)
-    # A beam along a face passes its cells, too; but it does not see what is behind.
-    keys = keys[np.all([_is_among(keys + step, passed) for step in _steps(1)], axis=0)]
-    number = {key: k for k, key in enumerate(keys.tolist())}
-    links = _steps(LINK_CELLS)
-    pairs = ((k, number[key + step]) for key, k in number.items() for step in links if key + step in number)
+    cells = stood.walls[free.at(stood.walls) <= FREE]
+    cells = cells[~free.is_near(cells, 1)]
+    for step in _steps(1):  # a beam along a face passes its cells, too; but it does not see what is behind
+        cells = cells[free.at(cells + step) < 0]
+    keys = np.sort(_keys_of(cells))
+    pairs = list[tuple[int, int]]()
+    for key in _keys_of(_steps(LINK_CELLS)) if len(keys) else ():
+        k = np.searchsorted(keys, keys + key).clip(max=len(keys) - 1)
+        linked = np.flatnonzero(keys[k] == keys + key)
+        pairs += zip(linked.tolist(), k[linked].tolist(), strict=True)
     groups = defaultdict[int, list[int]](list)
     for k, group in enumerate(groups_of(len(keys), pairs)):
         groups[group].append(k)
-    return [keys[own] for own in groups.values() if len(own) >= MIN_CELLS]
+    return [_cells_of(keys[own]) for own in groups.values() if len(own) >= MIN_CELLS]
 
 
-def _keys_where(tiles: Mapping[Tile, npt.NDArray[Any]], which: Callable[..., npt.NDArray[np.bool_]]) -> Keys:
-    """Keys, rising, of some cells."""
-    found = [_NO_KEYS]
-    for (row, column), cells in tiles.items():
-        own_row, own_column = np.nonzero(which(cells))
-        found.append((row * GRID_TILE_CELLS + own_row) * _ROW + column * GRID_TILE_CELLS + own_column)
-    return np.sort(np.concatenate(found))
+def _steps(cells: int) -> Cells:
+    """From a cell to those so near to it in rows and in columns, the nearest first, and to itself."""
+    steps = np.array(list(product(range(-cells, cells + 1), repeat=2)))
+    return steps[np.argsort((steps**2).sum(axis=1), kind="stable")]
 
 
-def _is_near(keys: Keys, others: Keys) -> npt.NDArray[np.bool_]:
-    """(N,) of keys, whether one of the others, rising, lies within NEAR_CELLS."""
-    near: npt.NDArray[np.bool_] = np.any(
-        [_is_among(keys + step, others) for step in _steps(NEAR_CELLS)], axis=0
-    )
-    return near
+def _keys_of(cells: Cells) -> npt.NDArray[np.int64]:
+    """(N,) rising by row, then by column."""
+    return cells[:, 0] * _ROW + cells[:, 1]
 
 
-def _is_among(keys: Keys, others: Keys) -> npt.NDArray[np.bool_]:
-    """(N,) of keys, whether they are among the others, rising: far faster than np.isin for few keys."""
-    if not len(others):
-        return np.zeros(len(keys), np.bool_)
-    found: npt.NDArray[np.bool_] = others[np.minimum(np.searchsorted(others, keys), len(others) - 1)] == keys
-    return found
-
-
-def _steps(cells: int) -> list[int]:
-    """From the key of a cell to those of the cells so near to it, in rows and in columns, and its own."""
-    steps = range(-cells, cells + 1)
-    return [row * _ROW + column for row in steps for column in steps]
-
-
-def _cells_of(keys: Keys) -> Cells:
+def _cells_of(keys: npt.NDArray[np.int64]) -> Cells:
     row = (keys + _ROW // 2) // _ROW
     return np.column_stack((row, keys - row * _ROW))
 

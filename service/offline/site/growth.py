@@ -22,7 +22,6 @@ from service.interruption import before_ending
 from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.graph.edit.editing import only, optimised
 from service.mapper.graph.edit.merging import MIN_MERGE_LOOPS, together
-from service.mapper.graph.loops.old_passes import SAME_SPOT_M
 from service.mapper.graph.loops.stored_graph import to_render
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop, loop_arrays
@@ -43,8 +42,8 @@ from service.offline.site.kept import Seen
 from service.offline.site.sessions import Session
 from service.offline.site.tasks import Find, FindLoops, keep_graph
 
-VIEWS = 6  # of the site so many key frames a spot and direction are used
-KEPT_OF_SPOT = 1
+VIEWS = 6  # directions; of each spot and direction one key frame is used
+SHOWN_SPOT_M, SEARCHED_SPOT_M = 0.5, 1.0  # in the shown map, and where a session is searched
 MAX_PARTNERS, TIMES_COVERED = 4, 1  # sessions that one is tied to, at most; of each of its places
 # By fixes alone a session is known well enough to look for loops: FINISH_WINDOW of the back end at 3 sigma.
 MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
@@ -95,9 +94,9 @@ class Site:
 
     def seen(self, k: int) -> RenderedMap:
         """Map of a member by itself."""
-        graph, name = self.graph_of(k), self.members[k].name
-        if name not in self.kept or not self.kept[name].is_of(graph.map):
-            self.kept[name] = Seen(seen_by(graph, self.cell_m), graph.map)
+        name, poses = self.members[k].name, self.graph.map[self.begins[k] : self.begins[k + 1]]
+        if name not in self.kept or not self.kept[name].is_of(poses):
+            self.kept[name] = Seen(seen_by(self.graph_of(k), self.cell_m), poses)
         return self.kept[name].rendered
 
     def in_time(self) -> list[int]:
@@ -142,7 +141,7 @@ class Site:
 
     def rendered(self, renderer: MapRenderer) -> RenderedMap:
         """The shown map, of the newest key frames of each spot and direction."""
-        return renderer.render(to_render(KeyframeList(self.graph), seen_enough(self.graph, 0)))
+        return renderer.render(to_render(KeyframeList(self.graph), seen_enough(self.graph, 0, SHOWN_SPOT_M)))
 
 
 def member_of(session: Session) -> Member:
@@ -200,7 +199,7 @@ class _Round:
                 continue
             members = known.get(session.name, 0)
             if members not in firsts:
-                seen = seen_enough(site.graph, site.begins[members])
+                seen = seen_enough(site.graph, site.begins[members], SEARCHED_SPOT_M)
                 firsts[members] = keep_graph(only(site.graph, seen), self.folder / f"from_{members}")
             own = keep_graph(session.graph, self.folder / f"own_{k}")
             requested.append(session)
@@ -353,19 +352,15 @@ class _Round:
         return [outcomes[k] for k in range(len(tasks))]
 
 
-def seen_enough(graph: SavedGraph, begin: int) -> npt.NDArray[np.bool_]:
-    """(N,) key frames from `begin` on that show what there is: of each spot and direction the newest ones, so
+def seen_enough(graph: SavedGraph, begin: int, spot_m: float) -> npt.NDArray[np.bool_]:
+    """(N,) key frames from `begin` on that show what there is: of each spot and direction the newest one, so
     that a site of bounded size is looked through in bounded time.
     """
+    usable = begin + np.flatnonzero(((graph.point_count > 0) & ~graph.is_lost)[begin:])[::-1]
+    view = np.floor(graph.map[usable, 2] / (2.0 * np.pi) * VIEWS).astype(np.int64) % VIEWS
+    spots = np.column_stack((np.floor(graph.map[usable, :2] / spot_m).astype(np.int64), view))
     seen = np.zeros(len(graph), np.bool_)
-    view = np.floor((graph.map[:, 2] / (2.0 * np.pi) + 0.5) * VIEWS).astype(np.int64) % VIEWS
-    spots = np.column_stack((np.floor(graph.map[:, :2] / SAME_SPOT_M).astype(np.int64), view))
-    usable = (graph.point_count > 0) & ~graph.is_lost
-    kept = Counter[tuple[int, ...]]()
-    for k in begin + np.flatnonzero(usable[begin:])[::-1]:
-        spot = tuple(spots[k].tolist())
-        kept[spot] += 1
-        seen[k] = kept[spot] <= KEPT_OF_SPOT
+    seen[usable[np.unique(spots, axis=0, return_index=True)[1]]] = True
     return seen
 
 

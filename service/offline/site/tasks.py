@@ -5,20 +5,24 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 
-from service.mapper.graph.edit.merging import QUERY_EVERY_M, MergeError, find_second, together
+from service.mapper.graph.edit.merging import (
+    MIN_MERGE_LOOPS,
+    QUERY_EVERY_M,
+    MergeError,
+    find_second,
+    together,
+)
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.saved_graph import SavedGraph
-from service.mapstore.graph_files import read_graph, write_graph
+from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
+from service.mapstore.arrays import read_arrays, write_arrays
 from service.offline.cluster.tasks import Done
-
-ENOUGH = 4  # places of a session that agree on where it lies
 
 
 @dataclass(frozen=True, slots=True)
 class _OfSession:
-    """sites, session   folders that keep_graph wrote: parts of the site, and what is searched in them"""
+    """sites, session   files that keep_graph wrote: parts of the site, and what is searched in them"""
 
     name: str
     sites: tuple[Path, ...]
@@ -27,10 +31,8 @@ class _OfSession:
 
     def graphs(self) -> tuple[SavedGraph, list[int]]:
         """All in one; and the number of the first key frame of each, the session last. Raises InputError."""
-        graphs = [
-            read_graph(folder, [path.name for path in folder.iterdir()])
-            for folder in (*self.sites, self.session)
-        ]
+        files = [read_arrays(path) for path in (*self.sites, self.session)]
+        graphs = [from_arrays(arrays, [arrays]) for arrays in files]
         return together(*graphs), [0, *accumulate(map(len, graphs[:-1]))]
 
 
@@ -42,7 +44,7 @@ class Find(_OfSession):
     def work(self) -> Done:
         try:
             both, begins = self.graphs()
-            pose, _ = find_second(both, begins[-1], LoopsConfig(), ENOUGH)
+            pose, _ = find_second(both, begins[-1], LoopsConfig(), MIN_MERGE_LOOPS)
         except MergeError as error:
             return Done({"why": str(error)}, {})
         return Done({"pose_first_second": pose.tolist()}, {})
@@ -68,8 +70,8 @@ class FindLoops(_OfSession):
         return Done({"loops": loops}, {})
 
 
-def keep_graph(graph: SavedGraph, folder: Path) -> Path:
-    """Write a graph to a new folder, for tasks. Raises OSError."""
-    folder.mkdir()
-    write_graph(folder, graph, None)
-    return folder
+def keep_graph(graph: SavedGraph, path: Path) -> Path:
+    """Write a graph to a new file, for tasks. Raises OSError."""
+    with path.open("xb") as file:
+        write_arrays(file, small_arrays(graph) | packed_points(graph, 0, len(graph)), level=0)
+    return path
