@@ -78,8 +78,10 @@ def measure_sizes() -> list[Row]:
         replay_s = (time.process_time() - began_s) / len(sessions)
         rows: list[Row] = [("replay of a short session, processor", replay_s, "s")]
         for count in SIZES:
-            for what, value, unit in build_apart(results[:count], folder / str(count)):
-                rows.append((f"{count} sessions: {what}", value, unit))
+            out = folder / str(count)
+            *at_once, last = results[:count]
+            rows += [(f"{count - 1} sessions: {row[0]}", *row[1:]) for row in build_apart(at_once, out)]
+            rows += [(f"one more, of {count}: {row[0]}", *row[1:]) for row in build_apart([last], out)]
     return rows
 
 

@@ -60,11 +60,15 @@ def _manifest(task: Task) -> dict[str, Any]:
     return {
         "corridor": VERSION,
         "program": program_digest(),
-        "input": {path.name: _fingerprint(path) for path in task.session},
+        "input": _inputs(task.session),
         "options": json.loads(json.dumps(options, default=str)),
         "files": {name: _fingerprint(path) for name, path in of_files.items() if path is not None},
         "extras": sorted(task.extras),
     }
+
+
+def _inputs(session: Sequence[Path]) -> dict[str, str]:
+    return {path.name: _fingerprint(path) for path in session}
 
 
 def _fingerprint(path: Path) -> str:
@@ -84,6 +88,17 @@ def _summary_of(folder: Path, manifest: dict[str, Any]) -> dict[str, Any] | None
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return None
     return summary if isinstance(summary, dict) else None
+
+
+def is_result_of(folder: Path, session: Sequence[Path]) -> bool:
+    """Whether a folder has the complete result of these files, by whichever version and config. Raises
+    InputError where they cannot be read.
+    """
+    try:
+        manifest = json.loads((folder / DONE_FILE).read_text(encoding="utf-8"))
+        return bool(manifest["input"] == _inputs(session))
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def new_tasks(

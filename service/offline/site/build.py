@@ -1,5 +1,6 @@
 """`corridor site build`: one map of all drives of a site, which grows by new ones."""
 
+import shutil
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from drivers.counted import counted
 from service.errors import CorridorError, InputError, UsageError
 from service.geometry import poses as se2
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
-from service.mapstore.files import is_map_folder, load_map, newest_digest, save_map
+from service.mapstore.files import is_map_folder, load_map, only_writer, save_map, versions_of
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Engine
 from service.offline.cluster.session_task import new_tasks
@@ -20,19 +21,20 @@ from service.offline.maps.changed_places import (
     read_changed_places,
     write_changed_places,
 )
-from service.offline.past.result import map_folder
 from service.offline.replay.replay import Outcome
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.trajectory import Trajectory
-from service.offline.site.changes import Change, in_words, log_odds_elsewhere
+from service.offline.site.changes import Change, Layers, in_words, log_odds_elsewhere
 from service.offline.site.growth import Member, Progress, Site, grow, member_of
-from service.offline.site.kept import read_kept, write_kept
+from service.offline.site.kept import KEPT, read_kept, write_kept
 from service.offline.site.manifest import LeftOut, read_manifest, write_manifest
-from service.offline.site.paths import write_paths
-from service.offline.site.sessions import Given, Session, given_sessions, load_session
+from service.offline.site.paths import PATHS, write_paths
+from service.offline.site.sessions import Given, Session, digest_of, given_sessions, load_session
 from service.offline.writing import refuse_unwritable_folder
 
 SESSIONS = "sessions"  # below the map: results of recordings that were replayed for it
+WORK = ".build"  # below the map: of the build at work
+LEFTOVERS = ".corridor-*"  # folders of files that are not complete
 
 
 def site_build(
@@ -51,41 +53,46 @@ def site_build(
     can be used, StorageError where it cannot be written, and what a task failed by.
     """
     refuse_unwritable_folder(out)
-    given, passed_over = given_sessions(paths, out, out / SESSIONS)
+    site, left_out, number = _site_there(out)
+    known_paths = {} if site is None else _take_kept(site, out)
+    old = [] if site is None else list(site.members)
+    in_site = {one.name: one.digest for one in old}
+    given, passed_over = given_sessions(paths, out, out / SESSIONS, in_site)
     if unknown := sorted(set(joined) - {one.name for one in given}):
         names = ", ".join(one.name for one in given)
         raise UsageError(f"--join {unknown[0]}: no such session among those given, which are {names}")
-    site, left_out, number = _site_there(out)
-    known_paths = {} if site is None else _take_kept(site, out)
+    given = [one for one in given if in_site.get(one.name) != one.digest]
     left_out = {name: one for name, one in left_out.items() if name not in joined}
-    old = [] if site is None else list(site.members)
-    replayed = _replayed(given, options, engine, progress)
-    failed = {name: each for name, each in replayed.items() if isinstance(each, CorridorError)}
-    refused = {name: LeftOut("", 0, str(error)) for name, error in failed.items()}
-    sessions = _fresh_of([one for one in given if one.name not in failed], old, left_out, refused)
-    out.mkdir(parents=True, exist_ok=True)
-    if site is None:
-        if not sessions:
-            raise next(iter(failed.values()), InputError("; ".join(one.why for one in refused.values())))
-        site = _begun(sessions, engine, out, progress, joined)
-    else:
-        known = {
-            one.name: left_out[one.name].known
-            for one in sessions
-            if one.name in left_out and left_out[one.name].digest == one.digest
+    with only_writer(out / WORK):  # what one that was killed has left there is of no use
+        for leftover in (
+            path for folder in (WORK, PATHS, KEPT, "") for path in (out / folder).glob(LEFTOVERS)
+        ):
+            shutil.rmtree(leftover)
+        replayed = _replayed(given, options, engine, progress)
+        failed = {name: each for name, each in replayed.items() if isinstance(each, CorridorError)}
+        refused = {name: LeftOut("", 0, str(error)) for name, error in failed.items()}
+        sessions = _fresh_of([one for one in given if one.name not in failed], old, left_out, refused)
+        if site is None:
+            if not sessions:
+                raise next(iter(failed.values()), InputError("; ".join(one.why for one in refused.values())))
+            site = _begun(sessions, engine, out / WORK, progress, joined)
+        else:
+            known = {
+                one.name: left_out[one.name].known
+                for one in sessions
+                if one.name in left_out and left_out[one.name].digest == one.digest
+            }
+            grow(site, sessions, engine, out / WORK, progress, known, joined)
+        digests = {one.name: one.digest for one in sessions}
+        refused |= {
+            name: LeftOut(digests[name], len(site.members), why) for name, why in site.left_out.items()
         }
-        grow(site, sessions, engine, out, progress, known, joined)
-    digests = {one.name: one.digest for one in sessions}
-    refused |= {name: LeftOut(digests[name], len(site.members), why) for name, why in site.left_out.items()}
-    left_out = {name: one for name, one in left_out.items() if name not in digests} | refused
-    write_manifest(out, site.members, left_out)
-    if len(site.members) > len(old):
-        number = _save(site, out)
-        written = write_paths(out, site, {one.name: one.result for one in given}, known_paths)
-        for name, path in written.items():
-            write_kept(out, name, site.kept[name], path)
+        left_out = {name: one for name, one in left_out.items() if name not in digests} | refused
+        write_manifest(out, site.members, left_out)
+        added = len(site.members) - len(old)
+        number = _written(site, out, number, added, {one.name: one.result for one in given}, known_paths)
     changed = read_changed_places(out, number)
-    report = _report(site, left_out, out, number, len(site.members) - len(old), changed)
+    report = _report(site, left_out, out, number, added, changed)
     of_replays = [
         f"{name}: {words}"
         for name, outcome in replayed.items()
@@ -93,6 +100,41 @@ def site_build(
         for words in outcome["warnings"]
     ]
     return report | {"warnings": [*passed_over, *of_replays, *_uncertain(changed)]}
+
+
+def _written(
+    site: Site,
+    out: Path,
+    number: int,
+    added: int,
+    results: Mapping[str, Path],
+    known_paths: Mapping[str, Trajectory],
+) -> int:
+    """Write the map, where sessions were added to version `number`, and what lies beside it; its number.
+
+    changes.json is last: one of another version shows that a build broke off, or that the map was edited.
+    """
+    changed = read_changed_places(out, number)
+    if not added and changed is not None and changed.version == number:
+        return number
+    if added and len(site.members) == 1:
+        site.solve()
+    layers, compared = site.layers()
+    for name, path in write_paths(out, site, results, known_paths).items():
+        write_kept(out, name, site.kept[name], path)
+    if added:
+        if number and versions_of(out)[1] != number:
+            raise InputError(
+                f"{out}: the map was changed during the build; repeat it, nothing is replayed again"
+            )
+        number = _save(site, layers, out)
+    places = [_changed_place(change, site) for change in layers.changes]
+    of_sessions = {
+        site.members[k].name: {"places": one.places, "gone": one.places_gone, "new": one.places_new}
+        for k, one in compared.items()
+    }
+    write_changed_places(out, ChangedPlaces(number, site.cell_m, places, of_sessions))
+    return number
 
 
 def _fresh_of(
@@ -143,21 +185,11 @@ def _replayed(
 
 
 def _fresh(given: Given, members: Sequence[Member], left_out: Mapping[str, LeftOut]) -> Session | None:
-    """The session, where there is anything to be done of it: it is not in the site, and was not left out when
-    the site had the same members. Raises InputError where it cannot be.
+    """The session, unless it was left out when the site had the same members. Raises InputError where it
+    cannot be used.
     """
-    folder = map_folder(given.result)
-    digest = "" if folder is None else newest_digest(folder)
-    for member in members:
-        if member.name == given.name:
-            if member.digest == digest:
-                return None
-            raise InputError(
-                "the site has a session of this name with other content: it was edited or replayed again "
-                "since; build it from the start in another --out"
-            )
     known = left_out.get(given.name)
-    if known is not None and (known.digest, known.known) == (digest, len(members)):
+    if known is not None and (known.digest, known.known) == (digest_of(given.result), len(members)):
         return None
     return load_session(given)
 
@@ -166,7 +198,10 @@ def _refuse_again(session: Session, others: Sequence[Member]) -> None:
     """Raises InputError where another one is of the same drive: each would confirm the other's errors."""
     own = member_of(session)
     if same := next((one for one in others if one.stamps_ns == own.stamps_ns), None):
-        raise InputError(f"it is the drive of {same.name}, by the stamps of its key frames")
+        raise InputError(
+            f"it is the drive of {same.name}, by the stamps of its key frames; if it was edited or replayed "
+            "again since, and that is to count, build a new site"
+        )
 
 
 def _begun(
@@ -206,23 +241,15 @@ def _why_apart(name: str, site: Site, best: Site) -> str:
     return f"it overlaps with {others} alone: a site of its own, or the drive between is missing"
 
 
-def _save(site: Site, out: Path) -> int:
+def _save(site: Site, layers: Layers, out: Path) -> int:
+    """The number of the new version."""
     shown = OccupancyTiles(OccupancyConfig(), site.cell_m)
-    if len(site.members) == 1:
-        site.solve()
-    layers, compared = site.layers()
     shown.replace_by(layers.newest(site.rendered(shown.renderer)), ())
     about = {"profile": "corridor", "sessions": str(len(site.members))}
     saved_ns = int(site.graph.stamp_ns.max())
     number = save_map(out, shown.changed_tiles(), saved_ns, about, site.geo, site.graph)
     if number is None:
         raise InputError(f"{out}: no key frame of the site saw anything; the map has no tile")
-    places = [_changed_place(change, site) for change in layers.changes]
-    of_sessions = {
-        site.members[k].name: {"places": one.places, "gone": one.places_gone, "new": one.places_new}
-        for k, one in compared.items()
-    }
-    write_changed_places(out, ChangedPlaces(number, site.cell_m, places, of_sessions))
     return number
 
 

@@ -166,7 +166,7 @@ def grow(
     """
     waiting, looked = list(sessions), dict(known or {})
     while any(looked.get(one.name, 0) < len(site.members) for one in waiting):
-        with TemporaryDirectory(prefix=".build-", dir=folder, ignore_cleanup_errors=True) as kept:
+        with TemporaryDirectory(prefix=".corridor-", dir=folder, ignore_cleanup_errors=True) as kept:
             before_ending(partial(shutil.rmtree, kept, ignore_errors=True))
             round_ = _Round(site, waiting, engine, Path(kept), progress, joined)
             found = round_.find(looked)

@@ -1,5 +1,6 @@
 """One map of several drives: drives round a ring of corridors, each in a map frame of its own."""
 
+import errno
 import math
 import shutil
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.errors import InputError, UsageError
+from service.errors import InputError, StorageError, UsageError
 from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
@@ -28,6 +29,7 @@ from service.offline.cluster.tasks import AnyTask, Done
 from service.offline.maps.log import utc
 from service.offline.maps.work import map_info
 from service.offline.replay.setup import ReplayOptions
+from service.offline.score.trajectory import read_tum
 from service.offline.site.build import site_build
 from service.offline.site.manifest import SITE_FILE
 from service.offline.site.tasks import Find, FindLoops
@@ -202,7 +204,81 @@ def test_one_drive_counts_once(drives, tmp_path):
     shutil.copytree(drives / "a", tmp_path / "copy_of_a", symlinks=True)
     report = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
     assert names_in(report) == ["a"]
-    assert report["left_out"] == {"copy_of_a": "it is the drive of a, by the stamps of its key frames"}
+    assert list(report["left_out"]) == ["copy_of_a"]
+    assert report["left_out"]["copy_of_a"].startswith("it is the drive of a, ")
+
+
+def test_another_drive_of_a_name_that_is_taken_is_numbered(grown, drives, tmp_path):
+    for name, other in (("a", "c"), ("b", "b")):
+        shutil.copytree(drives / other, tmp_path / "later" / name, symlinks=True)
+    report = build([tmp_path / "later"], grown)
+    assert names_in(report) == ["a", "b", "a_2"]
+    assert build([tmp_path / "later"], grown)["added"] == 0
+
+
+def test_a_drive_that_was_mapped_again_is_left_out(grown, drives, tmp_path):
+    again = Path(shutil.copytree(drives / "a", tmp_path / "again" / "a", symlinks=True))
+    assert main(["map", "edit", str(again), "--wall", "2", "-0.5", "2", "0.5"]) == 0
+    report = build([again], grown)
+    assert names_in(report) == ["a", "b"]
+    assert report["left_out"]["a_2"].startswith("it is the drive of a, by the stamps of its key frames; if ")
+
+
+@pytest.mark.parametrize("step", ["write_kept", "save_map", "write_changed_places"])
+def test_a_build_that_was_killed_is_continued_by_the_next_one(step, grown, drives, tmp_path, monkeypatch):
+    (grown / ".build" / ".corridor-killed").mkdir()
+    expected = Path(shutil.copytree(grown, tmp_path / "expected", symlinks=True))
+    build([drives / "c"], expected)
+    with monkeypatch.context() as patch:
+        patch.setattr(f"service.offline.site.build.{step}", killed)
+        with pytest.raises(KeyboardInterrupt):
+            build([drives / "c"], grown)
+    assert len(load_map(grown).graph) >= 2 * COUNT
+    assert names_in(build([drives / "c"], grown)) == ["a", "b", "c"]
+    built, as_expected = files_in(grown), files_in(expected)
+    assert built.keys() == as_expected.keys()
+    differ = {name.split("/")[0] for name in built if built[name] != as_expected[name]}
+    assert differ <= {"kept", "paths"}  # paths that were bent twice differ by rounding
+    for name in ("a", "b", "c"):
+        was, now = (read_tum(out / "paths" / f"{name}.tum") for out in (expected, grown))
+        np.testing.assert_allclose(now.pose, was.pose, atol=1e-5)
+
+
+def killed(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_full_disk_is_told_and_the_map_stays(grown, drives, monkeypatch):
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    before = files_in(grown)
+    for step in ("growth.keep_graph", "paths.write_tum", "kept.write_arrays"):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"service.offline.site.{step}", full)
+            with pytest.raises(StorageError, match="No space left on device"):
+                build([drives / "c"], grown)
+        assert names_in(build([drives / "a"], grown)) == ["a", "b"]
+    assert before.items() >= {name: one for name, one in files_in(grown).items() if "v00" in name}.items()
+
+
+def test_two_builds_of_one_site_at_a_time_are_refused(grown, drives):
+    def other(tasks: Sequence[AnyTask]) -> Ended:
+        with pytest.raises(StorageError, match="another process is writing this map"):
+            build([drives / "c"], grown)
+        yield from in_turn(tasks)
+
+    assert names_in(build([drives / "c"], grown, other)) == ["a", "b", "c"]
+
+
+def test_an_edit_during_a_build_is_not_lost(grown, drives):
+    def edited(tasks: Sequence[AnyTask]) -> Ended:  # to look for the drive, and for loops
+        assert main(["map", "edit", str(grown), "--wall", "2", "-0.5", "2", "0.5"]) == 0
+        yield from in_turn(tasks)
+
+    with pytest.raises(InputError, match="changed during the build"):
+        build([drives / "c"], grown, edited)
+    assert len(load_map(grown).graph.by_hand.kind) == 2
 
 
 def test_fixes_place_drives_that_do_not_overlap(drives, tmp_path):
@@ -332,8 +408,10 @@ def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
     (tmp_path / "later.mcap").touch()
     (tmp_path / "parked").mkdir()
     (tmp_path / "parked" / "summary.json").write_text("{}")
+    (tmp_path / "broken_off").mkdir()
     build([drives / "a"], tmp_path / "site")
     report = build([tmp_path], tmp_path / "site")
     assert (names_in(report), report["added"]) == (["a"], 0)
     assert "stored no map" in report["left_out"]["parked"]
     assert "1 recording passed over, beside 2 results" in report["warnings"][0]
+    assert "broken_off passed over, beside 2 results: neither map nor" in report["warnings"][1]
