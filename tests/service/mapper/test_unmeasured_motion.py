@@ -6,6 +6,10 @@ import pytest
 from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from simulators.worlds import WORLDS
+from tests.accuracy.scene_drives import Case, staged
+from tests.accuracy.scene_judge import judge
+from tests.accuracy.scenes import mapped
+from tests.accuracy.sensors import LMS100_10HZ
 from tests.carried import carried_back, carried_on, silent
 from tests.service.mapper.offices import LASER, outputs_at_once, through
 from tests.simulated import FORWARD, Drive, Wheels, drives
@@ -48,6 +52,14 @@ def test_a_vehicle_carried_to_similar_walls_is_never_ok_at_a_wrong_place(world, 
     assert off_m[0] > 3.0
     assert "the vehicle may have been carried" in reasons[0]
     assert not any(state != "lost" and off > 0.3 for state, off in zip(states, off_m, strict=True))
+
+
+def test_a_corridor_that_looks_like_another_is_not_taken_for_it_where_dead_reckoning_leads_there():
+    """The four of a ring look alike: one that is mapped, and the next one, where the vehicle is."""
+    of = staged(Case("lifted", "ring", 5, 0.53, 2.0, laser=LMS100_10HZ))
+    outputs = mapped(of).outputs
+    verdict = judge(outputs, [of.made.truth[output.stamp_ns] for output in outputs], of.from_ns, of.to_ns)
+    assert verdict.ok_off == 0
 
 
 def test_a_vehicle_carried_back_is_localised_and_ok_once_confirmed():

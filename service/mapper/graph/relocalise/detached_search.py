@@ -76,8 +76,7 @@ class Hypothesis:
     loop: Loop
     path_length_m: float
     segment: int
-    is_disputed: bool  # dead reckoning leads elsewhere, and the query does not contradict that
-    is_sure: bool = True  # unmapped ground is excluded
+    is_sure: bool  # unmapped ground is excluded, and so is that dead reckoning is right and leads elsewhere
 
 
 class DetachedSearch:
@@ -114,7 +113,7 @@ class DetachedSearch:
         are candidates, too, since new ground may look like any place of the map.
         """
         keyframes, one = self._keyframes, self._hypothesis
-        if one is None or one.is_disputed or not one.is_sure or self.possible:
+        if one is None or not one.is_sure or self.possible:
             return None
         k = one.loop.to
         known = KnownPose(
@@ -175,15 +174,14 @@ class DetachedSearch:
         keyframes = self._keyframes
         inverse = se2.between(keyframes.odom[reference], np.zeros(3))
         path_length_m = float(keyframes.path_length_m[reference])
-        is_disputed = self._allows_dead_reckoning(prior)
         is_second = prior is not None and prior.explains(at)
         old = self._hypothesis
         agrees = old is not None and is_same_place(
             se2.compose(old.pose_map_odom, keyframes.odom[reference]), at
         )
         is_sure = is_second or not self._is_session_placed or (agrees and old is not None and old.is_sure)
-        is_sure = is_sure or self._excludes_new_ground(at, prior)
-        new = Hypothesis(se2.compose(at, inverse), loop, path_length_m, segment, is_disputed, is_sure)
+        is_sure = (is_sure or self._excludes_new_ground(at, prior)) and not self._allows_dead_reckoning(prior)
+        new = Hypothesis(se2.compose(at, inverse), loop, path_length_m, segment, is_sure)
         # A session gets its place by one result, since the vehicle may stand still; it is verified later.
         if is_second or not self._is_session_placed:
             self._place(segment, new.pose_map_odom)
