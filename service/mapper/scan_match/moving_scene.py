@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from service.estimator.estimator import EstimatorConfig
 from service.estimator.motion import OdometryIncrement, Prediction
-from service.geometry.chi2 import CHI2_999_OF_3
+from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.estimator import MAX_SILENT_S
@@ -105,6 +105,7 @@ class Conflict:
 
     pose: SE2
     covariance: Matrix
+    is_turned: bool  # the headings differ, too
 
 
 class Reckoning:
@@ -180,7 +181,7 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:
         return None
     covariance = np.diag([way_m2, way_m2, turn_rad2])
-    return Conflict(begin.matched @ reckoned, covariance)
+    return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)
 
 
 def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
@@ -267,7 +268,7 @@ class MovingScene:
         if conflict is None:
             return self._accepted(static, attempt)
         by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
-        if self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS < 0.0:
+        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS < 0.0:
             self._moves_until_ns = NOTHING_MOVES
             return None
         return self._start(by_odometry, attempt)
@@ -291,7 +292,8 @@ class MovingScene:
         _, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
         if max(share, is_static.mean()) >= MIN_STATIC_SHARE:
             nats = self._evidence_nats(attempt, static, aligned)
-            nats += PRIOR_NATS if moves else _prior_nats(aligned, attempt)
+            is_turned = conflict is not None and conflict.is_turned
+            nats += PRIOR_NATS if moves else -PRIOR_NATS if is_turned else _prior_nats(aligned, attempt)
         elif conflict is None:
             return aligned
         else:
@@ -451,7 +453,7 @@ def _classified(
 
 
 def _prior_nats(aligned: Aligned, attempt: Attempt) -> float:
-    """Log-odds that part of the scene moves where a conflict, but no motion, was observed.
+    """Log-odds that part of the scene moves where a conflict of positions, but no motion, was observed.
 
     Where most returns are known to be static and the others decide how far the vehicle went, as in a corridor
     behind people, that is no measurement by what is known to be static.
