@@ -8,7 +8,8 @@ import pytest
 
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.scan_match.moving_scene import Reckoning, evidence_nats, inertia_nats
+from service.mapper.scan_match.moving_scene import evidence_nats, inertia_nats
+from service.mapper.scan_match.reckoning import Reckoning
 from service.offline.replay.replay import ReplayOptions, replay
 from service.outputs import State
 from tests.accuracy.scene_drives import Case, staged

@@ -1,0 +1,116 @@
+"""The path by odometry and gyro, compared with the matched one; conflicts of [35]."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.estimator.estimator import EstimatorConfig
+from service.estimator.motion import OdometryIncrement, Prediction
+from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.estimator import MAX_SILENT_S
+from service.mapper.scan_match.attempt import Matrix
+
+# Over which both paths are compared, whichever is shorter; a window without moving returns is static again.
+WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
+USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
+MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Both paths at one scan."""
+
+    stamp_ns: int
+    reckoned: SE2  # by odometry and gyro
+    matched: SE2
+    variance_m2: float  # of `reckoned`, accumulated
+    variance_rad2: float
+    travel_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conflict:
+    """Pose by odometry and gyro that contradicts the matched one; covariance (3, 3), base axes."""
+
+    pose: SE2
+    covariance: Matrix
+    is_turned: bool  # the headings differ, too
+
+
+class Reckoning:
+    """The path by odometry and gyro, compared with the matched one."""
+
+    def __init__(self) -> None:
+        self._steps: deque[_Step] = deque()
+        self._silent_s = math.inf  # since odometry measured a step
+
+    def restart(self, stamp_ns: int, matched: SE2) -> None:
+        """Start the comparison here."""
+        self._steps.clear()
+        self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0))
+
+    def clear(self) -> None:
+        self._steps.clear()
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether odometry does not measure the motion."""
+        return self._silent_s > MAX_SILENT_S
+
+    def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
+        """Add a scan and its matched pose; returns the conflict where the two paths disagree."""
+        self._silent_s = self._silent_s + predicted.elapsed_s if predicted.increment is None else 0.0
+        if self.is_silent or not self._steps:
+            self.restart(stamp_ns, matched)
+            return None
+        steps, step = self._steps, predicted.increment or by_speed(predicted)
+        last = steps[-1]
+        newest = _Step(
+            stamp_ns,
+            last.reckoned @ step.pose,
+            matched,
+            last.variance_m2 + step.variance_m2,
+            last.variance_rad2 + step.variance_rad2,
+            last.travel_m + math.hypot(step.pose.x_m, step.pose.y_m),
+        )
+        steps.append(newest)
+        while len(steps) > 2 and (
+            stamp_ns - steps[1].stamp_ns > WINDOW_NS or newest.travel_m - steps[1].travel_m > PATH_WINDOW_M
+        ):
+            steps.popleft()
+        return _conflict(steps[0], newest)
+
+
+def by_speed(predicted: Prediction) -> OdometryIncrement:
+    """A step at constant velocity: between scans of two lasers there may be no sample of odometry."""
+    elapsed_s = predicted.elapsed_s
+    forward, left, turn = predicted.twist_base
+    way_m2, turn_rad2 = velocity_variance(elapsed_s)
+    return OdometryIncrement(
+        SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), way_m2, turn_rad2
+    )
+
+
+def velocity_variance(elapsed_s: float) -> tuple[float, float]:
+    """(m^2, rad^2) by which a vehicle may deviate from constant velocity."""
+    integrated_s3 = elapsed_s**3 / 3.0
+    return USUAL.acceleration**2 * integrated_s3, USUAL.turn_acceleration**2 * integrated_s3
+
+
+def _conflict(begin: _Step, end: _Step) -> Conflict | None:
+    reckoned = begin.reckoned.inverse() @ end.reckoned
+    matched = begin.matched.inverse() @ end.matched
+    off_m2 = (matched.x_m - reckoned.x_m) ** 2 + (matched.y_m - reckoned.y_m) ** 2
+    travel_m = end.travel_m - begin.travel_m
+    turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
+    scale_m = USUAL.odometry_scale_sigma * travel_m
+    way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
+    way_m2 += turn_rad2 * travel_m**2 / 3.0  # random walk of the heading along the path
+    turn_chi2 = wrap_angle(matched.theta_rad - reckoned.theta_rad) ** 2 / turn_rad2
+    if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:
+        return None
+    covariance = np.diag([way_m2, way_m2, turn_rad2])
+    return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)
