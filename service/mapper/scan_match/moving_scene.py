@@ -48,8 +48,8 @@ PERSON_M = 0.6  # largest extent of an object that may walk by
 DECISIVE_SHARE = 0.5  # of the returns, or of the information about some direction
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
-# observed, and where none are; minus those where returns decide that are neither known to move nor static.
-PRIOR_NATS, NEW_PRIOR_NATS = 5.0, 3.0
+# observed, and where none are.
+PRIOR_NATS = 5.0
 MIN_STATIC_SHARE = 0.2  # of the returns on static walls, at either pose; below it only inertia counts
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
@@ -165,7 +165,10 @@ class MovingScene:
         if not self._reckoning.is_silent:
             self._moving_path_m += attempt.predicted.travel_m
         static, _share = self._align_static(attempt, attempt.prior, submap)
-        if is_loose(sigmas_of(static.result.covariance)) or self._is_new_ground(static, attempt):
+        # With odometry the pose follows it where few are in view; not in the first metre, where none can be.
+        is_needed = self._reckoning.is_silent or not submap.knows_static
+        is_unconfirmed = is_needed and static.result.used < MIN_CONFIRMING
+        if is_unconfirmed or is_loose(sigmas_of(static.result.covariance)):
             self._moves_until_ns = NOTHING_MOVES
             return None
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
@@ -193,11 +196,13 @@ class MovingScene:
             return aligned
         prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
         static, share = self._align_static(attempt, prior, aligned.submap)
-        _, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
+        is_moving, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
         if max(share, is_static.mean()) >= MIN_STATIC_SHARE:
             nats = self._evidence_nats(attempt, static, aligned)
-            is_turned = conflict is not None and conflict.is_turned
-            nats += PRIOR_NATS if moves else -PRIOR_NATS if is_turned else _prior_nats(aligned, attempt)
+            # People ahead in a bare corridor measure how far the vehicle went, but not its heading.
+            if conflict is not None and not conflict.is_turned and is_static.mean() >= DECISIVE_SHARE:
+                moves = moves or _decisive_share(is_moving, attempt) >= DECISIVE_SHARE
+            nats += PRIOR_NATS if moves else -PRIOR_NATS
         elif conflict is None:
             return aligned
         else:
@@ -277,14 +282,6 @@ class MovingScene:
         self._moves(attempt)
         return self._accepted(static, attempt)
 
-    def _is_new_ground(self, static: Aligned, attempt: Attempt) -> bool:
-        """Whether few returns are static, but with odometry: most may be, where nothing was free before."""
-        if static.result.used >= MIN_CONFIRMING or self._reckoning.is_silent:
-            return static.result.used < MIN_CONFIRMING
-        xy_base, pose = static.xy_base, static.result.pose
-        residual_m = static.submap.static_residuals(xy_base, attempt.normals, pose, path_m=0.0)
-        return bool(np.isfinite(residual_m).mean() >= DECISIVE_SHARE)
-
     def _moves(self, attempt: Attempt) -> None:
         self._moves_until_ns = attempt.stamp_ns + WINDOW_NS
         self._drift, self._path_length_m = SE2(), 0.0
@@ -362,21 +359,6 @@ def _classified(
         is_static &= ~is_small | np.isfinite(before)
     is_moving |= moves[group]
     return is_moving, is_static & ~is_moving
-
-
-def _prior_nats(aligned: Aligned, attempt: Attempt) -> float:
-    """Log-odds that part of the scene moves where a conflict of positions, but no motion, was observed.
-
-    Where most returns are known to be static and the others decide how far the vehicle went, as in a corridor
-    behind people, that is no measurement by what is known to be static.
-    """
-    is_moving, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
-    if is_static.mean() >= DECISIVE_SHARE:
-        if _decisive_share(is_moving, attempt) >= DECISIVE_SHARE:
-            return PRIOR_NATS
-        if _decisive_share(~is_static, attempt) >= DECISIVE_SHARE:
-            return -NEW_PRIOR_NATS
-    return -PRIOR_NATS
 
 
 def _decisive_share(some: Mask, attempt: Attempt) -> float:

@@ -37,7 +37,7 @@ class Conflict:
 
     pose: SE2
     covariance: Matrix
-    is_turned: bool  # the headings differ, too
+    is_turned: bool  # the headings differ by more than 99.9 % of their noise
 
 
 class Reckoning:

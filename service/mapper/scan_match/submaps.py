@@ -148,6 +148,11 @@ class Submap:
         )
 
     @property
+    def knows_static(self) -> bool:
+        """Whether its path is long enough for static walls."""
+        return self._path_m >= STATIC_PATH_M
+
+    @property
     def _static_mark(self) -> int:
         return _mark_at(self._path_m - STATIC_PATH_M)
 

@@ -76,7 +76,7 @@ class Hypothesis:
     loop: Loop
     path_length_m: float
     segment: int
-    is_sure: bool  # unmapped ground is excluded, and so is that dead reckoning is right and leads elsewhere
+    is_sure: bool  # unmapped ground is excluded, and dead reckoning that leads elsewhere is contradicted
 
 
 class DetachedSearch:
