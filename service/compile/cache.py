@@ -12,7 +12,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -97,11 +97,25 @@ def is_warm(place: Path | None = None) -> bool:
 @contextmanager
 def compiling_alone() -> Iterator[None]:
     """Let one process at a time compile, of those that share the folder, unless it is warm."""
-    folder = cache_folder()
-    if is_warm() or not _is_writable(folder):
+    if is_warm() or not _is_writable(cache_folder()):
         yield
         return
-    with (folder / "lock").open("w", encoding="ascii") as lock:
+    with _locked("lock"):
+        yield
+
+
+def saving_alone() -> AbstractContextManager[None]:
+    """Let one process at a time save a kernel.
+
+    numba reads the index of a kernel, numbers the new file after those in it, and writes both. Two processes
+    that save different variants at the same time would use one number, and calls would get the wrong code.
+    """
+    return _locked("saving")
+
+
+@contextmanager
+def _locked(name: str) -> Iterator[None]:
+    with (cache_folder() / name).open("w", encoding="ascii") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 

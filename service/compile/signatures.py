@@ -7,7 +7,7 @@ calls the kernels that modules outside of KERNEL_PACKAGE have imported.
 import logging
 import sys
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -19,7 +19,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.np.numpy_support import from_dtype
 
-from service.compile.cache import cache_folder
+from service.compile.cache import cache_folder, saving_alone
 from service.compile.lazy import DECLARED, load_compiler
 
 log = logging.getLogger(__name__)
@@ -78,6 +78,8 @@ def new_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """numba's. A call from Python for types that it does not declare goes to `log_undeclared` first."""
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.KernelLocator"  # type: ignore[attr-defined]
     kernel: Any = numba.njit(**options)(function)
+    files = kernel._cache._cache_file
+    files.save = partial(_save_alone, files.save)
     if name_of(kernel) in DECLARED:
         compile_for_args = kernel._compile_for_args  # called for types without machine code
 
@@ -89,6 +91,11 @@ def new_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
         kernel._compile_for_args = checked
     return kernel
+
+
+def _save_alone(save: Callable[..., None], key: object, data: object) -> None:
+    with saving_alone():
+        save(key, data)
 
 
 def log_undeclared(name: str, types: tuple[types.Type, ...]) -> None:

@@ -3,6 +3,7 @@ import logging
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from service.compile.cache import (
     is_warm,
     mark_warm,
 )
+from service.compile.signatures import new_kernel
 
 
 @pytest.fixture
@@ -152,3 +154,22 @@ def test_one_process_at_a_time_compiles_until_all_is_compiled(sources: Path):
     (cache_folder() / "lock").unlink()
     with compiling_alone():
         assert not (cache_folder() / "lock").exists()
+
+
+def test_variants_of_a_kernel_that_two_processes_save_at_a_time_get_a_file_each(
+    sources: Path, monkeypatch: pytest.MonkeyPatch
+):
+    one, other = (new_kernel(lambda cells: cells, {"cache": True})._cache._cache_file for _ in range(2))
+    second = threading.Thread(target=other.save, args=("bytes", "code of bytes"))
+    load_index = one._load_index
+
+    def interrupted() -> object:
+        index = load_index()
+        second.start()
+        second.join(0.2)  # without a lock it saves now
+        return index
+
+    monkeypatch.setattr(one, "_load_index", interrupted)
+    one.save("floats", "code of floats")
+    second.join()
+    assert (other.load("floats"), other.load("bytes")) == ("code of floats", "code of bytes")
