@@ -5,24 +5,21 @@ them and turns what they refuse into `file:line:column: path: what is wrong, wha
 """
 
 import difflib
-import json
 import math
 import re
-import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import BaseModel
 
 from drivers.antenna import antenna_of
 from drivers.wires import one_spelling
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
-from service.errors import ConfigError
 from service.geometry.se2 import SE2
-from service.located_yaml import MAX_FILE_BYTES, Document, Fault, load
+from service.located_model import add_fault, raise_faults, read_file, validated
+from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
 from service.publishing.config import PublishingConfig, Ros2Config
@@ -110,47 +107,30 @@ _KEYS = ("vehicle", "sensors", "mapping", "replay", *dict.fromkeys(kind.section 
 
 def load_config(path: Path) -> ServiceConfig:
     """Read a config file. Raises ConfigError with every fault, also where the file cannot be read."""
-    return parse_config(_read(path), str(path))
+    return parse_config(read_file(path), str(path))
 
 
 def load_replay_config(path: Path) -> ReplayConfig:
     """Read of a config file what a replay needs: `sensors` without their wires, `mapping` and `replay`. All
     may be left out; the other sections are not looked at. Raises ConfigError as load_config does.
     """
-    return parse_replay_config(_read(path), str(path))
+    return parse_replay_config(read_file(path), str(path))
 
 
 def load_publishing(path: Path) -> PublishingConfig:
     """Read of a config file the section `publishing` alone. Raises ConfigError as load_config does."""
-    document = load(_read(path))
+    document = load(read_file(path))
     read = _Reader(document).read_publishing()
-    _raise_faults(document, str(path))
+    raise_faults(document, str(path))
     assert isinstance(read, PublishingConfig)
     return read
-
-
-def _read(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE_BYTES + 1)
-        if len(content) > MAX_FILE_BYTES:
-            raise ConfigError([f"{path}: larger than {MAX_FILE_BYTES} bytes; that is no config"])
-        return content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        before = error.object[: error.start]
-        line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode("utf-8")) + 1
-        what = f"byte 0x{error.object[error.start]:02x} is not UTF-8; save the file as UTF-8"
-        raise ConfigError([f"{path}:{line}:{column}: {what}"]) from error
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
 
 
 def parse_config(text: str, file: str) -> ServiceConfig:
     """As load_config, for text already at hand; `file` names it in the faults."""
     document = load(text)
     values = _Reader(document).read()
-    _raise_faults(document, file)
+    raise_faults(document, file)
     return ServiceConfig(**values, text=text)
 
 
@@ -158,14 +138,8 @@ def parse_replay_config(text: str, file: str) -> ReplayConfig:
     """As load_replay_config, for text already at hand."""
     document = load(text)
     values = _Reader(document).read_for_replay()
-    _raise_faults(document, file)
+    raise_faults(document, file)
     return ReplayConfig(**values)
-
-
-def _raise_faults(document: Document, file: str) -> None:
-    if document.faults:
-        faults = sorted(document.faults, key=lambda fault: (fault.position.line, fault.position.column))
-        raise ConfigError(list(dict.fromkeys(fault.text(file) for fault in faults)))
 
 
 class _Reader:
@@ -359,50 +333,10 @@ class _Reader:
                 self._fault(("mapping", "lasers", index), f"{name} {what}; {offer}")
 
     def _model(self, model: type[BaseModel], settings: object, path: KeyPath) -> BaseModel | None:
-        if not isinstance(settings, dict):
-            self._fault(path, f"this is a mapping with the keys {', '.join(model.model_fields)}")
-            return None
-        try:
-            # JSON mode is strict about kinds ("2111" is no number, true is not 1), yet takes lists and paths.
-            return model.model_validate_json(json.dumps(settings), strict=True)
-        except ValidationError as error:
-            for detail in error.errors(include_url=False):
-                self._refuse(model, path, detail)
-            return None
-
-    def _refuse(self, model: type[BaseModel], path: KeyPath, detail: ErrorDetails) -> None:
-        positions = self._document.positions
-        at = path
-        for part in detail["loc"]:  # pydantic puts the tag of a union in between, which is no key
-            if (*at, part) in positions:
-                at = (*at, part)
-        match detail["type"]:
-            case "extra_forbidden":
-                key = str(detail["loc"][-1])
-                models = _models_at(model, detail["loc"][:-1])
-                known = sorted({name for found in models for name in found.model_fields} - {"name"})
-                self._fault(at, unknown_key(key, detail["input"], known))
-            case "missing":
-                self._fault((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
-            case _:
-                message = (
-                    detail["msg"]
-                    .removeprefix("Value error, ")
-                    .removeprefix("Input ")
-                    .replace("valid array", "list")
-                )
-                got = detail["input"]
-                shown = (
-                    f" (got {json.dumps(got)})"
-                    if got is None or isinstance(got, bool | int | float | str)
-                    else ""
-                )
-                self._fault(at, message + shown + _correction(model, detail))
+        return validated(self._document, path, model, settings, own_keys=("name",))
 
     def _fault(self, path: KeyPath, message: str) -> None:
-        if any(fault.path == path for fault in self._document.faults):
-            return  # what is not even YAML is reported once
-        self._document.faults.append(Fault(self._document.position(path), path, message))
+        add_fault(self._document, path, message)
 
 
 def _with_a_wire(settings: object) -> object:
@@ -436,41 +370,3 @@ def _name_fault(name: str) -> str:
     offer = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:MAX_NAME_LENGTH]
     example = f"; {offer} would do" if NAME.fullmatch(offer) else ""
     return f'"{name}" becomes part of Zenoh keys and ROS names, so it takes {NAME_RULE}{example}'
-
-
-def _correction(model: type[BaseModel], detail: ErrorDetails) -> str:
-    """What to write instead of a value of the wrong kind, where that is known."""
-    got = detail["input"]
-    match detail["type"]:
-        case "int_type" | "float_type" if isinstance(got, str) and re.fullmatch(r"[-+]?[\d.]+", got):
-            return f"; write {got} without quotes"
-        case "int_type" | "float_type":
-            return "; write a number"
-        case "bool_type":
-            return "; write true or false"
-        case "string_type" if isinstance(got, int | float) and not isinstance(got, bool):
-            for found in _models_at(model, detail["loc"][:-1]):
-                info = found.model_fields.get(str(detail["loc"][-1]))
-                if info is not None and isinstance(info.default, str):
-                    return f'; write "{info.default}", say'
-            return f'; write it in quotes: "{got}"'
-    return ""
-
-
-def _models_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """What `location` leads to."""
-    models = [model]
-    for part in location:
-        found = [inner for outer in models for inner in _models_in(outer, part)]
-        models = found or models  # a union's tag leads nowhere
-    return models
-
-
-def _models_in(model: type[BaseModel], field: int | str) -> Iterator[type[BaseModel]]:
-    info = model.model_fields.get(str(field))
-    pending: list[Any] = [info.annotation] if info is not None else []
-    while pending:
-        annotation = pending.pop()
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            yield annotation
-        pending.extend(typing.get_args(annotation))

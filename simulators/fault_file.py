@@ -7,19 +7,16 @@
 What the kinds do stands in simulators/faults.py.
 """
 
-import json
 import typing
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import Field, model_validator
 
 from drivers.section import Section
-from service.errors import ConfigError
+from service.located_model import add_fault, raise_faults, read_file, validated
 from service.located_yaml import Document, load
-from service.located_yaml import Fault as Mistake
 from service.located_yaml import Path as KeyPath
 from service.suggestion import suggest
 from simulators.device import FakeDevice, HasClock, ManyClients, Restartable
@@ -150,21 +147,14 @@ Devices = Mapping[str, FakeDevice | ManyClients]
 
 def read_faults(path: Path, devices: Devices) -> list[Fault]:
     """Read a file of faults for these devices, in its order. Raises ConfigError with every mistake."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
-    return parse_faults(text, str(path), devices)
+    return parse_faults(read_file(path), str(path), devices)
 
 
 def parse_faults(text: str, file: str, devices: Devices) -> list[Fault]:
     """As read_faults, for text already at hand; `file` names it in the mistakes."""
     document = load(text)
     faults = list(_Reader(document, devices).read())
-    if document.faults:
-        mistakes = sorted(document.faults, key=lambda fault: (fault.position.line, fault.position.column))
-        raise ConfigError(list(dict.fromkeys(mistake.text(file) for mistake in mistakes)))
+    raise_faults(document, file)
     return faults
 
 
@@ -199,13 +189,7 @@ class _Reader:
             self._refuse_impossible(device, kind, path)
         if kind is None:
             return None
-        try:
-            # JSON mode is strict about kinds ("2" is no number, true is not 1)
-            return KINDS[kind].model_validate_json(json.dumps(entry), strict=True)
-        except ValidationError as error:
-            for detail in error.errors(include_url=False):
-                self._refuse_value(KINDS[kind], path, detail)
-            return None
+        return validated(self._document, path, KINDS[kind], entry, own_keys=("device", "kind"))
 
     def _choice(self, entry: Mapping[str, Any], path: KeyPath, key: str, known: list[str]) -> str | None:
         value = entry.get(key)
@@ -228,24 +212,5 @@ class _Reader:
         elif kind == "clock_jump" and not isinstance(device, HasClock):
             self._refuse((*path, "kind"), f"{name} sends no clock reading; a jump has no effect")
 
-    def _refuse_value(self, model: type[Fault], path: KeyPath, detail: ErrorDetails) -> None:
-        at = path
-        for part in detail["loc"]:
-            if (*at, part) in self._document.positions:
-                at = (*at, part)
-        match detail["type"]:
-            case "extra_forbidden":
-                known = [name for name in model.model_fields if name not in ("device", "kind")]
-                self._refuse(at, f"unknown key; {suggest(str(detail['loc'][-1]), known)}")
-            case "missing":
-                self._refuse((*at, str(detail["loc"][-1])), "missing, and there is no sensible default")
-            case _:
-                message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
-                got = detail["input"]
-                shown = "" if isinstance(got, dict) else f" (got {json.dumps(got)})"
-                self._refuse(at, message + shown)
-
     def _refuse(self, path: KeyPath, message: str) -> None:
-        if any(mistake.path == path for mistake in self._document.faults):
-            return  # once is enough, and what is not even YAML has been reported
-        self._document.faults.append(Mistake(self._document.position(path), path, message))
+        add_fault(self._document, path, message)

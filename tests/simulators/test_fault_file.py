@@ -80,7 +80,7 @@ def test_every_kind_there_is_can_be_written():
         ("{device: front}", "2:5: faults.0.kind", "missing; known here: cut"),
         ("{kind: cut}", "2:5: faults.0.device", "missing; known here: front"),
         ("{device: front, kind: silence}", "2:5: faults.0.for_s", "missing, and there is no sensible"),
-        ("{device: front, kind: cut, for: 2}", "2:32: faults.0.for", 'unknown key; did you mean "for_s"?'),
+        ("{device: front, kind: cut, for: 2}", "2:32: faults.0.for", 'this setting is "for_s", in seconds'),
         ("{device: front, kind: cut, for_s: 1s}", "2:32: faults.0.for_s", 'a valid number (got "1s")'),
         ("{device: front, kind: cut, at_s: -1}", "2:32: faults.0.at_s", "or equal to 0 (got -1)"),
         ("{device: front, kind: cut, count: 3}", "2:5: faults.0", "add every_s, or take them out"),
