@@ -20,7 +20,7 @@ from service.recording.session_change import SessionChange
 from service.runtime.intake import Intake
 from service.runtime.mapper_messages import Answer
 from service.runtime.mapping_outputs import MappingOutputs
-from service.runtime.profile_switch import ProfileSwitch
+from service.runtime.profile_switch import ProfileSwitch, new_map
 from service.sinks.sink import MapStorage, SavedMap, SessionRecorder
 
 FURTHEST_M = 100_000.0  # from the origin of the map, as in an edit of one
@@ -229,20 +229,10 @@ class Commands:
             refused(why)
 
     def _reset_map(self, event: Message, outcome: Outcome) -> None:
-        """Answered when the map before is on disk."""
         self._put(event)
 
-        def saved(before: Path | None, present: SavedMap | None, fault: str) -> None:
-            if fault:
-                outcome.failed(f"the map is reset, but the one before is not saved yet: {fault}")
-            else:
-                outcome.done(folder=str(self._storage.folder), folder_before=_text(before))
-
         def answered(answer: Answer) -> None:
-            ended = self._outputs.map_reset()
-            before = None if ended is None else self._storage.folder_of(ended)
-            self._storage.begun_new()
-            self._storage.ask_to_save(partial(saved, before))
+            new_map(outcome, self._outputs, self._storage, self._storage.begun_new, "the map is reset")
 
         self._intake.request_session("reset_map", event.log_ns, answered)
 
@@ -276,27 +266,18 @@ class Commands:
         return Verb(MapRequest, start)
 
     def _load_map(self, event: Message, outcome: Outcome) -> None:
-        """Answered when the mapper has begun in it and the map before is on disk."""
         self._put(event)
         step = decode_step(event.payload, event.log_ns)
         assert isinstance(step, LoadMap)
         folder = Path(step.folder)
-
-        def saved(before: Path | None, present: SavedMap | None, fault: str) -> None:
-            if fault:
-                outcome.failed(f"the map is loaded, but the one before is not saved yet: {fault}")
-            else:
-                outcome.done(folder=step.folder, version=step.version, folder_before=_text(before))
 
         def answered(answer: Answer) -> None:
             if answer.error:
                 self._storage.let_go(folder)
                 outcome.failed(f"the map before stays: {answer.error}")
                 return
-            ended = self._outputs.map_reset()
-            before = None if ended is None else self._storage.folder_of(ended)
-            self._storage.begun_in(folder)
-            self._storage.ask_to_save(partial(saved, before))
+            begun, facts = partial(self._storage.begun_in, folder), {"version": step.version}
+            new_map(outcome, self._outputs, self._storage, begun, "the map is loaded", **facts)
 
         self._intake.request_map(step.folder, step.version, event.log_ns, answered)
 
@@ -335,7 +316,3 @@ class Commands:
             return
         self._put(event)
         outcome.done(log_ns=event.log_ns)
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)

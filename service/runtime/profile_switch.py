@@ -11,7 +11,6 @@ import os
 import threading
 from collections.abc import Callable, Mapping
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -116,6 +115,33 @@ def stand_back() -> None:
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
+def new_map(
+    outcome: Outcome,
+    outputs: MappingOutputs,
+    storage: MapStorage,
+    begun: Callable[[], None],
+    done: str,
+    **facts: Any,
+) -> None:
+    """The mapper has begun another map: end the one before. The command is answered when that is on disk.
+
+    begun   reports to the storage what the present map is
+    done    for the answer where the map before cannot be saved
+    facts   for the answer, besides both folders
+    """
+    ended = outputs.map_reset()
+    before = None if ended is None else str(storage.folder_of(ended))
+    begun()
+
+    def saved(present: SavedMap | None, fault: str) -> None:
+        if fault:
+            outcome.failed(f"{done}, but the map before is not saved yet: {fault}")
+        else:
+            outcome.done(**facts, folder=str(storage.folder), folder_before=before)
+
+    storage.ask_to_save(saved)
+
+
 class ProfileSwitch:
     """One switch at a time.
 
@@ -178,29 +204,19 @@ class ProfileSwitch:
             outcome.failed(refused)
 
     def _switch(self, event: Message, chosen: MappingConfig, outcome: Outcome) -> None:
-        """Answered when the map before is on disk up to here."""
         self._put(event)
 
-        def saved(before: Path | None, present: SavedMap | None, fault: str) -> None:
-            if fault:
-                outcome.failed(f"{chosen.profile} maps now, but the map before is not saved yet: {fault}")
-            else:
-                outcome.done(
-                    profile=chosen.profile,
-                    folder=str(self._storage.folder),
-                    folder_before=None if before is None else str(before),
-                )
+        def begun() -> None:
+            self._present.config = chosen
+            self._storage.mapped_by(chosen.profile, begins_in_stored(chosen))
+            log.info("the profile is %s now", chosen.profile)
 
         def answered(answer: Answer) -> None:
             if answer.error:
                 outcome.failed(f"the profile stays: {answer.error}")
                 return
-            ended = self._outputs.map_reset()
-            before = None if ended is None else self._storage.folder_of(ended)
-            self._present.config = chosen
-            self._storage.mapped_by(chosen.profile, begins_in_stored(chosen))
-            log.info("the profile is %s now", chosen.profile)
-            self._storage.ask_to_save(lambda present, fault: saved(before, present, fault))
+            done = f"{chosen.profile} maps now"
+            new_map(outcome, self._outputs, self._storage, begun, done, profile=chosen.profile)
 
         section = chosen.model_dump(mode="json", exclude_defaults=True)
         self._intake.request_profile(section, event.log_ns, answered)

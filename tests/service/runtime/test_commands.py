@@ -120,7 +120,7 @@ def test_a_map_that_cannot_be_saved_is_reported(machine: Machine, tmp_path: Path
     machine.scan()
     assert "cannot save the map to" in machine.ask("save_map")["error"]
     facts = machine.ask("reset_map")
-    assert facts["error"].startswith("the map is reset, but the one before is not saved yet: cannot save")
+    assert facts["error"].startswith("the map is reset, but the map before is not saved yet: cannot save")
     (tmp_path / "map").unlink()
 
 
