@@ -20,7 +20,7 @@ from service.mapper.pipeline import Mapper
 from service.mapper.profiles import MappingConfig, build_mapper
 from service.outputs import MapperOutput
 from simulators.device import Beams
-from simulators.disturbances import GyroFault, Knock, Slip
+from simulators.disturbances import Knock, Slip
 from simulators.trajectory import THETA, Spin, X, Y, plan_drive
 from simulators.truth import LMS100, UTM30LX, LaserModel, LaserTruth, Ride, noise_of
 from simulators.world import World
@@ -30,6 +30,16 @@ IMU_NS = 5_000_000
 ORIGIN = SE2()
 FORWARD = SE2(0.2, 0.0, 0.0)
 MAX_PHASE_M = 0.1  # no cell of a profile is wider
+
+
+@dataclass(frozen=True, slots=True)
+class GyroFault:
+    """The gyroscope measures its last rate over and over, or the true one and a bias."""
+
+    from_s: float
+    to_s: float
+    bias_radps: float = 0.0
+    is_frozen: bool = False
 
 
 @dataclass(frozen=True)

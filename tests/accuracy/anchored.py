@@ -11,12 +11,12 @@ from drivers.frames import Frame, GnssFix
 from service.geometry.se2 import SE2
 from service.mapper.corrections import corrected
 from service.mapper.profiles import mapping_config
-from simulators.gnss import GnssModel, Receiver, Reflection
 from simulators.truth import Ride
-from simulators.worlds.streets import streets
 from tests.accuracy.driving import ate_m
+from tests.gnss_receiver import GnssModel, Receiver, Reflection
 from tests.papers.report import Row, Section
 from tests.simulated import FORWARD, UTM30LX_40HZ, Drive, Wheels, drives, run
+from tests.streets import streets
 
 LASER = replace(UTM30LX_40HZ, beams=361, step_deg=0.75, rate_hz=10.0)
 ANTENNA = SE2(-0.4, 0.1, 0.0)

@@ -9,18 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from simulators.device import Beams
-from simulators.disturbances import (
-    GyroFault,
-    Knock,
-    Offset,
-    Slip,
-    ahead,
-    around,
-    beside,
-    with_companions,
-    with_floor_seen,
-    with_train,
-)
+from simulators.disturbances import Knock, Slip
 from simulators.trajectory import STEP_M, WAY, Limits, X, Y, drive_along
 from simulators.truth import LaserTruth, Ride
 from simulators.world import World
@@ -28,7 +17,16 @@ from simulators.worlds import WORLDS
 from tests.accuracy.buildings import LMS100_25HZ
 from tests.accuracy.sensors import GOOD_WHEELS
 from tests.carried import carried_on, laser_silent, silent
-from tests.simulated import Drive, Imu, Laser, Wheels, begun_at, drive, heading_rad
+from tests.moving_things import (
+    Offset,
+    ahead,
+    around,
+    beside,
+    with_companions,
+    with_floor_seen,
+    with_train,
+)
+from tests.simulated import Drive, GyroFault, Imu, Laser, Wheels, begun_at, drive, heading_rad
 
 STAND_S = 0.5
 BEFORE_S, AFTER_S = 12.0, 10.0  # still, before and after

@@ -8,17 +8,11 @@ import pytest
 
 from service.geometry.se2 import SE2
 from simulators.device import Beams
-from simulators.disturbances import (
-    Knock,
-    Slip,
-    beside,
-    with_companions,
-    with_floor_seen,
-    with_train,
-)
+from simulators.disturbances import Knock, Slip
 from simulators.trajectory import Follow, Limits, Pause, plan_drive
 from simulators.truth import LMS100, LaserTruth, Ride, WheelModel, WheelTruth
 from simulators.world import Plan, World, make_world
+from tests.moving_things import beside, with_companions, with_floor_seen, with_train
 
 PERFECT = replace(LMS100, sigma_m=0.0, quantum_m=1e-6, mixed_share=0.0, dropout_share=0.0, tenth_range_m=1e3)
 FROM_S, TO_S = 4.0, 9.0

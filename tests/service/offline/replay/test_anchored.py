@@ -15,11 +15,11 @@ from service.mapstore.geo_file import read_geo
 from service.offline.export.export import export
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.recording.mcap_recorder import McapRecorder
-from simulators.gnss import GnssModel, Receiver
 from simulators.truth import Ride
-from simulators.worlds.streets import streets
 from tests.accuracy.anchored import ANTENNA, LASER, STAND_S, YAW_RAD, fixes
+from tests.gnss_receiver import GnssModel, Receiver
 from tests.simulated import Drive, Wheels, drives
+from tests.streets import streets
 
 T0_NS = 1_700_000_000_000_000_000
 SECONDS = 28.0

@@ -14,7 +14,7 @@ from service.mapper.graph.gnss.fix_track import FixTrack
 from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.model.keyframe_list import KeyFrame, LoopsConfig
 from service.offline.score.score import align
-from simulators.gnss import GnssModel, Receiver
+from tests.gnss_receiver import GnssModel, Receiver
 from tests.service.mapper.graph.key_frames import key_frame
 
 STEP_M = 0.3

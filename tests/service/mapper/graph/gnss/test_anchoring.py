@@ -9,7 +9,7 @@ import pytest
 
 from service.geometry.geo_reference import LocalFrame
 from service.mapper.graph.loops.loop_back_end import Result
-from simulators.gnss import GnssModel, Reflection
+from tests.gnss_receiver import GnssModel, Reflection
 from tests.service.mapper.graph.gnss.outdoors import (
     ORIGIN,
     YAW_RAD,

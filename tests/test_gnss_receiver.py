@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.geometry.geo_reference import LocalFrame
-from simulators.gnss import GnssModel, Receiver, Reflection
+from tests.gnss_receiver import GnssModel, Receiver, Reflection
 
 ORIGIN = LocalFrame(60.161, 24.546, 51.7)
 
