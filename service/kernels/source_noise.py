@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from service.geometry.chi2 import CHI2_999_OF_1
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.filter_state import TWIST, Filter
+from service.kernels.filter_state import BIAS, TWIST, Filter
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
@@ -83,6 +84,8 @@ def learn_noise(state, information, settings):
             adapt(state.noise, 1, known, known * squared)
         if w[11] > 0.0:
             known, squared = noise_sample(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
+            if squared > CHI2_999_OF_1 * max(state.gyro_noise[0], 1.0):  # the bias may have jumped
+                state.covariance[BIAS, BIAS] += known * squared * w[10] / w[13] ** 2
             adapt(state.gyro_noise, 0, known, known * squared)
     learn_motion(state, settings)
     begin_window(state)

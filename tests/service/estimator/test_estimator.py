@@ -33,9 +33,10 @@ def driven(
     wheel_scale: float = 1.0,
     offset_ns: int = 0,
     rate_radps: float | None = None,
+    from_ms: int = 0,
 ) -> Prediction:
     """Straight on with odometry each 20 ms and a tight scan each 100 ms; the last prediction."""
-    for stamp_ms in range(0, until_ms + 1, 20):
+    for stamp_ms in range(from_ms, until_ms + 1, 20):
         way_m = speed_mps * stamp_ms * 1e-3
         assert model.add(later(odometry(stamp_ms, SE2(wheel_scale * way_m, 0.0, 0.0)), offset_ns))
         if rate_radps is not None:
@@ -192,6 +193,13 @@ def test_the_bias_of_the_gyro_is_learnt(bias_radps: float) -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 20_000, rate_radps=bias_radps)
     assert model.learnt[3] == pytest.approx(bias_radps, abs=5e-4)
+
+
+def test_a_bias_that_jumps_is_learnt_again_within_two_seconds() -> None:
+    model = Estimator(EstimatorConfig())
+    driven(model, 20_000, rate_radps=0.0)
+    driven(model, 22_000, rate_radps=0.1, from_ms=20_020)
+    assert model.learnt[3] == pytest.approx(0.1, abs=5e-3)
 
 
 def test_odometry_carries_over_a_minute_and_a_half_without_scans() -> None:
