@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from drivers.counted import counted
 from drivers.frames import Frame, LaserScan
 from service.encoding import (
     LASER_SCAN,
+    MAP_FRAME,
     NO_COVARIANCE,
     NO_ROTATION,
     ODOMETRY,
@@ -269,9 +270,19 @@ def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
 
 
 def _is_our_session(recording: Readable) -> bool:
-    """Whether the library that wrote it, or its metadata, is ours."""
-    by_us = recording.library.startswith("corridor ") or any(t.name == "/pose" for t in recording.topics)
-    return by_us and any(_is_ours(t) and t.type == LASER_SCAN for t in recording.topics)
+    """Whether we wrote it, or another program recorded the topics of our service."""
+    has_scans = any(_is_ours(t) and t.type == LASER_SCAN for t in recording.topics)
+    return has_scans and (recording.library.startswith("corridor ") or _has_our_pose(recording))
+
+
+def _has_our_pose(recording: Readable) -> bool:
+    """Whether /pose is that of the base in the map; others publish a PoseStamped, or the wheels, there."""
+    if not any(t.name == "/pose" and t.type == ODOMETRY for t in recording.topics):
+        return False
+    try:
+        return any(frame_id(m.payload) == MAP_FRAME for m in islice(recording.messages(["/pose"]), 1))
+    except InputError:
+        return False
 
 
 def _is_ours(topic: Topic) -> bool:

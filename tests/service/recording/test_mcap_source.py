@@ -207,6 +207,18 @@ def test_what_the_odometry_moves_is_the_base(foreign):
     assert open_session(foreign.close()).mountings["scan"] == SE2(1.2, 0.0, 0.0)
 
 
+def test_odometry_of_others_is_read_whatever_they_publish_as_a_pose(foreign):
+    """p2os_driver calls its odometry /pose, which in our sessions is the base in the map."""
+    foreign.add_message("/front/scan", scan_message(0)).add_message("/pose", odometry())
+    assert open_session(foreign.close()).sensors == {"/front/scan": "front", "/pose": "pose"}
+
+
+def test_our_topics_are_known_where_another_program_recorded_them(foreign):
+    foreign.add_message("/front/scan", scan_message(0)).add_message("/odom", odometry())
+    foreign.add_message("/pose", odometry("map"))
+    assert open_session(foreign.close()).sensors == {"/front/scan": "front"}
+
+
 def test_a_laser_upside_down_is_mirrored(foreign):
     foreign.tf(("base_link", "front", (0.1, 0.0, 0.2), turn(roll=180.0)))
     session = open_session(foreign.add_message("/scan", scan_message(0)).close())
