@@ -39,10 +39,11 @@ class WithOdometryOfTf:
         if topics is None or ODOM_OF_TF not in topics:
             yield from self._recording.messages(topics, from_ns, to_ns)
             return
+        wanted, tf = _channels(topics), _channels(self._tf)
         for message in self._recording.messages(self._tf.union(topics), from_ns, to_ns):
-            if f"/{message.channel}" in topics:
+            if message.channel in wanted:
                 yield message
-            if f"/{message.channel}" in self._tf:
+            if message.channel in tf:
                 yield from self._odometry(message)
 
     def _odometry(self, tf: Message) -> Iterator[Message]:
@@ -61,6 +62,11 @@ class WithOdometryOfTf:
                         (0.0,) * 9,
                     )
                 )
+
+
+def _channels(topics: Collection[str]) -> set[str]:
+    """Channels of the messages of these topics, which not every writer begins with a slash."""
+    return {name.removeprefix("/") for name in topics}
 
 
 def moving_tf(recording: Readable) -> list[str]:
