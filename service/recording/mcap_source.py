@@ -35,7 +35,7 @@ from service.mapper.mapping_session import Step
 from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_reader import Readable, Topic
 from service.recording.opening import open_recording
-from service.recording.sources import ENDINGS, FRAME_TYPES, LASER_TYPES, SCAN_TYPES
+from service.recording.sources import ENDINGS, FRAME_TYPES, LASER_TYPES, SCAN_TYPES, kind_of
 from service.recording.vehicle import Converter, Vehicle
 
 # A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
@@ -93,11 +93,9 @@ class Session:
 
     @property
     def topics_of(self) -> dict[tuple[str, str], str]:
-        """(kind, sensor) -> its topic; kinds as in FRAME_TYPES, of all that becomes a scan "scan"."""
+        """(kind, sensor) -> its topic; kinds as of sources.kind_of."""
         kinds = {
-            topic.name: FRAME_TYPES.get(topic.type, "scan")
-            for topic in self.recording.topics
-            if topic.name in self.devices
+            topic.name: kind_of(topic) for topic in self.recording.topics if topic.name in self.devices
         }
         return {
             (kinds[topic], sensor): topic

@@ -7,7 +7,7 @@ header.frame_id in a topic is a device of its own.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, count, islice
 
 from service.encoding import (
     IMU,
@@ -76,21 +76,30 @@ def sources_of(recording: Readable, topic: Topic) -> list[Source]:
 def name_sensors(chosen: Sequence[Source], sources: Mapping[str, Sequence[Source]]) -> dict[Source, str]:
     """ "/front/scan" is "front", "/scan" is "scan", "/robot1/base_scan" is "robot1_base_scan".
 
-    Where devices share a topic, the first is called so, and the others "front_<frame_id>".
+    Where devices share a topic, the first is called so, and the others "front_<frame_id>". Of two of a kind
+    that would have one name, the second is called "front_2".
     """
-    names: dict[str, str] = {}
+    of_topics: dict[str, str] = {}
     topics = list(dict.fromkeys(source.topic for source in chosen))
     for topic in topics:
         full_name = topic.name.strip("/").replace("/", "_")
         name = full_name.removesuffix(f"_{ENDINGS[topic.type]}") or full_name
-        taken = {names[t.name] for t in topics if t.name in names and ENDINGS[t.type] == ENDINGS[topic.type]}
-        names[topic.name] = full_name if name in taken else name
-    return {
-        source: names[source.topic.name]
-        if source is sources[source.topic.name][0]
-        else f"{names[source.topic.name]}_{source.frame.replace('/', '_')}"
-        for source in chosen
-    }
+        taken = {of_topics[t.name] for t in topics if t.name in of_topics and kind_of(t) == kind_of(topic)}
+        of_topics[topic.name] = full_name if name in taken else name
+    names: dict[Source, str] = {}
+    for source in chosen:
+        name = of_topics[source.topic.name]
+        if source is not sources[source.topic.name][0]:
+            name += f"_{source.frame.replace('/', '_')}"
+        likes = chain([name], (f"{name}_{number}" for number in count(2)))
+        others = {names[s] for s in names if kind_of(s.topic) == kind_of(source.topic)}
+        names[source] = next(one for one in likes if one not in others)
+    return names
+
+
+def kind_of(topic: Topic) -> str:
+    """As in FRAME_TYPES; of all that becomes a scan "scan"."""
+    return FRAME_TYPES.get(topic.type, "scan")
 
 
 def all_of_ours(sources: Mapping[str, Sequence[Source]]) -> list[Source]:

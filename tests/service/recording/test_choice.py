@@ -195,3 +195,28 @@ def test_of_a_session_of_ours_topics_are_named_likewise(tmp_path):
     assert set(named.devices) == {"/rear/scan", "/base/odom"}
     with pytest.raises(UsageError, match=r"--base-frame chassis: .* frames in it are base_link, front"):
         open_session([path], Choice(base_frame="chassis"))
+
+
+@pytest.mark.parametrize(
+    "lasers",
+    [
+        [("/a/b/scan", "one"), ("/a_b/scan", "two"), ("/a_b_scan", "three")],
+        [("/scan", "one"), ("/scan", "two"), ("/scan_two", "three")],
+    ],
+)
+def test_each_laser_has_a_name_of_its_own(foreign, lasers):
+    for index, (topic, frame) in enumerate(lasers):
+        foreign.tf(("base_link", frame, (0.1 * index, 0.0, 0.0), LEVEL))
+        foreign.add_message(topic, scan(index, frame))
+    session = open_session(foreign.close())
+    frames = list(session.frames())
+    assert [session.mountings[frame.sensor].x_m for frame in frames] == pytest.approx([0.0, 0.1, 0.2])
+
+
+def test_odometry_of_tf_is_read_from_topics_without_a_slash_too(foreign):
+    foreign.tf(("base_link", "laser", (0.2, 0.0, 0.0), LEVEL))
+    for index in range(SCANS):
+        foreign.add_message("tf", moving(index, ("odom", "base_link")))
+        foreign.add_message("scan", scan(index, "laser"))
+    session = open_session(foreign.close())
+    assert [type(frame) for frame in session.frames()] == [OdometrySample, LaserScan] * SCANS
