@@ -94,9 +94,7 @@ class Session:
     @property
     def topics_of(self) -> dict[tuple[str, str], str]:
         """(kind, sensor) -> its topic; kinds as of sources.kind_of."""
-        kinds = {
-            topic.name: kind_of(topic) for topic in self.recording.topics if topic.name in self.devices
-        }
+        kinds = {topic.name: kind_of(topic) for topic in self.recording.topics if topic.name in self.devices}
         return {
             (kinds[topic], sensor): topic
             for topic, sensors in self.devices.items()
