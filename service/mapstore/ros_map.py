@@ -41,8 +41,9 @@ def write_ros_map(pgm: Path, yaml_path: Path, picture: Picture) -> None:
         for band in picture.bands():
             file.write(band.data)
     x, y = _decimal(picture.x_min_m), _decimal(picture.y_min_m)
+    image = yaml.safe_dump({"image": pgm.name}, allow_unicode=True, width=math.inf)  # quoted where it must be
     yaml_path.write_text(
-        f"image: {pgm.name}\nmode: trinary\nresolution: {_decimal(picture.cell_m)}\norigin: [{x}, {y}, 0.0]\n"
+        f"{image}mode: trinary\nresolution: {_decimal(picture.cell_m)}\norigin: [{x}, {y}, 0.0]\n"
         f"negate: 0\noccupied_thresh: {OCCUPIED_THRESH}\nfree_thresh: {FREE_THRESH}\n",
         encoding="utf-8",
     )

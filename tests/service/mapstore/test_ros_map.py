@@ -29,6 +29,15 @@ def test_a_map_reads_back_cell_by_cell(tmp_path):
     assert (back.cell_m, back.x_min_m, back.y_min_m) == (0.025, -1.125, 1e-7)
 
 
+@pytest.mark.parametrize(
+    "name", ["a: b", "a #b", "[a]", "- a", "&a", "no", "1e3", "h\u00e4lle", "h\udce4lle"]
+)
+def test_a_map_of_any_name_is_named_by_its_yaml(tmp_path, name):
+    pgm, about = tmp_path / f"{name}.pgm", tmp_path / f"{name}.yaml"
+    write_ros_map(pgm, about, picture_of_tiles([tile(0, 0, 1)]))
+    assert yaml.safe_load(about.read_bytes())["image"] == pgm.name
+
+
 def map_of(folder: Path, image: Image.Image | bytes, name: str = "map.png", **about: object) -> Path:
     """A picture and its YAML, of cells of 0.5 m."""
     if isinstance(image, bytes):
