@@ -1,5 +1,6 @@
 """The `corridor` command. Parses, calls, prints; what a command does stands below."""
 
+import io
 import logging
 import os
 import sys
@@ -47,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["simulate"]:
         _become_the_simulators(arguments[1:])
+    _take_any_name_on_stdout()
     parser = new_parser()
     if COMPLETION_ASKED in os.environ:
         from service.cli.completion import complete
@@ -80,6 +82,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception:
         log.exception("corridor %s failed; this is a fault of the program", " ".join(arguments))
         return CorridorError.exit_code
+
+
+def _take_any_name_on_stdout() -> None:
+    """Names of files need be no text of stdout's encoding, nor any text."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _flush_stdout() -> None:

@@ -94,7 +94,9 @@ class McapFile:
         )
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self._writer.add_metadata(name, dict(values))
+        """What is no text, such as the name of a file in Latin-1, becomes one with escapes."""
+        texts = {key: value.encode(errors="backslashreplace").decode() for key, value in values.items()}
+        self._writer.add_metadata(name, texts)
 
     def sync(self) -> None:
         """Put everything written so far on the disk."""

@@ -35,7 +35,7 @@ def write_report(result: Path, out: Path) -> list[str]:
     refuse_unwritable_file(out)
     page = page_of(content, links=out.resolve().parent == result.resolve())
     with complete_files(out) as path:
-        path.write_text(page, encoding="utf-8")
+        path.write_text(page, encoding="utf-8", errors="backslashreplace")
     return content.missing
 
 

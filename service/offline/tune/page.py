@@ -26,7 +26,7 @@ def write_outcome(outcome: Outcome, profile: str, out: Path) -> None:
     """tune.html and patch.yaml. Raises StorageError."""
     for name, text in ((PAGE_FILE, page_of(outcome, profile)), (PATCH_FILE, patch_of(outcome, profile))):
         with complete_files(out / name) as path:
-            path.write_text(text, encoding="utf-8")
+            path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def patch_of(outcome: Outcome, profile: str) -> str:

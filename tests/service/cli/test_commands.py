@@ -194,6 +194,17 @@ def test_each_error_has_its_exit_code(
     assert main(["run", str(good)]) == code
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_names_that_stdout_cannot_encode_are_printed_with_escapes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str
+):
+    stdout = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", stdout)
+    assert main(["man", os.fsdecode(bytes(tmp_path / "\u0142") + b"\xff")]) == 0
+    stdout.seek(0)
+    assert "\\udcff/corridor.1" in stdout.read()
+
+
 def test_a_reader_that_has_gone_is_no_crash(good: Path):
     with subprocess.Popen(
         [CORRIDOR, "check", good], stdout=subprocess.PIPE, stderr=subprocess.PIPE

@@ -105,7 +105,7 @@ def test_texts_of_a_recording_are_texts(result: Path):
     change_summary(
         result,
         profile=NASTY,
-        recording=[NASTY],
+        recording=[f"{NASTY}\udce4"],  # in Latin-1
         warnings=[NASTY],
         sensors={f"{NASTY}/scan": summary["sensors"]["front/scan"]},
         mapping={NASTY: NASTY},
@@ -117,6 +117,7 @@ def test_texts_of_a_recording_are_texts(result: Path):
     assert not {"script", "img"} & {name for name, _ in page.tags}
     assert page.text.count(NASTY) >= 5
     assert "<b>few" in page.text
+    assert "\\udce4" in page.text
 
 
 def test_an_older_result_says_what_it_does_not_hold(result: Path):

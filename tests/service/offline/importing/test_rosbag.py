@@ -1,6 +1,7 @@
 """Bags are written here by rosbags' writers; their ROS 1 messages by rosbags' own definitions of Noetic."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import starmap
@@ -77,6 +78,12 @@ def test_a_bag_becomes_a_session_with_its_sensors_and_mountings(kind, tmp_path, 
     assert [sample.x_m for sample in samples] == [pose_at(k).x_m for k in range(SCANS)]
     assert samples[0].twist_mps_radps == (0.5, 0.0, 0.05)
     assert [frame.rate_radps for frame in frames if isinstance(frame, ImuSample)] == [IMU.rate_radps]
+
+
+def test_a_name_that_is_no_text_is_imported_with_escapes(tmp_path):
+    bag = write_ros1(tmp_path / os.fsdecode(b"H\xe4lle.bag"), DRIVE)
+    import_rosbag(bag, tmp_path / "out.mcap")
+    assert open_session([tmp_path / "out.mcap"]).metadata["import"]["source"] == "H\\udce4lle.bag"
 
 
 def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path):
