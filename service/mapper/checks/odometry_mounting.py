@@ -11,13 +11,14 @@ Transactions on Robotics 29, 2013). `corridor calibrate` estimates the same offl
 import math
 from collections import deque
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
 from service.estimator.estimator import PAUSE_NS
-from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_2
+from service.geometry.chi2 import CHI2_99_OF_3, CHI2_999_OF_3, CHI2_MEDIAN_OF_2
 from service.geometry.se2 import SE2, wrap_angle
 from service.mapper.checks.mounting_check import ROBUST_CHI2
 from service.mapper.checks.stamp_check import BATCH
@@ -32,6 +33,8 @@ STEPS = 200  # the newest are used: 80 m and more
 # Two measurements each, of four unknowns. The first ones are shorter, 0.05, 0.1 and 0.2 m: a laser turned by
 # 180 deg shows before the pose is far off.
 MIN_STEPS = 3
+NEWEST_M = 3.0  # of the path, which shows by itself that a laser was knocked, or set right
+NEW_STEPS = 4  # between two evaluations of that
 # Noise of a step by scan matching; by odometry, per root metre and per radian. The excess is estimated.
 MATCH_M, ODOMETRY_M = 0.01, 0.02
 WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # keeps unobservable directions invertible
@@ -39,6 +42,14 @@ MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
 MAX_SCALE = 2.0  # or its inverse: beyond, odometry is unusable for this check
 AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: of axle and mounting by hand
 KNOWN_SIGMA_M = 1.0  # of the centre of rotation: a path without turns does not show it
+
+
+class Offset(NamedTuple):
+    """The base as configured in the base of odometry."""
+
+    offset: Floats  # (3,) x, y m and yaw rad
+    covariance: Floats  # (3, 3)
+    excess: float  # factor on the assumed variance of a step
 
 
 class OdometryMounting:
@@ -50,6 +61,7 @@ class OdometryMounting:
         self._waiting: tuple[int, SE2] | None = None  # a pose newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
+        self._excess = 1.0  # least factor on the assumed variance of a step
         self._count = 0  # of steps
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -87,8 +99,22 @@ class OdometryMounting:
             (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
         )
         self._count += 1
-        if MIN_STEPS <= self._count < BATCH or self._count % BATCH == 0:
-            self.fault = fault_of(np.array(self._steps))
+        has_changed = self._count % NEW_STEPS == 0 and self._forget_another_mounting()
+        if has_changed or MIN_STEPS <= self._count < BATCH or self._count % BATCH == 0:
+            self.fault = fault_of(np.array(self._steps), self._excess)
+
+    def _forget_another_mounting(self) -> bool:
+        """Drop the steps before the newest ones where these show another mounting; whether they do."""
+        steps = np.array(self._steps)
+        path_m = np.hypot(steps[:, 3], steps[:, 4])[::-1].cumsum()
+        newest = int(np.searchsorted(path_m, NEWEST_M)) + 1
+        if len(steps) < 2 * newest or (was := offset_of(steps[:-newest], self._excess)) is None:
+            return False
+        now = offset_of(steps[-newest:], was.excess)  # few steps do not show the noise
+        if now is None or not is_another(was, now):
+            return False
+        self._steps, self._excess = deque(list(self._steps)[-newest:], STEPS), was.excess
+        return True
 
     def interrupt(self) -> None:
         """Discard the current step after the pose was lost."""
@@ -111,10 +137,11 @@ class OdometryMounting:
         return None
 
 
-def fault_of(steps: Floats) -> Reason:
+def fault_of(steps: Floats, min_excess: float = 1.0) -> Reason:
     """The fault that steps show; NO_REASON where scans and odometry agree.
 
     steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their start
+    min_excess   as of offset_of
     """
     if turns_are_opposed(steps):
         return Reason(
@@ -122,10 +149,10 @@ def fault_of(steps: Floats) -> Reason:
             "odometry turns the other way than the scans; is a laser mounted upside down, contrary to its "
             "mounting in the config, or are the wheels of odometry swapped?",
         )
-    found = offset_of(steps)
+    found = offset_of(steps, min_excess)
     if found is None:
         return NO_REASON
-    offset, covariance = found
+    offset, covariance, _excess = found
     # MIN_STEPS do not show the noise: it may be twice the assumed one.
     most = CHI2_999_OF_3 * max(1.0, 4.0 * MIN_STEPS / len(steps))
     if float(offset @ np.linalg.solve(covariance + AXLE_TOLERANCE, offset)) <= most:
@@ -145,6 +172,14 @@ def fault_of(steps: Floats) -> Reason:
     )
 
 
+def is_another(was: Offset, now: Offset) -> bool:
+    """Whether two offsets differ by more than their errors."""
+    apart = now.offset - was.offset
+    apart[2] = wrap_angle(float(apart[2]))
+    covariance = was.covariance + now.covariance + AXLE_TOLERANCE
+    return float(apart @ np.linalg.solve(covariance, apart)) > CHI2_99_OF_3
+
+
 def turns_are_opposed(steps: Floats) -> bool:
     """Whether scans and odometry rotate equally far in opposite directions.
 
@@ -158,10 +193,10 @@ def turns_are_opposed(steps: Floats) -> bool:
     return 1.0 / MAX_SCALE <= -ratio <= MAX_SCALE
 
 
-def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
-    """(3,) the base as configured in the base of odometry, x, y m and yaw rad; and its covariance (3, 3).
+def offset_of(steps: Floats, min_excess: float = 1.0) -> Offset | None:
+    """The offset that steps (K, 6) as of fault_of show; None where odometry is dead or its scale far from 1.
 
-    None where odometry is dead or its scale is far from 1.
+    min_excess   least factor on the assumed variance of a step
     """
     x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:5]
     turned = np.where(np.abs(turn) < MIN_TURN_RAD, 0.0, turn)
@@ -170,14 +205,14 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
     path_length_m = np.hypot(driven[:, 0], driven[:, 1])
     weight = 1.0 / (MATCH_M**2 + ODOMETRY_M**2 * path_length_m + (ODOMETRY_M * turn) ** 2)
-    counts, excess = np.ones(len(steps)), 1.0
+    counts, excess = np.ones(len(steps)), min_excess
     unknown, covariance = np.zeros(4), np.eye(4)
     for _ in range(4):
         w = weight * counts / excess
         covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + WEAK_PRIOR_INFORMATION)
         unknown = covariance @ np.einsum("k,kia,ki->a", w, jacobian, driven)
         chi2 = weight * ((jacobian @ unknown - driven) ** 2).sum(axis=1)
-        excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_2, 1.0)
+        excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_2, min_excess)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     inverse_scale = math.hypot(unknown[0], unknown[1])
     if not 1.0 / MAX_SCALE <= inverse_scale <= MAX_SCALE:
@@ -187,4 +222,4 @@ def offset_of(steps: Floats) -> tuple[Floats, Floats] | None:
     to_offset = np.zeros((3, 4))
     to_offset[0, 2] = to_offset[1, 3] = 1.0 / inverse_scale
     to_offset[2, :2] = -math.sin(yaw_rad) / inverse_scale, math.cos(yaw_rad) / inverse_scale
-    return offset, to_offset @ covariance @ to_offset.T
+    return Offset(offset, to_offset @ covariance @ to_offset.T, excess)

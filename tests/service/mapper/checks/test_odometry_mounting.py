@@ -110,6 +110,16 @@ def test_a_mounting_that_is_right_again_is_believed():
     assert check.fault == ""
 
 
+@pytest.mark.parametrize("yaw_deg", [5.0, -6.0])
+def test_a_laser_that_is_knocked_and_set_right_again_is_reported_within_metres(yaw_deg: float):
+    check = OdometryMounting()
+    drive(SE2(), 60.0, check, noise_m=0.005)
+    drive(SE2(0.0, 0.0, math.radians(yaw_deg)), 9.0, check, first_s=100.0, noise_m=0.005)
+    assert "by odometry the vehicle drives" in check.fault
+    drive(SE2(), 12.0, check, first_s=200.0, noise_m=0.005)
+    assert check.fault == ""
+
+
 def slipping() -> np.ndarray:
     """Each tenth step slides to the right."""
     random = np.random.default_rng(3)
