@@ -151,12 +151,10 @@ class UnconfirmedPlace:
 
     segment         its number
     pose_map_odom   for scans that are matched to it
-    known           pose covariance in the map of a key frame of it, if the place is right
     """
 
     segment: int
     pose_map_odom: SE2
-    known: KnownPose
 
 
 @dataclass(frozen=True, slots=True)

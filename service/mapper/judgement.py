@@ -29,6 +29,7 @@ CHANCE_SIGMAS = 2.0  # tolerance for contradicting returns, of their binomial sp
 JUMP_CHI2 = 27.9  # 99.999 % of three degrees of freedom: gate of a match against the prediction, of a loop
 GAP_S = 2.5  # without a scan: a loose prediction is a gap of the path; without a scan with returns: lost
 UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 100.0, math.pi  # a larger sigma is reported as not known
+UNKNOWN_PLACE = np.diag([UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD]) ** 2  # m^2, rad^2
 MAX_UNMEASURED_S = 4.0  # without a measurement of motion: long enough to carry the vehicle elsewhere
 RECOVERY_HINT = "Drive back to mapped ground, or set the pose"  # what to do when the vehicle is lost
 # Reasons about one scan on the map that do not name the laser themselves.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from service.estimator.motion import Matrix, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceUpdate, PossiblePlace
-from service.mapper.judgement import judge_blank, sigmas_of, too_few
+from service.mapper.judgement import UNKNOWN_PLACE, judge_blank, sigmas_of, too_few
 from service.mapper.known_pose import KnownPose
 from service.outputs import Reason
 
@@ -27,6 +27,7 @@ class Localisation:
         self._place = PlaceUpdate(placed)
         self._known: KnownPose | None = None  # the newest key frame corrected by the graph
         self._known_here: KnownPose | None = None  # of the newest scan's place
+        self._is_on_map = True  # else on a segment whose place in the map is unknown, or not confirmed
         self._placed_ns: int | None = None  # moment of the newest scan with returns; None: it was lost
 
     @property
@@ -75,6 +76,8 @@ class Localisation:
 
     def _on_map(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
         self.pose_map_odom, self._known_here = pose_map_odom, self._known
+        if match.measured is not None:
+            self._is_on_map = match.state != "lost"
         unconfirmed = self._place.unconfirmed_place
         if (
             unconfirmed is not None
@@ -82,7 +85,7 @@ class Localisation:
             and match.measured is not None  # it lies on the segment
             and change.segment == unconfirmed.segment
         ):
-            self.pose_map_odom, self._known_here = unconfirmed.pose_map_odom, unconfirmed.known
+            self.pose_map_odom, self._known_here = unconfirmed.pose_map_odom, None
             match = match._replace(state="degraded", reason=UNCONFIRMED_PLACE)
         if not self.is_found:
             match = match._replace(state="lost", reason=match.reason or NOT_PLACED)
@@ -94,7 +97,9 @@ class Localisation:
 
     def covariance_of(self, motion: Motion) -> Matrix:
         """(3, 3) of a pose of the newest scan in the map, base axes."""
-        return motion.covariance if self._known_here is None else self._known_here.covariance_at(motion)
+        known = self._known_here
+        covariance = motion.covariance if known is None else known.covariance_at(motion)
+        return covariance if self._is_on_map else covariance + UNKNOWN_PLACE
 
     def _why_lost(self, reason: Reason) -> Reason:
         """The reason, with the candidate places and the pose that was refused."""

@@ -7,15 +7,7 @@ import numpy as np
 
 from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
-from service.mapper.judgement import (
-    MAX_SIGMA_M,
-    UNKNOWN_SIGMA_M,
-    UNKNOWN_SIGMA_RAD,
-    is_motion_unmeasured,
-)
-
-# m^2, rad^2: of a segment that may have moved
-MOVED_COVARIANCE = np.diag([UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD]) ** 2
+from service.mapper.judgement import MAX_SIGMA_M, UNKNOWN_PLACE, is_motion_unmeasured
 
 
 class SegmentMotion:
@@ -38,7 +30,7 @@ class SegmentMotion:
         if self._began is None:
             return predicted, 0.0
         if self._is_unmeasured:
-            return replace(predicted, segment_covariance=MOVED_COVARIANCE), 0.0
+            return replace(predicted, segment_covariance=UNKNOWN_PLACE), 0.0
         if predicted.increment is not None and not predicted.is_scan_alone:
             self._began = at_ns, predicted
             return predicted, 0.0
@@ -50,7 +42,7 @@ class SegmentMotion:
         if off_m <= MAX_SIGMA_M:
             return replace(predicted, segment_covariance=np.diag([off_m**2, off_m**2, 0.0])), 0.0
         self._is_unmeasured = True
-        return replace(predicted, segment_covariance=MOVED_COVARIANCE), elapsed_s
+        return replace(predicted, segment_covariance=UNKNOWN_PLACE), elapsed_s
 
     def matched(self, at_ns: int, predicted: Prediction, is_on_map: bool) -> None:
         """Take whether the scan of a prediction lay on the map, and not at most on a segment."""

@@ -14,7 +14,7 @@ from service.mapper.components import (
     PossiblePlace,
     UnconfirmedPlace,
 )
-from service.mapper.known_pose import KnownPose
+from service.mapper.judgement import UNKNOWN_PLACE
 from service.mapper.localisation import NOT_PLACED, UNCONFIRMED_PLACE, UNPROVEN, Localisation
 from service.outputs import State
 
@@ -24,8 +24,7 @@ PRIOR = np.diag([0.01, 0.01, 0.001])
 MOTION = Motion(SE2(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), np.diag([0.04, 0.04, 0.01]))
 MEASURED = Measurement(MOTION.pose_odom_base, MOTION.covariance, np.eye(3), 1.0)
 OF_GRAPH, OF_FIND = SE2(0.1, 0.2, 0.0), SE2(5.0, 0.0, 0.5)
-KNOWN = KnownPose(MOTION.pose_odom_base, MOTION.covariance, np.diag([0.01, 0.01, 0.001]))
-FOUND = PlaceUpdate(unconfirmed_place=UnconfirmedPlace(2, OF_FIND, KNOWN))
+FOUND = PlaceUpdate(unconfirmed_place=UnconfirmedPlace(2, OF_FIND))
 
 
 def judged(
@@ -47,11 +46,11 @@ def judged(
     return place, match.state, match.reason
 
 
-def test_a_scan_on_an_unconfirmed_segment_has_its_pose_and_covariance():
+def test_a_scan_on_an_unconfirmed_segment_has_its_pose_and_an_unknown_place():
     place, *facts = judged(FOUND, "lost", "contradicted")
     assert facts == ["degraded", UNCONFIRMED_PLACE]
     assert place.pose_map_odom == OF_FIND
-    np.testing.assert_allclose(place.covariance_of(MOTION), KNOWN.covariance)
+    np.testing.assert_allclose(place.covariance_of(MOTION), MOTION.covariance + UNKNOWN_PLACE)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +62,9 @@ def test_an_unconfirmed_place_affects_no_other_segment_no_unmatched_scan_and_non
     place, *facts = judged(FOUND, state, "", segment, measured)
     assert facts == [state, ""]
     assert place.pose_map_odom == OF_GRAPH
-    assert place.covariance_of(MOTION) is MOTION.covariance
+    is_on_map = state != "lost" or measured is None
+    unknown = 0.0 if is_on_map else UNKNOWN_PLACE
+    np.testing.assert_array_equal(place.covariance_of(MOTION), MOTION.covariance + unknown)
 
 
 @pytest.mark.parametrize(

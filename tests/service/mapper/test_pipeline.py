@@ -65,7 +65,7 @@ def test_the_covariance_grows_from_that_of_the_graph_and_drift_is_not_ok():
 class FindingGraph(NoGraph):
     """Reports an unconfirmed place of the segment that the first lost scan begins."""
 
-    place = UnconfirmedPlace(1, SE2(5.0, -2.0, 0.7), KnownPose(SE2(), np.zeros((3, 3)), 1e-3 * np.eye(3)))
+    place = UnconfirmedPlace(1, SE2(5.0, -2.0, 0.7))
 
     def apply_result(self):
         return GraphUpdate({}, place=PlaceUpdate(unconfirmed_place=self.place))

@@ -19,7 +19,6 @@ from service.mapper.graph.relocalise.expected_place import (
     ODOMETRY_PROBABILITY_CONTINUOUS,
     ODOMETRY_PROBABILITY_MEASURED,
     ODOMETRY_PROBABILITY_UNMEASURED,
-    SEARCH_COVARIANCE,
     OdometryPrior,
     OperatorPose,
     places_in,
@@ -42,7 +41,7 @@ from service.mapper.graph.relocalise.place_search import (
     is_same_pose,
 )
 from service.mapper.judgement import GAP_S
-from service.mapper.known_pose import KnownPose, covariance_added
+from service.mapper.known_pose import covariance_added
 
 MAX_STATIONARY = 3  # of them from one viewpoint, besides the first
 # Of dead reckoning without a scan gap, and per m of a segment.
@@ -112,16 +111,10 @@ class DetachedSearch:
         Also None if dead reckoning leads elsewhere and the query does not contradict that, or if other places
         are candidates, too, since new ground may look like any place of the map.
         """
-        keyframes, one = self._keyframes, self._hypothesis
+        one = self._hypothesis
         if one is None or not one.is_sure or self.possible:
             return None
-        k = one.loop.to
-        known = KnownPose(
-            SE2(*keyframes.odom[k].tolist()),
-            keyframes.motion_covariance[k].copy(),
-            one.loop.covariance + SEARCH_COVARIANCE,
-        )
-        return UnconfirmedPlace(one.segment, SE2(*one.pose_map_odom.tolist()), known)
+        return UnconfirmedPlace(one.segment, SE2(*one.pose_map_odom.tolist()))
 
     def find(self, known: npt.NDArray[np.int64]) -> tuple[Loop, ...] | None:
         """Place the newest segment in the map, and return the loops that prove it; None if not certain.
