@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from service.geometry.se2 import SE2
-from simulators.trajectory import Floats, Follow, Leg, Limits, Pause, Spin, plan_drive
+from simulators.trajectory import Follow, Leg, Limits, Pause, Spin, plan_drive
 from simulators.world import Plan, Point, World, make_world
 
 START_M = (6.0, 4.0)
@@ -37,7 +37,7 @@ SCREENS_M = ((0.0, 9.0), (0.0, 20.0), (WIDTH_M, 12.0), (WIDTH_M, 21.0))
 def library(heading_deg: float = 0.0) -> World:
     """A lap takes about 90 s. heading_deg: of the vehicle at its start, from the long walls."""
     plan = Plan()
-    _draw(plan)
+    draw_structure(plan)
     noise = np.random.default_rng(12)
     for x in CASE_X_M:
         for ends in CASE_Y_M:
@@ -51,37 +51,7 @@ def library(heading_deg: float = 0.0) -> World:
     return make_world("library", plan, [], plan_drive(SE2(*START_M, heading_rad), legs, limits, repeats=True))
 
 
-def library_structure() -> Floats:
-    """(S, 4) what an architect would draw, from the start with heading 0: cases, no books."""
-    plan = Plan()
-    _draw(plan)
-    for x in CASE_X_M:
-        for low, high in CASE_Y_M:
-            plan.box((x, (low + high) / 2), (CASE_WIDTH_M, high - low))
-    west, east, y = CABINET_M
-    plan.line((west, y), (east, y))
-    segments: Floats = np.array(plan.segments) - np.array([*START_M, *START_M])
-    return segments
-
-
-def library_check_points() -> Floats:
-    """(18, 2) corners that a surveyor can find, from the start with heading 0.
-
-    4 of the hall, 4 of the offices, 8 of bookcases' ends, 2 where the cabinet ends.
-    """
-    west, south, east, north = OFFICES_M
-    half = CASE_WIDTH_M / 2
-    points: list[Point] = [(0, 0), (WIDTH_M, 0), (WIDTH_M, HEIGHT_M), (0, HEIGHT_M)]
-    points += [(west, south), (east, south), (east, north), (west, north)]
-    low, high = CASE_Y_M[0][0], CASE_Y_M[1][1]
-    for x in (CASE_X_M[0], CASE_X_M[2], CASE_X_M[3], CASE_X_M[5]):
-        points += [(x - half, low), (x + half, high)]
-    points += [(CABINET_M[0], CABINET_M[2]), (CABINET_M[1], CABINET_M[2])]
-    places: Floats = np.array(points, dtype=np.float64) - START_M
-    return places
-
-
-def _draw(plan: Plan) -> None:
+def draw_structure(plan: Plan) -> None:
     """All but books and glass."""
     plan.line((0, 0), (WIDTH_M, 0), (WIDTH_M, HEIGHT_M), (0, HEIGHT_M), (0, 0))
     west, south, east, north = OFFICES_M

@@ -15,7 +15,8 @@ from service.mapper.papers.owolm_eskf import across_walls
 from service.mapper.papers.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.profiles import mapping_config
 from simulators.worlds.corridors import corridor100
-from simulators.worlds.library import library, library_check_points, library_structure
+from simulators.worlds.library import library
+from tests.papers.library_survey import library_check_points, library_structure
 from tests.papers.owolm_pictures import draw_maps, draw_overlay, draw_segments
 from tests.papers.recorded import error_row, rescored, scored
 from tests.papers.report import Row, Section, seeds_text
