@@ -55,7 +55,7 @@ class _Profile(NamedTuple):
 
 
 class MapSaver(Sink):
-    """Saves the map while it grows; a MapStorage.
+    """Saves the map while it grows; a MapStorage, whose words hold here where a method has none.
 
     The first map goes to the folder that the context names, else to <vehicle>_<UTC start> in the directory of
     the config; those after a reset go beside it, to <folder>_2, <folder>_3 ... A session that begins in a
@@ -128,14 +128,9 @@ class MapSaver(Sink):
             keep_version(folder, version, f"a session of {self._vehicle} began in it, {self._started}")
 
     def let_go(self, folder: Path) -> None:
-        """It was reserved, and is not begun in. A map of this run that is saved there keeps it."""
         self._in_use.let_go(folder)
 
     def begun_in(self, folder: Path) -> None:
-        """The present map is that of this folder, which was reserved; call it when the one before has ended.
-
-        Others may change the folder again when this map has ended and is saved.
-        """
         self._let_go_of(self._tiles.number)  # it has no tile
         self._begun_in[self._tiles.number] = folder
 
@@ -152,7 +147,6 @@ class MapSaver(Sink):
             self._in_use.let_go(self._begun_in[number])
 
     def mapped_by(self, profile: str, stores_graph: bool) -> None:
-        """The present map is a new one, made by this profile; call it when the one before has ended."""
         self.begun_new()
         self._made_by[self._tiles.number] = _Profile(profile, stores_graph)
 
