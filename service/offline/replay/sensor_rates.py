@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
+from drivers.frames import Frame
+from service.timing.timing import KINDS
 
-KINDS = {LaserScan: "scan", ImuSample: "imu", OdometrySample: "odom", GnssFix: "fix"}
 GAP_PERIODS = 3.0  # of the usual one: a longer interval is a gap
 MAX_GAPS = 50  # that are listed of each, the longest
 
